@@ -1,0 +1,1 @@
+"""tonewood: plugin-based physical sound synthesis."""

@@ -1,0 +1,1 @@
+"""Many renders at once, prepared for listeners."""

@@ -1,0 +1,1 @@
+"""Model, state and events in; blocks of sound out."""

@@ -1,0 +1,58 @@
+"""Errors meant for people: one line that names the file, the key, the value and what is allowed.
+
+Every error a user can cause derives from `TonewoodError`; the command line prints its one line on stderr and exits
+with code 2. A programming mistake is not one of these and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+import os
+
+
+class TonewoodError(Exception):
+    """A fault the user can mend, told in one line.
+
+    Parameters
+    ----------
+    reason : what is wrong and what is allowed.
+    file : the file at fault, if there is one.
+    key : dotted path of the key at fault, e.g. ``strings.E2.tension``.
+    """
+
+    def __init__(self, reason: str, *, file: str | os.PathLike[str] | None = None, key: str | None = None):
+        self.reason = " ".join(reason.split())
+        self.file = None if file is None else os.fspath(file)
+        self.key = key
+        super().__init__(": ".join(part for part in (self.file, self.key, self.reason) if part))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle with the keywords, so that the line survives a worker process."""
+        return (_rebuild, (type(self), self.reason, self.file, self.key))
+
+
+def _rebuild(cls: type[TonewoodError], reason: str, file: str | None, key: str | None) -> TonewoodError:
+    return cls(reason, file=file, key=key)
+
+
+class BundleError(TonewoodError):
+    """An instrument bundle, its tables or a parameter in it cannot be used."""
+
+
+class PluginError(TonewoodError):
+    """A plugin is missing, twice there, or breaks its contract."""
+
+
+class ScoreError(TonewoodError):
+    """A score, scale or tuning file cannot be read or played."""
+
+
+class PassivityError(TonewoodError):
+    """A modal basis would create energy; carries where and how much in its line."""
+
+
+class NumericalError(TonewoodError):
+    """The state stopped being finite, or a solve failed: names component and time."""
+
+
+class OutputError(TonewoodError):
+    """A sound file or device cannot be written."""

@@ -1,0 +1,1 @@
+"""From YAML to a model: plugin contract, registry, bundles, assembly, tuning."""

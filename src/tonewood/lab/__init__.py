@@ -1,0 +1,1 @@
+"""The published systems, the methods they are compared with, and what accuracy costs."""

@@ -1,0 +1,1 @@
+"""Arrays only: modes, propagators, connections, and the kernel that steps them. No files, no YAML."""

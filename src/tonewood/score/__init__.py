@@ -1,0 +1,1 @@
+"""Notes, scores, scales and who plays what: plain data, nothing of instruments."""
