@@ -1,0 +1,145 @@
+"""Reading YAML files that people write: plain data only, and every fault in one line with its place.
+
+The dialect is YAML 1.2 (``2e11`` is a number, ``no`` a word) cut down to what a description needs: one
+mapping of named keys, finite numbers, words, true/false/null, lists. Anchors, aliases, merge keys and tags are
+refused (what a file says should stand where it is read, and nothing may expand), so are duplicate keys, dates,
+and files that are too long or too deep.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.composer import Composer
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import AliasEvent
+from ruamel.yaml.nodes import MappingNode
+
+from tonewood.errors import TonewoodError
+
+MAX_BYTES = 1_000_000
+MAX_DEPTH = 24
+
+_STRING = "tag:yaml.org,2002:str"
+_MERGE = "tag:yaml.org,2002:merge"
+_TIMESTAMP = "tag:yaml.org,2002:timestamp"
+
+
+def load_yaml(
+    path: str | os.PathLike[str], *, max_bytes: int = MAX_BYTES, error: type[TonewoodError] = TonewoodError
+) -> dict[str, Any]:
+    """Read one YAML file into a dict of dicts, lists, str, int, float, bool and None.
+
+    Parameters
+    ----------
+    path : the file, UTF-8.
+    max_bytes : longest file that is read.
+    error : class of the error raised, for a caller with a subclass of its own.
+
+    Raises
+    ------
+    TonewoodError
+        One line naming file, line (or dotted key) and what is allowed: the file cannot be read, is too long,
+        is not UTF-8 or not YAML, or holds something `parse_yaml` refuses.
+    """
+    try:
+        with Path(path).open("rb") as stream:
+            raw = stream.read(max_bytes + 1)
+    except OSError as fault:
+        raise error(f"cannot be read: {fault.strerror}", file=path) from None
+    if len(raw) > max_bytes:
+        raise error(f"longer than the {max_bytes} bytes allowed", file=path)
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as fault:
+        raise error(f"byte {fault.start} is not UTF-8", file=path) from None
+    return parse_yaml(text, file=path, error=error)
+
+
+def parse_yaml(
+    text: str, *, file: str | os.PathLike[str] | None = None, error: type[TonewoodError] = TonewoodError
+) -> dict[str, Any]:
+    """As `load_yaml`, from a text; `file` is only named in errors.
+
+    Raises
+    ------
+    TonewoodError
+        Not one mapping; anchors, aliases, merge keys, tags, dates, directives, duplicate keys, keys that are
+        not words, numbers that are not finite, nesting deeper than `MAX_DEPTH`.
+    """
+    yaml = YAML(typ="safe", pure=True)  # the C scanner speaks YAML 1.1
+    yaml.Composer = _StrictComposer
+    try:
+        data = yaml.load(text)
+    except MarkedYAMLError as fault:
+        mark = fault.problem_mark or fault.context_mark
+        where = f"line {mark.line + 1}: " if mark is not None else ""
+        raise error(f"{where}{fault.problem or 'not YAML'}", file=file) from None
+    except (YAMLError, ValueError) as fault:  # ValueError: an integer of thousands of digits
+        raise error(f"not YAML: {' '.join(str(fault).split())[:200]}", file=file) from None
+    if not isinstance(data, dict):
+        raise error(f"holds {_kind(data)}; a mapping of keys is wanted", file=file)
+    _check_finite(data, "", file, error)
+    return data
+
+
+class _StrictComposer(Composer):
+    """Builds the node tree, and stops at the first thing the dialect leaves out."""
+
+    def compose_document(self) -> Any:
+        event = self.parser.peek_event()
+        if event.version not in (None, (1, 2)) or event.tags:
+            raise _refused("%-directives are not allowed (the file is read as YAML 1.2)", event)
+        return super().compose_document()
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        event = self.parser.peek_event()
+        if isinstance(event, AliasEvent):
+            raise _refused(f"alias *{event.anchor} is not allowed: write the value out", event)
+        if event.anchor is not None:
+            raise _refused(f"anchor &{event.anchor} is not allowed: write the value out", event)
+        if event.ctag is not None:
+            raise _refused(f"tag {event.ctag} is not allowed: plain values only", event)
+        if self.depth >= MAX_DEPTH:
+            raise _refused(f"nested deeper than the {MAX_DEPTH} levels allowed", event)
+        node = super().compose_node(parent, index)
+        if str(node.ctag) == _TIMESTAMP:
+            raise _refused(f"{node.value} would be read as a date: quote it", node)
+        if isinstance(node, MappingNode):
+            _check_keys(node)
+        return node
+
+
+def _check_keys(node: MappingNode) -> None:
+    seen: set[str] = set()
+    for key, _ in node.value:
+        if str(key.ctag) == _MERGE:
+            raise _refused("merge key << is not allowed: write the values out", key)
+        if str(key.ctag) != _STRING:
+            shown = key.value if isinstance(key.value, str) else "a list or mapping"
+            raise _refused(f"key {shown} is not a word: quote it if it is a name", key)
+        if key.value in seen:
+            raise _refused(f"key {key.value} stands twice in one mapping", key)
+        seen.add(key.value)
+
+
+def _refused(problem: str, place: Any) -> MarkedYAMLError:
+    return MarkedYAMLError(problem=problem, problem_mark=place.start_mark)
+
+
+def _check_finite(
+    value: Any, key: str, file: str | os.PathLike[str] | None, error: type[TonewoodError]
+) -> None:
+    if isinstance(value, float) and not math.isfinite(value):
+        raise error(f"{value} is not a finite number", file=file, key=key)
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for name, item in items:
+        _check_finite(item, f"{key}.{name}" if key else str(name), file, error)
+
+
+def _kind(value: object) -> str:
+    return "nothing" if value is None else "a list" if isinstance(value, list) else f"only {value!r}"

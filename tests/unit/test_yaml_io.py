@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import pickle
+
+import pytest
+
+from tonewood.errors import BundleError, TonewoodError
+from tonewood.yaml_io import MAX_DEPTH, load_yaml, parse_yaml
+
+
+def test_yaml_1_2_scalars() -> None:
+    text = """
+a: 2e11
+b: 57e-6
+c: no
+d: on
+e: 0x1F
+f: null
+g: true
+h: 012
+i: '1'
+j: -1
+k: [1, {l: 2.5}]
+m: E2
+"""
+    wanted = {"a": 2e11, "b": 57e-6, "c": "no", "d": "on", "e": 31, "f": None, "g": True}
+    assert parse_yaml(text) == wanted | {"h": 12, "i": "1", "j": -1, "k": [1, {"l": 2.5}], "m": "E2"}
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "words"),
+    [
+        ("a: 1\nb: &x 2\n", "line 2", "anchor &x"),
+        ("a: &x {b: 1}\nc: *x\n", "line 1", "anchor &x"),
+        ("a: 1\nc: *x\n", "line 2", "alias *x"),
+        ("a: 1\n\nc: {<<: {b: 1}}\n", "line 3", "merge key"),
+        ("a: !!python/object:os.system ls\n", "line 1", "tag"),
+        ("a: !mine 1\n", "line 1", "tag"),
+        ("a: !!float 1\n", "line 1", "tag"),
+        ("a: 1\nb: 2\na: 3\n", "line 3", "key a stands twice"),
+        ("a: {c: 1, c: 1}\n", "line 1", "key c stands twice"),
+        ("a: {1: 2}\n", "line 1", "key 1 is not a word"),
+        ("a: {true: 2}\n", "line 1", "key true is not a word"),
+        ("? [1, 2]\n: 3\n", "line 1", "is not a word"),
+        ("a: 2024-01-01\n", "line 1", "date"),
+        ("%YAML 1.1\n---\na: yes\n", "line", "YAML 1.2"),
+        ("a: 1\n---\nb: 2\n", "line 2", "another document"),
+        ("a: [1, 2\nb: 3\n", "line 2", ""),
+        ("a: .nan\n", "a", "finite"),
+        ("a: {b: [0, 1e999]}\n", "a.b.1", "finite"),
+        ("- 1\n", "", "a list; a mapping"),
+        ("", "", "nothing; a mapping"),
+        ("word\n", "", "a mapping"),
+        ("a: \x07\n", "", "not YAML"),
+        ("a: " + "9" * 5000 + "\n", "", "not YAML"),
+        ("[" * 50_000, "line 1", f"deeper than the {MAX_DEPTH}"),
+        ("a: " + "{b: " * (MAX_DEPTH + 1) + "1" + "}" * (MAX_DEPTH + 1), "line 1", "deeper"),
+    ],
+)
+def test_refusals_are_one_line_with_a_place(text: str, place: str, words: str) -> None:
+    with pytest.raises(TonewoodError) as caught:
+        parse_yaml(text, file="x.yaml")
+    line = str(caught.value)
+    assert line.startswith("x.yaml: " + place)
+    assert words in line
+    assert "\n" not in line
+    assert str(pickle.loads(pickle.dumps(caught.value))) == line
+
+
+def test_files(tmp_path) -> None:
+    good = tmp_path / "good.yaml"
+    good.write_bytes(b"\xef\xbb\xbfname: harp\n")
+    assert load_yaml(good) == {"name": "harp"}
+    good.write_bytes(b"a: " + b"x" * 100)
+    with pytest.raises(BundleError, match="longer than the 50 bytes"):
+        load_yaml(good, max_bytes=50, error=BundleError)
+    good.write_bytes(b"a: \xff\n")
+    with pytest.raises(TonewoodError, match="byte 3 is not UTF-8"):
+        load_yaml(good)
+    with pytest.raises(TonewoodError, match="cannot be read"):
+        load_yaml(tmp_path / "absent.yaml")
+    with pytest.raises(TonewoodError, match="cannot be read"):
+        load_yaml(tmp_path)
