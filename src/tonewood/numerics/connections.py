@@ -1,0 +1,134 @@
+"""How components are held together: connections, their laws, and the linear solve that gives their forces.
+
+A connection acts on a gap g = sum_i a_i y_i over points of components and pulls on every one of them with a_i f, so
+that its power is f g'. Over a step of length h each linear law reads
+
+    S f + g+ + gamma g = (1 + gamma) b,
+
+    rigid                              S = 0,                gamma = 0
+    rigid, residual compliance R       S = 2 A R A^T,        gamma = 1       (f = -(Z + 2R)^+ (g_u + g))
+    spring k and dashpot r             S = 1/alpha,          gamma = beta/alpha,   alpha, beta = k/2 +- r/h
+
+With g+ = g_u + Z f, Z = A (port compliance over one step) A^T, the corrective force of Udwadia and Kalaba is
+f = -(Z + S)^+ (g_u + gamma g - (1 + gamma) b); ^+ is the pseudo-inverse, so redundant constraints are legal.
+For passive components no law here can create energy, whatever the step, stiffness or force: the work of f over a
+step is f (g+ - g), which is 0, minus a growth of the residual's potential, or minus spring energy and loss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """Share of one point in a gap: `factor` times the displacement of ``component.point``."""
+
+    component: str
+    point: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Rigid:
+    """Holds the gap at `offset` (m); gives way only by the residual compliance of the components."""
+
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SpringDashpot:
+    """f = -stiffness (g - offset) - damping g', in N/m and N s/m; acts on the stepped modes only."""
+
+    stiffness: float = 0.0
+    damping: float = 0.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.stiffness >= 0.0 and self.damping >= 0.0):
+            raise ValueError("stiffness and damping of a connection must not be negative")
+
+
+Law = Rigid | SpringDashpot
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """A law acting on a gap."""
+
+    name: str
+    terms: tuple[Term, ...]
+    law: Law = Rigid()
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSolve:
+    """f = rhs - G g_u - G gamma g over all connections of a system.
+
+    Attributes
+    ----------
+    G : (m, m) N/m.
+    gamma : (m,) share of the old gap.
+    offset : (m,) (1 + gamma) b, m.
+    """
+
+    G: Floats
+    gamma: Floats
+    offset: Floats
+
+    @property
+    def constant(self) -> Floats:
+        """(m,) N, force from the offsets alone."""
+        return np.asarray(self.G @ self.offset)
+
+
+def linear_solve(laws: Sequence[Law], compliance: Floats, residual: Floats, dt: float) -> LinearSolve:
+    """Eliminate the forces of linear laws.
+
+    Parameters
+    ----------
+    laws : m laws.
+    compliance : (m, m) m/N, Z of the gaps over one step.
+    residual : (m, m) m/N, residual compliance seen by the gaps.
+    dt : s.
+
+    Notes
+    -----
+    The pseudo-inverse is taken of the matrix scaled to unit diagonal, so that rank is judged alike for light and
+    heavy parts. Of redundant constraints the motion is unique; their shares of the force are least squares in that
+    scaling. A connection without stiffness and damping carries no force.
+    """
+    m = len(laws)
+    S, gamma, offset, active = np.zeros((m, m)), np.zeros(m), np.zeros(m), np.ones(m, dtype=bool)
+    rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)
+    both = np.outer(rigid, rigid)
+    S[both] = 2 * residual[both]
+    scale = np.maximum(np.diag(compliance), 0.0)
+    for j, law in enumerate(laws):
+        if isinstance(law, SpringDashpot):
+            alpha, beta = law.stiffness / 2 + law.damping / dt, law.stiffness / 2 - law.damping / dt
+            active[j] = alpha > 0
+            if active[j]:
+                S[j, j], gamma[j] = 1 / alpha, beta / alpha
+        elif residual[j, j] > 1e-14 * scale[j]:
+            gamma[j] = 1.0
+        offset[j] = (1 + gamma[j]) * law.offset
+    G = np.zeros((m, m))
+    if active.any():
+        G[np.ix_(active, active)] = scaled_pinv((S + compliance)[np.ix_(active, active)])
+    return LinearSolve(G, gamma, offset)
+
+
+def scaled_pinv(matrix: Floats, rtol: float = 1e-12) -> Floats:
+    """Pseudo-inverse of a square matrix after scaling it to unit diagonal (zero rows stay zero)."""
+    import scipy.linalg as sla
+
+    diagonal = np.abs(np.diag(matrix))
+    d = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    return np.asarray(d[:, None] * sla.pinv(d[:, None] * matrix * d, rtol=rtol) * d)

@@ -1,0 +1,352 @@
+"""Modes of one component, and what can be asked of them.
+
+Three kinds of mode, told apart by `kind`; every one is a real 2 x 2 block once it is stepped (see `propagator`):
+
+* ``PAIR``   z' = lambda z + sum_i l_i f_i,  y_i = 2 Re(r_i z): one of two conjugate poles, Im lambda > 0;
+* ``REAL``   z' = lambda z + sum_i l_i f_i,  y_i = r_i z: one real pole;
+* ``BLOCK``  q'' + 2 sigma q' + omega^2 q = sum_i l_i f_i,  y_i = r_i q: rigid-body, critically and over-damped
+  modes, whose pole pair coincides or nearly so.
+
+Shapes carry the normalisation of Fabre, Le Carrou & Chomette (2024), Eq. 20, in the left shape: l = psi_l / Pi.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+PAIR, REAL, BLOCK = 0, 1, 2
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+#: damping ratio above which a second-order mode is stepped as a block: at .7 the two poles are still well apart
+_BLOCK_ABOVE = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class ModalBasis:
+    """Modes of one uncoupled component: poles, left and right shapes at named points, residual compliance.
+
+    Attributes
+    ----------
+    poles : (n_modes,) complex, 1/s. The slower pole of a ``BLOCK``.
+    kind : (n_modes,) uint8, ``PAIR``, ``REAL`` or ``BLOCK``.
+    stiffness : (n_modes,) omega^2, 1/s^2 (modal stiffness per modal mass).
+    damping_rate : (n_modes,) sigma, 1/s.
+    points : names of the places where the component can be driven, joined or heard.
+    right, left : (n_points, n_modes) complex shapes.
+    residual : (n_points, n_points) m/N, symmetric: static compliance of the modes that were left out.
+    shape : places between the named points, m -> (n_modes,) real shape; None where there are only named points.
+    residual_at : (x, y) in m -> m/N, residual compliance between two places; None as above.
+    places : point name -> place in m, where `shape` is given.
+    metadata : what the maker of the basis wants to remember of it (its plugin reads it when a stop changes).
+    """
+
+    poles: Complexes
+    kind: NDArray[np.uint8]
+    stiffness: Floats
+    damping_rate: Floats
+    points: tuple[str, ...]
+    right: Complexes
+    left: Complexes
+    residual: Floats
+    shape: Callable[[float], Floats] | None = None
+    residual_at: Callable[[float, float], float] | None = None
+    places: Mapping[str, float] = field(default_factory=dict)
+    metadata: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n, p = self.poles.size, len(self.points)
+        shapes_ok = self.right.shape == self.left.shape == (p, n) and self.residual.shape == (p, p)
+        if not shapes_ok or not (self.kind.shape == self.stiffness.shape == self.damping_rate.shape == (n,)):
+            raise ValueError(f"arrays of a basis of {n} modes at {p} points do not fit together")
+        if len(set(self.points)) != p:
+            raise ValueError("two points of a basis have the same name")
+
+    @classmethod
+    def real(
+        cls,
+        natural_freq_rad: ArrayLike,
+        damping_rate: ArrayLike,
+        points: Mapping[str, ArrayLike] | Mapping[str, float],
+        *,
+        modal_mass: ArrayLike = 1.0,
+        shape: Callable[[float], Floats] | None = None,
+        static_compliance: Callable[[float, float], float] | None = None,
+        residual: ArrayLike | None = None,
+        metadata: Mapping[str, object] | None = None,
+    ) -> ModalBasis:
+        """Real modes q'' + 2 sigma q' + omega^2 q = phi f / m of any damping, rigid-body modes included.
+
+        Parameters
+        ----------
+        natural_freq_rad : (n_modes,) omega, rad/s, 0 for a rigid-body mode.
+        damping_rate : (n_modes,) sigma = zeta omega, 1/s.
+        points : name -> (n_modes,) shape, or name -> place in m when `shape` is given.
+        modal_mass : (n_modes,) or scalar, kg (with unit-free shapes); shapes become mass-normalised, 1/sqrt(kg).
+        static_compliance : (x, y) in m -> m/N of *all* modes; what the kept ones leave of it is the residual.
+        residual : (n_points, n_points) m/N instead of `static_compliance`.
+        """
+        omega = np.atleast_1d(np.asarray(natural_freq_rad, dtype=np.float64))
+        sigma = np.broadcast_to(np.asarray(damping_rate, dtype=np.float64), omega.shape).copy()
+        scale = 1.0 / np.sqrt(np.broadcast_to(np.asarray(modal_mass, dtype=np.float64), omega.shape))
+        if np.any(omega < 0) or not np.all(np.isfinite(omega)) or not np.all(np.isfinite(sigma)):
+            raise ValueError("natural frequencies must be finite and not negative, damping rates finite")
+        normal_shape = None
+        if shape is not None:
+            given = shape
+            normal_shape = lambda x: np.asarray(given(x), dtype=np.float64) * scale  # noqa: E731
+        rows, places = [], {}
+        for name, place in points.items():
+            given_shape = np.asarray(place, dtype=np.float64)
+            if normal_shape is not None and given_shape.ndim == 0:
+                places[name] = float(given_shape)
+                rows.append(normal_shape(places[name]))
+            else:
+                rows.append(given_shape * scale)
+        phi = np.array(rows, dtype=np.float64).reshape(len(points), omega.size)
+
+        block = sigma**2 >= (_BLOCK_ABOVE * omega) ** 2
+        damped = np.sqrt(np.maximum((omega - np.abs(sigma)) * (omega + np.abs(sigma)), 0.0))
+        slow = np.sqrt(np.maximum(sigma**2 - omega**2, 0.0))
+        poles = np.where(block & (sigma >= omega), -sigma + slow, -sigma + 1j * damped).astype(np.complex128)
+        gain = np.where(block, 1.0, -0.5j / np.where(block, 1.0, damped))
+        kept_residual = None
+        if static_compliance is not None:
+            full, soft = static_compliance, omega > 0
+
+            def kept_residual(x: float, y: float) -> float:
+                assert normal_shape is not None
+                kept = np.sum(normal_shape(x)[soft] * normal_shape(y)[soft] / omega[soft] ** 2)
+                return float(full(x, y) - kept)
+
+            residual = [[kept_residual(x, y) for y in places.values()] for x in places.values()]
+        return cls(
+            poles=poles,
+            kind=np.where(block, BLOCK, PAIR).astype(np.uint8),
+            stiffness=omega**2,
+            damping_rate=sigma,
+            points=tuple(points),
+            right=phi.astype(np.complex128),
+            left=(phi * gain).astype(np.complex128),
+            residual=_residual(residual, len(points)),
+            shape=normal_shape,
+            residual_at=kept_residual,
+            places=places,
+            metadata=dict(metadata or {}),
+        )
+
+    @classmethod
+    def complex(
+        cls,
+        poles: ArrayLike,
+        right: Mapping[str, ArrayLike],
+        left: Mapping[str, ArrayLike] | None = None,
+        *,
+        norm: ArrayLike = 1.0,
+        acoustic: Sequence[str] = (),
+        shapes_of: str = "displacement",
+        residual: ArrayLike | None = None,
+        metadata: Mapping[str, object] | None = None,
+    ) -> ModalBasis:
+        """Complex modes: poles and right shapes psi_r; left shapes follow where they are not given.
+
+        Left shapes are psi_l / Pi with psi_l = psi_r at structural points and -psi_r at `acoustic` ones (Fabre et al.
+        2024, Eq. 16). Shapes measured as displacement and *pressure* (``shapes_of="pressure"``) have their acoustic
+        rows divided by lambda first (Eq. 17).
+
+        Parameters
+        ----------
+        poles : (n_modes,) 1/s, one of each conjugate pair (Im > 0), or real.
+        right, left : point name -> (n_modes,) complex. A given `left` already holds 1/Pi.
+        norm : (n_modes,) or scalar, Pi of Eq. 20.
+        acoustic : names of the points that are pressures (velocity potentials).
+        """
+        lam = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
+        if np.any(lam.imag < 0):
+            raise ValueError("give one pole of each conjugate pair, the one with a positive imaginary part")
+        unknown = set(acoustic) - set(right)
+        if unknown:
+            raise ValueError(f"acoustic points {sorted(unknown)} have no shape")
+        if shapes_of not in ("displacement", "pressure"):
+            raise ValueError(f"shapes_of is 'displacement' or 'pressure', not {shapes_of!r}")
+        names = tuple(right)
+        r = np.array([np.asarray(right[p], dtype=np.complex128) for p in names]).reshape(len(names), lam.size)
+        sign = np.array([-1.0 if p in acoustic else 1.0 for p in names])[:, None]
+        if shapes_of == "pressure":
+            r = np.where(sign < 0, r / lam, r)
+        if left is None:
+            ell = sign * r / np.asarray(norm, dtype=np.complex128)
+        else:
+            if set(left) != set(right):
+                raise ValueError("left and right shapes must name the same points")
+            ell = np.array([np.asarray(left[p], dtype=np.complex128) for p in names]).reshape(r.shape)
+        return cls(
+            poles=lam,
+            kind=np.where(lam.imag > 0, PAIR, REAL).astype(np.uint8),
+            stiffness=np.abs(lam) ** 2,
+            damping_rate=-lam.real,
+            points=names,
+            right=r,
+            left=ell,
+            residual=_residual(residual, len(names)),
+            metadata=dict(metadata or {}),
+        )
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes, a conjugate pair counted once."""
+        return int(self.poles.size)
+
+    @property
+    def natural_freq(self) -> Floats:
+        """(n_modes,) undamped natural frequencies, Hz."""
+        return np.sqrt(self.stiffness) / (2 * np.pi)
+
+    @property
+    def damping_ratio(self) -> Floats:
+        """(n_modes,) zeta = sigma / omega; infinite for a damped rigid-body mode, 0 for an undamped one."""
+        omega = np.sqrt(self.stiffness)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.damping_rate == 0, 0.0, self.damping_rate / omega)
+
+    @property
+    def is_real(self) -> bool:
+        """Whether every mode is a mass-normalised real one: left = right up to the pair's factor -i / (2 omega_d)."""
+        if np.any(self.kind == REAL) or np.any(self.right.imag != 0):
+            return False
+        pair = self.kind == PAIR
+        expected = np.where(pair, self.right * (-0.5j / np.where(pair, self.poles.imag, 1.0)), self.right)
+        scale = np.max(np.abs(self.left), initial=0.0)
+        return bool(np.all(np.abs(self.left - expected) <= 1e-12 * scale))
+
+    def index(self, point: str) -> int:
+        """Row of a named point; ValueError names the points there are."""
+        try:
+            return self.points.index(point)
+        except ValueError:
+            raise ValueError(f"no point {point!r}; there are {', '.join(self.points)}") from None
+
+    def with_places(self, places: Mapping[str, float]) -> ModalBasis:
+        """Return the same basis with more named points, at places in m along the component."""
+        if self.shape is None or not self.is_real:
+            raise ValueError("this component has named points only")
+        new = {name: x for name, x in places.items() if name not in self.points}
+        if not new:
+            return self
+        phi = np.array([self.shape(x) for x in new.values()])
+        pair = self.kind == PAIR
+        gain = np.where(pair, -0.5j / np.where(pair, self.poles.imag, 1.0), 1.0)
+        p, n = len(self.points), len(new)
+        residual = np.zeros((p + n, p + n))
+        residual[:p, :p] = self.residual
+        if self.residual_at is not None:
+            xs = [self.places[name] for name in self.points] + list(new.values())
+            for i in range(p + n):
+                for j in range(p, p + n):
+                    residual[i, j] = residual[j, i] = self.residual_at(xs[i], xs[j])
+        return replace(
+            self,
+            points=self.points + tuple(new),
+            right=np.vstack([self.right, phi.astype(np.complex128)]),
+            left=np.vstack([self.left, phi * gain]),
+            residual=residual,
+            places={**self.places, **new},
+        )
+
+    def select(self, modes: NDArray[np.intp] | NDArray[np.bool_], *, fold: bool = True) -> ModalBasis:
+        """Keep some modes; with `fold` the static compliance of the others goes into the residual.
+
+        The shape function of a component with places keeps only the same modes.
+        """
+        keep = np.zeros(self.n_modes, dtype=bool)
+        keep[modes] = True
+        residual, residual_at = self.residual, self.residual_at
+        shape = None
+        if self.shape is not None:
+            whole = self.shape
+            shape = lambda x: whole(x)[keep]  # noqa: E731
+        if fold and not keep.all():
+            residual = residual + self._static(~keep)
+            if (whole_at := self.residual_at) and (every := self.shape):
+                drop = ~keep
+
+                def residual_at(x: float, y: float) -> float:
+                    extra = np.sum(every(x)[drop] * every(y)[drop] / self.stiffness[drop])
+                    return float(whole_at(x, y) + extra)
+
+        return replace(
+            self,
+            poles=self.poles[keep],
+            kind=self.kind[keep],
+            stiffness=self.stiffness[keep],
+            damping_rate=self.damping_rate[keep],
+            right=self.right[:, keep],
+            left=self.left[:, keep],
+            residual=residual,
+            shape=shape,
+            residual_at=residual_at,
+        )
+
+    def _static(self, modes: NDArray[np.bool_]) -> Floats:
+        """(n_points, n_points) static compliance of some modes; rigid-body modes have none and are passed over."""
+        soft = modes & (self.stiffness > 0)
+        pair, block = soft & (self.kind == PAIR), soft & (self.kind == BLOCK)
+        real = soft & (self.kind == REAL)
+        out = -2 * ((self.right[:, pair] / self.poles[pair]) @ self.left[:, pair].T).real
+        out -= ((self.right[:, real] / self.poles[real]) @ self.left[:, real].T).real
+        out += ((self.right[:, block] / self.stiffness[block]) @ self.left[:, block].T).real
+        return np.asarray(0.5 * (out + out.T), dtype=np.float64)
+
+    def static_compliance(self) -> Floats:
+        """(n_points, n_points) m/N: displacement under a constant unit force, residual included.
+
+        Raises
+        ------
+        ValueError : if a rigid-body mode makes it infinite.
+        """
+        if np.any(self.stiffness == 0):
+            raise ValueError("a component with a rigid-body mode has no static compliance")
+        return self._static(np.ones(self.n_modes, dtype=bool)) + self.residual
+
+    def frf(self, freq: ArrayLike, output: str, input: str, frf_form: str = "mobility") -> Complexes:
+        """Frequency response between two points.
+
+        Y(omega) = (i omega)^p [ sum_k r_k l_k / (i omega - lambda_k) + conj. part + R ],  p = 0, 1, 2.
+
+        Parameters
+        ----------
+        freq : (n,) Hz.
+        frf_form : ``receptance`` (m/N), ``mobility`` ((m/s)/N) or ``accelerance`` ((m/s^2)/N).
+
+        Returns
+        -------
+        (n,) complex.
+        """
+        power = {"receptance": 0, "mobility": 1, "accelerance": 2}.get(frf_form)
+        if power is None:
+            raise ValueError(f"frf_form is receptance, mobility or accelerance, not {frf_form!r}")
+        s = 2j * np.pi * np.atleast_1d(np.asarray(freq, dtype=np.float64))
+        i, j = self.index(output), self.index(input)
+        r, ell = self.right[i], self.left[j]
+        total = np.full(s.shape, complex(self.residual[i, j]))
+        pair, real, block = (self.kind == k for k in (PAIR, REAL, BLOCK))
+        total += np.sum((r * ell)[pair] / (s[:, None] - self.poles[pair]), axis=1)
+        total += np.sum(np.conj(r * ell)[pair] / (s[:, None] - np.conj(self.poles[pair])), axis=1)
+        total += np.sum((r * ell)[real] / (s[:, None] - self.poles[real]), axis=1)
+        sb = s[:, None]
+        total += np.sum((r * ell)[block] / (sb**2 + 2 * self.damping_rate[block] * sb + self.stiffness[block]), axis=1)
+        return np.asarray(total * s**power)
+
+
+def _residual(residual: ArrayLike | None, n_points: int) -> Floats:
+    if residual is None:
+        return np.zeros((n_points, n_points))
+    out = np.asarray(residual, dtype=np.float64)
+    if out.shape != (n_points, n_points):
+        raise ValueError(f"the residual compliance of {n_points} points is ({n_points}, {n_points}), not {out.shape}")
+    return 0.5 * (out + out.T)

@@ -1,0 +1,336 @@
+"""A set of components, connections and readouts, compiled to the plain arrays that a stepper needs.
+
+The arrays are the model: immutable, and shared by the C++ kernel and its NumPy twin. What moves is `State`.
+A component can be exchanged for another basis of itself (another stop, fewer modes): only its own arrays and the
+small matrix of `connections.linear_solve` change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.numerics.connections import Connection, LinearSolve, linear_solve
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.propagator import RealForm, apply, flow, real_form
+
+Floats = NDArray[np.float64]
+
+#: samples that the kernel steps at a time: the reach of `Compiled.history`
+BLOCK_SIZE = 16
+#: modes of a component are padded to a multiple of this in the state
+PADDING = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Share of a point's motion in a readout; `quantity` is displacement, velocity or acceleration."""
+
+    component: str
+    point: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Readout:
+    """One channel: a weighted sum of points' motion, or of connection forces (N).
+
+    Displacement and velocity are read at the sample's time t_n; acceleration and force are means over the step that
+    begins there, [t_n, t_n + h]: the force is constant over a step, and a mean needs no direct term.
+    """
+
+    name: str
+    quantity: str
+    probes: tuple[Probe, ...] = ()
+    forces: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.quantity not in ("displacement", "velocity", "acceleration", "force"):
+            raise ValueError(
+                f"a readout's quantity is displacement, velocity, acceleration or force, not {self.quantity!r}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A one-way input: `point` of a driven component receives `factor` times the force of a connection."""
+
+    component: str
+    point: str
+    connection: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """One component ready to be stepped by dt.
+
+    Attributes
+    ----------
+    basis : the modes.
+    form : their real 2 x 2 blocks.
+    ports : (n_ports,) rows of `basis.points` that connections act on.
+    E : (n_modes, 2, 2) propagator of one step.
+    W : (n_ports, n_modes, 2) state added by a unit force held over one step.
+    rows : (n_rows, n_modes, 2) displacement rows of the ports, then the readouts' rows.
+    history : (BLOCK_SIZE, n_ports, n_rows) response of every row k steps after a unit force held over one step;
+        history[0, :, :n_ports] is the port compliance Z.
+    readouts : (n_rows - n_ports,) channel that each further row adds to.
+    difference : (n_rows - n_ports,) 1.0 where the row is read as (y(t + h) - y(t)) / h.
+    """
+
+    basis: ModalBasis
+    form: RealForm
+    ports: NDArray[np.intp]
+    E: Floats
+    W: Floats
+    rows: Floats
+    history: Floats
+    readouts: NDArray[np.intp]
+    difference: NDArray[np.bool_]
+
+    @property
+    def compliance(self) -> Floats:
+        """(n_ports, n_ports) Z, m/N: port displacement after one step under unit forces."""
+        return np.asarray(self.history[0, :, : len(self.ports)].T)
+
+    @property
+    def residual(self) -> Floats:
+        """(n_ports, n_ports) m/N."""
+        return np.asarray(self.basis.residual[np.ix_(self.ports, self.ports)])
+
+
+@dataclass(eq=False)
+class State:
+    """All that moves: plain arrays, owned by whoever steps.
+
+    Attributes
+    ----------
+    modes : (2, capacity) the two numbers of every mode, component after component, padded.
+    forces : (m,) N, connection forces of the step before.
+    sample : steps taken since time 0.
+    """
+
+    modes: Floats
+    forces: Floats
+    sample: int = 0
+
+    def copy(self) -> State:
+        """Return an independent copy."""
+        return State(self.modes.copy(), self.forces.copy(), self.sample)
+
+
+@dataclass(frozen=True, eq=False)
+class Injection:
+    """A known force, compiled: x_u(n) += sum_k vectors[k] values[k, n - start] for the modes of one component.
+
+    Attributes
+    ----------
+    component : its name.
+    start : absolute sample of the first step it acts in.
+    vectors : (n_vectors, n_modes, 2).
+    values : (n_vectors, n_steps).
+    """
+
+    component: str
+    start: int
+    vectors: Floats
+    values: Floats
+
+    @property
+    def stop(self) -> int:
+        """Absolute sample after the last step it acts in."""
+        return self.start + int(self.values.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Components, connections and readouts at one step length.
+
+    Build with `System.build`; exchange a component with `with_basis`, connections' laws with `with_laws`.
+    """
+
+    dt: float
+    names: tuple[str, ...]
+    compiled: tuple[Compiled, ...]
+    connections: tuple[Connection, ...]
+    readouts: tuple[Readout, ...]
+    drives: tuple[Drive, ...]
+    capacities: tuple[int, ...]
+    solve: LinearSolve
+
+    @classmethod
+    def build(
+        cls,
+        components: Mapping[str, ModalBasis],
+        connections: Sequence[Connection] = (),
+        readouts: Sequence[Readout] = (),
+        *,
+        dt: float,
+        drives: Sequence[Drive] = (),
+        capacities: Mapping[str, int] | None = None,
+    ) -> System:
+        """Compile.
+
+        Parameters
+        ----------
+        components : name -> basis. One that `drives` name is driven one way: no connection may act on it.
+        capacities : name -> modes to leave room for, where a component may later take a larger basis.
+
+        Raises
+        ------
+        ValueError : a connection, probe or drive names a component, point or connection that is not there.
+        """
+        if not dt > 0:
+            raise ValueError(f"a step is longer than {dt} s")
+        driven = {d.component for d in drives}
+        for connection in connections:
+            for term in connection.terms:
+                if term.component not in components:
+                    raise ValueError(f"connection {connection.name!r}: no component {term.component!r}")
+                if term.component in driven:
+                    raise ValueError(f"connection {connection.name!r}: {term.component!r} is driven one way")
+        known = {c.name for c in connections}
+        if len(known) != len(connections):
+            raise ValueError("two connections have the same name")
+        wanted = [d.connection for d in drives] + [name for r in readouts for name, _ in r.forces]
+        for name in wanted:
+            if name not in known:
+                raise ValueError(f"no connection {name!r}")
+        for probe in (p for r in readouts for p in r.probes):
+            if probe.component not in components:
+                raise ValueError(f"no component {probe.component!r} to read")
+        names = tuple(components)
+        system = cls(
+            dt=dt,
+            names=names,
+            compiled=(),
+            connections=tuple(connections),
+            readouts=tuple(readouts),
+            drives=tuple(drives),
+            capacities=tuple(_padded(max(components[n].n_modes, (capacities or {}).get(n, 0))) for n in names),
+            solve=LinearSolve(np.zeros((0, 0)), np.zeros(0), np.zeros(0)),
+        )
+        compiled = tuple(system.compile(name, components[name]) for name in names)
+        return replace(system, compiled=compiled)._solved()
+
+    def compile(self, name: str, basis: ModalBasis) -> Compiled:
+        """Compile another basis of the component `name`; it may be kept and used again with `with_compiled`."""
+        points = {t.point for c in self.connections for t in c.terms if t.component == name}
+        points |= {d.point for d in self.drives if d.component == name}
+        ports = np.array(sorted(basis.index(p) for p in points), dtype=np.intp)
+        form = real_form(basis)
+        phi = flow(basis, self.dt)
+        E, W = phi[0], apply(self.dt * phi[1], form.B[ports])
+        rows, readouts, difference = [form.C[ports]], [], []
+        for channel, readout in enumerate(self.readouts):
+            probes = [p for p in readout.probes if p.component == name]
+            if not probes:
+                continue
+            index = np.array([basis.index(p.point) for p in probes], dtype=np.intp)
+            mean = readout.quantity == "acceleration"
+            motion = form.rows("velocity" if mean else readout.quantity, index)
+            factor = np.array([p.factor for p in probes]) / (self.dt if mean else 1.0)
+            rows.append(np.einsum("p,pmx->mx", factor, motion)[None])
+            readouts.append(channel)
+            difference.append(mean)
+        all_rows = np.concatenate(rows)
+        history = np.empty((BLOCK_SIZE, len(ports), len(all_rows)))
+        moved = W
+        for k in range(BLOCK_SIZE):
+            history[k] = np.einsum("pmx,rmx->pr", moved, all_rows)
+            moved = apply(E, moved)
+        return Compiled(
+            basis, form, ports, E, W, all_rows, history,
+            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool),
+        )  # fmt: skip
+
+    def with_compiled(self, changes: Mapping[str, Compiled]) -> System:
+        """Exchange components for already compiled bases of themselves."""
+        compiled = list(self.compiled)
+        for name, new in changes.items():
+            i = self.names.index(name)
+            if new.basis.n_modes > self.capacities[i]:
+                raise ValueError(f"{name}: room for {self.capacities[i]} modes, not {new.basis.n_modes}")
+            compiled[i] = new
+        return replace(self, compiled=tuple(compiled))._solved()
+
+    def with_basis(self, name: str, basis: ModalBasis) -> System:
+        """Exchange one component's basis."""
+        return self.with_compiled({name: self.compile(name, basis)})
+
+    def with_laws(self, laws: Mapping[str, Connection]) -> System:
+        """Exchange laws of connections (their terms must stay)."""
+        connections = tuple(laws.get(c.name, c) for c in self.connections)
+        if any(new.terms != old.terms for new, old in zip(connections, self.connections, strict=True)):
+            raise ValueError("a connection's terms cannot change, only its law")
+        return replace(self, connections=connections)._solved()
+
+    @property
+    def offsets(self) -> tuple[int, ...]:
+        """Start of each component in `State.modes`."""
+        return tuple(int(x) for x in np.cumsum((0, *self.capacities[:-1])))
+
+    @property
+    def driven(self) -> tuple[bool, ...]:
+        """Which components are driven one way."""
+        one_way = {d.component for d in self.drives}
+        return tuple(name in one_way for name in self.names)
+
+    def slot(self, name: str) -> int:
+        """Index of a component."""
+        return self.names.index(name)
+
+    def modes_of(self, state: State, name: str) -> Floats:
+        """(2, n_modes) view of one component's modes in a state."""
+        i = self.slot(name)
+        start = self.offsets[i]
+        return state.modes[:, start : start + self.compiled[i].basis.n_modes]
+
+    def start(self) -> State:
+        """Return the state of rest."""
+        return State(np.zeros((2, sum(self.capacities))), np.zeros(len(self.connections)))
+
+    def incidence(self, slot: int) -> Floats:
+        """(m, n_ports) share of each port of a component in each gap (for a driven one: of each force in a port)."""
+        name, compiled = self.names[slot], self.compiled[slot]
+        out = np.zeros((len(self.connections), len(compiled.ports)))
+        place = {compiled.basis.points[p]: i for i, p in enumerate(compiled.ports)}
+        for j, connection in enumerate(self.connections):
+            for term in connection.terms:
+                if term.component == name:
+                    out[j, place[term.point]] += term.factor
+            for drive in self.drives:
+                if drive.component == name and drive.connection == connection.name:
+                    out[j, place[drive.point]] += drive.factor
+        return out
+
+    def force_weights(self) -> Floats:
+        """(n_readouts, m) weights of the connection forces in the readouts."""
+        index = {c.name: j for j, c in enumerate(self.connections)}
+        out = np.zeros((len(self.readouts), len(self.connections)))
+        for i, readout in enumerate(self.readouts):
+            for name, factor in readout.forces:
+                out[i, index[name]] += factor
+        return out
+
+    def gap_matrix(self, which: str) -> Floats:
+        """(m, m) ``compliance`` or ``residual`` of the components as the gaps see it."""
+        total = np.zeros((len(self.connections),) * 2)
+        for i, compiled in enumerate(self.compiled):
+            if not self.driven[i]:
+                a = self.incidence(i)
+                total += a @ getattr(compiled, which) @ a.T
+        return total
+
+    def _solved(self) -> System:
+        laws = [c.law for c in self.connections]
+        solve = linear_solve(laws, self.gap_matrix("compliance"), self.gap_matrix("residual"), self.dt)
+        return replace(self, solve=solve)
+
+
+def _padded(n: int) -> int:
+    return -(-max(n, 1) // PADDING) * PADDING
