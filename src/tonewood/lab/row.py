@@ -1,0 +1,42 @@
+"""One checked quantity: what a validation prints, and what a test asserts."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A value held against a reference that the code under test did not produce.
+
+    Attributes
+    ----------
+    system, quantity : what was computed, of what.
+    source : where the reference comes from (paper and equation or table, closed form, direct solution).
+    reference, value : in the unit named by `quantity`.
+    tolerance : largest error that passes.
+    relative : whether the error is |value - reference| / |reference| rather than the plain difference.
+    """
+
+    system: str
+    quantity: str
+    source: str
+    reference: float
+    value: float
+    tolerance: float
+    relative: bool = False
+
+    @property
+    def error(self) -> float:
+        """Absolute or relative error."""
+        difference = abs(self.value - self.reference)
+        return difference / abs(self.reference) if self.relative else difference
+
+    @property
+    def passed(self) -> bool:
+        """Whether the error is a number within the tolerance."""
+        return bool(self.error <= self.tolerance)
+
+    def to_dict(self) -> dict[str, object]:
+        """Fields for JSON, with ``error`` and ``pass``."""
+        return {**asdict(self), "error": self.error, "pass": self.passed}
