@@ -1,0 +1,92 @@
+"""One line out of a failed validation: the dotted key, and what is wrong with it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+
+def first_fault(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
+    """Dotted key and reason of the first fault of a validation against `model`.
+
+    Parts of a location that are not keys of the file (the tags pydantic puts in for members of a union) are left
+    out. An unknown key is answered with the keys allowed beside it.
+    """
+    faults = error.errors(include_url=False)
+    fault = faults[0]
+    keys, owners = _walk(fault["loc"], model)
+    kind, reason = fault["type"], fault["msg"]
+    if kind == "extra_forbidden":
+        return ".".join(keys), _unknown(str(fault["loc"][-1]), owners)
+    if kind == "missing":
+        return ".".join(keys), "is missing"
+    if kind == "union_tag_not_found":
+        return ".".join([*keys, "type"]), "is missing"
+    if kind == "union_tag_invalid":
+        context = fault["ctx"]
+        return ".".join([*keys, "type"]), f"{context['tag']} is not one of {context['expected_tags']}"
+    if not keys and ": " in reason:  # a check over several keys that names its own place
+        place, _, rest = reason.partition(": ")
+        return place, rest
+    same_place = [f["msg"] for f in faults if _walk(f["loc"], model)[0] == keys]  # members of a union
+    return ".".join(keys), "; or ".join(_lower_first(text) for text in dict.fromkeys(same_place)) + _shown(fault)
+
+
+def _walk(loc: Sequence[int | str], model: type[BaseModel]) -> tuple[list[str], list[type[BaseModel]]]:
+    """Keys of the file along `loc`, and the models the last key may belong to."""
+    keys: list[str] = []
+    here: list[Any] = [model]
+    owners: list[type[BaseModel]] = [model]
+    for part in loc:
+        models = [m for m in here if isinstance(m, type) and issubclass(m, BaseModel)]
+        inside = [_fields(m)[part] for m in models if part in _fields(m)]
+        if inside:
+            owners, here = models, [t for annotation in inside for t in _members(annotation)]
+        elif tagged := [m for m in models if part in _tags(m)]:
+            owners = here = tagged
+            continue
+        elif containers := [a for a in here if get_origin(a) in (dict, list)]:
+            here = [t for c in containers for t in _members(get_args(c)[-1])]
+        elif models:
+            owners, here = models, []
+        else:  # name of a union's member, e.g. "float" or "list[str]"
+            continue
+        keys.append(str(part))
+    return keys, owners
+
+
+def _fields(model: type[BaseModel]) -> dict[int | str, Any]:
+    return {f.alias or name: f.annotation for name, f in model.model_fields.items()}
+
+
+def _tags(model: type[BaseModel]) -> tuple[Any, ...]:
+    tag = model.model_fields.get("type")
+    return get_args(tag.annotation) if tag is not None else ()
+
+
+def _members(annotation: Any) -> list[Any]:
+    if get_origin(annotation) is Annotated:
+        return _members(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return [t for part in get_args(annotation) for t in _members(part)]
+    return [annotation]
+
+
+def _unknown(key: str, owners: list[type[BaseModel]]) -> str:
+    allowed = list(dict.fromkeys(str(k) for m in owners for k in _fields(m)))
+    close = difflib.get_close_matches(key, allowed, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return f"unknown key; {hint}allowed: {', '.join(allowed)}"
+
+
+def _lower_first(text: str) -> str:
+    return text[:1].lower() + text[1:]
+
+
+def _shown(fault: Any) -> str:
+    value = fault["input"]
+    return f", not {value!r}" if isinstance(value, (str, int, float)) and len(repr(value)) < 80 else ""

@@ -1,0 +1,338 @@
+"""The manifest of a batch: what is played, on what, what is varied, and how it is put before listeners.
+
+Schema ``tonewood-batch/1``, a YAML file. A manifest names instruments and scores; *factors* are parameters of the
+instrument (any path of the bundle) or of the render (``render.fs``, ``render.effects``, ...) with named levels;
+conditions are the crossed or listed levels. See `tonewood.batch.conditions` for what a manifest expands to.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from tonewood.batch.faults import first_fault
+from tonewood.errors import TonewoodError
+from tonewood.score.note import Note
+from tonewood.yaml_io import load_yaml
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_+-]*$", max_length=60)]
+ParameterPath = Annotated[str, Field(pattern=r"^[A-Za-z0-9_*]+(\.[A-Za-z0-9_*]+)*$", max_length=200)]
+Positive = Annotated[float, Field(gt=0)]
+Levels = dict[str, str]
+RESERVED = ("instrument", "score", "repeat")
+
+
+class ManifestError(TonewoodError):
+    """A manifest cannot be used."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class NoteFields(_Part):
+    """One inline note: the fields of `tonewood.Note`."""
+
+    time: float = Field(ge=0, le=3600)
+    duration: float = Field(default=1.0, gt=0, le=3600)
+    note: float | None = Field(default=None, ge=0, le=127)
+    freq: float | None = Field(default=None, gt=0)
+    force: float | None = Field(default=None, ge=0)
+    velocity_midi: float | None = Field(default=None, ge=0, le=127)
+    string: str | None = None
+    stop: int | None = Field(default=None, ge=0)
+    from_bridge: float | None = Field(default=None, gt=0)
+    angle_deg: float | None = None
+    technique: str | None = None
+    channel: int | None = Field(default=None, ge=0, le=15)
+
+    def to_note(self) -> Note:
+        """The same note as the score's own type."""
+        return Note(**self.model_dump())
+
+
+class ScoreSource(_Part):
+    """A phrase written inline, or an excerpt of a MIDI file (path relative to the manifest)."""
+
+    phrase: list[NoteFields] | None = Field(default=None, min_length=1, max_length=10_000)
+    midi: str | None = None
+    start: float = Field(default=0.0, ge=0)
+    stop: float | None = Field(default=None, gt=0)
+    channel_per_string: bool = False
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.phrase is None) == (self.midi is None):
+            raise PydanticCustomError("score", "give either phrase or midi")
+        if self.phrase is not None and {"start", "stop", "channel_per_string"} & self.model_fields_set:
+            raise PydanticCustomError("score", "start, stop and channel_per_string belong to midi")
+        if self.stop is not None and self.stop <= self.start:
+            raise PydanticCustomError("score", "stop must be later than start")
+        return self
+
+
+class Factor(_Part):
+    """A parameter and its named levels; a level is a value, ``{scale: x}`` or ``{fraction: x}``."""
+
+    path: ParameterPath
+    levels: dict[Name, Any] = Field(min_length=1, max_length=1000)
+
+
+class Variation(_Part):
+    """How one parameter varies from repeat to repeat; exactly one law."""
+
+    normal_db: float | None = Field(default=None, gt=0, le=24, description="standard deviation, dB")
+    normal: float | None = Field(default=None, gt=0, description="standard deviation, in the unit of the path")
+    uniform: float | None = Field(default=None, gt=0, description="half width, in the unit of the path")
+
+    @model_validator(mode="after")
+    def _one_law(self) -> Self:
+        if sum(x is not None for x in (self.normal_db, self.normal, self.uniform)) != 1:
+            raise PydanticCustomError("vary", "give exactly one of normal_db, normal, uniform")
+        return self
+
+
+class Tail(_Part):
+    """How long a render goes on after the last note."""
+
+    energy_db: float = Field(default=-90.0, lt=0, description="stop when the energy has fallen by this, dB")
+    cap: Positive = Field(default=12.0, le=600, description="s")
+
+
+class RenderSettings(_Part):
+    """Settings given to the renderer; any of them may be a factor under ``render.``."""
+
+    fs: int = Field(default=48000, ge=8000, le=768000, description="Hz")
+    precision: Literal["f64", "f32"] = "f64"
+    accuracy: str = "standard"
+    effects: str | list[str] = "auto"
+    isa: str = "auto"
+    output: str | None = Field(default=None, description="output group of the bundle; its first if not given")
+    tail: Tail = Tail()
+
+
+class Fade(_Part):
+    """Raised-cosine fades, s."""
+
+    in_: float = Field(default=0.002, ge=0, le=5, alias="in")
+    out: float = Field(default=0.050, ge=0, le=5)
+
+
+class Loudness(_Part):
+    """One gain per file, from its gated loudness; see `tonewood.batch.stimuli`."""
+
+    method: Literal["bs1770_gated", "none"] = "bs1770_gated"
+    short: Literal["ungated_400ms"] = "ungated_400ms"
+    target_lufs: float = Field(default=-23.0, ge=-60, le=-5)
+    true_peak_dbtp: float = Field(default=-1.0, ge=-30, le=0)
+    on_clash: Literal["lower_page"] = "lower_page"
+
+
+class Stimuli(_Part):
+    """What every sound file of the batch has in common."""
+
+    fs: int = Field(default=48000, ge=8000, le=192000, description="Hz; renders at another rate are resampled")
+    channels: int = Field(default=1, ge=1, le=2)
+    downmix: Literal["mean", "first"] = "mean"
+    subtype: Literal["PCM_16", "PCM_24"] = "PCM_16"
+    duration: Literal["page_max"] | Annotated[float, Field(gt=0, le=600)] = "page_max"
+    longest: float = Field(default=12.0, gt=0, le=600, description="s, limit of page_max")
+    fade: Fade = Fade()
+    loudness: Loudness = Loudness()
+
+
+class _Page(_Part):
+    name: str = Field(default="", max_length=300, description="the question, shown as title")
+    content: str = Field(default="", description="HTML shown above the sounds")
+    group_by: list[str] = Field(default_factory=list, description="factors that stay the same on one page")
+
+
+class _RatedPage(_Page):
+    reference: Levels = Field(min_length=1)
+    anchors: list[Literal[3500, 7000]] = Field(default_factory=list, max_length=2)
+    show_waveform: bool = False
+    looping: bool = True
+    strict: bool = True
+
+
+class MushraPage(_RatedPage):
+    """Several sounds against a reference on a scale of 0 to 100 (BS.1534)."""
+
+    type: Literal["mushra"]
+    switch_back: bool = False
+
+
+class Bs1116Page(_RatedPage):
+    """One sound and the hidden reference against the open reference (BS.1116)."""
+
+    type: Literal["bs1116"]
+
+
+class PairedPage(_Page):
+    """Which of two is the reference (ABX)? Pairs of levels of one factor, all else equal."""
+
+    type: Literal["paired_comparison"]
+    pairs: dict[str, list[str] | list[list[str]]] = Field(min_length=1, max_length=1)
+    both_orders: bool = Field(default=False, description="each of the two once as the reference")
+    unforced: str | None = None
+    show_waveform: bool = False
+    looping: bool = True
+
+
+class HtmlPage(_Page):
+    """A page only of the audition file; anchors are written as files."""
+
+    type: Literal["html"]
+    reference: Levels | None = None
+    anchors: list[Literal[3500, 7000]] = Field(default_factory=list, max_length=2)
+
+    @model_validator(mode="after")
+    def _anchored(self) -> Self:
+        if self.anchors and self.reference is None:
+            raise PydanticCustomError("html", "anchors are made from a reference: give one")
+        return self
+
+
+Page = Annotated[MushraPage | Bs1116Page | PairedPage | HtmlPage, Field(discriminator="type")]
+
+
+class Output(_Part):
+    """What is written, and in which order listeners meet the pages."""
+
+    blind: bool = Field(default=True, description="the audition page shows codes only")
+    key: Annotated[str, Field(pattern=r"^[\w.-]+\.json$")] = "key.json"
+    formats: list[Literal["webmushra", "html", "csv", "json"]] = ["webmushra", "html", "csv", "json"]
+    page_order: Literal["seeded", "listed", "per_listener"] = "seeded"
+
+
+class Manifest(_Part):
+    """A whole batch."""
+
+    schema_: Literal["tonewood-batch/1"] = Field(alias="schema")
+    name: Name
+    title: str = Field(default="", max_length=300)
+    seed: int = Field(ge=0, lt=2**63)
+    instruments: dict[Name, str] = Field(min_length=1)
+    scores: dict[Name, ScoreSource] = Field(min_length=1)
+    factors: dict[Name, Factor] = Field(default_factory=dict)
+    design: Literal["crossed", "listed"] = "crossed"
+    conditions: list[Levels] | None = None
+    exclude: list[Levels] = Field(default_factory=list)
+    repeats: int = Field(default=1, ge=1, le=1000)
+    vary: dict[ParameterPath, Variation] = Field(default_factory=dict)
+    render: RenderSettings = RenderSettings()
+    stimuli: Stimuli = Stimuli()
+    pages: list[Page] = Field(default=[HtmlPage(type="html")], min_length=1)
+    output: Output = Output()
+
+    @field_validator("factors")
+    @classmethod
+    def _names_are_free(cls, factors: dict[str, Factor]) -> dict[str, Factor]:
+        for name in factors:
+            if name in RESERVED:
+                raise PydanticCustomError("factors", f"{name} is not free as the name of a factor")
+        return factors
+
+    def choices(self) -> dict[str, list[str]]:
+        """Names that `group_by`, `exclude` and the like may use, with the levels of each."""
+        return {
+            "instrument": list(self.instruments),
+            "score": list(self.scores),
+            **{name: list(factor.levels) for name, factor in self.factors.items()},
+        }
+
+    @model_validator(mode="after")
+    def _names_exist(self) -> Self:
+        if (self.design == "listed") != (self.conditions is not None):
+            raise PydanticCustomError("design", "design: listed and conditions belong together")
+        choices = self.choices()
+        for index, row in enumerate(self.exclude):
+            _check_levels(row, choices, f"exclude.{index}")
+        for index, row in enumerate(self.conditions or []):
+            _check_levels(row, choices, f"conditions.{index}")
+            if missing := set(self.factors) - set(row):
+                raise PydanticCustomError("design", f"conditions.{index}: no level of {', '.join(sorted(missing))}")
+        for index, page in enumerate(self.pages):
+            self._check_page(page, f"pages.{index}", choices)
+        for name, factor in self.factors.items():
+            self._check_render_levels(name, factor)
+        return self
+
+    def _check_page(self, page: Any, key: str, choices: dict[str, list[str]]) -> None:
+        for name in page.group_by:
+            if name not in choices and name != "repeat":
+                allowed = ", ".join([*choices, "repeat"])
+                raise PydanticCustomError("page", f"{key}.group_by: {name} is not one of {allowed}")
+        if isinstance(page, PairedPage):
+            for factor, pairs in page.pairs.items():
+                for pair in as_pairs(pairs):
+                    if len(pair) != 2 or pair[0] == pair[1]:
+                        raise PydanticCustomError("page", f"{key}.pairs: a pair is two different levels")
+                    for level in pair:
+                        _check_levels({factor: level}, choices, f"{key}.pairs")
+        elif page.reference is not None:
+            _check_levels(page.reference, choices, f"{key}.reference")
+
+    def _check_render_levels(self, name: str, factor: Factor) -> None:
+        if not factor.path.startswith("render."):
+            return
+        for level, value in factor.levels.items():
+            try:
+                self.render_settings({factor.path.removeprefix("render."): value})
+            except ValidationError as error:
+                reason = first_fault(error, RenderSettings)[1]
+                raise PydanticCustomError("factor", f"factors.{name}.levels.{level}: {reason}") from None
+
+    def render_settings(self, changes: dict[str, Any]) -> RenderSettings:
+        """The render settings with dotted keys changed, checked anew."""
+        data = self.render.model_dump(by_alias=True)
+        for key, value in changes.items():
+            *parents, last = key.split(".")
+            place = data
+            for parent in parents:
+                place = place.setdefault(parent, {})
+            place[last] = value
+        return RenderSettings.model_validate(data)
+
+
+def as_pairs(pairs: list[str] | list[list[str]]) -> list[list[str]]:
+    """One pair ``[a, b]``, or a list of pairs, as a list of pairs."""
+    rows = [p for p in pairs if isinstance(p, list)]
+    return rows if len(rows) == len(pairs) else [[str(p) for p in pairs]]
+
+
+def _check_levels(row: Levels, choices: dict[str, list[str]], key: str) -> None:
+    for name, level in row.items():
+        if name not in choices:
+            raise PydanticCustomError("levels", f"{key}: {name} is not one of {', '.join(choices)}")
+        if level not in choices[name]:
+            raise PydanticCustomError("levels", f"{key}.{name}: {level} is not one of {', '.join(choices[name])}")
+
+
+def load_manifest(path: str | os.PathLike[str]) -> Manifest:
+    """Read and check a manifest.
+
+    Raises
+    ------
+    ManifestError
+        One line: file, dotted key, what is wrong and what is allowed.
+    """
+    return check_manifest(load_yaml(path, error=ManifestError), file=Path(path))
+
+
+def check_manifest(data: dict[str, Any], *, file: Path | None = None) -> Manifest:
+    """As `load_manifest`, from plain data."""
+    try:
+        return Manifest.model_validate(data)
+    except ValidationError as error:
+        key, reason = first_fault(error, Manifest)
+        raise ManifestError(reason, file=file, key=key) from None
+
+
+def manifest_schema() -> dict[str, Any]:
+    """JSON schema of a manifest, for editors."""
+    return Manifest.model_json_schema(by_alias=True)

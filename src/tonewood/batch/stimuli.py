@@ -1,0 +1,228 @@
+"""From a rendered sound to a listening-test stimulus: rate, channels, length, fades, level, dither.
+
+All signals are float64 of shape (n, channels), 1.0 is full scale. Level is set by one gain per file and nothing
+else, so nothing of a sound's dynamics is touched. Loudness is ITU-R BS.1770-4 (K-weighting, gated), true peak its
+Annex 2 by fourfold oversampling.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.errors import TonewoodError
+
+Audio = NDArray[np.float64]
+BLOCK = 0.400  # s, gating block of BS.1770
+METER_FS = 48000  # Hz, the rate for which BS.1770 gives its filters
+OVERSAMPLING = 4
+PEAK_MARGIN_DB = 0.01  # a page lowered for its true peak ends this much below the limit: room for dither
+BITS = {"PCM_16": 16, "PCM_24": 24}
+
+
+class StimulusError(TonewoodError):
+    """A rendered sound cannot be made a stimulus."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Loudness and peaks of a sound, and how the loudness was found.
+
+    Attributes
+    ----------
+    lufs : LUFS; -inf for silence.
+    gated : False for a sound shorter than a gating block, or one with no block above the absolute gate.
+    peak_dbfs, true_peak_dbtp : dB re full scale, of the samples and of the fourfold oversampled sound.
+    """
+
+    lufs: float
+    gated: bool
+    peak_dbfs: float
+    true_peak_dbtp: float
+
+
+def resampled(audio: Audio, fs: int, target: int) -> Audio:
+    """The sound at another rate, by a linear-phase polyphase filter (flat to 0.45 of the lower rate, -100 dB)."""
+    if fs == target:
+        return audio
+    from scipy.signal import firwin, kaiserord, resample_poly
+
+    ratio = Fraction(target, fs)
+    up, down = ratio.numerator, ratio.denominator
+    widest = max(up, down)
+    taps, beta = kaiserord(110.0, 0.1 / widest)  # transition from 0.9 to 1.0 of the lower Nyquist frequency
+    kernel = firwin(taps | 1, 0.95 / widest, window=("kaiser", beta))
+    # the window may be the kernel itself, which the stubs leave out
+    return np.asarray(resample_poly(audio, up, down, axis=0, window=kernel))  # type: ignore[call-overload]
+
+
+def with_channels(audio: Audio, channels: int, downmix: str = "mean") -> Audio:
+    """The sound with so many channels: mono is the mean of all or the first, more come from mono only."""
+    present = audio.shape[1]
+    if present == channels:
+        return audio
+    if channels == 1:
+        return audio[:, :1] if downmix == "first" else audio.mean(axis=1, keepdims=True)
+    if present == 1:
+        return np.repeat(audio, channels, axis=1)
+    raise StimulusError(f"{present} channels cannot become {channels}; allowed: 1, {present}")
+
+
+def fitted(audio: Audio, fs: int, length: int, fade_in: float, fade_out: float) -> Audio:
+    """Cut to `length` samples, faded, and padded with zeros to that length.
+
+    The fades are raised cosines, ``(1 - cos(pi t / T)) / 2``; the one at the end ends where the sound does, so
+    padding begins without a step. Fades longer than the sound share it.
+
+    Parameters
+    ----------
+    audio : (n, channels).
+    fs : Hz.
+    length : samples.
+    fade_in, fade_out : s.
+    """
+    sound = np.array(audio[:length])
+    n = len(sound)
+    n_in, n_out = round(fade_in * fs), round(fade_out * fs)
+    if n_in + n_out > n:
+        n_in = n * n_in // (n_in + n_out)
+        n_out = n - n_in
+    sound[:n_in] *= _raised_cosine(n_in)[:, None]
+    sound[n - n_out :] *= _raised_cosine(n_out)[::-1, None]
+    return np.pad(sound, ((0, length - n), (0, 0)))
+
+
+def _raised_cosine(n: int) -> NDArray[np.float64]:
+    return np.asarray((1.0 - np.cos(np.pi * np.arange(n) / n)) / 2.0 if n else np.empty(0))
+
+
+def measured(audio: Audio, fs: int) -> Measured:
+    """Loudness (BS.1770-4), sample peak and true peak.
+
+    A sound shorter than a gating block is padded with zeros to one block and measured whole: no gate can apply. Nor
+    can one to a sound that lies below the absolute gate throughout; it is measured at full scale.
+    """
+    peak = float(np.max(np.abs(audio), initial=0.0))
+    lufs, gated = _loudness(audio, fs, peak)
+    return Measured(lufs, gated, _db(peak), _db(true_peak(audio)))
+
+
+def _loudness(audio: Audio, fs: int, peak: float) -> tuple[float, bool]:
+    if peak == 0.0:
+        return -math.inf, False
+    block = math.ceil(BLOCK * fs)
+    if len(audio) >= block and math.isfinite(lufs := _gated(audio, fs)):
+        return lufs, True
+    padded: Audio = np.pad(audio / peak, ((0, max(0, block - len(audio))), (0, 0)))
+    return _gated(padded, fs) + _db(peak), False
+
+
+def _gated(audio: Audio, fs: int) -> float:
+    with np.errstate(divide="ignore", invalid="ignore"):  # no block above the gate: -inf
+        return float(_meter().integrated_loudness(resampled(audio, fs, METER_FS)))
+
+
+@cache
+def _meter() -> Any:
+    import pyloudnorm
+
+    # of its filters, the one that meets the standard's -3.01 LUFS at 997 Hz; exact at this rate only
+    return pyloudnorm.Meter(METER_FS, filter_class="DeMan", block_size=BLOCK)
+
+
+def true_peak(audio: Audio) -> float:
+    """Largest absolute value of the fourfold oversampled sound (never less than the samples' own)."""
+    from scipy.signal import resample_poly
+
+    over = resample_poly(audio, OVERSAMPLING, 1, axis=0)
+    return max(float(np.max(np.abs(over), initial=0.0)), float(np.max(np.abs(audio), initial=0.0)))
+
+
+def matching_gain_db(audio: Audio, fs: int, target_lufs: float) -> float:
+    """Gain in dB that brings a sound to a loudness.
+
+    The absolute gate (-70 LUFS) depends on the level itself, so the gated loudness is measured again at the level
+    found, until it stays.
+
+    Raises
+    ------
+    StimulusError
+        The sound is silent.
+    """
+    peak = float(np.max(np.abs(audio), initial=0.0))
+    if peak == 0.0:
+        raise StimulusError("the sound is silent: it has no loudness to match")
+    gain = -_db(peak)
+    for _ in range(8):
+        factor = 10.0 ** (gain / 20.0)
+        step = target_lufs - _loudness(audio * factor, fs, peak * factor)[0]
+        gain += step
+        if abs(step) < 1e-4:
+            break
+    return gain
+
+
+def page_drop_db(true_peaks_dbtp: list[float], limit_dbtp: float) -> float:
+    """How much a whole page is lowered so that none of its sounds passes the limit; 0 or positive, dB."""
+    excess = max(true_peaks_dbtp) - limit_dbtp
+    return excess + PEAK_MARGIN_DB if excess > 0 else 0.0
+
+
+def quantised(audio: Audio, subtype: str, random: np.random.Generator) -> NDArray[np.int16 | np.int32]:
+    """Integer samples with triangular dither of two steps' width, shape (n, channels).
+
+    The error has zero mean and a variance of a quarter of a squared step, whatever the sound.
+
+    Parameters
+    ----------
+    audio : full scale is 1.0.
+    subtype : ``PCM_16`` (int16) or ``PCM_24`` (int32, in the lower 24 bits).
+    random : source of the dither.
+
+    Raises
+    ------
+    StimulusError
+        A sample would be clipped.
+    """
+    full = 2 ** (BITS[subtype] - 1)
+    dither = random.random(audio.shape) - random.random(audio.shape)
+    steps = np.floor(audio * full + dither + 0.5)
+    if steps.size and (steps.max() > full - 1 or steps.min() < -full):
+        raise StimulusError(f"the sound passes full scale ({float(np.max(np.abs(audio))):.3f} of 1)")
+    return np.asarray(steps, dtype=np.int16 if subtype == "PCM_16" else np.int32)
+
+
+def samples_sha256(samples: NDArray[Any]) -> str:
+    """SHA-256 of the integer samples, little-endian, channels interleaved (2 bytes each in 16 bit, 4 in 24 bit)."""
+    return hashlib.sha256(np.ascontiguousarray(samples, dtype=samples.dtype.newbyteorder("<")).tobytes()).hexdigest()
+
+
+def anchor(audio: Audio, fs: int, cutoff: Literal[3500, 7000]) -> Audio:
+    """The low-pass anchor of BS.1534-3, linear phase, no delay, as long as the sound.
+
+    Mask of the 3.5 kHz anchor: within 0.1 dB up to the cutoff, 25 dB down 500 Hz above it, 50 dB 1 kHz above it; the
+    7 kHz anchor is held to the same one.
+
+    Raises
+    ------
+    StimulusError
+        The rate is too low for the cutoff.
+    """
+    from scipy.signal import firwin, kaiserord, oaconvolve
+
+    if cutoff + 500 >= fs / 2:
+        raise StimulusError(f"an anchor of {cutoff} Hz needs a rate above {2 * (cutoff + 500)} Hz, not {fs}")
+    taps, beta = kaiserord(65.0, 500.0 / (fs / 2))
+    kernel = firwin(taps | 1, cutoff + 250.0, window=("kaiser", beta), fs=fs)
+    return np.asarray(oaconvolve(audio, kernel[:, None], mode="same", axes=0), dtype=np.float64)
+
+
+def _db(amplitude: float) -> float:
+    return 20.0 * math.log10(amplitude) if amplitude > 0 else -math.inf
