@@ -2,8 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from numbers import Real
+
+from tonewood.errors import ScoreError
+
+# (low, high) of every number a note may carry; both ends are allowed
+_RANGES: dict[str, tuple[float, float]] = {
+    "time": (0.0, math.inf),
+    "duration": (0.0, math.inf),
+    "note": (-128.0, 256.0),
+    "freq": (1e-3, 1e6),
+    "force": (0.0, math.inf),
+    "velocity_midi": (0.0, 127.0),
+    "stop": (0.0, math.inf),
+    "from_bridge": (0.0, math.inf),
+    "angle_deg": (-math.inf, math.inf),
+    "channel": (0, 15),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,11 +37,15 @@ class Note:
     force : N, peak of the gesture; or give `velocity_midi`.
     velocity_midi : 1..127, mapped to a force by the instrument's documented curve.
     string : name of the string; None lets the assignment choose.
-    stop : number of the fret, 0 is open; None is decided from the pitch.
+    stop : number of the fret, 0 is open, a fraction on a string without frets; None is decided from the pitch.
     from_bridge : m, where the string is played.
     angle_deg : degrees, between the first polarization and the force.
     technique : name of a playing technique the instrument declares, e.g. ``palm``.
     channel : MIDI channel 0..15 the note came from, or None.
+
+    Raises
+    ------
+    ScoreError : a number is not finite or out of its range.
     """
 
     time: float
@@ -33,11 +55,25 @@ class Note:
     force: float | None = None
     velocity_midi: float | None = None
     string: str | None = None
-    stop: int | None = None
+    stop: float | None = None
     from_bridge: float | None = None
     angle_deg: float | None = None
     technique: str | None = None
     channel: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            number = float(value) if isinstance(value, Real) else math.nan
+            if not (low <= number <= high and math.isfinite(number)):
+                allowed = (
+                    "finite numbers"
+                    if low == -math.inf
+                    else f"numbers from {low:g}" + (f" to {high:g}" if high < math.inf else "")
+                )
+                raise ScoreError(f"{name} of a note is {value!r}: {allowed} are allowed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,3 +111,31 @@ class Score:
     def duration(self) -> float:
         """End of the last note, s (0 for an empty score)."""
         return max((n.time + n.duration for n in self.notes), default=0.0)
+
+
+def volume_factors(score: Score) -> list[float]:
+    """Factor on each note's force from its channel's volume (cc7) and expression (cc11) when it begins.
+
+        factor = (cc7 · cc11)²,   controllers from 0 to 1, 1 before the first
+
+    which is the gain of 40 lg(value/127) dB each that General MIDI asks for. A plucked string cannot follow them
+    afterwards, and a factor never exceeds 1: the instrument's range of forces holds.
+
+    Returns
+    -------
+    factors : one per note of `score.notes`, in their order.
+
+    Source: General MIDI 2 (MIDI Manufacturers Association 1999), page 8: "Gain in dB = 40 log10(cc7/127) +
+    40 log10(cc11/127)".
+    """
+    value: dict[tuple[int | None, str], float] = {}
+    controls = [c for c in score.controls if c.kind in ("cc7", "cc11")]
+    factors = [1.0] * len(score.notes)
+    due = 0
+    for i in sorted(range(len(score.notes)), key=lambda i: score.notes[i].time):
+        note = score.notes[i]
+        while due < len(controls) and controls[due].time <= note.time:
+            value[controls[due].channel, controls[due].kind] = controls[due].value
+            due += 1
+        factors[i] = (value.get((note.channel, "cc7"), 1.0) * value.get((note.channel, "cc11"), 1.0)) ** 2
+    return factors
