@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 #: samples that the kernel steps at a time: the reach of `Compiled.history`
 BLOCK_SIZE = 16
 #: modes of a component are padded to a multiple of this in the state
-PADDING = 16
+PADDING = 32
 
 
 @dataclass(frozen=True, slots=True)

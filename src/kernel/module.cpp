@@ -1,0 +1,188 @@
+// Python's door to the kernel: copies model arrays in, checks every shape, runs without the GIL.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <stdexcept>
+#include <string>
+
+#include "model.hpp"
+
+namespace nb = nanobind;
+
+namespace tonewood {
+
+#if defined(TONEWOOD_HAVE_X86)
+extern const Table table_avx512;
+extern const Table table_avx2;
+#endif
+extern const Table table_baseline;
+
+namespace {
+
+std::vector<const Table*> supported() {
+    std::vector<const Table*> tables;
+#if defined(TONEWOOD_HAVE_X86)
+    __builtin_cpu_init();
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("fma"))
+        tables.push_back(&table_avx512);
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) tables.push_back(&table_avx2);
+#endif
+    tables.push_back(&table_baseline);
+    return tables;
+}
+
+const Table& find(const std::string& isa) {
+    for (const Table* t : supported())
+        if (isa == t->name) return *t;
+    throw std::invalid_argument("this machine has no instruction set '" + isa + "'");
+}
+
+using In = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+template <class T>
+using InT = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
+
+void expect(const char* what, const In& a, std::initializer_list<std::size_t> shape) {
+    bool same = a.ndim() == shape.size();
+    std::size_t i = 0;
+    for (std::size_t n : shape) {
+        same = same && a.shape(i) == n;
+        ++i;
+    }
+    if (!same) throw std::invalid_argument(std::string("kernel array has the wrong shape: ") + what);
+}
+
+template <class T>
+class Kernel {
+public:
+    Kernel(const std::string& isa, std::size_t n_components, std::size_t capacity, int n_channels)
+        : run_(pick(find(isa))), capacity_(capacity), n_channels_(n_channels), components_(n_components) {}
+
+    void set_component(std::size_t slot, std::size_t offset, bool driven, In e, In rows, In w, In history, In incidence,
+                       const std::vector<int>& channels, const std::vector<int>& difference) {
+        if (slot >= components_.size()) throw std::invalid_argument("no such component slot");
+        if (e.ndim() != 2 || rows.ndim() != 3 || w.ndim() != 3 || incidence.ndim() != 2)
+            throw std::invalid_argument("kernel array has the wrong number of dimensions");
+        const std::size_t n = e.shape(1), n_rows = rows.shape(0), n_ports = w.shape(0);
+        expect("e", e, {4, n});
+        expect("rows", rows, {n_rows, 2, n});
+        expect("w", w, {n_ports, 2, n});
+        expect("history", history, {kBlock, n_ports, n_rows});
+        if (n % kPadding != 0 || offset % kPadding != 0 || offset + n > capacity_)
+            throw std::invalid_argument("a component's modes do not fit the state");
+        if (n_rows < n_ports || channels.size() != n_rows - n_ports || difference.size() != channels.size())
+            throw std::invalid_argument("a component's rows do not fit its ports and readouts");
+        for (int channel : channels)
+            if (channel < 0 || channel >= n_channels_) throw std::invalid_argument("no such channel");
+        if (incidence.shape(1) != n_ports) throw std::invalid_argument("incidence does not fit the ports");
+
+        Component<T> c;
+        c.n = int(n), c.n_ports = int(n_ports), c.n_rows = int(n_rows), c.offset = offset, c.driven = driven;
+        c.row_stride = int((n_rows + 7) / 8 * 8);
+        c.e.assign(e.data(), e.data() + e.size());
+        c.rows.assign(rows.data(), rows.data() + rows.size());
+        c.w.assign(w.data(), w.data() + w.size());
+        c.history.assign(std::size_t(kBlock) * n_ports * c.row_stride, 0.0);
+        for (std::size_t kq = 0; kq < kBlock * n_ports; ++kq)
+            for (std::size_t r = 0; r < n_rows; ++r)
+                c.history[kq * c.row_stride + r] = history.data()[kq * n_rows + r];
+        c.shares.resize(n_ports);
+        for (std::size_t j = 0; j < incidence.shape(0); ++j)
+            for (std::size_t p = 0; p < n_ports; ++p)
+                if (const double a = incidence.data()[j * n_ports + p]; a != 0.0)
+                    c.shares[p].push_back({int(j), a});
+        c.channels = channels;
+        c.difference.assign(difference.begin(), difference.end());
+        connections_ = std::max(connections_, incidence.shape(0));
+        components_[slot] = std::move(c);
+    }
+
+    void set_solve(In g, In gamma, In constant, In weights) {
+        const std::size_t m = gamma.size();
+        expect("g", g, {m, m});
+        expect("gamma", gamma, {m});
+        expect("constant", constant, {m});
+        expect("weights", weights, {std::size_t(n_channels_), m});
+        solve_.m = int(m);
+        solve_.g_t.resize(m * m);
+        for (std::size_t i = 0; i < m; ++i)
+            for (std::size_t j = 0; j < m; ++j) solve_.g_t[j * m + i] = g.data()[i * m + j];
+        solve_.gamma.assign(gamma.data(), gamma.data() + m);
+        solve_.constant.assign(constant.data(), constant.data() + m);
+        solve_.weights.assign(weights.data(), weights.data() + weights.size());
+    }
+
+    // Advances `modes` (2, capacity) in place; fills out (n, n_channels) and forces (n, m).
+    // Returns (slot, sample) of the first fault, slot -1 if there is none.
+    std::pair<int, std::int64_t> run(nb::ndarray<T, nb::c_contig, nb::device::cpu> modes,
+                                     nb::ndarray<double, nb::c_contig, nb::device::cpu> out,
+                                     nb::ndarray<double, nb::c_contig, nb::device::cpu> forces,
+                                     const std::vector<std::tuple<int, std::int64_t, InT<T>, In>>& injections) {
+        if (connections_ > std::size_t(solve_.m)) throw std::invalid_argument("set_solve has fewer connections");
+        if (modes.ndim() != 2 || modes.shape(0) != 2 || modes.shape(1) != capacity_)
+            throw std::invalid_argument("the state has the wrong shape");
+        if (out.ndim() != 2 || forces.ndim() != 2 || out.shape(1) != std::size_t(n_channels_) ||
+            forces.shape(1) != std::size_t(solve_.m) || out.shape(0) != forces.shape(0))
+            throw std::invalid_argument("the outputs have the wrong shape");
+        std::vector<Injection<T>> known;
+        for (const auto& [slot, first, vectors, values] : injections) {
+            if (slot < 0 || std::size_t(slot) >= components_.size() || vectors.ndim() != 3 || values.ndim() != 2 ||
+                vectors.shape(0) != values.shape(0) || vectors.shape(1) != 2 ||
+                vectors.shape(2) != std::size_t(components_[slot].n))
+                throw std::invalid_argument("an injection does not fit its component");
+            known.push_back({slot, first, std::int64_t(values.shape(1)), int(values.shape(0)), vectors.data(),
+                             values.data()});
+        }
+        Job<T> job;
+        job.modes[0] = modes.data(), job.modes[1] = modes.data() + capacity_;
+        job.n = std::int64_t(out.shape(0)), job.out = out.data(), job.forces = forces.data();
+        job.n_channels = n_channels_, job.injections = known.data(), job.n_injections = int(known.size());
+        nb::gil_scoped_release release;
+        const Fault fault = run_(components_, solve_, job);
+        return {fault.slot, fault.sample};
+    }
+
+private:
+    static Run<T> pick(const Table& table) {
+        if constexpr (sizeof(T) == sizeof(double))
+            return table.run_f64;
+        else
+            return table.run_f32;
+    }
+    Run<T> run_;
+    std::size_t capacity_, connections_ = 0;
+    int n_channels_;
+    std::vector<Component<T>> components_;
+    Solve solve_;
+};
+
+template <class T>
+void bind(nb::module_& m, const char* name) {
+    using K = Kernel<T>;
+    nb::class_<K>(m, name)
+        .def(nb::init<const std::string&, std::size_t, std::size_t, int>())
+        .def("set_component", &K::set_component)
+        .def("set_solve", &K::set_solve)
+        .def("run", &K::run);
+}
+
+}  // namespace
+
+NB_MODULE(_kernel, m) {
+    m.doc() = "Steps modal systems; see tonewood.numerics.kernel.";
+    m.attr("BLOCK_SIZE") = kBlock;
+    m.attr("PADDING") = kPadding;
+    m.def("instruction_sets", [] {
+        std::vector<std::string> names;
+        for (const Table* t : supported()) names.emplace_back(t->name);
+        return names;
+    });
+    m.def("fma_peak", [](const std::string& isa, double seconds) { return find(isa).fma_peak(seconds); });
+    bind<double>(m, "KernelF64");
+    bind<float>(m, "KernelF32");
+}
+
+}  // namespace tonewood
