@@ -13,6 +13,7 @@ Readings decided here, because the format leaves them open or files get them wro
 
 from __future__ import annotations
 
+import math
 import os
 import stat
 from collections.abc import Callable, Sequence
@@ -56,7 +57,7 @@ def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float |
         of this module allow, or its faults leave no note at all. (A sound file without notes is an empty score.)
     """
     path = Path(path)
-    if not (0.0 <= start < (float("inf") if stop is None else stop)):
+    if not (0.0 <= start < (math.inf if stop is None else stop)):
         raise ScoreError(f"excerpt from {start} s to {stop} s: 0 <= start < stop is needed", file=path)
     findings = Findings()
     midi = parse_smf(_read_bytes(path), findings, file=os.fspath(path))
@@ -129,7 +130,7 @@ def _clock(midi: MidiFile, tracks: Sequence[Track]) -> Callable[[int], float]:
 def _excerpt(
     performance: Performance, start: float, stop: float | None, findings: Findings
 ) -> tuple[tuple[Note, ...], tuple[Control, ...]]:
-    stop = float("inf") if stop is None else stop
+    stop = math.inf if stop is None else stop
     notes = []
     for (time, channel, key, velocity), end in zip(performance.notes, performance.ends, strict=True):
         if not start <= time < stop:
@@ -182,12 +183,13 @@ def write_midi(score: Score, path: str | os.PathLike[str], *, bpm: float = 120.0
     import mido
 
     rate = bpm / 60 * ticks_per_beat
-    semitones = -(-max((abs(c.value) for c in score.controls if c.kind == "bend"), default=200.0) // 100)
+    widest = max((abs(c.value) for c in score.controls if c.kind == "bend"), default=0.0)
+    semitones = math.ceil(max(2.0, min(widest / 100, 128.0)))
     # sorted by tick, then: controllers, note-offs, note-ons
     timed: dict[int, list[tuple[int, int, mido.Message]]] = {}
     for control in score.controls:
         number = control.channel or 0
-        event = _control_message(control, number, int(semitones), path)
+        event = _control_message(control, number, semitones, path)
         timed.setdefault(number, []).append((round(control.time * rate), 0, event))
     for note in score.notes:
         key, velocity, number = note.note, round(note.velocity_midi or 80), note.channel or 0
@@ -206,7 +208,7 @@ def write_midi(score: Score, path: str | os.PathLike[str], *, bpm: float = 120.0
     for number, events in sorted(timed.items()):
         track = mido.MidiTrack()
         if any(e.type == "pitchwheel" for _, _, e in events):
-            for cc, value in ((101, 0), (100, 0), (6, int(semitones)), (38, 0), (101, 127), (100, 127)):
+            for cc, value in ((101, 0), (100, 0), (6, semitones), (38, 0), (101, 127), (100, 127)):
                 track.append(mido.Message("control_change", channel=number, control=cc, value=value))
         now = 0
         for tick, _, event in sorted(events, key=itemgetter(0, 1)):
