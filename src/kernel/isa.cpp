@@ -7,26 +7,25 @@ namespace tonewood {
 namespace {
 
 double fma_peak(double seconds) {
-    using V = Simd<double>::V;
+    using P = Pack<double, kPack>;
     using Clock = std::chrono::steady_clock;
-    V a[12];
-    for (int i = 0; i < 12; ++i)
-        for (int k = 0; k < Simd<double>::width; ++k) a[i][k] = 1.0 + 0.01 * (i + k);
-    V m, s;
-    for (int k = 0; k < Simd<double>::width; ++k) m[k] = 0.999, s[k] = 0.001;
+    double numbers[P::size];
+    for (int i = 0; i < P::size; ++i) numbers[i] = 1.0 + 0.01 * i;
+    P a = P::load(numbers), b = a, c = a;  // enough chains to hide the latency of both multiply-add units
+    const P m = P::load(numbers);
     const auto start = Clock::now();
     double count = 0, elapsed = 0;
     do {
         for (int r = 0; r < 10000; ++r) {
-            for (int i = 0; i < 12; ++i) a[i] = a[i] * m + s;
-            asm volatile("" : "+m"(m));
+            a = mul_plus(a, m, 0.001);
+            b = mul_plus(b, m, 0.002);
+            c = mul_plus(c, m, 0.003);
         }
-        count += 10000.0 * 12 * Simd<double>::width;
+        count += 10000.0 * 3 * P::size;
         elapsed = std::chrono::duration<double>(Clock::now() - start).count();
     } while (elapsed < seconds);
-    double keep = 0;
-    for (auto& v : a) keep += sum<double>(v);
-    return keep == 12345.0 ? 0.0 : count / elapsed;
+    (a + b + c).store(numbers);
+    return numbers[0] == 12345.0 ? 0.0 : count / elapsed;
 }
 
 }  // namespace

@@ -44,23 +44,27 @@ struct Component {
     int n = 0;          // modes, padded
     int n_ports = 0;    // rows [0, n_ports) are the displacement of the ports
     int n_rows = 0;     // further rows are readouts
-    int row_stride = 0; // n_rows padded, in `history`
     std::size_t offset = 0;  // of this component in the state
     bool driven = false;     // forces in, nothing back
     Array<T> e;              // (4, n): e00, e01, e10, e11
     Array<T> rows;           // (n_rows, 2, n)
     Array<T> w;              // (n_ports, 2, n)
-    Array<double> history;   // (kBlock, n_ports, row_stride): response of each row k steps after a port force
+    Array<double> history;   // (n_ports, n_rows, kBlock): response of each row k steps after a port force
+    // for the recurrences of sweep.hpp, derived from the above in double precision
+    Array<T> det, kappa;     // (n)
+    Array<T> slopes;         // (n_rows, 2, n): rows (E - I)
+    Array<T> w_slope;        // (n_ports, 2, n): (I + E - tr) w
+    Array<T> e_block;        // (4, n): E^kBlock
     std::vector<std::vector<Share>> shares;  // by port
     std::vector<int> channels;               // by readout row
     std::vector<char> difference;            // by readout row: (y+ - y) instead of y
 };
 
 struct Solve {
-    int m = 0;              // connections
-    Array<double> g_t;      // (m, m) transposed G
-    Array<double> gamma;    // (m)
-    Array<double> constant; // (m)
+    int m = 0, stride = 0;   // connections; the same padded to 8
+    Array<double> g_t;       // (m, stride) transposed G
+    Array<double> gamma;     // (m)
+    Array<double> constant;  // (stride)
     Array<double> weights;  // (n_channels, m) of forces in the readouts
 };
 

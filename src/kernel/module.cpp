@@ -11,6 +11,8 @@
 
 #include "model.hpp"
 
+static_assert((tonewood::kBlock & (tonewood::kBlock - 1)) == 0, "E^kBlock is made by squaring");
+
 namespace nb = nanobind;
 
 namespace tonewood {
@@ -81,14 +83,14 @@ public:
 
         Component<T> c;
         c.n = int(n), c.n_ports = int(n_ports), c.n_rows = int(n_rows), c.offset = offset, c.driven = driven;
-        c.row_stride = int((n_rows + 7) / 8 * 8);
         c.e.assign(e.data(), e.data() + e.size());
         c.rows.assign(rows.data(), rows.data() + rows.size());
         c.w.assign(w.data(), w.data() + w.size());
-        c.history.assign(std::size_t(kBlock) * n_ports * c.row_stride, 0.0);
-        for (std::size_t kq = 0; kq < kBlock * n_ports; ++kq)
-            for (std::size_t r = 0; r < n_rows; ++r)
-                c.history[kq * c.row_stride + r] = history.data()[kq * n_rows + r];
+        c.history.resize(std::size_t(kBlock) * n_ports * n_rows);
+        for (std::size_t qr = 0; qr < n_ports * n_rows; ++qr)
+            for (std::size_t k = 0; k < kBlock; ++k)
+                c.history[qr * kBlock + k] = history.data()[k * n_ports * n_rows + qr];
+        derive(c, e.data(), rows.data(), w.data());
         c.shares.resize(n_ports);
         for (std::size_t j = 0; j < incidence.shape(0); ++j)
             for (std::size_t p = 0; p < n_ports; ++p)
@@ -106,12 +108,14 @@ public:
         expect("gamma", gamma, {m});
         expect("constant", constant, {m});
         expect("weights", weights, {std::size_t(n_channels_), m});
-        solve_.m = int(m);
-        solve_.g_t.resize(m * m);
+        const std::size_t stride = (m + 7) / 8 * 8;
+        solve_.m = int(m), solve_.stride = int(stride);
+        solve_.g_t.assign(m * stride, 0.0);
         for (std::size_t i = 0; i < m; ++i)
-            for (std::size_t j = 0; j < m; ++j) solve_.g_t[j * m + i] = g.data()[i * m + j];
+            for (std::size_t j = 0; j < m; ++j) solve_.g_t[j * stride + i] = g.data()[i * m + j];
         solve_.gamma.assign(gamma.data(), gamma.data() + m);
-        solve_.constant.assign(constant.data(), constant.data() + m);
+        solve_.constant.assign(stride, 0.0);
+        for (std::size_t i = 0; i < m; ++i) solve_.constant[i] = constant.data()[i];
         solve_.weights.assign(weights.data(), weights.data() + weights.size());
     }
 
@@ -146,6 +150,35 @@ public:
     }
 
 private:
+    // What the recurrences need, computed in double whatever T is.
+    static void derive(Component<T>& c, const double* e, const double* rows, const double* w) {
+        const std::size_t n = c.n;
+        c.det.resize(n), c.kappa.resize(n), c.e_block.resize(4 * n);
+        c.slopes.resize(c.rows.size()), c.w_slope.resize(c.w.size());
+        for (std::size_t k = 0; k < n; ++k) {
+            const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
+            c.det[k] = T(a * d - b * g);
+            c.kappa[k] = T((1 - a) * (1 - d) - b * g);
+            double p[4] = {a, b, g, d};
+            for (int squared = 1; squared < kBlock; squared *= 2) {
+                const double q[4] = {p[0] * p[0] + p[1] * p[2], p[1] * (p[0] + p[3]), p[2] * (p[0] + p[3]),
+                                     p[1] * p[2] + p[3] * p[3]};
+                for (int i = 0; i < 4; ++i) p[i] = q[i];
+            }
+            for (int i = 0; i < 4; ++i) c.e_block[i * n + k] = T(p[i]);
+            for (int r = 0; r < c.n_rows; ++r) {
+                const double rx = rows[2 * r * n + k], ry = rows[(2 * r + 1) * n + k];
+                c.slopes[2 * r * n + k] = T(rx * (a - 1) + ry * g);
+                c.slopes[(2 * r + 1) * n + k] = T(rx * b + ry * (d - 1));
+            }
+            for (int q = 0; q < c.n_ports; ++q) {
+                const double wx = w[2 * q * n + k], wy = w[(2 * q + 1) * n + k];
+                c.w_slope[2 * q * n + k] = T((1 - d) * wx + b * wy);
+                c.w_slope[(2 * q + 1) * n + k] = T(g * wx + (1 - a) * wy);
+            }
+        }
+    }
+
     static Run<T> pick(const Table& table) {
         if constexpr (sizeof(T) == sizeof(double))
             return table.run_f64;

@@ -1,110 +1,140 @@
-// Visits to the modes of one component: kBlock samples at a time, so that each mode is loaded once per block and turns
-// in registers. Vector width is that of the translation unit's instruction set; the order of every sum is fixed.
+// Visits to the modes of one component, kBlock samples at a time, so that each mode is loaded once per block and turns
+// in registers. The order of every sum is fixed.
+//
+// Two ways to go through a block, chosen per visit:
+//
+// * turning: x+ = E x, sample by sample. Takes known inputs on the way and reads any number of rows.
+// * recurring: by Cayley-Hamilton each mode's share s of a row obeys s'' = tr s' - det s. In differences, which keep
+//   full precision for slow modes (Reinsch),
+//       d+ = det d - kappa s,   s+ = s + d+,      kappa = det(I - E) = 1 - tr + det,
+//   four operations per row and sample. The forces of a block go in through the transposed recurrence (Goertzel):
+//       d+ = det d - kappa u + F,   u+ = u + d+,   x(kBlock) = E^kBlock x(0) + d W + (u - d) (I + E - tr) W,
+//   three operations per port and sample.
 #pragma once
 
-#include "model.hpp"
+#include "simd.hpp"
 
 namespace tonewood {
 namespace {
 
-template <class T>
-struct Simd {
-#if defined(__AVX512F__)
-    static constexpr int width = 64 / sizeof(T);
-#elif defined(__AVX2__)
-    static constexpr int width = 32 / sizeof(T);
-#else
-    static constexpr int width = 16 / sizeof(T);
-#endif
-    typedef T V __attribute__((vector_size(width * sizeof(T))));
-    // arrays that come from Python need not be aligned to the vector
-    typedef T Loose __attribute__((vector_size(width * sizeof(T)), aligned(alignof(T)), may_alias));
-};
+constexpr int kStride = 3 * kBlock;  // of a row's values: samples 0 .. kBlock, and room to write past the block's end
 
+// Accumulators of rows, one vector per row and sample.
 template <class T>
-double sum(const typename Simd<T>::V& v) {
-    double s = 0;
-    for (int i = 0; i < Simd<T>::width; ++i) s += v[i];
-    return s;
+T* accumulators(int n_rows) {
+    thread_local Array<T> memory;
+    const std::size_t need = std::size_t(n_rows) * (kBlock + 1) * Simd<T>::width;
+    if (memory.size() < need) memory.resize(need);
+    for (std::size_t i = 0; i < need; ++i) memory[i] = T(0);
+    return memory.data();
 }
 
-// Turn the modes through nb samples, adding `inputs` on the way.
-// Read: row values at samples 0 .. nb go to free[row * (kBlock + 1) + b].   Store: the state moves to sample nb.
+template <class T>
+void reduce(const T* acc, int n_rows, int nb, double* value) {
+    for (int r = 0; r < n_rows; ++r)
+        for (int s = 0; s <= nb; ++s)
+            value[r * kStride + s] = Simd<T>::sum(acc + (std::size_t(r) * (kBlock + 1) + s) * Simd<T>::width);
+}
+
+// Turning. Read: row values go to value[row * kStride + s], s = 0 .. nb. Store: the state moves on to sample nb.
 template <class T, bool Read, bool Store>
-void sweep(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inputs, int nb, double* free) {
-    using V = typename Simd<T>::V;
+void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inputs, int nb, double* value) {
+    constexpr int N = 2;
+    using P = Pack<T, N>;
     constexpr int width = Simd<T>::width;
-    constexpr int unroll = 2;
-    constexpr int chunk = width * unroll;
-    static_assert(kPadding % chunk == 0 || chunk % kPadding == 0);
-    const int n = c.n, n_rows = Read ? c.n_rows : 0;
+    static_assert(kPadding % P::size == 0);
+    const std::size_t n = c.n;
+    const int n_rows = Read ? c.n_rows : 0;
+    T* const acc = Read ? accumulators<T>(n_rows) : nullptr;
+    alignas(64) T path_x[(kBlock + 1) * P::size], path_y[(kBlock + 1) * P::size];
 
-    // accumulators of the rows, kept as vectors until the end
-    thread_local Array<T> acc_store;
-    V* acc = nullptr;
-    if constexpr (Read) {
-        const std::size_t need = std::size_t(n_rows) * (kBlock + 1) * width;
-        if (acc_store.size() < need) acc_store.resize(need);
-        acc = reinterpret_cast<V*>(acc_store.data());
-        for (int i = 0; i < n_rows * (kBlock + 1); ++i) acc[i] = V{};
-    }
-
-    const auto load = [](const T* p) { return V(*reinterpret_cast<const typename Simd<T>::Loose*>(p)); };
-    V tx[kBlock + 1][unroll], ty[kBlock + 1][unroll];
-    for (int k = 0; k < n; k += chunk) {
-        V x[unroll], y[unroll], a[unroll], b[unroll], c0[unroll], d[unroll];
-        for (int u = 0; u < unroll; ++u) {
-            const int i = k + u * width;
-            x[u] = load(sx + i);
-            y[u] = load(sy + i);
-            a[u] = load(&c.e[i]);
-            b[u] = load(&c.e[n + i]);
-            c0[u] = load(&c.e[2 * n + i]);
-            d[u] = load(&c.e[3 * n + i]);
-        }
+    for (std::size_t k = 0; k < n; k += P::size) {
+        P x = P::load(sx + k), y = P::load(sy + k);
+        const P e00 = P::load(&c.e[k]), e01 = P::load(&c.e[n + k]);
+        const P e10 = P::load(&c.e[2 * n + k]), e11 = P::load(&c.e[3 * n + k]);
         for (int s = 0; s < nb; ++s) {
-            for (int u = 0; u < unroll; ++u) {
-                if constexpr (Read) tx[s][u] = x[u], ty[s][u] = y[u];
-                const V nx = a[u] * x[u] + b[u] * y[u];
-                y[u] = c0[u] * x[u] + d[u] * y[u];
-                x[u] = nx;
-            }
+            if constexpr (Read) x.store(path_x + s * P::size), y.store(path_y + s * P::size);
+            const P turned = mul_add(e00, x, e01 * y);
+            y = mul_add(e11, y, e10 * x);
+            x = turned;
             for (int j = 0; j < n_inputs; ++j) {
-                const T value = T(inputs[j].values[s]);
-                for (int u = 0; u < unroll; ++u) {
-                    const int i = k + u * width;
-                    x[u] += load(inputs[j].vector + i) * value;
-                    y[u] += load(inputs[j].vector + n + i) * value;
-                }
+                const T f = T(inputs[j].values[s]);
+                x = mul_add(P::load(inputs[j].vector + k), f, x);
+                y = mul_add(P::load(inputs[j].vector + n + k), f, y);
             }
         }
         if constexpr (Read) {
-            for (int u = 0; u < unroll; ++u) tx[nb][u] = x[u], ty[nb][u] = y[u];
+            x.store(path_x + nb * P::size), y.store(path_y + nb * P::size);
             for (int r = 0; r < n_rows; ++r) {
-                V rx[unroll], ry[unroll];
-                for (int u = 0; u < unroll; ++u) {
-                    rx[u] = load(&c.rows[std::size_t(2 * r) * n + k + u * width]);
-                    ry[u] = load(&c.rows[std::size_t(2 * r + 1) * n + k + u * width]);
-                }
-                V* to = acc + std::size_t(r) * (kBlock + 1);
-                for (int s = 0; s <= nb; ++s) {
-                    V t = to[s];
-                    for (int u = 0; u < unroll; ++u) t += rx[u] * tx[s][u] + ry[u] * ty[s][u];
-                    to[s] = t;
+                const P rx = P::load(&c.rows[2 * r * n + k]), ry = P::load(&c.rows[(2 * r + 1) * n + k]);
+                T* to = acc + std::size_t(r) * (kBlock + 1) * width;
+                for (int s = 0; s <= nb; ++s, to += width) {
+                    const P share = mul_add(rx, P::load(path_x + s * P::size), ry * P::load(path_y + s * P::size));
+                    Simd<T>::store(to, Simd<T>::load(to) + share.folded());
                 }
             }
         }
-        if constexpr (Store) {
-            for (int u = 0; u < unroll; ++u) {
-                *reinterpret_cast<typename Simd<T>::Loose*>(sx + k + u * width) = x[u];
-                *reinterpret_cast<typename Simd<T>::Loose*>(sy + k + u * width) = y[u];
+        if constexpr (Store) x.store(sx + k), y.store(sy + k);
+    }
+    if constexpr (Read) reduce(acc, n_rows, nb, value);
+}
+
+// Recurring, a whole block: values of all rows, without inputs. The state stays.
+template <class T>
+void recur_read(const Component<T>& c, const T* sx, const T* sy, double* value) {
+    using P = Pack<T, sizeof(T) == sizeof(double) ? kPack : kPack / 2>;
+    constexpr int width = Simd<T>::width;
+    static_assert(kPadding % P::size == 0);
+    const std::size_t n = c.n;
+    T* const acc = accumulators<T>(c.n_rows);
+    for (int r = 0; r < c.n_rows; ++r) {
+        const T* row = &c.rows[2 * r * n];
+        const T* slope = &c.slopes[2 * r * n];
+        T* const to = acc + std::size_t(r) * (kBlock + 1) * width;
+        for (std::size_t k = 0; k < n; k += P::size) {
+            const P x = P::load(sx + k), y = P::load(sy + k);
+            const P det = P::load(&c.det[k]), kappa = P::load(&c.kappa[k]);
+            P s = mul_add(P::load(row + k), x, P::load(row + n + k) * y);
+            P d = mul_add(P::load(slope + k), x, P::load(slope + n + k) * y);
+            Simd<T>::store(to, Simd<T>::load(to) + s.folded());
+            for (int b = 1; b < kBlock; ++b) {
+                s = s + d;
+                d = neg_mul_add(kappa, s, det * d);
+                Simd<T>::store(to + b * width, Simd<T>::load(to + b * width) + s.folded());
             }
+            s = s + d;
+            Simd<T>::store(to + kBlock * width, Simd<T>::load(to + kBlock * width) + s.folded());
         }
     }
-    if constexpr (Read)
-        for (int r = 0; r < n_rows; ++r)
-            for (int s = 0; s <= nb; ++s)
-                free[r * (kBlock + 1) + s] = sum<T>(acc[std::size_t(r) * (kBlock + 1) + s]);
+    reduce(acc, c.n_rows, kBlock, value);
+}
+
+// Recurring, a whole block: the state moves on under the port forces (n_ports, kBlock).
+template <class T>
+void recur_store(const Component<T>& c, T* sx, T* sy, const double* forces) {
+    using P = Pack<T, sizeof(T) == sizeof(double) ? kPack : kPack / 2>;
+    const std::size_t n = c.n;
+    for (std::size_t k = 0; k < n; k += P::size) {
+        const P x = P::load(sx + k), y = P::load(sy + k);
+        P nx = mul_add(P::load(&c.e_block[k]), x, P::load(&c.e_block[n + k]) * y);
+        P ny = mul_add(P::load(&c.e_block[3 * n + k]), y, P::load(&c.e_block[2 * n + k]) * x);
+        const P det = P::load(&c.det[k]), kappa = P::load(&c.kappa[k]);
+        for (int p = 0; p < c.n_ports; ++p) {
+            const double* f = forces + p * kBlock;
+            P d{}, u{};
+            d = mul_plus(det, d, T(f[0]));
+            u = d;
+            for (int b = 1; b < kBlock; ++b) {
+                d = neg_mul_add(kappa, u, mul_plus(det, d, T(f[b])));
+                u = u + d;
+            }
+            u = u - d;
+            const T *w = &c.w[2 * p * n + k], *v = &c.w_slope[2 * p * n + k];
+            nx = mul_add(P::load(w), d, mul_add(P::load(v), u, nx));
+            ny = mul_add(P::load(w + n), d, mul_add(P::load(v + n), u, ny));
+        }
+        nx.store(sx + k), ny.store(sy + k);
+    }
 }
 
 }  // namespace

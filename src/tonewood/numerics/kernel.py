@@ -61,10 +61,9 @@ class KernelStepper:
 
     def _load(self, system: System) -> None:
         idle = np.array([_idle(c.law) for c in system.connections], dtype=bool)
+        self._active = np.flatnonzero(~idle)
         for slot, (compiled, one_way) in enumerate(zip(system.compiled, system.driven, strict=True)):
-            incidence = system.incidence(slot)
-            if not one_way:
-                incidence[idle] = 0.0
+            incidence = system.incidence(slot)[self._active]
             if (known := self._loaded[slot]) and known[0] is compiled and known[1] == incidence.tobytes():
                 continue
             self._loaded[slot] = (compiled, incidence.tobytes())
@@ -86,19 +85,27 @@ class KernelStepper:
                 compiled.difference.astype(int).tolist(),
             )
         s = system.solve
-        self._kernel.set_solve(np.ascontiguousarray(s.G), s.gamma, s.constant, system.force_weights())
+        on = self._active
+        self._kernel.set_solve(
+            np.ascontiguousarray(s.G[np.ix_(on, on)]),
+            s.gamma[on],
+            s.constant[on],
+            np.ascontiguousarray(system.force_weights()[:, on]),
+        )
 
     def run(self, state: State, n: int, injections: Sequence[Injection] = ()) -> tuple[Floats, Floats]:
         """Advance `state` in place by n steps; see `NumpyStepper.run`."""
         if state.modes.dtype != self.dtype:
             raise ValueError(f"a state of {state.modes.dtype} does not fit a kernel of {np.dtype(self.dtype)}")
         out = np.empty((n, len(self.system.readouts)))
-        forces = np.empty((n, len(self.system.connections)))
+        active_forces = np.empty((n, len(self._active)))
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
-        slot, sample = self._kernel.run(state.modes, out, forces, [self._pack_injection(i, state) for i in active])
+        slot, sample = self._kernel.run(state.modes, out, active_forces, [self._pack_injection(i, state) for i in active])
         if slot >= 0:
             t = (state.sample + sample) * self.system.dt
             raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
+        forces = np.zeros((n, len(self.system.connections)))
+        forces[:, self._active] = active_forces
         if n:
             state.forces[:] = forces[-1]
         state.sample += n

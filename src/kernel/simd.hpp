@@ -1,0 +1,96 @@
+// Vectors of the translation unit's instruction set, in packs of several so that their latencies overlap.
+#pragma once
+
+#include "model.hpp"
+
+namespace tonewood {
+namespace {
+
+#if defined(__AVX512F__)
+constexpr int kVectorBytes = 64;
+constexpr int kPack = 4;  // 32 registers
+#elif defined(__AVX2__)
+constexpr int kVectorBytes = 32;
+constexpr int kPack = 2;  // 16 registers
+#else
+constexpr int kVectorBytes = 16;
+constexpr int kPack = 2;
+#endif
+
+template <class T>
+struct Simd {
+    static constexpr int width = kVectorBytes / int(sizeof(T));
+    typedef T V __attribute__((vector_size(kVectorBytes)));
+    // arrays that come from Python need not be aligned to the vector
+    typedef T Loose __attribute__((vector_size(kVectorBytes), aligned(alignof(T)), may_alias));
+    static V load(const T* p) { return V(*reinterpret_cast<const Loose*>(p)); }
+    static void store(T* p, V v) { *reinterpret_cast<Loose*>(p) = v; }
+    static double sum(const T* p) {  // of one vector, in lane order
+        double s = 0;
+        for (int i = 0; i < width; ++i) s += double(p[i]);
+        return s;
+    }
+};
+
+// N vectors side by side; named members, because compilers keep those in registers.
+template <class T, int N>
+struct Pack;
+
+template <class T>
+struct Pack<T, 1> {
+    static constexpr int size = Simd<T>::width;
+    typename Simd<T>::V a;
+    static Pack load(const T* p) { return {Simd<T>::load(p)}; }
+    void store(T* p) const { Simd<T>::store(p, a); }
+    typename Simd<T>::V folded() const { return a; }
+};
+
+template <class T, int N>
+struct Pack {
+    static constexpr int size = N * Simd<T>::width;
+    Pack<T, N / 2> a, b;
+    static Pack load(const T* p) { return {Pack<T, N / 2>::load(p), Pack<T, N / 2>::load(p + size / 2)}; }
+    void store(T* p) const { a.store(p), b.store(p + size / 2); }
+    typename Simd<T>::V folded() const { return a.folded() + b.folded(); }
+};
+
+// x * y + z and z - x * y; the compiler fuses them where the instruction set can
+template <class T, int N>
+inline Pack<T, N> mul_add(const Pack<T, N>& x, const Pack<T, N>& y, const Pack<T, N>& z) {
+    if constexpr (N == 1) return {x.a * y.a + z.a};
+    else return {mul_add(x.a, y.a, z.a), mul_add(x.b, y.b, z.b)};
+}
+template <class T, int N>
+inline Pack<T, N> neg_mul_add(const Pack<T, N>& x, const Pack<T, N>& y, const Pack<T, N>& z) {
+    if constexpr (N == 1) return {z.a - x.a * y.a};
+    else return {neg_mul_add(x.a, y.a, z.a), neg_mul_add(x.b, y.b, z.b)};
+}
+template <class T, int N>
+inline Pack<T, N> mul_add(const Pack<T, N>& x, T y, const Pack<T, N>& z) {
+    if constexpr (N == 1) return {x.a * y + z.a};
+    else return {mul_add(x.a, y, z.a), mul_add(x.b, y, z.b)};
+}
+// x * y + s for a scalar s
+template <class T, int N>
+inline Pack<T, N> mul_plus(const Pack<T, N>& x, const Pack<T, N>& y, T s) {
+    if constexpr (N == 1) return {x.a * y.a + s};
+    else return {mul_plus(x.a, y.a, s), mul_plus(x.b, y.b, s)};
+}
+template <class T, int N>
+inline Pack<T, N> operator*(const Pack<T, N>& x, const Pack<T, N>& y) {
+    if constexpr (N == 1) return {x.a * y.a};
+    else return {x.a * y.a, x.b * y.b};
+}
+template <class T, int N>
+inline Pack<T, N> operator+(const Pack<T, N>& x, const Pack<T, N>& y) {
+    if constexpr (N == 1) return {x.a + y.a};
+    else return {x.a + y.a, x.b + y.b};
+}
+template <class T, int N>
+inline Pack<T, N> operator-(const Pack<T, N>& x, const Pack<T, N>& y) {
+    if constexpr (N == 1) return {x.a - y.a};
+    else return {x.a - y.a, x.b - y.b};
+}
+
+}  // namespace
+}  // namespace tonewood
