@@ -4,8 +4,9 @@ Three kinds of mode, told apart by `kind`; every one is a real 2 x 2 block once 
 
 * ``PAIR``   z' = lambda z + sum_i l_i f_i,  y_i = 2 Re(r_i z): one of two conjugate poles, Im lambda > 0;
 * ``REAL``   z' = lambda z + sum_i l_i f_i,  y_i = r_i z: one real pole;
-* ``BLOCK``  q'' + 2 sigma q' + omega^2 q = sum_i l_i f_i,  y_i = r_i q: rigid-body, critically and over-damped
-  modes, whose pole pair coincides or nearly so.
+* ``BLOCK``  q' = p + sum_i Im(l_i) f_i,  p' = -omega^2 q - 2 sigma p + sum_i Re(l_i) f_i,  y_i = Re(r_i) q + Im(r_i) p:
+  rigid-body, critically and over-damped modes, whose pole pair coincides or nearly so. Real modes have real shapes,
+  which is q'' + 2 sigma q' + omega^2 q = sum_i l_i f_i, y_i = r_i q.
 
 Shapes carry the normalisation of Fabre, Le Carrou & Chomette (2024), Eq. 20, in the left shape: l = psi_l / Pi.
 """
@@ -299,7 +300,8 @@ class ModalBasis:
         real = soft & (self.kind == REAL)
         out = -2 * ((self.right[:, pair] / self.poles[pair]) @ self.left[:, pair].T).real
         out -= ((self.right[:, real] / self.poles[real]) @ self.left[:, real].T).real
-        out += ((self.right[:, block] / self.stiffness[block]) @ self.left[:, block].T).real
+        r, ell, k = self.right[:, block], self.left[:, block], self.stiffness[block]
+        out += (r.real / k) @ (ell.real + 2 * self.damping_rate[block] * ell.imag).T - r.imag @ ell.imag.T
         return np.asarray(0.5 * (out + out.T), dtype=np.float64)
 
     def static_compliance(self) -> Floats:
@@ -338,8 +340,10 @@ class ModalBasis:
         total += np.sum((r * ell)[pair] / (s[:, None] - self.poles[pair]), axis=1)
         total += np.sum(np.conj(r * ell)[pair] / (s[:, None] - np.conj(self.poles[pair])), axis=1)
         total += np.sum((r * ell)[real] / (s[:, None] - self.poles[real]), axis=1)
-        sb = s[:, None]
-        total += np.sum((r * ell)[block] / (sb**2 + 2 * self.damping_rate[block] * sb + self.stiffness[block]), axis=1)
+        sb, k, d = s[:, None], self.stiffness[block], 2 * self.damping_rate[block]
+        q = (sb + d) * ell[block].imag + ell[block].real
+        p = sb * ell[block].real - k * ell[block].imag
+        total += np.sum((r[block].real * q + r[block].imag * p) / (sb**2 + d * sb + k), axis=1)
         return np.asarray(total * s**power)
 
 

@@ -92,8 +92,10 @@ def real_form(basis: ModalBasis) -> RealForm:
     A[:, 1, 0] = np.where(block, -basis.stiffness, lam.imag)
     A[:, 1, 1] = np.where(block, -2 * basis.damping_rate, lam.real)
     weight = np.where(pair, 2.0, 1.0)
-    C = np.stack([weight * basis.right.real, np.where(pair, -2.0 * basis.right.imag, 0.0)], axis=-1)
-    B = np.stack([np.where(block, 0.0, basis.left.real), np.where(block, basis.left.real, basis.left.imag)], axis=-1)
+    second = np.where(block, 1.0, np.where(pair, -2.0, 0.0))
+    C = np.stack([weight * basis.right.real, second * basis.right.imag], axis=-1)
+    ell = np.where(block, 1j * np.conj(basis.left), basis.left)
+    B = np.stack([ell.real, ell.imag], axis=-1)
     return RealForm(A, B, C)
 
 
