@@ -46,9 +46,7 @@ class KernelStepper:
             raise ValueError(f"precision is f64 or f32, not {precision!r}")
         make = _kernel.KernelF64 if precision == "f64" else _kernel.KernelF32
         self.dtype: type[np.floating] = np.float64 if precision == "f64" else np.float32
-        self._kernel = make(
-            isa or instruction_set(), len(system.names), sum(system.capacities), len(system.readouts)
-        )
+        self._kernel = make(isa or instruction_set(), len(system.names), sum(system.capacities), len(system.readouts))
         self._packed: dict[int, tuple[Injection, NDArray[np.floating], Floats]] = {}
         self._loaded: list[tuple[Compiled, bytes] | None] = [None] * len(system.names)
         self.system = system
@@ -100,7 +98,9 @@ class KernelStepper:
         out = np.empty((n, len(self.system.readouts)))
         active_forces = np.empty((n, len(self._active)))
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
-        slot, sample = self._kernel.run(state.modes, out, active_forces, [self._pack_injection(i, state) for i in active])
+        slot, sample = self._kernel.run(
+            state.modes, out, active_forces, [self._pack_injection(i, state) for i in active]
+        )
         if slot >= 0:
             t = (state.sample + sample) * self.system.dt
             raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
@@ -116,9 +116,7 @@ class KernelStepper:
         rest = self.system.start()
         return State(rest.modes.astype(self.dtype), rest.forces)
 
-    def _pack_injection(
-        self, injection: Injection, state: State
-    ) -> tuple[int, int, NDArray[np.floating], Floats]:
+    def _pack_injection(self, injection: Injection, state: State) -> tuple[int, int, NDArray[np.floating], Floats]:
         known = self._packed.get(id(injection))
         if known is None or known[0] is not injection:
             for key in [k for k, v in self._packed.items() if v[0].stop <= state.sample]:

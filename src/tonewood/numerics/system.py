@@ -72,7 +72,7 @@ class Compiled:
     ----------
     basis : the modes.
     form : their real 2 x 2 blocks.
-    ports : (n_ports,) rows of `basis.points` that connections act on.
+    ports : (n_ports,) rows of `basis.points` that connections act on, in order of their names.
     E : (n_modes, 2, 2) propagator of one step.
     W : (n_ports, n_modes, 2) state added by a unit force held over one step.
     rows : (n_rows, n_modes, 2) displacement rows of the ports, then the readouts' rows.
@@ -161,6 +161,7 @@ class System:
     drives: tuple[Drive, ...]
     capacities: tuple[int, ...]
     solve: LinearSolve
+    wiring: tuple[Floats, ...] = ()
 
     @classmethod
     def build(
@@ -215,13 +216,17 @@ class System:
             solve=LinearSolve(np.zeros((0, 0)), np.zeros(0), np.zeros(0)),
         )
         compiled = tuple(system.compile(name, components[name]) for name in names)
-        return replace(system, compiled=compiled)._solved()
+        wiring = tuple(system._incidence(name) for name in names)
+        return replace(system, compiled=compiled, wiring=wiring)._solved()
+
+    def ports_of(self, name: str) -> list[str]:
+        """Points of a component that connections or drives act on, sorted; the same whatever its basis."""
+        points = {t.point for c in self.connections for t in c.terms if t.component == name}
+        return sorted(points | {d.point for d in self.drives if d.component == name})
 
     def compile(self, name: str, basis: ModalBasis) -> Compiled:
         """Compile another basis of the component `name`; it may be kept and used again with `with_compiled`."""
-        points = {t.point for c in self.connections for t in c.terms if t.component == name}
-        points |= {d.point for d in self.drives if d.component == name}
-        ports = np.array(sorted(basis.index(p) for p in points), dtype=np.intp)
+        ports = np.array([basis.index(p) for p in self.ports_of(name)], dtype=np.intp)
         form = real_form(basis)
         phi = flow(basis, self.dt)
         E, W = phi[0], apply(self.dt * phi[1], form.B[ports])
@@ -296,9 +301,11 @@ class System:
 
     def incidence(self, slot: int) -> Floats:
         """(m, n_ports) share of each port of a component in each gap (for a driven one: of each force in a port)."""
-        name, compiled = self.names[slot], self.compiled[slot]
-        out = np.zeros((len(self.connections), len(compiled.ports)))
-        place = {compiled.basis.points[p]: i for i, p in enumerate(compiled.ports)}
+        return self.wiring[slot]
+
+    def _incidence(self, name: str) -> Floats:
+        place = {point: i for i, point in enumerate(self.ports_of(name))}
+        out = np.zeros((len(self.connections), len(place)))
         for j, connection in enumerate(self.connections):
             for term in connection.terms:
                 if term.component == name:
