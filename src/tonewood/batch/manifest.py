@@ -128,7 +128,7 @@ class Loudness(_Part):
     method: Literal["bs1770_gated", "none"] = "bs1770_gated"
     short: Literal["ungated_400ms"] = "ungated_400ms"
     target_lufs: float = Field(default=-23.0, ge=-60, le=-5)
-    true_peak_dbtp: float = Field(default=-1.0, ge=-30, le=0)
+    true_peak_dbtp: float = Field(default=-1.0, ge=-30, le=-0.1)
     on_clash: Literal["lower_page"] = "lower_page"
 
 

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,7 +204,7 @@ def samples_sha256(samples: NDArray[Any]) -> str:
     return hashlib.sha256(np.ascontiguousarray(samples, dtype=samples.dtype.newbyteorder("<")).tobytes()).hexdigest()
 
 
-def anchor(audio: Audio, fs: int, cutoff: Literal[3500, 7000]) -> Audio:
+def anchor(audio: Audio, fs: int, cutoff: int) -> Audio:
     """The low-pass anchor of BS.1534-3, linear phase, no delay, as long as the sound.
 
     Mask of the 3.5 kHz anchor: within 0.1 dB up to the cutoff, 25 dB down 500 Hz above it, 50 dB 1 kHz above it; the

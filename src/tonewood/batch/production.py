@@ -1,0 +1,222 @@
+"""Making the sound files: measure every sound, settle the level of each group, write.
+
+Two passes over the finished renders, both free to run many at once: the first finds each sound's gain and true peak,
+the second writes the files. Between them each group that would pass the true-peak limit is lowered as a whole.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tonewood.batch import stimuli as st
+from tonewood.batch.layout import ANCHOR_ROLES, Group, Stimulus
+from tonewood.batch.manifest import Stimuli
+from tonewood.batch.pictures import write_picture
+from tonewood.batch.seeds import generator
+from tonewood.batch.store import Rendered, Store, whole_file
+from tonewood.batch.workers import Workers
+from tonewood.errors import TonewoodError
+
+SERVED = "serve"
+SOUNDS = f"{SERVED}/stimuli"
+PICTURES = "pictures"
+_CUTOFF = {role: cutoff for cutoff, role in ANCHOR_ROLES.items()}
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One file to be made; everything a worker needs."""
+
+    stimulus: Stimulus
+    group: str
+    render: Path
+    key: str
+    settings: Stimuli
+    length: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class _Level:
+    """What the first pass found: gain of the sound alone and true peak with it, or why it failed."""
+
+    code: str
+    gain_db: float
+    true_peak_dbtp: float
+    fault: str | None = None
+
+
+@dataclass(frozen=True)
+class SoundFile:
+    """A written file and what is known of it."""
+
+    code: str
+    group: str
+    condition: str
+    role: str
+    key: str
+    file: str
+    fs: int
+    channels: int
+    subtype: str
+    frames: int
+    gain_db: float
+    page_drop_db: float
+    lufs: float | None
+    loudness_gated: bool
+    peak_dbfs: float | None
+    true_peak_dbtp: float | None
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A sound that could not be made; the rest went on."""
+
+    name: str
+    reason: str
+    detail: str = ""
+
+
+def group_length(group: Group, durations: dict[str, float], settings: Stimuli) -> int:
+    """Samples of every file of a group; `durations` are those of the renders by condition, s."""
+    if settings.duration == "page_max":
+        seconds = min(max(durations[s.condition] for s in group.stimuli), settings.longest)
+    else:
+        seconds = settings.duration
+    return max(1, round(seconds * settings.fs))
+
+
+def make_files(
+    groups: Sequence[Group],
+    keys: dict[str, str],
+    store: Store,
+    settings: Stimuli,
+    folder: Path,
+    workers: Workers,
+    *,
+    durations: dict[str, float],
+    seed: int,
+    pictures: bool,
+    advance: Callable[[], None],
+) -> tuple[list[SoundFile], list[Fault], list[str]]:
+    """Write the files of all groups.
+
+    Parameters
+    ----------
+    groups : with stimuli whose condition is in `keys` only.
+    keys : content key of each condition's render in `store`.
+    folder : the batch's output folder.
+    durations : of the renders, s.
+    advance : called twice per file.
+
+    Returns
+    -------
+    files, faults, notes : in the order of `groups`; notes tell which groups were lowered.
+    """
+    jobs = [
+        _Job(s, g.name, store.folder, keys[s.condition], settings, group_length(g, durations, settings), seed)
+        for g in groups
+        for s in g.stimuli
+    ]
+    levels: dict[str, _Level] = {}
+    for level in workers.each(_find_level, jobs):
+        levels[level.code] = level
+        advance()
+    faults = [Fault(j.stimulus.condition, f) for j in jobs if (f := levels[j.stimulus.code].fault)]
+    drops, notes = _drops(groups, levels, settings)
+    tasks = [
+        (job, levels[job.stimulus.code].gain_db - drops[job.group], drops[job.group], folder, pictures)
+        for job in jobs
+        if levels[job.stimulus.code].fault is None
+    ]
+    files: dict[str, SoundFile] = {}
+    for made in workers.each(_write, tasks):
+        files[made.code] = made
+        advance()
+    return [files[j.stimulus.code] for j in jobs if j.stimulus.code in files], faults, notes
+
+
+def prepared(rendered: Rendered, settings: Stimuli, length: int, role: str) -> st.Audio:
+    """A render at the files' rate, channels and length, faded; low-passed if it is an anchor."""
+    audio = st.resampled(rendered.samples, rendered.fs, settings.fs)
+    audio = st.with_channels(audio, settings.channels, settings.downmix)[:length]
+    if role in _CUTOFF:
+        audio = st.anchor(audio, settings.fs, _CUTOFF[role])
+    return st.fitted(audio, settings.fs, length, settings.fade.in_, settings.fade.out)
+
+
+def _find_level(job: _Job) -> _Level:
+    code, settings, role = job.stimulus.code, job.settings, job.stimulus.role
+    try:
+        rendered = Store(job.render).load(job.key)
+        sound = prepared(rendered, settings, job.length, "sound")
+        gain = 0.0
+        if settings.loudness.method != "none":  # an anchor has the gain of what it is made of
+            gain = st.matching_gain_db(sound, settings.fs, settings.loudness.target_lufs)
+        if role in _CUTOFF:
+            sound = prepared(rendered, settings, job.length, role)
+        peak = st.true_peak(sound)
+    except TonewoodError as fault:
+        return _Level(code, 0.0, -math.inf, str(fault))
+    return _Level(code, gain, gain + 20.0 * math.log10(peak) if peak > 0 else -math.inf)
+
+
+def _drops(groups: Iterable[Group], levels: dict[str, _Level], settings: Stimuli) -> tuple[dict[str, float], list[str]]:
+    drops, notes = {}, []
+    limit = settings.loudness.true_peak_dbtp
+    for group in groups:
+        drops[group.name] = drop = st.page_drop_db([levels[s.code].true_peak_dbtp for s in group.stimuli], limit)
+        if drop > 0:
+            notes.append(f"{group.name}: all files lowered by {drop:.2f} dB to keep true peaks below {limit} dBTP")
+    return drops, notes
+
+
+def _write(task: tuple[_Job, float, float, Path, bool]) -> SoundFile:
+    job, gain, drop, folder, pictures = task
+    settings, code, role = job.settings, job.stimulus.code, job.stimulus.role
+    audio = prepared(Store(job.render).load(job.key), settings, job.length, role) * 10.0 ** (gain / 20.0)
+    random = generator(job.seed, "dither", job.group, job.stimulus.condition, role)
+    samples = st.quantised(audio, settings.subtype, random)
+    file = f"{SOUNDS}/{code}.wav"
+    write_wav(folder / file, samples, settings.fs, settings.subtype)
+    heard = samples / 2.0 ** (st.BITS[settings.subtype] - 1)
+    if pictures:
+        write_picture(folder / PICTURES / f"{code}.png", heard, settings.fs)
+    found = st.measured(heard, settings.fs)
+    return SoundFile(
+        code=code,
+        group=job.group,
+        condition=job.stimulus.condition,
+        role=role,
+        key=job.key,
+        file=file,
+        fs=settings.fs,
+        channels=samples.shape[1],
+        subtype=settings.subtype,
+        frames=len(samples),
+        gain_db=gain,
+        page_drop_db=drop,
+        lufs=_finite(found.lufs),
+        loudness_gated=found.gated,
+        peak_dbfs=_finite(found.peak_dbfs),
+        true_peak_dbtp=_finite(found.true_peak_dbtp),
+        sha256=st.samples_sha256(samples),
+    )
+
+
+def write_wav(path: Path, samples: Any, fs: int, subtype: str) -> None:
+    """Write integer samples as they are; the file's bytes depend on nothing else."""
+    import soundfile
+
+    whole = samples if subtype == "PCM_16" else samples << 8  # soundfile wants 24 bits at the top of 32
+    with whole_file(path) as stream:
+        soundfile.write(stream, whole, fs, subtype=subtype, format="WAV")
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,339 @@
+"""Running a batch: what is not rendered yet is rendered, then the files, pages and records are written.
+
+A run that was broken off, by a kill or a full disk, is taken up by running it again: renders are kept under the hash
+of everything that decides their samples, and a render is either whole or not there. One condition that fails is
+reported and the rest goes on; pages and pairs that would miss a sound are left out.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from tonewood.batch import audition, records, webmushra
+from tonewood.batch.conditions import Condition, expand
+from tonewood.batch.layout import Group, lay_out
+from tonewood.batch.manifest import HtmlPage, Manifest, ManifestError, load_manifest
+from tonewood.batch.production import PICTURES, SERVED, SOUNDS, Fault, SoundFile, make_files
+from tonewood.batch.store import Rendered, Store, content_key
+from tonewood.batch.workers import Workers
+from tonewood.errors import NumericalError, TonewoodError
+
+WORK = "work"
+_CODE_FILE = re.compile(r"[b-df-hj-np-tv-xz]{6}\.(wav|png)")
+Progress = Callable[[str, int, int], None]
+
+
+class Renderer(Protocol):
+    """What turns conditions into sound. Pickled into workers; every call depends on its condition alone."""
+
+    def identity(self, condition: Condition) -> dict[str, Any]:
+        """Everything that decides the samples, JSON-ready: parameters, hashes, version, instruction set."""
+
+    def render(self, condition: Condition) -> Rendered:
+        """The sound itself."""
+
+    def predict(self, condition: Condition) -> float:
+        """About how long `render` will take, s."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a batch will make, before anything is rendered.
+
+    Attributes
+    ----------
+    conditions, groups : of the manifest, those that could be resolved.
+    keys : content key by condition name.
+    todo : one condition for each key that is not rendered yet.
+    seconds : predicted time of rendering those with the workers given, s.
+    faults : conditions that could not be resolved.
+    """
+
+    manifest: Manifest
+    conditions: tuple[Condition, ...]
+    groups: tuple[Group, ...]
+    keys: dict[str, str]
+    identities: dict[str, dict[str, Any]]
+    todo: tuple[Condition, ...]
+    seconds: float
+    faults: tuple[Fault, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def n_files(self) -> int:
+        """Sound files that will be written."""
+        return sum(len(g.stimuli) for g in self.groups)
+
+    def summary(self) -> dict[str, Any]:
+        """The plan as JSON-ready data."""
+        return {
+            "name": self.manifest.name,
+            "conditions": [c.name for c in self.conditions],
+            "to_render": len(self.todo),
+            "rendered": len(set(self.keys.values())) - len(self.todo),
+            "files": self.n_files,
+            "trials": sum(len(g.trials) for g in self.groups),
+            "predicted_seconds": round(self.seconds, 3),
+            "failed": [{"name": f.name, "reason": f.reason} for f in self.faults],
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a run went."""
+
+    name: str
+    folder: Path
+    rendered: int
+    reused: int
+    files: tuple[SoundFile, ...]
+    faults: tuple[Fault, ...]
+    notes: tuple[str, ...]
+    seconds: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing failed."""
+        return not self.faults
+
+    def summary(self) -> dict[str, Any]:
+        """The report as JSON-ready data."""
+        return {
+            "name": self.name,
+            "folder": str(self.folder),
+            "rendered": self.rendered,
+            "reused": self.reused,
+            "files": len(self.files),
+            "failed": [{"name": f.name, "reason": f.reason} for f in self.faults],
+            "notes": list(self.notes),
+            "seconds": round(self.seconds, 3),
+        }
+
+
+def plan_batch(manifest_path: Path, folder: Path, renderer: Renderer, workers: Workers | None = None) -> Plan:
+    """Expand a manifest and find out what is still to be rendered; nothing is written.
+
+    Raises
+    ------
+    TonewoodError
+        The manifest cannot be used, or no condition can be resolved.
+    """
+    manifest = load_manifest(manifest_path)
+    try:
+        conditions = expand(manifest, manifest_path.parent)
+        groups, notes = lay_out(manifest, conditions)
+    except ManifestError as fault:
+        raise ManifestError(fault.reason, file=manifest_path, key=fault.key) from None
+    keys: dict[str, str] = {}
+    identities: dict[str, dict[str, Any]] = {}
+    faults: list[Fault] = []
+    for condition in conditions:
+        try:
+            identity = renderer.identity(condition)
+        except TonewoodError as fault:
+            faults.append(Fault(condition.name, str(fault)))
+            continue
+        keys[condition.name] = key = content_key(identity)
+        identities[key] = identity
+    store = Store(folder / WORK)
+    todo: dict[str, Condition] = {}
+    for condition in conditions:
+        wanted = keys.get(condition.name)
+        if wanted is not None and wanted not in todo and not store.has(wanted):
+            todo[wanted] = condition
+    at_once = 1 if workers is None or workers.cluster else workers.count
+    seconds = sum(renderer.predict(c) for c in todo.values()) / at_once
+    return Plan(
+        manifest, conditions, groups, keys, identities, tuple(todo.values()), seconds, tuple(faults), tuple(notes)
+    )
+
+
+def run_batch(
+    manifest_path: Path,
+    folder: Path,
+    renderer: Renderer,
+    workers: Workers | None = None,
+    progress: Progress | None = None,
+) -> Report:
+    """Render what is missing and write the whole batch into `folder`.
+
+    Parameters
+    ----------
+    manifest_path : the YAML file.
+    folder : made if need be; ``serve/`` is for listeners, all else for the experimenter.
+    renderer : see `Renderer`.
+    workers : where the work is done; rendering may go to a cluster, files are made here.
+    progress : called with the stage's name, what is done and what there is to do.
+
+    Raises
+    ------
+    TonewoodError
+        Nothing can be done, or nothing more: the manifest is wrong, the disk is full, the workers are gone. What
+        was finished is kept.
+    """
+    started = time.perf_counter()
+    workers = workers or Workers()
+    plan = plan_batch(manifest_path, folder, renderer, workers)
+    manifest, store = plan.manifest, Store(folder / WORK)
+    failed = _render_missing(plan, store, renderer, workers, progress)
+    renders = {key: store.facts(key) for key in set(plan.keys.values()) - set(failed)}
+    keys = {name: key for name, key in plan.keys.items() if key in renders}
+    groups, lost = _complete(
+        plan.groups, {s.code for g in plan.groups for s in g.stimuli if s.condition in keys}, manifest
+    )
+    files, silent, lowered = make_files(
+        groups,
+        keys,
+        store,
+        manifest.stimuli,
+        folder,
+        workers.local(),
+        durations={name: renders[key]["frames"] / renders[key]["fs"] for name, key in keys.items()},
+        seed=manifest.seed,
+        pictures="html" in manifest.output.formats,
+        advance=_Counter(progress, "files", 2 * sum(len(g.stimuli) for g in groups)),
+    )
+    groups, lost_too = _complete(groups, {f.code for f in files}, manifest)
+    heard = {s.code for g in groups for s in g.stimuli}
+    files = [f for f in files if f.code in heard]
+    unrendered = [Fault(name, f.reason, f.detail) for name, key in plan.keys.items() if (f := failed.get(key))]
+    faults = (*plan.faults, *unrendered, *silent)
+    notes = (*plan.notes, *lost, *lowered, *lost_too)
+    _write_records(plan, groups, files, renders, faults, notes, folder)
+    return Report(
+        name=manifest.name,
+        folder=folder,
+        rendered=len(plan.todo) - len(failed),
+        reused=len(set(plan.keys.values())) - len(plan.todo),
+        files=tuple(files),
+        faults=faults,
+        notes=notes,
+        seconds=time.perf_counter() - started,
+    )
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    key: str
+    rendered: Rendered | None
+    fault: Fault | None = None
+
+
+def _render_missing(
+    plan: Plan, store: Store, renderer: Renderer, workers: Workers, progress: Progress | None
+) -> dict[str, Fault]:
+    """Render what is missing, and tell what failed by key; this process alone writes, whoever computed."""
+    store.clear_parts()
+    tasks = [(renderer, condition, plan.keys[condition.name]) for condition in plan.todo]
+    faults: dict[str, Fault] = {}
+    done = _Counter(progress, "renders", len(tasks))
+    for outcome in workers.each(_render, tasks) if tasks else ():
+        if outcome.rendered is not None:
+            store.save(outcome.key, outcome.rendered)
+        if outcome.fault is not None:
+            faults[outcome.key] = outcome.fault
+        done()
+    return faults
+
+
+def _render(task: tuple[Renderer, Condition, str]) -> _Outcome:
+    renderer, condition, key = task
+    started = time.perf_counter()
+    try:
+        if content_key(renderer.identity(condition)) != key:
+            reason = "the worker would render something else: other bundle, plugins, version or instruction set"
+            return _Outcome(key, None, Fault(condition.name, reason))
+        rendered = renderer.render(condition)
+        _check(rendered)
+    except TonewoodError as fault:
+        return _Outcome(key, None, Fault(condition.name, str(fault)))
+    except Exception as fault:  # whatever a plugin raises must not end the other renders; its traceback is kept
+        reason = f"{type(fault).__name__}: {fault}"
+        return _Outcome(key, None, Fault(condition.name, reason, traceback.format_exc()))
+    info = {**rendered.info, "render_seconds": time.perf_counter() - started}
+    return _Outcome(key, replace(rendered, info=info))
+
+
+def _check(rendered: Rendered) -> None:
+    if rendered.samples.ndim != 2 or not rendered.samples.size:
+        raise NumericalError(f"a render of shape (n, channels) is wanted, not {rendered.samples.shape}")
+    if not np.all(np.isfinite(rendered.samples)):
+        first = int(np.argmin(np.isfinite(rendered.samples).all(axis=1)))
+        raise NumericalError(f"the sound is not finite from {first / rendered.fs:.4f} s on")
+    json.dumps(rendered.info, allow_nan=False)
+
+
+def _complete(groups: Sequence[Group], there: set[str], manifest: Manifest) -> tuple[list[Group], list[str]]:
+    """The groups without trials that miss a sound, and what was left out.
+
+    A page that is only to be heard goes on with the sounds it has.
+    """
+    kept, notes = [], []
+    for group in groups:
+        here = {s.code for s in group.stimuli} & there
+        if isinstance(manifest.pages[group.page], HtmlPage):
+            trials = tuple(replace(t, stimuli=tuple(c for c in t.stimuli if c in here)) for t in group.trials)
+        else:
+            trials = tuple(t for t in group.trials if set(t.codes) <= here)
+            here &= {c for t in trials for c in t.codes}
+            if lost := len(group.trials) - len(trials):
+                notes.append(f"{group.name}: {lost} of {len(group.trials)} trials left out: a sound failed")
+        if here:
+            stimuli = tuple(s for s in group.stimuli if s.code in here)
+            kept.append(replace(group, stimuli=stimuli, trials=trials))
+    return kept, notes
+
+
+def _write_records(
+    plan: Plan,
+    groups: Sequence[Group],
+    files: Sequence[SoundFile],
+    renders: dict[str, dict[str, Any]],
+    faults: Sequence[Fault],
+    notes: Sequence[str],
+    folder: Path,
+) -> None:
+    manifest, formats = plan.manifest, plan.manifest.output.formats
+    by_code = {f.code: f for f in files}
+    conditions = {c.name: c for c in plan.conditions}
+    _remove_strangers(folder, set(by_code))
+    rows = records.file_records(files, conditions, plan.identities, renders)
+    if "webmushra" in formats:
+        webmushra.write_experiment(folder / SERVED, webmushra.experiment(manifest, groups, by_code))
+    if "html" in formats:
+        audition.write_audition(folder, audition.audition_page(manifest, groups, by_code))
+    if "csv" in formats:
+        records.write_csv(folder / records.RECORD_CSV, rows)
+    if "json" in formats:
+        records.write_json(folder / records.RECORD_JSON, records.batch_record(manifest, rows, faults, notes))
+    records.write_json(folder / manifest.output.key, records.key_of(manifest, groups, conditions))
+
+
+def _remove_strangers(folder: Path, codes: set[str]) -> None:
+    """Remove sounds and pictures an earlier run made under codes that are no longer in use."""
+    for place in (folder / SOUNDS, folder / PICTURES):
+        for path in place.glob("*.*"):
+            if _CODE_FILE.fullmatch(path.name) and path.stem not in codes:
+                path.unlink()
+
+
+class _Counter:
+    """Counts what is done, and tells."""
+
+    def __init__(self, progress: Progress | None, stage: str, total: int):
+        self.progress, self.stage, self.total, self.done = progress, stage, total, 0
+
+    def __call__(self) -> None:
+        self.done += 1
+        if self.progress is not None:
+            self.progress(self.stage, self.done, self.total)

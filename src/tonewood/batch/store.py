@@ -1,0 +1,123 @@
+"""Finished work on disk: rendered sounds by content, and files that are either whole or not there."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.errors import OutputError
+
+SCHEMA = "tonewood-render/1"
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """A rendered sound.
+
+    Attributes
+    ----------
+    samples : (n, channels) float64, 1.0 is full scale.
+    fs : Hz.
+    info : JSON-ready facts about the render (energy residual, effects that ran, seconds it took, ...).
+    """
+
+    samples: NDArray[np.float64]
+    fs: int
+    info: dict[str, Any] = field(default_factory=dict)
+
+
+def content_key(identity: dict[str, Any]) -> str:
+    """SHA-256 over everything that decides a render's samples, from JSON with sorted keys."""
+    text = json.dumps({"schema": SCHEMA, **identity}, sort_keys=True, allow_nan=False, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[IO[bytes]]:
+    """A file opened for writing that appears under its name only when it is complete and on the disk.
+
+    Raises
+    ------
+    OutputError
+        The disk is full or the place cannot be written; what stood under the name before is untouched.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(path)
+    except OSError as fault:
+        raise OutputError(f"cannot be written: {fault.strerror or fault}", file=path) from fault
+    finally:
+        with contextlib.suppress(OSError):  # mostly it is not there any more
+            part.unlink()
+
+
+class Store:
+    """Rendered sounds in one folder, each under the hash of what it was rendered from."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    def path(self, key: str) -> Path:
+        """Where the render of `key` lies, or will."""
+        return self.folder / f"{key}.npz"
+
+    def has(self, key: str) -> bool:
+        """Whether a whole, undamaged render of `key` is there (its checksums are read)."""
+        try:
+            with zipfile.ZipFile(self.path(key)) as archive:
+                return archive.testzip() is None and set(archive.namelist()) == {"samples.npy", "facts.npy"}
+        except (OSError, zipfile.BadZipFile, EOFError):
+            return False
+
+    def save(self, key: str, rendered: Rendered) -> None:
+        """Keep a render; see `whole_file` for what can go wrong."""
+        facts = json.dumps(
+            {"fs": rendered.fs, "frames": len(rendered.samples), "info": rendered.info}, allow_nan=False
+        ).encode()
+        with whole_file(self.path(key)) as stream:
+            np.savez(stream, samples=rendered.samples, facts=np.frombuffer(facts, dtype=np.uint8))
+
+    def load(self, key: str) -> Rendered:
+        """The render of `key`.
+
+        Raises
+        ------
+        OutputError
+            It is not there or damaged; the next run makes it again.
+        """
+        with self._open(key) as archive:
+            facts = json.loads(archive["facts"].tobytes())
+            return Rendered(archive["samples"], int(facts["fs"]), facts["info"])
+
+    def facts(self, key: str) -> dict[str, Any]:
+        """Of the render of `key`: `fs`, `frames` and `info`, without reading its samples; raises as `load`."""
+        with self._open(key) as archive:
+            return dict(json.loads(archive["facts"].tobytes()))
+
+    @contextlib.contextmanager
+    def _open(self, key: str) -> Iterator[Any]:
+        try:
+            with np.load(self.path(key)) as archive:
+                yield archive
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            raise OutputError("is damaged or gone: run the batch again", file=self.path(key)) from None
+
+    def clear_parts(self) -> None:
+        """Remove what an earlier run had to leave half-written."""
+        for part in self.folder.glob(".*.part"):
+            part.unlink(missing_ok=True)

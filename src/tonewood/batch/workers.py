@@ -1,0 +1,77 @@
+"""One way to do many things at once: threads, processes, or the machines of a Dask cluster, all through joblib."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
+
+from tonewood.errors import TonewoodError
+
+T = TypeVar("T")
+R = TypeVar("R")
+Backend = Literal["processes", "threads"]
+_JOBLIB = {"processes": "loky", "threads": "threading"}
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where work is done.
+
+    Attributes
+    ----------
+    jobs : workers on this machine; -1 for one per core.
+    backend : ``processes`` or ``threads``.
+    cluster : address of a Dask scheduler, instead of this machine.
+    """
+
+    jobs: int = 1
+    backend: Backend = "processes"
+    cluster: str | None = None
+
+    @property
+    def count(self) -> int:
+        """How many things are done at once on this machine."""
+        from joblib import effective_n_jobs
+
+        return int(effective_n_jobs(self.jobs))
+
+    def local(self) -> Workers:
+        """The same without the cluster, for work on this machine's files."""
+        return Workers(self.jobs, self.backend)
+
+    def each(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
+        """Results of `function` in the order they are finished; each is dropped here once it is taken.
+
+        Raises
+        ------
+        TonewoodError
+            A worker process died, or the cluster does not answer.
+        """
+        from joblib import Parallel, delayed
+        from joblib.externals.loky.process_executor import BrokenProcessPool
+
+        with self._backend() as options:
+            try:
+                parallel = Parallel(return_as="generator_unordered", pre_dispatch="2*n_jobs", **options)
+                yield from parallel(delayed(function)(item) for item in items)
+            except BrokenProcessPool:
+                raise TonewoodError(
+                    "a worker process died (out of memory?); finished work is kept: run again"
+                ) from None
+
+    @contextlib.contextmanager
+    def _backend(self) -> Iterator[dict[str, Any]]:
+        if self.cluster is None:
+            yield {"n_jobs": self.jobs, "backend": _JOBLIB[self.backend]}
+            return
+        from distributed import Client
+        from joblib import parallel_config
+
+        try:
+            client = Client(self.cluster, timeout="20s")  # type: ignore[no-untyped-call]  # has no types
+        except (OSError, ValueError) as fault:
+            raise TonewoodError(f"cluster {self.cluster} does not answer: {fault}") from None
+        with client, parallel_config(backend="dask", wait_for_workers_timeout=60):
+            yield {"n_jobs": -1}

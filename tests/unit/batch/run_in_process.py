@@ -1,0 +1,15 @@
+"""Run a batch with the fake renderer in a process of its own, to be killed from outside."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from batch_fakes import FakeRenderer
+
+from tonewood.batch.runner import run_batch
+from tonewood.batch.workers import Workers
+
+if __name__ == "__main__":
+    manifest, folder, log, jobs = sys.argv[1:]
+    run_batch(Path(manifest), Path(folder), FakeRenderer(sleep=0.05, log=Path(log)), Workers(int(jobs), "threads"))

@@ -1,0 +1,389 @@
+from __future__ import annotations
+
+import csv
+import errno
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import batch_fakes as fakes
+import numpy as np
+import pytest
+import soundfile
+from batch_fakes import FakeRenderer
+
+from tonewood.batch import stimuli, webmushra
+from tonewood.batch.conditions import expand
+from tonewood.batch.layout import lay_out
+from tonewood.batch.manifest import check_manifest
+from tonewood.batch.runner import Report, plan_batch, run_batch
+from tonewood.batch.store import Rendered, Store, content_key, whole_file
+from tonewood.batch.workers import Workers
+from tonewood.errors import OutputError, TonewoodError
+from tonewood.yaml_io import load_yaml
+
+SMALL = {
+    "scores": {"low": fakes.BASE["scores"]["low"]},
+    "factors": {"damping": fakes.BASE["factors"]["damping"]},
+    "pages": [{"type": "mushra", "reference": {"damping": "complex"}, "anchors": [3500, 7000]}],
+    "output": {"formats": ["webmushra", "csv", "json"]},
+}
+
+
+def run(tmp_path: Path, name: str = "out", renderer: FakeRenderer | None = None, **changes) -> Report:
+    path = fakes.write(tmp_path / f"{name}_in", fakes.manifest(**SMALL | changes))
+    return run_batch(path, tmp_path / name, renderer or FakeRenderer())
+
+
+def sounds(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in sorted((folder / "serve" / "stimuli").iterdir())}
+
+
+def test_a_batch_from_manifest_to_pages(tmp_path: Path) -> None:
+    path = fakes.write(tmp_path, fakes.manifest())
+    seen: list[tuple[str, int, int]] = []
+    report = run_batch(path, tmp_path / "out", FakeRenderer(), progress=lambda *step: seen.append(step))
+    assert report.ok
+    assert (report.rendered, report.reused) == (12, 0)
+    assert len(report.files) == 12 + 8
+    assert seen[11] == ("renders", 12, 12)
+    assert seen[-1] == ("files", 40, 40)
+    out = tmp_path / "out"
+    assert {p.name for p in out.iterdir()} == {
+        "serve", "pictures", "work", "audition.html", "key.json", "manifest.json", "manifest.csv",
+    }  # fmt: skip
+    record = json.loads((out / "manifest.json").read_text())
+    for row in record["files"]:
+        samples, fs = soundfile.read(out / row["file"], dtype="int16", always_2d=True)
+        assert fs == 48000
+        assert soundfile.info(out / row["file"]).subtype == "PCM_16"
+        assert samples.shape == (row["frames"], 1)
+        assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest() == row["sha256"]
+        heard = stimuli.measured(samples / 2.0**15, fs)
+        assert heard.lufs == pytest.approx(row["lufs"], abs=1e-9)
+        assert row["lufs"] == pytest.approx(-23.0 - row["page_drop_db"], abs=0.01)
+        assert heard.true_peak_dbtp <= -1.0
+        assert row["render"]["info"]["energy_residual"] == 1e-12
+        assert row["identity"]["version"] == "1"
+        assert (out / "pictures" / f"{row['code']}.png").read_bytes().startswith(b"\x89PNG")
+    lengths = {}
+    for row in record["files"]:
+        lengths.setdefault(row["group"], set()).add(row["frames"])
+    assert all(len(found) == 1 for found in lengths.values())
+    with (out / "manifest.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [r["sha256"] for r in rows] == [r["sha256"] for r in record["files"]]
+    assert rows[0]["levels.damping"] in ("complex", "proportional", "block")
+
+
+def test_blind_names_and_the_key(tmp_path: Path) -> None:
+    report = run(tmp_path, output={"blind": True})
+    out = report.folder
+    served = "".join(p.read_text() for p in (out / "serve").glob("*.yaml")) + (out / "audition.html").read_text()
+    for word in ("complex", "proportional", "=block", "damping="):
+        assert word not in served
+    key = json.loads((out / "key.json").read_text())
+    assert {f"{code}.wav" for code in key["stimuli"]} == set(sounds(out))
+    by_code = key["stimuli"]
+    (trial,) = key["trials"].values()
+    assert by_code[trial["reference"]]["levels"]["damping"] == "complex"
+    assert {by_code[c]["levels"]["damping"] for c in trial["stimuli"]} == {"proportional", "block"}
+    assert not list((out / "serve").rglob("key.json"))
+
+
+def test_an_open_audition_shows_conditions(tmp_path: Path) -> None:
+    page = {"type": "html", "group_by": ["score"], "reference": {"damping": "complex"}, "anchors": [3500]}
+    report = run(tmp_path, pages=[page], output={"blind": False})
+    text = (report.folder / "audition.html").read_text()
+    assert "harp.low.damping=complex" in text
+    assert "(anchor35)" in text
+    for file in report.files:
+        assert f'src="{file.file}"' in text
+        assert (report.folder / file.file).exists()
+    by_role = {f.role: f for f in report.files if "complex" in f.condition}
+    assert by_role["anchor35"].gain_db == by_role["sound"].gain_db
+
+
+def test_the_same_manifest_gives_the_same_bytes(tmp_path: Path) -> None:
+    first, second = run(tmp_path, "a"), run(tmp_path, "b")
+    assert sounds(first.folder) == sounds(second.folder)
+    for name in ("key.json", "serve/webmushra.yaml"):
+        assert (first.folder / name).read_bytes() == (second.folder / name).read_bytes()
+    other = run(tmp_path, "c", seed=8)
+    assert not set(sounds(first.folder)) & set(sounds(other.folder))
+
+
+@pytest.mark.parametrize("workers", [Workers(2, "threads"), Workers(2, "processes")])
+def test_workers_do_not_change_a_byte(tmp_path: Path, workers: Workers) -> None:
+    alone = run(tmp_path, "alone")
+    path = fakes.write(tmp_path, fakes.manifest(**SMALL))
+    run_batch(path, tmp_path / "many", FakeRenderer(), workers)
+    assert sounds(alone.folder) == sounds(tmp_path / "many")
+
+
+def test_finished_renders_are_used_again(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    path = fakes.write(tmp_path, fakes.manifest(**SMALL))
+    out = tmp_path / "out"
+    run_batch(path, out, FakeRenderer(log=log))
+    before = sounds(out)
+    again = run_batch(path, out, FakeRenderer(log=log))
+    assert (again.rendered, again.reused) == (0, 3)
+    assert len(log.read_text().splitlines()) == 3
+    assert sounds(out) == before
+    assert run_batch(path, out, FakeRenderer(log=log, version="2")).rendered == 3
+
+
+def test_a_damaged_render_is_made_again(tmp_path: Path) -> None:
+    path = fakes.write(tmp_path, fakes.manifest(**SMALL))
+    out = tmp_path / "out"
+    run_batch(path, out, FakeRenderer())
+    before = sounds(out)
+    first, second, _ = sorted((out / "work").iterdir())
+    first.write_bytes(first.read_bytes()[:1000])
+    raw = bytearray(second.read_bytes())
+    raw[len(raw) // 2] ^= 1
+    second.write_bytes(bytes(raw))
+    assert run_batch(path, out, FakeRenderer()).rendered == 2
+    assert sounds(out) == before
+
+
+def test_equal_conditions_are_rendered_once(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    levels = {"complex": 0.5, "proportional": 0.4, "same": 0.4}
+    report = run(tmp_path, renderer=FakeRenderer(log=log), factors={"damping": {"path": "body.t60", "levels": levels}})
+    assert len(log.read_text().splitlines()) == report.rendered == 2
+    assert len(report.files) == 3
+
+
+def test_files_of_an_earlier_seed_are_removed_and_strangers_kept(tmp_path: Path) -> None:
+    out = run(tmp_path).folder
+    (out / "serve" / "stimuli" / "training.wav").write_bytes(b"mine")
+    after = run(tmp_path, seed=9)
+    assert set(sounds(out)) == {Path(f.file).name for f in after.files} | {"training.wav"}
+
+
+def test_the_plan_writes_nothing(tmp_path: Path) -> None:
+    path = fakes.write(tmp_path, fakes.manifest(**SMALL))
+    plan = plan_batch(path, tmp_path / "out", FakeRenderer(), Workers(1))
+    assert not (tmp_path / "out").exists()
+    summary = plan.summary()
+    assert (summary["to_render"], summary["files"], summary["trials"]) == (3, 3, 1)
+    assert summary["predicted_seconds"] == 1.5
+    run_batch(path, tmp_path / "out", FakeRenderer())
+    assert plan_batch(path, tmp_path / "out", FakeRenderer()).summary()["to_render"] == 0
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_killed_in_the_middle_and_taken_up_again(tmp_path: Path, jobs: int) -> None:
+    levels = {f"l{i}": 0.1 + 0.01 * i for i in range(30)}
+    page = {"type": "mushra", "reference": {"damping": "l0"}, "strict": False}
+    data = fakes.manifest(**SMALL | {"factors": {"damping": {"path": "body.t60", "levels": levels}}, "pages": [page]})
+    path, log, out = fakes.write(tmp_path, data), tmp_path / "log", tmp_path / "out"
+    script = Path(__file__).with_name("run_in_process.py")
+    command = [sys.executable, str(script), str(path), str(out), str(log), str(jobs)]
+    process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
+    deadline = time.monotonic() + 60
+    while len(list((out / "work").glob("*.npz"))) < 5:
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    kept = len(list((out / "work").glob("*.npz")))
+    assert 5 <= kept < 30
+    (out / "work" / ".half.npz.1.part").write_bytes(b"half a render")
+    report = run_batch(path, out, FakeRenderer())
+    assert report.reused == kept
+    assert report.rendered == 30 - kept
+    assert not list(out.rglob("*.part"))
+    run_batch(path, tmp_path / "unbroken", FakeRenderer())
+    assert sounds(out) == sounds(tmp_path / "unbroken")
+
+
+def test_a_full_disk_stops_the_run_and_keeps_what_is_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, out = fakes.write(tmp_path, fakes.manifest(**SMALL)), tmp_path / "out"
+    fsync, calls = os.fsync, []
+
+    def full(descriptor: int) -> None:
+        calls.append(descriptor)
+        if len(calls) > 2:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        run_batch(path, out, FakeRenderer())
+    assert len(list((out / "work").iterdir())) == 2
+    monkeypatch.undo()
+    report = run_batch(path, out, FakeRenderer())
+    assert (report.reused, report.rendered) == (2, 1)
+    run_batch(path, tmp_path / "unbroken", FakeRenderer())
+    assert sounds(out) == sounds(tmp_path / "unbroken")
+
+
+@pytest.mark.parametrize(
+    ("level", "reason"),
+    [
+        ("unstable", "not finite at 0.1 s"),
+        ("bug", "ZeroDivisionError: a plugin's mistake"),
+        ("unknown", "body.t60: unknown is not a number"),
+        ("silent", "the sound is silent"),
+        ("nan", "the sound is not finite from 0.0000 s on"),
+    ],
+)
+def test_one_failing_condition_is_reported_and_the_rest_goes_on(tmp_path: Path, level: str, reason: str) -> None:
+    levels = fakes.BASE["factors"]["damping"]["levels"] | {"bad": level}
+    pairs = [["complex", "block"], ["complex", "bad"]]
+    report = run(
+        tmp_path,
+        factors={"damping": {"path": "body.t60", "levels": levels}},
+        pages=[
+            {"type": "mushra", "reference": {"damping": "complex"}},
+            {"type": "paired_comparison", "pairs": {"damping": pairs}},
+        ],
+    )
+    assert not report.ok
+    assert {f.name for f in report.faults} == {"harp.low.damping=bad"}
+    assert reason in report.faults[0].reason
+    assert any("page1.repeat=1: 1 of 1 trials left out" in note for note in report.notes)
+    assert any("page2: 1 of 2 trials left out" in note for note in report.notes)
+    experiment = load_yaml(report.folder / "serve" / "webmushra.yaml")
+    assert [p["type"] for p in experiment["pages"]] == ["paired_comparison", "finish"]
+    assert len(sounds(report.folder)) == 2
+    record = json.loads((report.folder / "manifest.json").read_text())
+    assert record["failed"][0]["name"] == "harp.low.damping=bad"
+    if level == "bug":
+        assert "Traceback" in record["failed"][0]["detail"]
+
+
+def test_a_page_is_lowered_as_a_whole(tmp_path: Path) -> None:
+    # a sparse click is as loud as a tone only far above full scale
+    loud = {"loudness": {"target_lufs": -8.0}}
+    report = run(tmp_path, stimuli=loud | {"longest": 1.0})
+    drops = {f.page_drop_db for f in report.files}
+    (drop,) = drops
+    assert drop > 0
+    assert max(f.true_peak_dbtp for f in report.files) == pytest.approx(-1.0, abs=0.02)
+    assert max(f.true_peak_dbtp for f in report.files) <= -1.0
+    for file in report.files:
+        assert file.lufs == pytest.approx(-8.0 - drop, abs=0.01)
+    assert f"lowered by {drop:.2f} dB" in report.notes[0]
+
+
+def test_24_bits_two_channels_other_rates_and_a_given_length(tmp_path: Path) -> None:
+    settings = {"subtype": "PCM_24", "channels": 2, "fs": 44100, "duration": 0.75}
+    report = run(tmp_path, stimuli=settings)
+    for file in report.files:
+        info = soundfile.info(report.folder / file.file)
+        assert (info.subtype, info.channels, info.samplerate, info.frames) == ("PCM_24", 2, 44100, 33075)
+        samples, _ = soundfile.read(report.folder / file.file, dtype="int32")
+        assert not np.any(samples & 0xFF)
+        assert stimuli.samples_sha256(samples >> 8) == file.sha256
+
+
+def test_the_webmushra_experiment(tmp_path: Path) -> None:
+    pages = [
+        {"type": "mushra", "reference": {"damping": "complex"}, "anchors": [3500], "name": "How close?"},
+        {"type": "bs1116", "reference": {"damping": "complex"}},
+        {"type": "paired_comparison", "pairs": {"damping": ["complex", "block"]}, "unforced": "no difference"},
+        {"type": "html"},
+    ]
+    report = run(tmp_path, pages=pages, title='Harp: damping, "complex" or not?')
+    experiment = load_yaml(report.folder / "serve" / "webmushra.yaml")
+    assert list(experiment) == [
+        "testname", "testId", "bufferSize", "stopOnErrors", "showButtonPreviousPage", "remoteService", "pages",
+    ]  # fmt: skip
+    assert experiment["testname"] == 'Harp: damping, "complex" or not?'
+    assert experiment["bufferSize"] in (256, 512, 1024, 2048, 4096, 8192, 16384)
+    mushra, bs1116, paired, finish = experiment["pages"]
+    assert set(mushra) == {
+        "type", "id", "name", "content", "showWaveform", "enableLooping", "strict", "reference", "createAnchor35",
+        "createAnchor70", "randomize", "showConditionNames", "stimuli", "switchBack",
+    }  # fmt: skip
+    assert (mushra["createAnchor35"], mushra["createAnchor70"], mushra["strict"]) == (True, False, True)
+    assert mushra["name"] == "How close?"
+    assert mushra["showConditionNames"] is False
+    assert len(mushra["stimuli"]) == 2
+    assert mushra["reference"] not in mushra["stimuli"].values()  # webMUSHRA adds the hidden reference itself
+    assert set(bs1116) == {
+        "type", "id", "name", "content", "showWaveform", "enableLooping", "reference", "createAnchor35",
+        "createAnchor70", "stimuli",
+    }  # fmt: skip
+    assert set(paired) == {
+        "type", "id", "name", "content", "unforced", "showWaveform", "enableLooping", "reference", "stimuli",
+    }  # fmt: skip
+    assert paired["unforced"] == "no difference"
+    assert (finish["type"], finish["writeResults"], finish["showResults"]) == ("finish", True, False)
+    for page in (mushra, bs1116, paired):
+        for path in (page["reference"], *page["stimuli"].values()):
+            assert path.startswith("configs/damping/stimuli/")
+            assert (report.folder / "serve" / path.removeprefix("configs/damping/")).exists()
+        assert all(path.endswith(f"/{code}.wav") for code, path in page["stimuli"].items())
+
+
+def test_page_order() -> None:
+    detune = {"path": "body.detune", "levels": {f"d{i}": 1.0 + 0.01 * i for i in range(6)}}
+    page = {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}}
+
+    def order(choice: str, seed: int) -> list[str]:
+        changes = {"factors": SMALL["factors"] | {"pluck": detune}, "pages": [page], "seed": seed}
+        data = check_manifest(fakes.manifest(**SMALL | changes | {"output": {"page_order": choice}}))
+        groups, _ = lay_out(data, expand(data, Path()))
+        files = {s.code: SimpleNamespace(frames=1, fs=1) for g in groups for s in g.stimuli}
+        pages = webmushra.experiment(data, groups, files)["pages"][:-1]
+        pluck = {t.id: g.fixed["pluck"] for g in groups for t in g.trials}
+        if choice == "per_listener":
+            (pages,) = pages
+            assert pages.pop(0) == "random"
+        return [pluck[p["id"]] for p in pages]
+
+    listed = [f"d{i}" for i in range(6)]
+    assert order("listed", 1) == order("per_listener", 1) == listed
+    assert sorted(order("seeded", 1)) == listed
+    assert order("seeded", 1) == order("seeded", 1)
+    assert len({tuple(order("seeded", seed)) for seed in (1, 2, 3)}) > 1
+
+
+def test_whole_files(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "file"
+    with whole_file(path) as stream:
+        stream.write(b"first")
+        assert not path.exists()
+
+    def broken() -> None:
+        with whole_file(path) as stream:
+            stream.write(b"second, broken")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        broken()
+    assert path.read_bytes() == b"first"
+    assert [p.name for p in path.parent.iterdir()] == ["file"]
+    with pytest.raises(OutputError, match="cannot be written"), whole_file(path / "below"):
+        pass
+
+
+def test_store(tmp_path: Path) -> None:
+    store, sound = Store(tmp_path), Rendered(np.array([[0.5, -0.25]]), 44100, {"a": [1]})
+    store.save("k", sound)
+    got = store.load("k")
+    assert np.array_equal(got.samples, sound.samples)
+    assert (got.fs, got.info) == (44100, {"a": [1]})
+    assert store.facts("k") == {"fs": 44100, "frames": 1, "info": {"a": [1]}}
+    assert store.has("k")
+    assert not store.has("other")
+    with pytest.raises(OutputError, match="damaged or gone"):
+        store.load("other")
+    assert content_key({"a": 1, "b": [2]}) == content_key({"b": [2], "a": 1}) != content_key({"a": 1})
+
+
+def test_a_dead_cluster_is_one_line() -> None:
+    with pytest.raises(TonewoodError, match="cluster nonsense does not answer"):
+        list(Workers(cluster="nonsense").each(len, ["a"]))
