@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 def to_motion(basis: ModalBasis, modes: Floats) -> tuple[Floats, Floats]:
-    """q (m sqrt(kg)) and q' of real modes, y = sum phi q, from their numbers (2, n_modes)."""
+    """Coordinates q (m sqrt(kg)) and q' of real modes, y = sum phi q, from their numbers (2, n_modes)."""
     x, y = modes
     pair, lam = basis.kind == PAIR, basis.poles
     q = np.where(pair, 2 * x, x)
@@ -43,7 +43,7 @@ def share_velocities(system: System, state: State) -> None:
         return
     m = len(system.connections)
     gap, mobility = np.zeros(m), np.zeros((m, m))
-    impulses = []
+    impulses: list[Floats | None] = []
     for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True)):
         if system.driven[slot]:
             impulses.append(None)
