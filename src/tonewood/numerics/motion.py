@@ -56,6 +56,6 @@ def share_velocities(system: System, state: State) -> None:
         impulses.append(B)
     kick = np.zeros(m)
     kick[rigid] = -scaled_pinv(mobility[np.ix_(rigid, rigid)]) @ gap[rigid]
-    for slot, (name, B) in enumerate(zip(system.names, impulses, strict=True)):
-        if B is not None:
-            system.modes_of(state, name)[:] += np.einsum("p,pmx->xm", system.incidence(slot).T @ kick, B)
+    for slot, (name, impulse) in enumerate(zip(system.names, impulses, strict=True)):
+        if impulse is not None:
+            system.modes_of(state, name)[:] += np.einsum("p,pmx->xm", system.incidence(slot).T @ kick, impulse)
