@@ -176,13 +176,16 @@ def _are_near(one: complex, other: complex) -> bool:
 
 
 def _inverse_root(pairing: Complexes) -> Complexes:
-    """G with G^T W G = +-1 for a complex symmetric W, real where W is."""
+    """W^(-1/2) of a complex symmetric pairing; |W|^(-1/2) of a real one, so that real vectors stay real.
+
+    It turns every vector as little as possible, so that each keeps its pole.
+    """
     import scipy.linalg as sla
 
     W = 0.5 * (pairing + pairing.T)
     if np.abs(W.imag).max() <= 1e-12 * np.abs(W).max():
         d, U = sla.eigh(W.real)
-        return np.asarray(U / np.sqrt(np.abs(d)), dtype=np.complex128)
+        return np.asarray(U / np.sqrt(np.abs(d)) @ U.T, dtype=np.complex128)
     return np.asarray(sla.inv(sla.sqrtm(W)), dtype=np.complex128)
 
 
