@@ -1,0 +1,201 @@
+"""Udwadia and Kalaba's equation in modal coordinates, as the literature writes it: an ordinary differential equation.
+
+Each form gives q' = F q + G u, y = C q for the constrained system. They describe one motion: the unconstrained motion
+plus the least correction that satisfies A y'' = 0. What the three ask of the components differs:
+
+* `general`: complex modes, left and right shapes; acoustic dofs allowed (Fabre et al. 2024, Eqs 24-27);
+* `compact`: complex modes of structures, and their Hermitian modal mass (Eqs 28-32);
+* `real`: real modes (Antunes & Debut 2017; Fabre's Eqs 11-12).
+
+The constraint is one of accelerations, so all have two poles at zero per constraint: gaps may drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import NDArray
+
+from tonewood.lab.methods.problem import Array, Problem
+from tonewood.numerics.connections import Term
+from tonewood.numerics.damping import hermitian_mass_inverse, reciprocal_shapes
+from tonewood.numerics.modes import PAIR, ModalBasis
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Ode:
+    """q' = F q + G u,  y = Re(C q).
+
+    Attributes
+    ----------
+    F : (k, k) 1/s.
+    G : (k, n_inputs).
+    C : (n_outputs, k).
+    embed : (k, n) puts a state of `Problem.generator` into q.
+    """
+
+    F: Array
+    G: Array
+    C: Array
+    embed: Array
+
+
+def general(problem: Problem) -> Ode:
+    """Eq. 26: q' = (I - (Pi L)^-1/2 B_l^T (B_r B_l^T)^+ A_r L)(L q + Pi^-1 psi_l^T f), B_* = A_* (Pi^-1 L)^1/2.
+
+    Coordinates are one mode of each pair, then their conjugates; Pi = 1, its value is held in the left shapes.
+    Rigid-body, critically and over-damped modes have no place in it.
+    """
+    poles = _all_poles(problem)
+    right = {name: basis.right for name, basis in problem.components.items()}
+    left = {name: basis.left for name, basis in problem.components.items()}
+    A_r, A_l = _gaps(problem, right), _gaps(problem, left)
+    root = np.sqrt(poles)
+    B_r, B_l = A_r * root, A_l * root
+    project = np.eye(len(poles)) - (B_l / root).T @ sla.pinv(B_r @ B_l.T) @ (A_r * poles)
+    return Ode(
+        F=project * poles,
+        G=project @ _points(problem, left, problem.inputs).T,
+        C=_points(problem, right, problem.outputs),
+        embed=_embed(np.ones(len(poles) // 2)),
+    )
+
+
+def compact(problem: Problem) -> Ode:
+    """Eq. 31: q' = (I - Pi^-1 [conj(M^1/2 E^+); M^1/2 E^+] A L)(L q + Pi^-1 psi^T f), E = A M^-1/2.
+
+    M = psi^H M psi is the Hermitian modal mass matrix, found from the shapes (Eq. A.4): every component needs as
+    many independent points as it has modes, and none that are acoustic.
+    """
+    poles = _all_poles(problem)
+    half = len(poles) // 2
+    normal, scale, inverses = {}, [], []
+    for name, basis in problem.components.items():
+        normal[name], sign = reciprocal_shapes(basis)
+        if np.any(sign < 0):
+            raise ValueError(f"{name!r} has acoustic points: use the general form")
+        inverses.append(hermitian_mass_inverse(normal[name], basis.poles))
+        largest = np.argmax(np.abs(basis.right), axis=0), np.arange(basis.n_modes)
+        scale.append(basis.right[largest] / normal[name][largest])
+    A = _gaps(problem, normal)
+    mass_root_inverse = _root(np.asarray(sla.block_diag(*inverses)))
+    mass_root = sla.inv(mass_root_inverse)
+    E = A[:, :half] @ mass_root_inverse
+    correction = np.concatenate([mass_root.conj() @ sla.pinv(E.conj()), mass_root @ sla.pinv(E)])
+    project = np.eye(2 * half) - correction @ (A * poles)
+    return Ode(
+        F=project * poles,
+        G=project @ _points(problem, normal, problem.inputs).T,
+        C=_points(problem, normal, problem.outputs),
+        embed=_embed(np.concatenate(scale)),
+    )
+
+
+def real(problem: Problem) -> Ode:
+    """Eqs 11-12: q'' = q_u'' - M^-1/2 B^+ A q_u'',  M q_u'' = phi^T f - C q' - K q,  B = A M^-1/2; state (q, q').
+
+    Any damping of the modes, rigid bodies included.
+    """
+    modes = real_modes(problem)
+    n = len(modes.omega2)
+    zero = np.zeros((n, n))
+    F = np.block([[zero, np.eye(n)], [-modes.project * modes.omega2, -modes.project * (2 * modes.sigma)]])
+    return Ode(
+        F=F,
+        G=np.concatenate([np.zeros_like(modes.inputs.T), modes.project @ modes.inputs.T]),
+        C=np.concatenate([modes.outputs, np.zeros_like(modes.outputs)], axis=1),
+        embed=modes.embed,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class RealModes:
+    """Mass-normalised real modes of all components.
+
+    Attributes
+    ----------
+    omega2, sigma : (n,).
+    inputs, outputs : (., n) shapes.
+    project : (n, n) I - A^+ A: leaves the accelerations that the constraints allow.
+    embed : (2n, n_state) state of `Problem.generator` -> (q, q').
+    """
+
+    omega2: Floats
+    sigma: Floats
+    inputs: Floats
+    outputs: Floats
+    project: Floats
+    embed: Floats
+
+
+def real_modes(problem: Problem) -> RealModes:
+    """Collect them; ValueError if a component's modes are not real."""
+    blocks = []
+    for name, basis in problem.components.items():
+        if not basis.is_real:
+            raise ValueError(f"the modes of {name!r} are not real")
+        for kind, pole in zip(basis.kind, basis.poles, strict=True):
+            # (Re z, Im z) of a pair: q = 2 Re z, q' = 2 Re(lambda z); a block holds (q, q') itself
+            pair = 2 * np.array([[1.0, 0.0], [pole.real, -pole.imag]])
+            blocks.append(pair if kind == PAIR else np.eye(2))
+    embed = np.asarray(sla.block_diag(*blocks))
+    shapes = {name: basis.right for name, basis in problem.components.items()}
+    half = sum(basis.n_modes for basis in problem.components.values())
+    A = _gaps(problem, shapes)[:, :half].real
+    return RealModes(
+        omega2=np.concatenate([b.stiffness for b in problem.components.values()]),
+        sigma=np.concatenate([b.damping_rate for b in problem.components.values()]),
+        inputs=_points(problem, shapes, problem.inputs)[:, :half].real,
+        outputs=_points(problem, shapes, problem.outputs)[:, :half].real,
+        project=np.eye(half) - sla.pinv(A) @ A,
+        embed=np.concatenate([embed[0::2], embed[1::2]]),
+    )
+
+
+def _all_poles(problem: Problem) -> Complexes:
+    """(2n,) one of each pair, then the conjugates."""
+    for name, basis in problem.components.items():
+        if np.any(basis.kind != PAIR):
+            raise ValueError(f"complex-mode forms need under-damped modes; {name!r} has others")
+    poles = np.concatenate([basis.poles for basis in problem.components.values()])
+    return np.concatenate([poles, poles.conj()])
+
+
+def _gather(
+    components: Mapping[str, ModalBasis], shapes: Mapping[str, Complexes], sums: Sequence[Sequence[Term]]
+) -> Complexes:
+    """(len(sums), 2n) shapes of weighted sums of points, and their conjugates."""
+    rows = []
+    for terms in sums:
+        parts = {name: np.zeros(basis.n_modes, dtype=np.complex128) for name, basis in components.items()}
+        for t in terms:
+            parts[t.component] += t.factor * shapes[t.component][components[t.component].index(t.point)]
+        rows.append(np.concatenate(list(parts.values())))
+    half = np.array(rows).reshape(len(sums), sum(basis.n_modes for basis in components.values()))
+    return np.concatenate([half, half.conj()], axis=1)
+
+
+def _gaps(problem: Problem, shapes: Mapping[str, Complexes]) -> Complexes:
+    return _gather(problem.components, shapes, [c.terms for c in problem.constraints])
+
+
+def _points(problem: Problem, shapes: Mapping[str, Complexes], terms: Sequence[Term]) -> Complexes:
+    return _gather(problem.components, shapes, [(t,) for t in terms])
+
+
+def _embed(scale: Complexes | Floats) -> Complexes:
+    """(2n, 2n): (Re z, Im z) of each mode -> [scale z; conj]."""
+    half = np.kron(np.diag(scale), np.array([[1.0, 1.0j]]))
+    return np.concatenate([half, half.conj()])
+
+
+def _root(matrix: Complexes) -> Complexes:
+    """Hermitian square root."""
+    values, vectors = sla.eigh(matrix)
+    return np.asarray((vectors * np.sqrt(values)) @ vectors.conj().T)

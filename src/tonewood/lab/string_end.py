@@ -1,0 +1,109 @@
+"""Exact end of a stiff string, and the poles of string and body together, without modes.
+
+The string of `numerics.string_modes` at complex frequency s, u = U(x) exp(s t):
+
+    EI u'''' - T u'' + mu (s^2 + 2 sigma0 s) u = 0,   u''(0) = u(L) = u''(L) = 0,
+
+whose solutions are sinh p (L - x) with EI p^4 - T p^2 + mu (s^2 + 2 sigma0 s) = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Complexes = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class ExactString:
+    """A string held at x = L and moved at x = 0; no moment at either end.
+
+    Attributes
+    ----------
+    length : m.
+    tension : N.
+    linear_density : kg/m.
+    bending_stiffness : N m^2.
+    sigma0 : 1/s, decay rate common to all partials (viscous, proportional to mass).
+    """
+
+    length: float
+    tension: float
+    linear_density: float
+    bending_stiffness: float = 0.0
+    sigma0: float = 0.0
+
+    @property
+    def fundamental(self) -> float:
+        """Hz, of the string held at both ends, without stiffness."""
+        return float(np.sqrt(self.tension / self.linear_density) / (2 * self.length))
+
+    @property
+    def impedance(self) -> float:
+        """Z0 = sqrt(T mu), kg/s."""
+        return float(np.sqrt(self.tension * self.linear_density))
+
+    def held_freq(self, n: int) -> float:
+        """Hz, n f0 sqrt(1 + B n^2), B = pi^2 EI / (T L^2): both ends held."""
+        B = np.pi**2 * self.bending_stiffness / (self.tension * self.length**2)
+        return float(n * self.fundamental * np.sqrt(1 + B * n**2))
+
+    def roots(self, s: complex) -> tuple[complex, complex | None]:
+        """Wavenumbers p of the travelling and of the bending wave (None without stiffness), 1/m."""
+        inertia = self.linear_density * (s**2 + 2 * self.sigma0 * s)
+        if self.bending_stiffness == 0:
+            return complex(np.sqrt(inertia / self.tension + 0j)), None
+        T, EI = self.tension, self.bending_stiffness
+        large = (T + np.sqrt(T**2 - 4 * EI * inertia + 0j)) / (2 * EI)
+        return complex(np.sqrt(inertia / EI / large)), complex(np.sqrt(large))
+
+    def end_receptance(self, s: complex) -> complex:
+        """Displacement of the end per unit force on it, m/N: T p coth(p L) inverted, with its bending term."""
+        p, q = self.roots(s)
+        if q is None:
+            return complex(np.tanh(p * self.length) / (self.tension * p))
+        # EI p q (p^3 coth(q L) - q^3 coth(p L)) / (p^2 - q^2), both sides multiplied by tanh(p L)
+        tp, tq = np.tanh(p * self.length), np.tanh(q * self.length)
+        stiffness = self.bending_stiffness * p * q * (p**3 * tp / tq - q**3) / (p**2 - q**2)
+        return complex(tp / stiffness)
+
+    def transfer(self, s: complex, x: float) -> complex:
+        """u(x) / u(0) of the string driven by its end."""
+        p, q = self.roots(s)
+        there = self.length - x
+        travelling = np.sinh(p * there) / np.sinh(p * self.length)
+        if q is None:
+            return complex(travelling)
+        bending = np.exp(-q * x) * np.expm1(-2 * q * there) / np.expm1(-2 * q * self.length)
+        return complex((p**2 * bending - q**2 * travelling) / (p**2 - q**2))
+
+
+def coupled_pole(string: ExactString, body_receptance: Callable[[complex], complex], partial: int) -> complex:
+    """Pole of string and body near a partial of the held string: R_string(s) + R_body(s) = 0 by Newton's method.
+
+    Parameters
+    ----------
+    body_receptance : s -> m/N at the string's end.
+    partial : n, 1 for the fundamental.
+
+    Raises
+    ------
+    ValueError : no convergence (a body resonance on top of the partial).
+    """
+
+    def total(s: complex) -> complex:
+        return string.end_receptance(s) + body_receptance(s)
+
+    s = -string.sigma0 + 2j * np.pi * string.held_freq(partial)
+    for _ in range(60):
+        h = 1e-6 * abs(s)
+        # analytic: one central difference along the real axis serves for the complex derivative
+        step = total(s) * 2 * h / (total(s + h) - total(s - h))
+        s -= step
+        if abs(step) < 1e-13 * abs(s):
+            return complex(s)
+    raise ValueError(f"no coupled pole found near partial {partial}")
