@@ -212,7 +212,9 @@ def real_modes(M: Floats, K: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         T = Y - static @ K @ Y
     squared, Q = sla.eigh(T.T @ K @ T, T.T @ M @ T)
     shapes = T @ Q
-    rounding = 8 * n * np.finfo(float).eps * np.sum(np.abs(shapes) * (np.abs(K) @ np.abs(shapes)), axis=0)
+    size = np.abs(T) @ np.abs(Q)
+    rounding = 8 * n * np.sum(size * (np.abs(K) @ size), axis=0) + 16 * np.abs(K).max() * np.sum(shapes**2, axis=0)
+    rounding *= np.finfo(float).eps
     if np.any(squared < -rounding):
         raise ValueError(f"the stiffness matrix is not positive semi-definite: omega^2 = {squared.min():.3g}")
     omega = np.sqrt(np.where(squared <= rounding, 0.0, squared))
