@@ -20,7 +20,7 @@ from tonewood.score.note import Note
 from tonewood.yaml_io import load_yaml
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_+-]*$", max_length=60)]
-ParameterPath = Annotated[str, Field(pattern=r"^[A-Za-z0-9_*]+(\.[A-Za-z0-9_*]+)*$", max_length=200)]
+ParameterPath = Annotated[str, Field(pattern=r"^[^.\s]+(\.[^.\s]+)*$", max_length=200)]
 Positive = Annotated[float, Field(gt=0)]
 Levels = dict[str, str]
 RESERVED = ("instrument", "score", "repeat")
