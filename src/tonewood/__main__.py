@@ -1,0 +1,5 @@
+"""``python -m tonewood``."""
+
+from tonewood.cli.main import run
+
+run()

@@ -1,0 +1,59 @@
+"""What several commands share: options, progress, loading an instrument with overrides."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Protocol
+
+import typer
+
+if TYPE_CHECKING:
+    from tonewood.instrument.bundle import Instrument
+
+ScorePath = Annotated[Path, typer.Argument(help="MIDI file", metavar="SCORE")]
+InstrumentName = Annotated[str, typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder")]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="override a parameter, e.g. strings.E2.note=D2; repeatable"),
+]
+Json = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, nothing else")]
+
+
+class Advance(Protocol):
+    """Moves a progress bar to a position."""
+
+    def __call__(self, position: float) -> None:
+        """`position` on the bar's own scale."""
+
+
+@contextmanager
+def progress(label: str, total: float) -> Iterator[Advance]:
+    """Progress bar on a terminal, silence in a pipe."""
+    if not sys.stderr.isatty():
+        yield lambda position: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=total)
+        yield lambda position: bar.update(task, completed=min(position, total))
+
+
+def load(name: str, overrides: list[str] | None) -> Instrument:
+    """Load an instrument and apply ``--set``."""
+    from tonewood.instrument.bundle import Instrument
+    from tonewood.instrument.overrides import parse_settings
+
+    instrument = Instrument.load(name)
+    return instrument.replace(parse_settings(overrides)) if overrides else instrument
+
+
+def warn(lines: list[str]) -> None:
+    """Warnings on stderr, one line each."""
+    for line in lines:
+        print(f"tonewood: warning: {line}", file=sys.stderr)

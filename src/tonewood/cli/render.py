@@ -1,0 +1,134 @@
+"""``tonewood render``: a MIDI file to a sound file."""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tonewood.cli.common import InstrumentName, Json, Overrides, ScorePath, load, progress, warn
+from tonewood.errors import OutputError, TonewoodError
+
+if TYPE_CHECKING:
+    from tonewood.output.render import Renderer
+
+
+def render(
+    score: ScorePath,
+    instrument: InstrumentName,
+    output: Annotated[Path, typer.Option("-o", "--output", help="sound file: .wav, .flac or .rf64")],
+    fs: Annotated[int, typer.Option(help="sampling rate, Hz")] = 48000,
+    block: Annotated[int, typer.Option(help="frames written at a time; does not change the samples")] = 4096,
+    subtype: Annotated[str, typer.Option(help="PCM_16, PCM_24, PCM_32, FLOAT or DOUBLE")] = "PCM_24",
+    precision: Annotated[str, typer.Option(help="f64 or f32")] = "f64",
+    tail: Annotated[float, typer.Option(help="longest ring after the last event, s")] = 10.0,
+    tail_level: Annotated[float, typer.Option(help="the ring has ended this far below the peak, dB")] = -60.0,
+    max_duration: Annotated[float | None, typer.Option(help="hard end, s")] = None,
+    gain: Annotated[float, typer.Option(help="dB")] = 0.0,
+    normalize: Annotated[float | None, typer.Option(help="scale the whole to this peak, dB re full scale")] = None,
+    outputs: Annotated[str | None, typer.Option(help="output groups, comma-separated; default: the first")] = None,
+    channel_per_string: Annotated[bool, typer.Option(help="MIDI channel 1 plays the first string, and so on")] = False,
+    settings: Overrides = None,
+    as_json: Json = False,
+) -> None:
+    """Render SCORE on an instrument to a sound file."""
+    began = time.perf_counter()
+    from tonewood.output.audio import file_format
+    from tonewood.output.render import Renderer, Tail
+    from tonewood.score.midi import read_midi
+
+    file_format(output, subtype)
+    if not tail >= 0:
+        raise TonewoodError(f"is {tail} s; 0 or more is allowed", key="--tail")
+    groups = [name.strip() for name in outputs.split(",")] if outputs else None
+    bundle = load(instrument, settings)
+    renderer = Renderer(
+        read_midi(score),
+        bundle,
+        fs,
+        precision=precision,
+        outputs=groups,
+        tail=Tail(level_db=tail_level, cap=tail),
+        max_duration=max_duration,
+        gain_db=gain,
+        channel_per_string=channel_per_string,
+    )
+    loaded = time.perf_counter()
+    clipped = _write(renderer, output, subtype, block, normalize)
+    summary = renderer.summary()
+    warnings = list(summary.warnings)
+    if clipped:
+        warnings.append(f"{clipped} samples were clipped; lower --gain or use --normalize")
+    if as_json:
+        print(json.dumps(_report(renderer, output, clipped, loaded - began, warnings)))
+        return
+    warn(warnings)
+    for drop in summary.notes_dropped:
+        warn([f"not played at {drop.time:.2f} s: {drop.reason}"])
+    played, lost = summary.notes, len(summary.notes_dropped)
+    print(
+        f"{output}: {summary.duration_s:.2f} s, {len(renderer.channels)} channels at {fs} Hz, "
+        f"peak {summary.peak_dbfs:.1f} dBFS; {played} notes, {lost} dropped; "
+        f"{summary.realtime_factor:.1f} x real time; ended: {summary.end}"
+    )
+
+
+def _write(renderer: Renderer, output: Path, subtype: str, block: int, normalize: float | None) -> int:
+    """Stream to the file; with `normalize` through a scratch file of full precision beside it."""
+    from tonewood.output.audio import SoundWriter
+
+    channels, fs = len(renderer.channels), renderer.fs
+    frames = math.ceil(renderer.expected_duration * fs)
+    with progress("rendering", renderer.expected_duration) as advance:
+        if normalize is None:
+            with SoundWriter(output, fs, channels, subtype, frames=frames) as writer:
+                for samples in renderer.blocks(block):
+                    writer.write(samples)
+                    advance(renderer.time)
+            return writer.clipped
+        import soundfile as sf
+
+        if not output.parent.is_dir():
+            raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
+        with tempfile.TemporaryDirectory(prefix=".tonewood-", dir=output.parent) as folder:
+            scratch = Path(folder) / "scratch.rf64"
+            with SoundWriter(scratch, fs, channels, "DOUBLE", frames=frames) as writer:
+                for samples in renderer.blocks(block):
+                    writer.write(samples)
+                    advance(renderer.time)
+            factor = 10 ** (normalize / 20) / writer.peak if writer.peak > 0 else 1.0
+            with SoundWriter(output, fs, channels, subtype, frames=frames) as final, sf.SoundFile(scratch) as source:
+                for samples in source.blocks(65536, dtype="float64", always_2d=True):
+                    final.write(samples * factor)
+            return final.clipped
+
+
+def _report(renderer: Renderer, output: Path, clipped: int, load_s: float, warnings: list[str]) -> dict[str, Any]:
+    s = renderer.summary()
+    return {
+        "schema": "tonewood-render/1",
+        "output": str(output),
+        "outputs": list(renderer.model.output_groups),
+        "fs": s.fs,
+        "frames": s.frames,
+        "channels": len(renderer.channels),
+        "channel_names": list(renderer.channels),
+        "duration_s": s.duration_s,
+        "load_s": load_s,
+        "render_s": s.render_s,
+        "realtime_factor": s.realtime_factor,
+        "n_modes": s.n_modes,
+        "notes": s.notes,
+        "notes_dropped": [
+            {"time_s": d.time, "note": d.note, "channel": d.channel, "reason": d.reason} for d in s.notes_dropped
+        ],
+        "peak_dbfs": s.peak_dbfs if math.isfinite(s.peak_dbfs) else None,
+        "clipped": clipped,
+        "end": s.end,
+        "warnings": warnings,
+    }

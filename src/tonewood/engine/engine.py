@@ -1,0 +1,300 @@
+"""Model, state and timeline in; sound out, on a control grid that output blocks know nothing of.
+
+Every change (a stop, a bend, a damper, a finger that takes hold) takes effect at a multiple of 64 samples counted from
+sample 0; known forces act at any fraction of a sample. The engine always steps from grid point to grid point, so its
+samples are the same however they are asked for.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.engine.timeline import Change, Play, Timeline
+from tonewood.instrument.assembly import Model
+from tonewood.numerics.connections import SpringDashpot
+from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.kernel import KernelStepper
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.motion import from_motion, share_velocities, to_motion
+from tonewood.numerics.system import Compiled, Injection, State, System
+
+Floats = NDArray[np.float64]
+
+#: samples between two points of the control grid
+GRID = 64
+#: a finger's growing dashpot is followed in this many levels
+_HOLD_LEVELS = 6
+#: compiled stops that are kept for use again
+_CACHE = 96
+
+
+@dataclass(frozen=True, slots=True)
+class Fretting:
+    """How a string is held now: stop, bend in cents, added damping (1/s), place of the plucking finger (m)."""
+
+    stop: int = 0
+    cents: float = 0.0
+    added_damping: float = 0.0
+    place: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Active:
+    """A gesture in progress."""
+
+    play: Play
+    level: int = -1
+
+
+@dataclass(eq=False)
+class Snapshot:
+    """All that moves in an engine; restoring it continues bit for bit."""
+
+    state: State
+    frettings: dict[str, Fretting]
+    active: list[Active]
+    injections: list[Injection]
+    holds: dict[str, float]
+    next_change: int
+    next_play: int
+
+
+@dataclass(eq=False)
+class Ticker:
+    """What an engine did, for summaries."""
+
+    exchanges: int = 0
+    peak_modes: int = 0
+    strings_played: set[str] = field(default_factory=set)
+
+
+class Engine:
+    """Steps one model through one timeline.
+
+    Parameters
+    ----------
+    model : assembled instrument.
+    timeline : what happens.
+    precision : ``f64`` or ``f32``.
+    """
+
+    def __init__(self, model: Model, timeline: Timeline, *, precision: str = "f64"):
+        self.model, self.timeline = model, timeline
+        self.system: System = model.system
+        self.stepper = KernelStepper(self.system, precision=precision)
+        self.state = self.stepper.start()
+        self.frettings = {name: Fretting() for name in model.strings}
+        self.active: list[Active] = []
+        self.injections: list[Injection] = []
+        self.holds: dict[str, float] = {}
+        self.ticker = Ticker()
+        self._next_change = self._next_play = 0
+        self._compiled: dict[tuple[str, Fretting], dict[str, Compiled]] = {}
+        dt = self.system.dt
+        self.state.sample = int(np.floor(timeline.start / dt / GRID)) * GRID
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing more is going to happen than that the instrument rings."""
+        return (
+            self._next_change >= len(self.timeline.changes)
+            and self._next_play >= len(self.timeline.plays)
+            and not self.active
+        )
+
+    def snapshot(self) -> Snapshot:
+        """Copy of all that moves."""
+        return Snapshot(
+            self.state.copy(), dict(self.frettings), list(self.active), list(self.injections), dict(self.holds),
+            self._next_change, self._next_play,
+        )  # fmt: skip
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to a snapshot of this engine (or of one with the same model and timeline)."""
+        s = copy.copy(snapshot)
+        self.state = s.state.copy()
+        self.active, self.injections = list(s.active), list(s.injections)
+        self._next_change, self._next_play = s.next_change, s.next_play
+        changes: dict[str, Compiled] = {}
+        for name, fretting in s.frettings.items():
+            changes |= self._bases(name, fretting)
+        self.frettings, self.holds = dict(s.frettings), dict(s.holds)
+        self.system = self._held(self.system.with_compiled(changes))
+        self.stepper.exchange(self.system)
+
+    def advance(self, n_ticks: int) -> Floats:
+        """Step n_ticks intervals of the control grid; returns (n_ticks * GRID, n_channels)."""
+        out, end = [], self.state.sample + n_ticks * GRID
+        while self.state.sample < end:
+            self._control()
+            steps = min(self._next_event(), end) - self.state.sample
+            out.append(self.stepper.run(self.state, steps, self.injections)[0])
+            self.injections = [i for i in self.injections if i.stop > self.state.sample]
+        return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
+
+    def _next_event(self) -> int:
+        """First grid point after now at which something has to be looked at."""
+        now, dt = self.state.sample, self.system.dt
+        times = []
+        if self._next_change < len(self.timeline.changes):
+            times.append(self.timeline.changes[self._next_change].time / dt)
+        if self._next_play < len(self.timeline.plays):
+            # a gesture is compiled at the grid point before it begins
+            times.append(self.timeline.plays[self._next_play].start / dt - GRID + 1)
+        for active in self.active:
+            if active.play.gesture.hold or active.play.stop / dt <= now + GRID:
+                times.append(now)
+            else:
+                times.append(active.play.stop / dt)
+        if not times:
+            return now + 64 * GRID
+        due = int(np.ceil(min(times) / GRID)) * GRID
+        return max(due, now + GRID)
+
+    def _control(self) -> None:
+        """At a grid point: take what is due, exchange bases, laws and injections."""
+        now, dt = self.state.sample, self.system.dt
+        wanted = dict(self.frettings)
+        changes, plays = self.timeline.changes, self.timeline.plays
+        while self._next_change < len(changes) and changes[self._next_change].time / dt <= now:
+            change = changes[self._next_change]
+            wanted[change.string] = _changed(wanted[change.string], change)
+            self._next_change += 1
+        fresh: list[Play] = []
+        while self._next_play < len(plays) and plays[self._next_play].start / dt < now + GRID:
+            play = plays[self._next_play]
+            self._next_play += 1
+            fresh.append(play)
+            if play.string is not None:
+                wanted[play.string] = replace(wanted[play.string], place=play.gesture.from_bridge)
+                self.ticker.strings_played.add(play.string)
+        moved = {name for name in wanted if wanted[name] != self.frettings[name]}
+        if moved:
+            self._refret({name: wanted[name] for name in moved})
+        # gestures on a string that changed under them are compiled anew for what is left of them
+        cut = [a.play for a in self.active if a.play.string in moved]
+        if cut:
+            components = {c for play in cut for c in self.model.strings[play.string or ""].components}
+            self.injections = [_cut(i, now) if i.component in components else i for i in self.injections]
+            self.injections = [i for i in self.injections if i.stop > now]
+        for play in cut + fresh:
+            self.injections += self._compile(play, now)
+        self.active += [Active(play) for play in fresh]
+        self._hold(now * dt)
+        self.active = [a for a in self.active if a.play.stop / dt > now]
+
+    def _refret(self, wanted: dict[str, Fretting]) -> None:
+        """Give strings other bases and carry their motion over."""
+        changes: dict[str, Compiled] = {}
+        restopped = False
+        carried: list[tuple[str, Floats]] = []
+        for name, fretting in wanted.items():
+            for component, compiled in self._bases(name, fretting).items():
+                old = self.system.compiled[self.system.slot(component)].basis
+                modes = np.asarray(self.system.modes_of(self.state, component), dtype=np.float64)
+                if fretting.stop != self.frettings[name].stop:
+                    restopped = True
+                    q, v = to_motion(old, modes)
+                    displacement, velocity = self.model.strings[name].transfer(component, old, compiled.basis)
+                    modes = from_motion(compiled.basis, displacement @ q, velocity @ v)
+                else:
+                    modes = _carried(old, compiled.basis, modes)
+                changes[component] = compiled
+                carried.append((component, modes))
+            self.frettings[name] = fretting
+        self.system = self.system.with_compiled(changes)
+        for component, modes in carried:
+            slot = self.system.slot(component)
+            start = self.system.offsets[slot]
+            self.state.modes[:, start : start + self.system.capacities[slot]] = 0.0
+            self.system.modes_of(self.state, component)[:] = modes
+        if restopped:
+            share_velocities(self.system, self.state)
+        self.ticker.exchanges += len(wanted)
+        self.stepper.exchange(self.system)
+
+    def _bases(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
+        key = (name, fretting)
+        if key not in self._compiled:
+            string = self.model.strings[name]
+            bases = string.bases(
+                fretting.stop,
+                bend_cents=fretting.cents,
+                added_damping=fretting.added_damping,
+                pluck_from_bridge=fretting.place,
+            )
+            if len(self._compiled) >= _CACHE:
+                self._compiled.pop(next(iter(self._compiled)))
+            self._compiled[key] = {c: self.system.compile(c, basis) for c, basis in bases.items()}
+        return self._compiled[key]
+
+    def _compile(self, play: Play, now: int) -> list[Injection]:
+        pieces = [Piece(s.start, s.stop, s.c0, s.c1, s.c2) for s in play.gesture.segments]
+        dt = self.system.dt
+        if play.string is None:
+            component, _, point = (play.at or "").partition(".")
+            basis = self.system.compiled[self.system.slot(component)].basis
+            return compile_force(component, basis, point, pieces, dt, time=play.time, first=now)
+        out: list[Injection] = []
+        for component, weight in self.model.strings[play.string].weights(play.gesture.angle_deg).items():
+            basis = self.system.compiled[self.system.slot(component)].basis
+            out += compile_force(component, basis, "pluck", pieces, dt, time=play.time, first=now, factor=weight)
+        return out
+
+    def _hold(self, time: float) -> None:
+        """Set the dashpots of the fingers that hold strings now, in a few levels each."""
+        wanted: dict[str, float] = {}
+        for i, active in enumerate(self.active):
+            hold = active.play.gesture.hold
+            if hold is None or active.play.string is None:
+                continue
+            # let go at the grid point before the string is released, so that no pluck is damped by the grid's phase
+            now, ends = time - active.play.time, GRID * self.system.dt
+            level = round(hold.at(now) / hold.damping * _HOLD_LEVELS) if now + ends <= hold.stop else 0
+            self.active[i] = replace(active, level=level)
+            if level > 0:
+                wanted[active.play.string] = level / _HOLD_LEVELS * hold.damping
+        if wanted != self.holds:
+            self.holds = wanted
+            self.system = self._held(self.system)
+            self.stepper.exchange(self.system)
+
+    def _held(self, system: System) -> System:
+        laws = {}
+        for connection in system.connections:
+            if connection.name.endswith(".hold"):
+                string = connection.name.split(".")[0]
+                law = SpringDashpot(damping=self.holds.get(string, 0.0))
+                if law != connection.law:
+                    laws[connection.name] = replace(connection, law=law)
+        return system.with_laws(laws) if laws else system
+
+
+def _changed(fretting: Fretting, change: Change) -> Fretting:
+    return replace(
+        fretting,
+        stop=fretting.stop if change.stop is None else change.stop,
+        cents=fretting.cents if change.cents is None else change.cents,
+        added_damping=fretting.added_damping if change.added_damping is None else change.added_damping,
+    )
+
+
+def _carried(old: ModalBasis, new: ModalBasis, modes: Floats) -> Floats:
+    """Numbers of the same shapes at other frequencies or decay rates; modes that left the basis come back at rest."""
+    n = min(old.n_modes, new.n_modes)
+    same = old.n_modes == new.n_modes and np.array_equal(old.poles, new.poles)
+    if same:
+        return modes
+    q, v = to_motion(old, modes)
+    full_q, full_v = np.zeros(new.n_modes), np.zeros(new.n_modes)
+    full_q[:n], full_v[:n] = q[:n], v[:n]
+    return from_motion(new, full_q, full_v)
+
+
+def _cut(injection: Injection, sample: int) -> Injection:
+    keep = max(0, min(sample - injection.start, injection.values.shape[1]))
+    return replace(injection, values=injection.values[:, :keep])

@@ -1,0 +1,166 @@
+"""From notes to what hands do: strings, stops, bends, plucks with their forces, and the ends of notes."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from tonewood.engine.timeline import Change, Play, Timeline
+from tonewood.errors import ScoreError
+from tonewood.instrument.assembly import Model
+from tonewood.instrument.contract import Event, Place
+from tonewood.score.assignment import Assigned, assign
+from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
+
+#: a damped string is let go when it has decayed this many times by 60 dB: from then on it may ring with the others
+_LET_GO_AFTER = 1.5
+
+
+@dataclass(frozen=True)
+class Performance:
+    """A score made playable on one instrument.
+
+    Attributes
+    ----------
+    timeline : what happens.
+    notes : every note played, with its string and stop.
+    dropped : notes that cannot be played, and why.
+    warnings : what else is worth knowing, one line each.
+    """
+
+    timeline: Timeline
+    notes: Sequence[Assigned]
+    dropped: Sequence[Dropped]
+    warnings: Sequence[str]
+
+
+def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> Performance:
+    """Give every note a string, a stop and a gesture.
+
+    Notes may ask for `technique` the name of one of the instrument's exciters; the bundle's first one is the default.
+
+    Raises
+    ------
+    ScoreError : the score has no notes, or asks for a technique the instrument does not have.
+    """
+    if not score.notes:
+        raise ScoreError("has no notes to play", file=score.name)
+    notes, body_plays = _split_taps(score, model)
+    factor = dict(zip(map(id, score.notes), volume_factors(score), strict=True))
+    louder = [_with_force(n, model, factor[id(n)]) for n in notes]
+    assignment = assign(louder, model.playable, channel_per_string=channel_per_string, tuning=model.scale)
+    by_string: dict[str, list[Assigned]] = defaultdict(list)
+    for assigned in assignment.notes:
+        by_string[assigned.string].append(assigned)
+    bends = _by_channel(score.controls, "bend")
+    changes: list[Change] = []
+    plays = list(body_plays)
+    dropped = [*score.dropped, *assignment.dropped]
+    played: list[Assigned] = []
+    for name, line in by_string.items():
+        for i, assigned in enumerate(line):
+            play = _gesture(assigned, model, score.controls)
+            following = line[i + 1] if i + 1 < len(line) else None
+            plays.append(play)
+            played.append(assigned)
+            changes += _left_hand(assigned, play, following, name, model, bends)
+    warnings = list(score.warnings)
+    if assignment.n_cut:
+        warnings.append(f"{assignment.n_cut} notes end early: their string is needed again")
+    if assignment.doubled:
+        warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")
+    timeline = Timeline(
+        sorted(changes, key=lambda c: c.time),
+        sorted(plays, key=lambda p: p.start),
+    )
+    played.sort(key=lambda a: a.note.time)
+    return Performance(timeline, played, sorted(dropped, key=lambda d: d.time), warnings)
+
+
+def _split_taps(score: Score, model: Model) -> tuple[list[Note], list[Play]]:
+    """Notes for strings, and gestures on points of the body that `technique` names."""
+    strings, taps = [], []
+    for note in score.notes:
+        if note.technique is None or note.technique not in model.exciters:
+            if note.technique is not None:
+                names = ", ".join(model.exciters)
+                raise ScoreError(
+                    f"technique {note.technique!r} is not one of the instrument's: {names}", file=score.name
+                )
+            strings.append(note)
+            continue
+        exciter = model.exciters[note.technique]
+        if exciter.at is None:
+            strings.append(note)
+            continue
+        force = _force(note, model, 1.0)
+        values = {} if force is None else {"force": force}
+        taps.append(Play(note.time, exciter.gesture(Event(values), Place(exciter.at)), at=exciter.at))
+    return strings, taps
+
+
+def _force(note: Note, model: Model, factor: float) -> float | None:
+    """Force of a note in N; None leaves it to the exciter."""
+    if note.force is not None:
+        return note.force * factor
+    if note.velocity_midi is not None:
+        return model.velocity.force(note.velocity_midi) * factor
+    return None
+
+
+def _with_force(note: Note, model: Model, factor: float) -> Note:
+    force = _force(note, model, factor)
+    return note if force is None else replace(note, force=force, velocity_midi=None)
+
+
+def _gesture(assigned: Assigned, model: Model, controls: Sequence[Control]) -> Play:
+    note, string = assigned.note, model.strings[assigned.string]
+    exciter = model.exciters[note.technique or model.default_exciter]
+    values: dict[str, float] = {}
+    for kind, control in model.controls.items():
+        latest = [c for c in controls if c.kind == kind and c.time <= note.time and c.channel in (None, note.channel)]
+        if latest and control.exciter == (note.technique or model.default_exciter):
+            values[control.parameter] = control.value(latest[-1].value)
+    given = {"force": note.force, "from_bridge": note.from_bridge, "angle_deg": note.angle_deg}
+    values |= {k: v for k, v in given.items() if v is not None}
+    stop = int(assigned.stop)
+    place = Place(assigned.string, string.speaking_length(stop))
+    gesture = exciter.gesture(Event(values, string.pitch(stop)), place)
+    return Play(note.time, gesture, string=assigned.string)
+
+
+def _left_hand(
+    assigned: Assigned,
+    play: Play,
+    following: Assigned | None,
+    name: str,
+    model: Model,
+    bends: Mapping[int | None, Sequence[Control]],
+) -> list[Change]:
+    """Stop the string as the pluck begins, bend it with its channel, damp it at the note's end."""
+    channel = assigned.note.channel
+    line = bends.get(channel, ())
+    before = [b.value for b in line if b.time <= play.start]
+    at_start = assigned.cents + (before[-1] if before else 0.0)
+    out = [Change(play.start, name, stop=int(assigned.stop), cents=at_start, added_damping=0.0)]
+    out += [Change(b.time, name, cents=assigned.cents + b.value) for b in line if play.start < b.time < assigned.end]
+    t60 = model.damp_t60
+    if t60 is None or not math.isfinite(assigned.end):
+        return out
+    free_again = following.note.time if following else math.inf
+    if assigned.end < free_again - 1e-3:
+        out.append(Change(assigned.end, name, added_damping=math.log(1000.0) / t60))
+        let_go = assigned.end + _LET_GO_AFTER * t60
+        if let_go < free_again - 0.1:
+            out.append(Change(let_go, name, stop=0, cents=0.0, added_damping=0.0))
+    return out
+
+
+def _by_channel(controls: Sequence[Control], kind: str) -> dict[int | None, list[Control]]:
+    out: dict[int | None, list[Control]] = defaultdict(list)
+    for control in controls:
+        if control.kind == kind:
+            out[control.channel].append(control)
+    return out

@@ -1,0 +1,66 @@
+"""What happens in a performance, as plain data in time order: the engine's only input besides the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tonewood.instrument.contract import Gesture
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What the left hand does to a string; None leaves a thing as it is.
+
+    Attributes
+    ----------
+    time : s; takes effect on the next point of the control grid.
+    string : its name.
+    stop : number of the stop, 0 open.
+    cents : how far the string is bent from the stop's own pitch.
+    added_damping : 1/s, added to every mode's decay rate: a finger that damps.
+    """
+
+    time: float
+    string: str
+    stop: int | None = None
+    cents: float | None = None
+    added_damping: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Play:
+    """A gesture at an absolute time, on a string or on a point ``component.point``."""
+
+    time: float
+    gesture: Gesture
+    string: str | None = None
+    at: str | None = None
+
+    @property
+    def start(self) -> float:
+        """When the gesture begins, s; before `time` where it has to be prepared."""
+        return self.time + self.gesture.start
+
+    @property
+    def stop(self) -> float:
+        """When it is over, s."""
+        return self.time + self.gesture.stop
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Changes in the order of their time, plays in the order of their start."""
+
+    changes: Sequence[Change]
+    plays: Sequence[Play]
+
+    @property
+    def start(self) -> float:
+        """Time of the first thing that happens, s, at most 0."""
+        return min([0.0, *(c.time for c in self.changes), *(p.start for p in self.plays)])
+
+    @property
+    def stop(self) -> float:
+        """Time of the last thing that happens, s."""
+        return max([0.0, *(c.time for c in self.changes), *(p.stop for p in self.plays)])

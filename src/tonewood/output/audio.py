@@ -1,0 +1,171 @@
+"""Sound in memory and sound files: written under another name and renamed when complete."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import soundfile as sf
+from numpy.typing import NDArray
+
+from tonewood.errors import OutputError
+
+Floats = NDArray[np.float64]
+
+#: bytes a plain WAV file can hold; larger files become RF64
+_WAV_LIMIT = 4_000_000_000
+_BYTES = {"PCM_16": 2, "PCM_24": 3, "PCM_32": 4, "FLOAT": 4, "DOUBLE": 8}
+_SUBTYPES = {"WAV": tuple(_BYTES), "RF64": tuple(_BYTES), "FLAC": ("PCM_16", "PCM_24")}
+_FORMATS = {".wav": "WAV", ".rf64": "RF64", ".flac": "FLAC"}
+
+
+@dataclass(frozen=True, eq=False)
+class Audio:
+    """Sound in memory.
+
+    Attributes
+    ----------
+    samples : (n, n_channels), 1.0 is full scale.
+    fs : sampling rate, Hz.
+    channels : their names.
+    """
+
+    samples: Floats
+    fs: int
+    channels: tuple[str, ...] = ()
+
+    @property
+    def duration(self) -> float:
+        """Length in s."""
+        return len(self.samples) / self.fs
+
+    @property
+    def peak_dbfs(self) -> float:
+        """Largest sample, dB re full scale; -inf for silence."""
+        return decibels(float(np.max(np.abs(self.samples), initial=0.0)))
+
+    def save(self, path: str | os.PathLike[str], subtype: str | None = None) -> int:
+        """Write a sound file; returns how many samples were clipped.
+
+        Raises
+        ------
+        OutputError : unknown suffix or subtype, or the file cannot be written.
+        """
+        with SoundWriter(path, self.fs, self.samples.shape[1], subtype, frames=len(self.samples)) as writer:
+            writer.write(self.samples)
+        return writer.clipped
+
+
+def decibels(amplitude: float) -> float:
+    """20 lg of an amplitude, -inf for 0."""
+    return float(20 * np.log10(amplitude)) if amplitude > 0 else -np.inf
+
+
+def file_format(path: str | os.PathLike[str], subtype: str | None, n_bytes_needed: float = 0.0) -> tuple[str, str]:
+    """Container and subtype for a path: by its suffix, and RF64 where WAV would overflow.
+
+    Raises
+    ------
+    OutputError : names the suffixes or subtypes allowed.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in _FORMATS:
+        raise OutputError(f"suffix {suffix!r} is none of {', '.join(_FORMATS)}", file=path)
+    container = _FORMATS[suffix]
+    chosen = (subtype or "PCM_24").upper()
+    if chosen not in _SUBTYPES[container]:
+        raise OutputError(f"{container} has no subtype {chosen}; allowed: {', '.join(_SUBTYPES[container])}", file=path)
+    if container == "WAV" and n_bytes_needed * _BYTES[chosen] > _WAV_LIMIT:
+        container = "RF64"
+    return container, chosen
+
+
+class SoundWriter:
+    """Streams blocks into a sound file that appears under its name only when it is complete.
+
+    Used with ``with``; leaving it by an error (or Ctrl-C) removes what was written.
+
+    Parameters
+    ----------
+    path : final name; the suffix decides the format.
+    fs, n_channels : Hz, number of channels.
+    subtype : PCM_16, PCM_24 (default), PCM_32, FLOAT or DOUBLE.
+    frames : how many are expected at most, to choose RF64 in time.
+
+    Attributes
+    ----------
+    clipped : samples beyond full scale so far (integer formats cut them; floating ones keep them).
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], fs: int, n_channels: int, subtype: str | None = None, *, frames: int = 0
+    ):
+        self.path = Path(path)
+        container, self.subtype = file_format(path, subtype, float(frames) * n_channels)
+        self.clipped, self.frames, self.peak = 0, 0, 0.0
+        folder = self.path.parent
+        if not folder.is_dir():
+            raise OutputError(f"there is no folder {str(folder)!r}", file=path)
+        if self.path.is_dir():
+            raise OutputError("is a folder", file=path)
+        try:
+            handle, name = tempfile.mkstemp(prefix=f".{self.path.name}.", suffix=".part", dir=folder)
+            os.close(handle)
+        except OSError as error:
+            raise OutputError(f"cannot be written: {error.strerror}", file=path) from None
+        self._part = Path(name)
+        try:
+            self._file = sf.SoundFile(name, "w", fs, n_channels, subtype=self.subtype, format=container)
+        except (sf.LibsndfileError, OSError) as error:
+            self._part.unlink(missing_ok=True)
+            raise OutputError(f"cannot be written: {error}", file=path) from None
+
+    def __enter__(self) -> SoundWriter:
+        return self
+
+    def write(self, block: Floats) -> None:
+        """Append (n, n_channels) samples.
+
+        Raises
+        ------
+        OutputError : the disk is full, or a sample is not a number.
+        """
+        if not np.all(np.isfinite(block)):
+            raise OutputError("a sample is not a finite number; nothing was written", file=self.path)
+        over = np.abs(block) > 1.0
+        self.clipped += int(np.count_nonzero(over))
+        self.peak = max(self.peak, float(np.max(np.abs(block), initial=0.0)))
+        if not self.subtype.startswith(("FLOAT", "DOUBLE")):
+            block = np.clip(block, -1.0, 1.0)
+        try:
+            self._file.write(block)
+        except (sf.LibsndfileError, OSError) as error:
+            raise OutputError(f"cannot be written: {error}", file=self.path) from None
+        self.frames += len(block)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._file.close()
+            # libsndfile does not tell of a disk that filled up in its last buffer
+            complete = kind is None and sf.info(str(self._part)).frames == self.frames
+            if kind is None and not complete:
+                raise OutputError("is incomplete on disk (is it full?)", file=self.path)
+            if complete:
+                self._part.chmod(0o666 & ~_umask())
+                os.replace(self._part, self.path)
+        except (sf.LibsndfileError, OSError) as fault:
+            raise OutputError(f"cannot be written: {fault}", file=self.path) from None
+        finally:
+            self._part.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    current = os.umask(0)
+    os.umask(current)
+    return current

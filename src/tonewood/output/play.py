@@ -1,0 +1,118 @@
+"""The same blocks into a sound card."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tonewood.errors import OutputError
+from tonewood.output.render import Renderer
+
+#: blocks rendered ahead of the sound card
+_AHEAD = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Playback:
+    """What was played: frames, and how often the card had to wait for a block."""
+
+    frames: int
+    underruns: int
+
+
+def play(renderer: Renderer, *, block_size: int = 1024, device: Any = None, stream: Any = None) -> Playback:
+    """Play a renderer to its end.
+
+    Parameters
+    ----------
+    renderer : its channels become the device's; one channel is played on both sides.
+    block_size : frames per block.
+    device : as sounddevice names it; None is the default.
+    stream : class with sounddevice's ``OutputStream`` interface, instead of that one.
+
+    Raises
+    ------
+    OutputError : there is no PortAudio or no such device, in one line.
+    """
+    make = stream or _output_stream()
+    n_channels = max(2, len(renderer.channels))
+    blocks: queue.Queue[np.ndarray[Any, Any] | None] = queue.Queue(maxsize=_AHEAD)
+    done, failed = threading.Event(), []
+    frames = underruns = 0
+
+    def fill() -> None:
+        try:
+            for block in renderer.blocks(block_size):
+                blocks.put(np.clip(np.repeat(block, 2, axis=1) if block.shape[1] == 1 else block, -1, 1))
+                if done.is_set():
+                    return
+        except Exception as error:  # whatever it is must reach the caller's thread
+            failed.append(error)
+        finally:
+            blocks.put(None)
+
+    def callback(out: Any, n: int, _time: Any, status: Any) -> None:
+        nonlocal frames, underruns
+        try:
+            block = blocks.get_nowait()
+        except queue.Empty:
+            underruns += 1
+            out[:] = 0.0
+            return
+        if block is None:
+            done.set()
+            out[:] = 0.0
+            raise _stop()
+        out[: len(block)] = block
+        out[len(block) :] = 0.0
+        frames += len(block)
+
+    filler = threading.Thread(target=fill, daemon=True)
+    filler.start()
+    try:
+        with make(
+            samplerate=renderer.fs, blocksize=block_size, channels=n_channels, dtype="float64",
+            callback=callback, finished_callback=done.set, device=device,
+        ):  # fmt: skip
+            while not done.wait(0.1):
+                pass
+    finally:
+        done.set()
+        while filler.is_alive():
+            try:
+                blocks.get(timeout=0.05)
+            except queue.Empty:
+                continue
+    if failed:
+        raise failed[0]
+    return Playback(frames, underruns)
+
+
+def _output_stream() -> Any:
+    try:
+        import sounddevice
+    except ImportError:
+        raise OutputError("playing needs sounddevice: pip install 'tonewood[play]'") from None
+    except OSError:
+        raise OutputError("playing needs the PortAudio library, which is not installed") from None
+
+    def make(**options: Any) -> Any:
+        try:
+            return sounddevice.OutputStream(**options)
+        except (sounddevice.PortAudioError, ValueError) as error:
+            raise OutputError(f"cannot open the sound device: {error}") from None
+
+    return make
+
+
+def _stop() -> BaseException:
+    try:
+        import sounddevice
+    except (ImportError, OSError):
+        return StopIteration()
+    stop: BaseException = sounddevice.CallbackStop()
+    return stop
