@@ -107,8 +107,7 @@ def linear_solve(laws: Sequence[Law], compliance: Floats, residual: Floats, dt: 
     m = len(laws)
     S, gamma, offset, active = np.zeros((m, m)), np.zeros(m), np.zeros(m), np.ones(m, dtype=bool)
     rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)
-    both = np.outer(rigid, rigid)
-    S[both] = 2 * residual[both]
+    S += 2 * residual * np.outer(rigid, rigid)
     scale = np.maximum(np.diag(compliance), 0.0)
     for j, law in enumerate(laws):
         if isinstance(law, SpringDashpot):
@@ -121,7 +120,8 @@ def linear_solve(laws: Sequence[Law], compliance: Floats, residual: Floats, dt: 
         offset[j] = (1 + gamma[j]) * law.offset
     G = np.zeros((m, m))
     if active.any():
-        G[np.ix_(active, active)] = scaled_pinv((S + compliance)[np.ix_(active, active)])
+        on = np.ix_(active, active)
+        G[on] = scaled_pinv((S + compliance)[on])
     return LinearSolve(G, gamma, offset)
 
 

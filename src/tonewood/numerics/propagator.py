@@ -132,7 +132,11 @@ def _block_flow(stiffness: Floats, damping_rate: Floats, dt: float, order: int) 
 
 def apply(blocks: Floats, x: Floats) -> Floats:
     """Blocks (n_modes, 2, 2) times states or inputs (..., n_modes, 2)."""
-    return np.asarray(np.einsum("mxy,...my->...mx", blocks, x))
+    a, b = x[..., 0], x[..., 1]
+    out = np.empty(np.broadcast_shapes(blocks.shape[:-1], x.shape))
+    out[..., 0] = blocks[:, 0, 0] * a + blocks[:, 0, 1] * b
+    out[..., 1] = blocks[:, 1, 0] * a + blocks[:, 1, 1] * b
+    return out
 
 
 def polynomial_injection(

@@ -79,7 +79,9 @@ class Compiled:
     history : (BLOCK_SIZE, n_ports, n_rows) response of every row k steps after a unit force held over one step;
         history[0, :, :n_ports] is the port compliance Z.
     readouts : (n_rows - n_ports,) channel that each further row adds to.
-    difference : (n_rows - n_ports,) 1.0 where the row is read as (y(t + h) - y(t)) / h.
+    difference : (n_rows - n_ports,) whether the row is read as (y(t + h) - y(t)) / h.
+    compliance, residual : (m, m) m/N, this component's share of the gaps' compliance over one step, and of their
+        residual compliance; zero for a driven component.
     """
 
     basis: ModalBasis
@@ -91,16 +93,8 @@ class Compiled:
     history: Floats
     readouts: NDArray[np.intp]
     difference: NDArray[np.bool_]
-
-    @property
-    def compliance(self) -> Floats:
-        """(n_ports, n_ports) Z, m/N: port displacement after one step under unit forces."""
-        return np.asarray(self.history[0, :, : len(self.ports)].T)
-
-    @property
-    def residual(self) -> Floats:
-        """(n_ports, n_ports) m/N."""
-        return np.asarray(self.basis.residual[np.ix_(self.ports, self.ports)])
+    compliance: Floats
+    residual: Floats
 
 
 @dataclass(eq=False)
@@ -244,13 +238,18 @@ class System:
             difference.append(mean)
         all_rows = np.concatenate(rows)
         history = np.empty((BLOCK_SIZE, len(ports), len(all_rows)))
-        moved = W
+        moved, flat = W, all_rows.reshape(len(all_rows), -1).T
         for k in range(BLOCK_SIZE):
-            history[k] = np.einsum("pmx,rmx->pr", moved, all_rows)
+            history[k] = moved.reshape(len(ports), -1) @ flat
             moved = apply(E, moved)
+        compliance, residual = (np.zeros((len(self.connections),) * 2) for _ in range(2))
+        if name not in {d.component for d in self.drives}:
+            a = self._incidence(name)
+            compliance = a @ history[0, :, : len(ports)].T @ a.T
+            residual = a @ basis.residual[ports][:, ports] @ a.T
         return Compiled(
             basis, form, ports, E, W, all_rows, history,
-            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool),
+            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), compliance, residual,
         )  # fmt: skip
 
     def with_compiled(self, changes: Mapping[str, Compiled]) -> System:
@@ -325,12 +324,10 @@ class System:
         return out
 
     def gap_matrix(self, which: str) -> Floats:
-        """(m, m) ``compliance`` or ``residual`` of the components as the gaps see it."""
+        """(m, m) m/N, ``compliance`` or ``residual`` of all components as the gaps see it."""
         total = np.zeros((len(self.connections),) * 2)
-        for i, compiled in enumerate(self.compiled):
-            if not self.driven[i]:
-                a = self.incidence(i)
-                total += a @ getattr(compiled, which) @ a.T
+        for compiled in self.compiled:
+            total += getattr(compiled, which)
         return total
 
     def _solved(self) -> System:
