@@ -1,0 +1,1 @@
+"""The built-in instruments: folders with an instrument.yaml and its tables."""

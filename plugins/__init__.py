@@ -1,0 +1,1 @@
+"""The built-in plugins, found by their entry points like anybody's."""

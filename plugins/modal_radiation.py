@@ -1,0 +1,100 @@
+"""Microphones as a one-way bank of modes, driven by the forces of the strings on the bridge.
+
+    p(s) = sum_i (H_heave + u_i H_moment) F_i,    H = sum_k R_k / (s - p_k) + conj.,    p = -pi f / Q + 2 pi i f
+
+F_i is the force on the body at the bridge place u_i (-1 bass end .. +1 treble end). Nothing acts back on the body.
+
+The table has columns ``f_Hz, Q`` and per channel ``NAME_re, NAME_im, NAME_moment_re, NAME_moment_im``, Pa/N. With
+`residue_fs` they are the residues of a discrete bank sum R / (1 - exp(p / residue_fs) / z) fitted at that rate; the
+continuous bank used here, residues R p / (exp(p / residue_fs) - 1), gives the same numbers back at that rate when its
+force is held over a sample, and R (exp(p h) - 1) / (exp(p / residue_fs) - 1) at any other. Without it they are the
+continuous ones, Pa/(N s).
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from tonewood.instrument.contract import Pickup, PickupRows, Scene
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.system import Drive, Probe, Readout
+from tonewood.params import Parameters, described, quantity
+
+
+class ModalRadiationParameters(Parameters):
+    """Of the microphones."""
+
+    table: str = described("CSV file in the bundle")
+    channels: list[str] = described("names of the microphones to use, as in the table's columns", min_length=1)
+    driven_by: Literal["bridge_forces"] = described("what drives the bank", default="bridge_forces")
+    force_sign: Literal[1, -1] = described(
+        "1 if the table counts a force out of the soundboard (+z) as positive, -1 if into it", default=1
+    )
+    residue_fs: float | None = quantity("Hz", low=1e3, default=None, doc="rate of a discrete fit")
+
+
+class ModalRadiation(Pickup[ModalRadiationParameters]):
+    """The microphones; see the module."""
+
+    api = 1
+    Parameters = ModalRadiationParameters
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The microphones."""
+        return tuple(self.parameters.channels)
+
+    @property
+    def unit(self) -> str:
+        """Sound pressure."""
+        return "Pa"
+
+    def rows(self, name: str, scene: Scene) -> PickupRows:
+        """A component `name` with inputs ``heave`` and ``moment`` and an output per channel."""
+        sign, place = float(self.parameters.force_sign), {}
+        for point, body_point in scene.body_points.items():
+            if "u" in body_point.coordinates:
+                # beyond the ends of the bridge the fit would be extrapolated
+                place[point] = min(max(body_point.coordinates["u"], -1.0), 1.0)
+        drives = []
+        for force in scene.bridge_forces:
+            if force.point not in place:
+                raise self.fault(f"the body's point {force.point!r} has no place u on the bridge")
+            factor = sign * force.factor
+            drives.append(Drive(name, "heave", force.connection, factor))
+            drives.append(Drive(name, "moment", force.connection, factor * place[force.point]))
+        return PickupRows(
+            readouts=tuple(Readout(f"{name}.{c}", "displacement", (Probe(name, c),)) for c in self.channels),
+            components={name: self.basis(scene.freq_upper)},
+            drives=tuple(d for d in drives if d.factor != 0.0),
+            body_inputs={
+                point: ((name, "heave", sign), (name, "moment", sign * u)) for point, u in place.items()
+            },
+        )
+
+    def basis(self, freq_upper: float) -> ModalBasis:
+        """Modes below `freq_upper` (Hz), each twice: driven by the heave, and by the moment.
+
+        Points ``heave`` and ``moment`` take forces (N), the channels give pressure (Pa).
+        """
+        p = self.parameters
+        table = self.files.table(p.table, f"{self.key}.table")
+        wanted = ["f_Hz", "Q"] + [f"{c}{m}_{x}" for c in p.channels for m in ("", "_moment") for x in ("re", "im")]
+        missing = [name for name in wanted if name not in table]
+        if missing:
+            raise self.fault(f"{p.table}: no column {missing[0]!r}; there are {', '.join(table)}", "table")
+        if np.any(table["f_Hz"] <= 0) or np.any(table["Q"] <= 0):
+            raise self.fault(f"{p.table}: f_Hz and Q must be above 0", "table")
+        keep = table["f_Hz"] < freq_upper
+        freq = table["f_Hz"][keep]
+        poles = np.pi * freq * (-1 / table["Q"][keep] + 2j)
+        gain = np.ones_like(poles) if p.residue_fs is None else poles / np.expm1(poles / p.residue_fs)
+        zero, one = np.zeros_like(poles), np.ones_like(poles)
+        right = {"heave": np.concatenate([zero, zero]), "moment": np.concatenate([zero, zero])}
+        left = {"heave": np.concatenate([one, zero]), "moment": np.concatenate([zero, one])}
+        for c in p.channels:
+            residue = [(table[f"{c}{m}_re"] + 1j * table[f"{c}{m}_im"])[keep] * gain for m in ("", "_moment")]
+            right[c], left[c] = np.concatenate(residue), np.concatenate([zero, zero])
+        return ModalBasis.complex(np.concatenate([poles, poles]), right, left)

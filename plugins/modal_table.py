@@ -1,0 +1,228 @@
+"""A body given by a table of its modes: measured, computed or made up.
+
+The table has one row per mode, ``f_Hz`` (undamped natural frequency) and ``Q`` or ``zeta``, and says the shapes in
+one of four ways:
+
+============  ================================================================================================
+points        a column per point, the shape there; ``modal_mass`` (kg) if the shapes are not mass-normalised
+residues      a column per point, A = phi phi_ref / m (1/kg): the mobility from the point `reference` is
+              sum A s / (s^2 + (omega/Q) s + omega^2); phi = A / sqrt(A_ref)
+heave_rock    ``heave, cross, rock`` (1/kg): A(u, u') = heave + (u + u') cross + u u' rock for points at u on a line
+complex       columns ``NAME_right_re, NAME_right_im, NAME_left_re, NAME_left_im`` per point; y = 2 Re sum r z,
+              z' = lambda z + l f (left shapes hold the normalisation)
+============  ================================================================================================
+
+Real modes are passive by construction. Complex ones are tested when they are loaded, and refused or repaired.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.errors import PassivityError
+from tonewood.instrument.contract import Body, BodyPoint
+from tonewood.instrument.directions import Direction, unit_vector
+from tonewood.numerics.damping import with_damping_case
+from tonewood.numerics.modes import ModalBasis
+from tonewood.params import Number, Parameters, described, quantity
+
+Floats = NDArray[np.float64]
+
+#: an eigenvalue of a residue matrix below this share of the larger one is rounding
+RANK_TOLERANCE = 1e-6
+
+
+class Point(Parameters):
+    """A place of the body."""
+
+    direction: Direction = described("x, y, z or a unit vector: the point's displacement is counted along it", default="z")
+    u: float | None = quantity("1", default=None, doc="heave_rock: place along the line, -1 .. 1 between the feet")
+    column: str | None = described("name of the point in the table; the point's own where left out", default=None)
+
+
+class Truncation(Parameters):
+    """What the modes left out of the table still do."""
+
+    residual_compliance: Number | list[Number] | list[list[Number]] = described(
+        "m/N: one number for every point; heave_rock: [heave, cross, rock]; or a matrix over the points", default=0.0
+    )
+
+
+class ModalTableParameters(Parameters):
+    """Of the body."""
+
+    table: str = described("CSV file in the bundle")
+    shapes: Literal["points", "residues", "heave_rock", "complex"] = described("how the table gives shapes")
+    points: dict[str, Point] = described("name -> place and direction", min_length=1)
+    reference: str | None = described("residues: the point at which the table's responses were driven", default=None)
+    truncation: Truncation = described("compliance of modes that are not in the table", default=Truncation())
+    damping_case: Literal["complex", "proportional", "block"] = described(
+        "complex: modes as they are; proportional: falsely complex; block: damping couples near modes only",
+        default="complex",
+    )
+    repair: Literal["refuse", "passive"] = described(
+        "what becomes of complex modes that would create energy", default="refuse"
+    )
+    max_change: float = quantity(
+        "1", low=0.0, high=1.0, default=0.1, doc="largest relative change of the mobility a repair may make"
+    )
+
+
+class ModalTable(Body[ModalTableParameters]):
+    """The body; see the module."""
+
+    api = 1
+    Parameters = ModalTableParameters
+
+    def points(self) -> Mapping[str, BodyPoint]:
+        """Every point with its direction; ``u`` among its coordinates where it was given."""
+        return {
+            name: BodyPoint(unit_vector(p.direction), {} if p.u is None else {"u": p.u})
+            for name, p in self.parameters.points.items()
+        }
+
+    def basis(self, freq_upper: float) -> ModalBasis:
+        """Modes below `freq_upper` (Hz).
+
+        Raises
+        ------
+        BundleError : the table lacks a column, or holds values no body has.
+        PassivityError : complex modes would create energy and may not, or cannot, be repaired.
+        """
+        p = self.parameters
+        table = self.files.table(p.table, f"{self.key}.table")
+        freq_rad = 2 * np.pi * self._column(table, "f_Hz")
+        if ("Q" in table) == ("zeta" in table):
+            raise self.fault(f"{p.table}: one column Q or zeta is wanted", "table")
+        zeta = 0.5 / self._column(table, "Q") if "Q" in table else table["zeta"]
+        if np.any(freq_rad <= 0) or np.any(zeta <= 0):
+            raise self.fault(f"{p.table}: frequencies and Q or zeta must be above 0", "table")
+        if p.shapes == "complex":
+            basis = self._complex(table, freq_rad, zeta)
+        else:
+            maker = {"points": self._points, "residues": self._residues, "heave_rock": self._heave_rock}[p.shapes]
+            which, shapes = maker(table)
+            basis = ModalBasis.real(
+                freq_rad[which], (zeta * freq_rad)[which], shapes, residual=self._residual()
+            )
+        if p.damping_case != "complex":
+            basis = with_damping_case(basis, p.damping_case)
+        if not basis.is_real:
+            basis = self._passive(basis)
+        return basis.select(np.flatnonzero(basis.natural_freq < freq_upper))
+
+    def _column(self, table: Mapping[str, Floats], name: str) -> Floats:
+        if name not in table:
+            raise self.fault(f"{self.parameters.table}: no column {name!r}; there are {', '.join(table)}", "table")
+        return table[name]
+
+    def _columns(self, table: Mapping[str, Floats]) -> dict[str, Floats]:
+        return {name: self._column(table, p.column or name) for name, p in self.parameters.points.items()}
+
+    def _points(self, table: Mapping[str, Floats]) -> tuple[NDArray[np.intp], dict[str, Floats]]:
+        shapes = self._columns(table)
+        mass = table.get("modal_mass", np.ones(1))
+        if np.any(mass <= 0):
+            raise self.fault(f"{self.parameters.table}: modal masses must be above 0", "table")
+        which = np.arange(next(iter(shapes.values())).size)
+        return which, {name: phi / np.sqrt(mass) for name, phi in shapes.items()}
+
+    def _residues(self, table: Mapping[str, Floats]) -> tuple[NDArray[np.intp], dict[str, Floats]]:
+        columns, reference = self._columns(table), self.parameters.reference
+        if reference not in columns:
+            raise self.fault(f"names the driven point, one of {', '.join(columns)}; not {reference!r}", "reference")
+        driven = columns[reference]
+        if np.any(driven <= 0):
+            raise self.fault(f"{self.parameters.table}: residues at the driven point must be above 0", "table")
+        return np.arange(driven.size), {name: a / np.sqrt(driven) for name, a in columns.items()}
+
+    def _heave_rock(self, table: Mapping[str, Floats]) -> tuple[NDArray[np.intp], dict[str, Floats]]:
+        """Each residue matrix by its eigenvectors: one mode, or two at the same frequency."""
+        heave, cross, rock = (self._column(table, name) for name in ("heave", "cross", "rock"))
+        u: dict[str, float] = {}
+        for name, point in self.parameters.points.items():
+            if point.u is None:
+                raise self.fault("heave_rock needs the place u of every point", f"points.{name}")
+            if unit_vector(point.direction) != (0.0, 0.0, 1.0):
+                raise self.fault("heave_rock knows motion along z alone", f"points.{name}.direction")
+            u[name] = point.u
+        values, vectors = _eigen_2x2(heave, cross, rock)
+        largest = values[:, 1:]
+        if np.any(largest <= 0) or np.any(values[:, 0] < -RANK_TOLERANCE * largest[:, 0]):
+            raise self.fault(f"{self.parameters.table}: a residue matrix is not positive semidefinite", "table")
+        row, branch = np.nonzero(values > RANK_TOLERANCE * largest)
+        amplitude = np.sqrt(values[row, branch])
+        v = vectors[row, :, branch] * amplitude[:, None]
+        return row, {name: v[:, 0] + x * v[:, 1] for name, x in u.items()}
+
+    def _complex(self, table: Mapping[str, Floats], freq_rad: Floats, zeta: Floats) -> ModalBasis:
+        if np.any(zeta >= 1):
+            raise self.fault(f"{self.parameters.table}: complex modes need zeta below 1", "table")
+
+        def shapes(side: str) -> dict[str, NDArray[np.complex128]]:
+            out = {}
+            for name, point in self.parameters.points.items():
+                stem = f"{point.column or name}_{side}"
+                out[name] = self._column(table, f"{stem}_re") + 1j * self._column(table, f"{stem}_im")
+            return out
+
+        poles = freq_rad * (-zeta + 1j * np.sqrt(1 - zeta**2))
+        return ModalBasis.complex(poles, shapes("right"), shapes("left"), residual=self._residual())
+
+    def _residual(self) -> Floats:
+        points = self.parameters.points
+        given, n = self.parameters.truncation.residual_compliance, len(points)
+        value = np.asarray(given, dtype=np.float64)
+        if value.ndim == 0:
+            out = float(value) * np.eye(n)
+        elif value.shape == (3,) and self.parameters.shapes == "heave_rock":
+            heave, cross, rock = value
+            u = np.array([p.u or 0.0 for p in points.values()])
+            out = heave + cross * np.add.outer(u, u) + rock * np.outer(u, u)
+        elif value.shape == (n, n) and np.allclose(value, value.T, rtol=1e-9, atol=0.0):
+            out = value
+        else:
+            raise self.fault(
+                f"a number, [heave, cross, rock] with heave_rock, or a symmetric {n} x {n} matrix is wanted",
+                "truncation.residual_compliance",
+            )
+        import scipy.linalg as sla
+
+        smallest = sla.eigvalsh(out)[0]
+        if smallest < -1e-9 * np.abs(out).max(initial=0.0):
+            raise self.fault("is not positive semidefinite: it would create energy", "truncation.residual_compliance")
+        return out
+
+    def _passive(self, basis: ModalBasis) -> ModalBasis:
+        from tonewood.numerics.passivity import check
+
+        p = self.parameters
+        report = check(basis.poles, basis.right, basis.left)
+        if report.passive:
+            return basis
+        if p.repair == "refuse":
+            reason = f"{p.table}: {report.summary()}; `repair: passive` mends it"
+            raise PassivityError(reason, file=self.files.manifest, key=self.key)
+        from tonewood.numerics.passivity_repair import repair
+
+        try:
+            mended = repair(basis.poles, basis.right, basis.left, max_change=p.max_change)
+        except PassivityError as fault:
+            raise PassivityError(f"{p.table}: {fault.reason}", file=self.files.manifest, key=self.key) from None
+        note = {**basis.metadata, "repair": mended.summary()}
+        return replace(basis, right=mended.right, left=mended.left, metadata=note)
+
+
+def _eigen_2x2(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
+    """Eigenvalues (n, 2), ascending, and vectors (n, 2, 2), columns, of [[a, b], [b, c]]."""
+    angle = 0.5 * np.arctan2(2 * b, a - c)
+    cos, sin = np.cos(angle), np.sin(angle)
+    large = a * cos**2 + 2 * b * cos * sin + c * sin**2
+    small = a * sin**2 - 2 * b * cos * sin + c * cos**2
+    vectors = np.stack([np.stack([-sin, cos], axis=-1), np.stack([cos, sin], axis=-1)], axis=-1)
+    return np.stack([small, large], axis=-1), vectors

@@ -1,0 +1,41 @@
+"""A pluck by a finger or plectrum that holds the string, draws it aside and lets it go.
+
+The force grows smoothly for `ramp_time` (or one period of the note, if that is longer: a shorter ramp sounds by
+itself), stands at its peak when the note begins, and falls to zero within `release_time`, which is what tells a soft
+fingertip (0.3 ms) from a hard nail (0.05 ms). Rise and fall are two parabolas each, so that force and its rate are
+continuous. While it draws, the finger damps what the string did before by a dashpot, which can only take energy.
+"""
+
+from __future__ import annotations
+
+from tonewood.instrument.contract import Event, Exciter, Gesture, Hold, Place
+from tonewood.instrument.gestures import StringPlace, metres, smooth_step
+from tonewood.params import Parameters, described, quantity
+
+
+class PluckParameters(Parameters):
+    """Of the pluck."""
+
+    force: float = quantity("N", low=0.0, high=200.0, default=2.0, doc="force at the moment of release")
+    from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.1)
+    angle_deg: float = quantity(
+        "deg", low=-360.0, high=360.0, default=0.0, doc="of the force, from the first polarization to the second"
+    )
+    ramp_time: float = quantity("s", low=1e-3, high=5.0, default=0.02, doc="time in which the force grows")
+    release_time: float = quantity("s", low=0.0, high=0.05, default=2e-4, doc="time in which the force vanishes")
+    hold_dashpot: float = quantity("N s/m", low=0.0, high=100.0, default=0.5, doc="damping of the finger on the string")
+
+
+class PluckRamp(Exciter[PluckParameters]):
+    """The pluck; see the module."""
+
+    api = 1
+    Parameters = PluckParameters
+
+    def gesture(self, event: Event, place: Place) -> Gesture:
+        """Force and finger; the release begins at time 0."""
+        p = self.adjusted(event.values)
+        ramp = max(p.ramp_time, 1.0 / event.freq if event.freq > 0 else 0.0)
+        segments = smooth_step(-ramp, 0.0, 0.0, p.force) + smooth_step(0.0, p.release_time, p.force, 0.0)
+        hold = Hold(-ramp, -ramp / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
+        return Gesture(segments, metres(p.from_bridge, place), p.angle_deg, hold)

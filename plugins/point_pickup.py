@@ -1,0 +1,91 @@
+"""Channels that read the motion of points, or the force of strings on their bridge.
+
+Displacement and velocity are read at each sample's time; acceleration and force are means over the sample that begins
+there. ``body.NAME`` reads along the point's own direction, ``STRING.NAME`` along `direction` through both
+polarizations; ``STRING.bridge`` with quantity ``force`` is the force of that string on the body.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import model_validator
+
+from tonewood.instrument.contract import Pickup, PickupRows, Scene, dot
+from tonewood.instrument.directions import Direction, unit_vector
+from tonewood.numerics.system import Probe, Readout
+from tonewood.params import Parameters, described
+
+UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
+
+
+class Mean(Parameters):
+    """Several points heard together."""
+
+    mean: list[str] = described("points whose mean is read", min_length=1)
+
+
+Source = str | Mean
+
+
+class PointPickupParameters(Parameters):
+    """Of the pickup."""
+
+    quantity: Literal["displacement", "velocity", "acceleration", "force"] = described("what is read")
+    at: Source | None = described("point, or {mean: [points]}: one channel with the group's name", default=None)
+    channels: dict[str, Source] | None = described("name -> point or {mean: [points]}: several channels", default=None)
+    direction: Direction = described("direction in which points of strings are read", default="z")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> PointPickupParameters:
+        if (self.at is None) == (not self.channels):
+            raise ValueError("either `at` or `channels` is wanted")
+        return self
+
+
+class PointPickup(Pickup[PointPickupParameters]):
+    """The pickup; see the module."""
+
+    api = 1
+    Parameters = PointPickupParameters
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels; of a single one the quantity."""
+        return tuple(self.parameters.channels) if self.parameters.channels else (self.parameters.quantity,)
+
+    @property
+    def unit(self) -> str:
+        """Unit of what is read."""
+        return UNITS[self.parameters.quantity]
+
+    def rows(self, name: str, scene: Scene) -> PickupRows:
+        """One readout per channel."""
+        sources = self.parameters.channels or {self.channels[0]: self.parameters.at}
+        return PickupRows(
+            tuple(self._readout(f"{name}.{channel}", source, scene) for channel, source in sources.items())
+        )
+
+    def _readout(self, name: str, source: Source | None, scene: Scene) -> Readout:
+        points = source.mean if isinstance(source, Mean) else [str(source)]
+        share, along = 1.0 / len(points), unit_vector(self.parameters.direction)
+        if self.parameters.quantity == "force":
+            forces: list[tuple[str, float]] = []
+            for point in points:
+                string, _, end = point.partition(".")
+                if string not in scene.end_forces or end != "bridge":
+                    allowed = ", ".join(f"{s}.bridge" for s in scene.end_forces)
+                    raise self.fault(f"force can be read at {allowed}; not at {point!r}")
+                forces += [(connection, -share * dot(v, along)) for connection, v in scene.end_forces[string]]
+            return Readout(name, "force", forces=tuple(f for f in forces if f[1] != 0.0))
+        probes: list[Probe] = []
+        for point in points:
+            component, _, place = point.partition(".")
+            if component == "body" and place in scene.body_points:
+                probes.append(Probe("body", place, share))
+            elif point in scene.string_points:
+                probes += [Probe(c, p, share * dot(v, along)) for c, p, v in scene.string_points[point]]
+            else:
+                known = [f"body.{p}" for p in scene.body_points] + list(scene.string_points)
+                raise self.fault(f"there is no point {point!r}; there are {', '.join(known)}")
+        return Readout(name, self.parameters.quantity, tuple(p for p in probes if p.factor != 0.0))

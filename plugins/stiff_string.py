@@ -1,0 +1,99 @@
+"""A stiff string in one polarization: held at the nut or a stop, moved by a body at the bridge.
+
+    mu u_tt + loss = T u_xx - EI u_xxxx + f(x, t),    no moment at either end
+
+Modes and their derivation: `tonewood.numerics.string_modes`; loss laws: `tonewood.instrument.losses`. Valid for small
+slopes (no change of tension with amplitude) and for wavelengths long against the diameter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.instrument.contract import Resonator
+from tonewood.instrument.losses import LossLaw
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.string_modes import string_basis
+from tonewood.numerics.string_transfer import string_transfer
+from tonewood.params import Parameters, described, quantity
+
+Floats = NDArray[np.float64]
+
+
+class StiffStringParameters(Parameters):
+    """Of the open string."""
+
+    length: float = quantity("m", low=0.02, high=5.0, doc="speaking length of the open string, nut to bridge")
+    tension: float = quantity("N", low=1.0, high=2000.0, doc="tension of the open string; the tuner adjusts it")
+    linear_density: float = quantity("kg/m", low=1e-5, high=0.1, doc="mass per length")
+    bending_stiffness: float = quantity("N m^2", low=0.0, high=1.0, default=0.0, doc="E I; 0 is an ideal string")
+    loss: LossLaw = described("loss law and its numbers")
+
+
+class StiffString(Resonator[StiffStringParameters]):
+    """The string; see the module."""
+
+    api = 1
+    Parameters = StiffStringParameters
+
+    @property
+    def length(self) -> float:
+        """Speaking length of the open string, m."""
+        return self.parameters.length
+
+    @property
+    def tension(self) -> float:
+        """Tension of the open string before tuning, N."""
+        return self.parameters.tension
+
+    def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ModalBasis:
+        """Every mode below `freq_upper` (Hz) of the string stopped `stop` metres from the nut."""
+        p = self.parameters
+        actual = p.tension if tension is None else tension
+        try:
+            return string_basis(
+                p.length - stop,
+                actual,
+                p.linear_density,
+                p.bending_stiffness,
+                lambda freq_rad, wavenumber: self._eta(freq_rad, wavenumber, actual),
+                freq_upper=freq_upper,
+            )
+        except ValueError as fault:
+            raise self.fault(str(fault)) from None
+
+    def detuned(self, basis: ModalBasis, tension: float) -> ModalBasis:
+        """Same shapes, omega^2 = T a_k + EI b_k: how a bend or the tuner changes a string.
+
+        The change of the shapes themselves is of second order, and only with bending stiffness; it is left out.
+        """
+        known = basis.metadata
+        a, b, wavenumber = (cast(Floats, known[key]) for key in ("tension_part", "bending_part", "wavenumber"))
+        freq_rad = np.sqrt(tension * a + self.parameters.bending_stiffness * b)
+        new = ModalBasis.real(
+            natural_freq_rad=freq_rad,
+            damping_rate=freq_rad * self._eta(freq_rad, wavenumber, tension) / 2,
+            points=basis.places,
+            shape=basis.shape,
+            residual=basis.residual,
+            metadata={**known, "tension": tension},
+        )
+        return replace(new, residual_at=basis.residual_at)
+
+    def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
+        """Projections of displacement and velocity; see `tonewood.numerics.string_transfer`."""
+        return string_transfer(old, new)
+
+    def _eta(self, freq_rad: Floats, wavenumber: Floats, tension: float) -> Floats:
+        p = self.parameters
+        return p.loss.eta(
+            freq_rad,
+            wavenumber,
+            tension=tension,
+            linear_density=p.linear_density,
+            bending_stiffness=p.bending_stiffness,
+        )

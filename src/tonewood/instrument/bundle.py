@@ -1,0 +1,259 @@
+"""An instrument as its bundle describes it: YAML and tables, checked and resolved, nothing computed yet."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from tonewood.errors import BundleError, ScoreError
+from tonewood.instrument import registry
+from tonewood.instrument.contract import Body, Exciter, Pickup, Plugin, Resonator
+from tonewood.instrument.directions import polarization_vectors
+from tonewood.instrument.files import Files
+from tonewood.instrument.overrides import apply_overrides
+from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance, StringPart
+from tonewood.params import Vector, validated
+from tonewood.score.scales import Tuning, note_number, read_tuning
+from tonewood.yaml_io import load_yaml
+
+
+@dataclass(frozen=True, eq=False)
+class Instrument:
+    """A checked bundle with its plugins made. Immutable: `replace` makes another.
+
+    Attributes
+    ----------
+    folder : of the bundle.
+    spec : every key of the bundle, defaults filled in.
+    body : the plugin the strings are joined to.
+    resonators : string -> its plugin.
+    exciters : name -> plugin.
+    pickups : output group -> plugin.
+    resolved : the whole as plain values (JSON), plugins' defaults included; what `replace` works on.
+    """
+
+    folder: Path
+    spec: Bundle
+    body: Body[Any]
+    resonators: Mapping[str, Resonator[Any]]
+    exciters: Mapping[str, Exciter[Any]]
+    pickups: Mapping[str, Pickup[Any]]
+    resolved: Mapping[str, Any]
+
+    @classmethod
+    def load(cls, name_or_path: str | os.PathLike[str]) -> Instrument:
+        """Load an installed instrument by name, or a folder with an ``instrument.yaml``.
+
+        Raises
+        ------
+        BundleError, PluginError : one line with file, key and reason.
+        """
+        folder = registry.instrument_folder(name_or_path)
+        manifest = folder / registry.MANIFEST
+        return cls.from_values(load_yaml(manifest, error=BundleError), folder)
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any], folder: str | os.PathLike[str]) -> Instrument:
+        """Make one from nested plain values; tables are read from `folder`."""
+        root = Path(folder)
+        files = Files(root, root / registry.MANIFEST)
+        spec = validated(Bundle, _merged(values, files), key="", file=files.manifest)
+
+        def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
+            try:
+                plugin = registry.plugin(part.plugin, kind)
+            except registry.PluginError as fault:
+                raise registry.PluginError(fault.reason, file=files.manifest, key=f"{key}.plugin") from None
+            return plugin.from_values(part.values, files, key)
+
+        body = make(spec.body, "body", "body")
+        strings = {name: make(part, "resonator", f"strings.{name}") for name, part in spec.strings.items()}
+        exciters = {name: make(part, "exciter", f"exciters.{name}") for name, part in spec.exciters.items()}
+        pickups = {part.name: make(part, "pickup", f"outputs.{part.name}") for part in spec.outputs}
+        resolved = spec.model_dump(mode="json", by_alias=True)
+        resolved["body"] = _flat(spec.body, body)
+        resolved["strings"] = {name: _flat(spec.strings[name], made) for name, made in strings.items()}
+        resolved["exciters"] = {name: _flat(spec.exciters[name], made) for name, made in exciters.items()}
+        resolved["outputs"] = [_flat(part, pickups[part.name]) for part in spec.outputs]
+        instrument = cls(root, spec, body, strings, exciters, pickups, resolved)  # type: ignore[arg-type]  # kinds were checked by the registry
+        instrument._check()
+        return instrument
+
+    def replace(self, overrides: Mapping[str, Any]) -> Instrument:
+        """Return the instrument with some values changed.
+
+        Parameters
+        ----------
+        overrides : path -> value, ``{"scale": x}`` or ``{"fraction": x}``; see `overrides`.
+
+        Examples
+        --------
+        >>> guitar = Instrument.load("classical_guitar")
+        >>> lower = guitar.replace({"strings.E2.note": "D2", "strings.*.loss.eta_a": {"scale": 1.5}})
+        >>> lower.resolved["strings"]["E2"]["note"]
+        'D2'
+        """
+        if not overrides:
+            return self
+        file = self.folder / registry.MANIFEST
+        return Instrument.from_values(apply_overrides(self.resolved, overrides, file=file), self.folder)
+
+    @property
+    def name(self) -> str:
+        """As it is called on the command line."""
+        return self.spec.name
+
+    @property
+    def string_names(self) -> tuple[str, ...]:
+        """Strings from bass to treble."""
+        return tuple(self.spec.strings)
+
+    @cached_property
+    def tuning(self) -> Tuning:
+        """Frequencies of notes."""
+        part = self.spec.tuning
+        files = Files(self.folder, self.folder / registry.MANIFEST)
+        scale = None if part.scale == "equal_12" else files.path(part.scale, "tuning.scale")
+        keymap = None if part.keymap is None else files.path(part.keymap, "tuning.keymap")
+        return read_tuning(scale, keymap, reference_freq=part.reference_freq)
+
+    def open_note(self, string: str) -> float:
+        """Note number of an open string, fractional where it is given by its frequency."""
+        part = self.spec.strings[string]
+        try:
+            if part.freq is not None:
+                return self.tuning.note(part.freq)
+            return float(note_number(part.note)) if isinstance(part.note, str) else float(part.note or 0.0)
+        except ScoreError as fault:
+            raise self._fault(fault.reason, f"strings.{string}.note") from None
+
+    def polarizations(self, string: str) -> tuple[Vector, ...]:
+        """Directions in which a string moves, tilt included."""
+        part = self.spec.strings[string]
+        size = sum(x * x for x in part.axis) ** 0.5
+        if abs(size - 1.0) > 1e-2:
+            raise self._fault(f"has length {size:.4g}; a vector of length 1 is wanted", f"strings.{string}.axis")
+        try:
+            return polarization_vectors(part.axis, tuple(part.polarizations), part.tilt_deg)
+        except ValueError as fault:
+            raise self._fault(str(fault), f"strings.{string}.polarizations") from None
+
+    def provenance(self, path: str) -> Provenance | None:
+        """What kind of figure stands at a dotted path: the entry that names it most exactly."""
+        best: tuple[tuple[int, int], Provenance] | None = None
+        parts = path.split(".")
+        for pattern, entry in self.spec.provenance.items():
+            wanted = pattern.split(".")
+            if len(wanted) <= len(parts) and all(w in ("*", p) for w, p in zip(wanted, parts, strict=False)):
+                rank = (len(wanted), -wanted.count("*"))
+                if best is None or rank > best[0]:
+                    best = (rank, entry)
+        return best[1] if best else None
+
+    def stand_ins(self) -> list[str]:
+        """Paths the bundle itself names stand-ins."""
+        return [path for path, entry in self.spec.provenance.items() if entry.kind == "stand_in"]
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 over the resolved values, the bundle's other files, and the plugins' sources."""
+        digest = hashlib.sha256(json.dumps(self.resolved, sort_keys=True, ensure_ascii=True).encode())
+        for path in sorted(p for p in self.folder.rglob("*") if p.is_file() and p.name != registry.MANIFEST):
+            digest.update(path.relative_to(self.folder).as_posix().encode())
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+        for name in sorted(self.plugin_names):
+            digest.update(f"{name}:{registry.plugin_hash(name)}".encode())
+        return digest.hexdigest()
+
+    @property
+    def plugin_names(self) -> tuple[str, ...]:
+        """Plugins the bundle uses, each once."""
+        spec = self.spec
+        parts: list[PluginPart] = [spec.body, *spec.strings.values(), *spec.exciters.values(), *spec.outputs]
+        return tuple(dict.fromkeys(part.plugin for part in parts))
+
+    def _fault(self, reason: str, key: str) -> BundleError:
+        return BundleError(reason, file=self.folder / registry.MANIFEST, key=key)
+
+    def _check(self) -> None:
+        """What no single part can know."""
+        points = self.body.points()
+        for name, part in self.spec.strings.items():
+            for end in _ends(part):
+                component, _, point = end.partition(".")
+                if component != "body" or point not in points:
+                    known = ", ".join(f"body.{p}" for p in points)
+                    raise self._fault(f"there is no point {end!r}; there are {known}", f"strings.{name}.end")
+            self.polarizations(name)
+            self.open_note(name)
+        playing = self.spec.playing
+        self._parameter(playing.velocity.parameter, "playing.velocity.parameter")
+        for control, entry in playing.controls.items():
+            self._parameter(entry.parameter, f"playing.controls.{control}.parameter")
+        if playing.exciter is not None and playing.exciter not in self.exciters:
+            raise self._fault(f"there is no exciter {playing.exciter!r}", "playing.exciter")
+        for name, exciter in self.exciters.items():
+            if exciter.at is not None and exciter.at not in {f"body.{p}" for p in points}:
+                known = ", ".join(f"body.{p}" for p in points)
+                raise self._fault(f"there is no point {exciter.at!r}; there are {known}", f"exciters.{name}.at")
+        for path, found in self.spec.provenance.items():
+            if found.source is not None and found.source not in self.spec.sources:
+                raise self._fault(f"there is no source {found.source!r}", f"provenance.{path}.source")
+            if found.source is None and found.kind not in ("authored", "stand_in"):
+                raise self._fault(f"{found.kind} figures need a source", f"provenance.{path}.source")
+
+    def _parameter(self, path: str, key: str) -> None:
+        exciter, _, parameter = path.partition(".")
+        if exciter not in self.exciters:
+            raise self._fault(f"there is no exciter {exciter!r}; there are {', '.join(self.exciters)}", key)
+        fields = self.exciters[exciter].Parameters.model_fields
+        if parameter not in fields:
+            raise self._fault(f"{exciter} has no parameter {parameter!r}; it has {', '.join(fields)}", key)
+
+
+def _ends(part: StringPart) -> list[str]:
+    return [part.end] if isinstance(part.end, str) else list(part.end)
+
+
+def _flat(part: PluginPart, plugin: Plugin[Any]) -> dict[str, Any]:
+    """Common keys and the plugin's own, as they would stand in a bundle with every default written out."""
+    common = part.model_dump(mode="json", by_alias=True, include=set(type(part).model_fields))
+    return {**common, **plugin.parameters.model_dump(mode="json", by_alias=True)}
+
+
+def _merged(values: Mapping[str, Any], files: Files) -> dict[str, Any]:
+    """Put `strings.defaults` under every string."""
+    out = dict(values)
+    strings = out.get("strings")
+    if not isinstance(strings, Mapping) or "defaults" not in strings:
+        return out
+    defaults = strings["defaults"]
+    if not isinstance(defaults, Mapping):
+        raise BundleError("holds keys that are merged under every string", file=files.manifest, key="strings.defaults")
+    rest = {name: part for name, part in strings.items() if name != "defaults"}
+    out["strings"] = {
+        name: _merge(defaults, part) if isinstance(part, Mapping) else part for name, part in rest.items()
+    }
+    return out
+
+
+def _merge(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    out = dict(under)
+    for key, value in over.items():
+        below = out.get(key)
+        out[key] = _merge(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+    return out
+
+
+def load_instrument(name_or_path: str | os.PathLike[str]) -> Instrument:
+    """Load an installed instrument by name, or a folder with an ``instrument.yaml``; see `Instrument.load`."""
+    return Instrument.load(name_or_path)
+
+
+__all__ = ["Instrument", "OutputPart", "load_instrument"]

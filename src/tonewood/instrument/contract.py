@@ -1,0 +1,357 @@
+"""The plugin contract, version 1: what a part of an instrument declares.
+
+A plugin is a class with parameters and formulas. It owns nothing that moves and never runs inside the sample loop:
+before a render it is asked for arrays (modal bases, pieces of force, rows to read), and the engine does the rest.
+
+====================  ==================================================================================
+`Resonator`           a string: modal bases for every stop and tension, and how motion passes between them
+`Body`                what strings are joined to: one modal basis with named points
+`Exciter`             a gesture: known forces in time, and how a finger holds the string meanwhile
+`Pickup`              channels of sound: what is read of which points, or a one-way modal bank
+====================  ==================================================================================
+
+A plugin is found by its entry point in the group ``tonewood.plugins``; the entry point's name is the word that a
+bundle writes after ``plugin:``.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.errors import BundleError
+from tonewood.instrument.files import Files
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.system import Drive, Readout
+from tonewood.params import Parameters, Vector, validated
+
+API = 1
+
+Floats = NDArray[np.float64]
+P = TypeVar("P", bound=Parameters)
+
+
+class Plugin(ABC, Generic[P]):
+    """Base of all kinds.
+
+    Parameters
+    ----------
+    parameters : already checked against `Parameters`.
+    files : the bundle's folder, for tables.
+    key : where the plugin stands in the bundle, e.g. ``strings.E2``, to be named in errors.
+    """
+
+    #: version of this contract the plugin was written for
+    api: ClassVar[int] = API
+    #: the kind's name, set by the base classes here
+    kind: ClassVar[str]
+    #: pydantic model of the keys the plugin takes in a bundle
+    Parameters: ClassVar[type[Parameters]]
+
+    def __init__(self, parameters: P, files: Files, key: str = ""):
+        self.parameters = parameters
+        self.files = files
+        self.key = key
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any], files: Files | None = None, key: str = "") -> Plugin[P]:
+        """Make one from plain values, as they stand in a bundle.
+
+        Raises
+        ------
+        BundleError : a value is unknown, missing or out of range.
+        """
+        files = files or Files(None)
+        return cls(validated(cls.Parameters, values, key=key, file=files.manifest), files, key)  # type: ignore[arg-type]  # Parameters of this very class
+
+    def fault(self, reason: str, key: str = "") -> BundleError:
+        """Error that names the bundle's file and this plugin's place in it."""
+        return BundleError(reason, file=self.files.manifest, key=".".join(k for k in (self.key, key) if k))
+
+
+class Resonator(Plugin[P]):
+    """A string in one polarization: held at the nut or a stop, moved by a body at the bridge.
+
+    Places are metres from the bridge, so that they stay true when the string is stopped.
+    """
+
+    kind = "resonator"
+
+    @property
+    @abstractmethod
+    def length(self) -> float:
+        """Speaking length of the open string, m."""
+
+    @property
+    @abstractmethod
+    def tension(self) -> float:
+        """Tension of the open string before tuning, N."""
+
+    @abstractmethod
+    def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ModalBasis:
+        """Modes of the string with its bridge end free.
+
+        Parameters
+        ----------
+        freq_upper : Hz, highest natural frequency wanted.
+        stop : m from the nut to the stop, 0 for the open string.
+        tension : N, instead of the string's own.
+
+        Returns
+        -------
+        Mass-normalised real modes with the point ``bridge`` and a shape for every place from 0 to the speaking length.
+        """
+
+    @abstractmethod
+    def detuned(self, basis: ModalBasis, tension: float) -> ModalBasis:
+        """Return `basis` (one of this string's) at another tension: same shapes, new frequencies and losses."""
+
+    @abstractmethod
+    def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
+        """Carry the string's motion from one stop to another.
+
+        Returns
+        -------
+        displacement, velocity : (n_new, n_old), q_new = displacement @ q_old and q_new' = velocity @ q_old' of the
+        modal coordinates q, y = sum phi q. Must keep the bridge's displacement and never raise the energy.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class BodyPoint:
+    """A named place of a body.
+
+    Attributes
+    ----------
+    direction : unit vector along which the point's displacement is counted (x nut to bridge, y to treble, z out).
+    coordinates : where it lies, in coordinates the body's plugin names, e.g. ``u`` along the bridge.
+    """
+
+    direction: Vector
+    coordinates: Mapping[str, float] = field(default_factory=dict)
+
+
+class Body(Plugin[P]):
+    """What strings are joined to."""
+
+    kind = "body"
+
+    @abstractmethod
+    def basis(self, freq_upper: float) -> ModalBasis:
+        """Modes below `freq_upper` (Hz); the static compliance of the others goes into the residual."""
+
+    @abstractmethod
+    def points(self) -> Mapping[str, BodyPoint]:
+        """Every point of the basis with its direction."""
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A piece of force F(t) = c0 + c1 (t - start) + c2 (t - start)^2, start <= t <= stop (s, N, N/s, N/s^2)."""
+
+    start: float
+    stop: float
+    c0: float
+    c1: float = 0.0
+    c2: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """A finger's dashpot on the string, growing smoothly from `start` and let go at `stop`; takes energy only.
+
+    Attributes
+    ----------
+    start, grown, stop : s.
+    damping : N s/m, reached at `grown`.
+    """
+
+    start: float
+    grown: float
+    stop: float
+    damping: float
+
+    def at(self, time: float) -> float:
+        """Damping at a time, N s/m."""
+        if not self.start <= time < self.stop:
+            return 0.0
+        s = 1.0 if self.grown <= self.start else min((time - self.start) / (self.grown - self.start), 1.0)
+        return self.damping * s * s * (3.0 - 2.0 * s)
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What is asked of an exciter.
+
+    Attributes
+    ----------
+    values : parameters of the exciter that this event changes, e.g. ``force`` or ``from_bridge``.
+    freq : pitch that will sound, Hz; 0 where there is none.
+    """
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    freq: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a gesture acts: a string with its speaking length (m), or a point of the body (length 0)."""
+
+    name: str
+    length: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Gesture:
+    """Known forces at one place.
+
+    Attributes
+    ----------
+    segments : in time order, seconds relative to the event's time; negative times prepare it.
+    from_bridge : place on the string, m; None on a body.
+    angle_deg : of the force, from the first polarization towards the second.
+    hold : the finger on the string meanwhile, or None.
+    """
+
+    segments: tuple[Segment, ...]
+    from_bridge: float | None = None
+    angle_deg: float = 0.0
+    hold: Hold | None = None
+
+    @property
+    def start(self) -> float:
+        """Begin of the gesture, s relative to the event."""
+        begins = [s.start for s in self.segments] + ([self.hold.start] if self.hold else [])
+        return min(begins, default=0.0)
+
+    @property
+    def stop(self) -> float:
+        """End of the gesture, s relative to the event."""
+        ends = [s.stop for s in self.segments] + ([self.hold.stop] if self.hold else [])
+        return max(ends, default=0.0)
+
+    def force(self, time: float) -> float:
+        """Force at a time, N."""
+        return sum(
+            s.c0 + s.c1 * (time - s.start) + s.c2 * (time - s.start) ** 2
+            for s in self.segments
+            if s.start <= time < s.stop
+        )
+
+
+class Exciter(Plugin[P]):
+    """Something that plays: each event becomes a gesture."""
+
+    kind = "exciter"
+
+    @property
+    def at(self) -> str | None:
+        """``component.point`` it always acts on; None for one that acts on the string that is played."""
+        return None
+
+    def adjusted(self, values: Mapping[str, float]) -> P:
+        """Parameters with an event's values in place of the bundle's.
+
+        Raises
+        ------
+        BundleError : a value is out of its range, or of a parameter this exciter does not have.
+        """
+        if not values:
+            return self.parameters
+        merged = {**self.parameters.model_dump(by_alias=True), **values}
+        checked = validated(type(self.parameters), merged, key=self.key, file=self.files.manifest)
+        return checked
+
+    @abstractmethod
+    def gesture(self, event: Event, place: Place) -> Gesture:
+        """Forces of one event at `place`."""
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeForce:
+    """One way a string pushes on the body.
+
+    Attributes
+    ----------
+    connection : its name in the system.
+    point : the body's point.
+    factor : force on the body along the point's direction per connection force.
+    """
+
+    connection: str
+    point: str
+    factor: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a pickup can see of an assembled instrument.
+
+    Attributes
+    ----------
+    body_points : name -> place and direction.
+    bridge_forces : of every string polarization that moves the body.
+    string_points : ``string.point`` -> (component, point, unit vector of that polarization), for each polarization.
+    end_forces : string -> (connection, unit vector): force of the string on its bridge is minus the connection's.
+    freq_upper : Hz, highest frequency that will be stepped.
+    """
+
+    body_points: Mapping[str, BodyPoint]
+    bridge_forces: tuple[BridgeForce, ...]
+    string_points: Mapping[str, tuple[tuple[str, str, Vector], ...]]
+    end_forces: Mapping[str, tuple[tuple[str, Vector], ...]]
+    freq_upper: float
+
+
+@dataclass(frozen=True)
+class PickupRows:
+    """What a pickup adds to the system.
+
+    Attributes
+    ----------
+    readouts : one per channel, in order.
+    components : one-way components of its own, short name -> basis.
+    drives : what drives them; also which body points' forces they answer to (see `body_inputs`).
+    body_inputs : body point -> (component, point, factor): where a known force on that point enters as well.
+    """
+
+    readouts: tuple[Readout, ...]
+    components: Mapping[str, ModalBasis] = field(default_factory=dict)
+    drives: tuple[Drive, ...] = ()
+    body_inputs: Mapping[str, tuple[tuple[str, str, float], ...]] = field(default_factory=dict)
+
+
+class Pickup(Plugin[P]):
+    """A group of output channels."""
+
+    kind = "pickup"
+
+    @property
+    @abstractmethod
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels, in order."""
+
+    @property
+    @abstractmethod
+    def unit(self) -> str:
+        """Unit of what is read."""
+
+    @abstractmethod
+    def rows(self, name: str, scene: Scene) -> PickupRows:
+        """Readouts of the channels; `name` is the group's and must begin the name of every component added."""
+
+
+#: kind -> base class; a plugin derives from exactly one of them
+KINDS: dict[str, type[Plugin[Any]]] = {c.kind: c for c in (Resonator, Body, Exciter, Pickup)}
+
+
+def dot(a: Sequence[float], b: Sequence[float]) -> float:
+    """Scalar product of two directions; what differs from 0 by rounding only is 0."""
+    value = math.fsum(x * y for x, y in zip(a, b, strict=True))
+    return 0.0 if abs(value) < 1e-12 else value

@@ -1,0 +1,166 @@
+"""What is installed: plugins and instruments, found by entry points alone, a third party's like our own.
+
+A distribution announces a plugin by ``NAME = "package.module:Class"`` in the group ``tonewood.plugins`` and an
+instrument by ``NAME = "package"`` in ``tonewood.instruments``, where the package's folder NAME holds the bundle.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import os
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module, metadata
+from importlib.resources import files as package_files
+from pathlib import Path
+from typing import Any
+
+from tonewood.errors import BundleError, PluginError
+from tonewood.instrument.contract import API, KINDS, Plugin
+from tonewood.params import Parameters
+
+PLUGINS = "tonewood.plugins"
+INSTRUMENTS = "tonewood.instruments"
+MANIFEST = "instrument.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One announced name.
+
+    Attributes
+    ----------
+    name : the word used in bundles or on the command line.
+    value : what it points to.
+    distribution, version : who announces it.
+    """
+
+    name: str
+    value: str
+    distribution: str
+    version: str
+
+
+@cache
+def entries(group: str) -> dict[str, Entry]:
+    """Announced names of a group, sorted.
+
+    Raises
+    ------
+    PluginError : two distributions announce the same name.
+    """
+    found: dict[str, Entry] = {}
+    for point in sorted(metadata.entry_points(group=group), key=lambda p: p.name):
+        owner = point.dist
+        entry = Entry(point.name, point.value, owner.name if owner else "?", owner.version if owner else "?")
+        before = found.get(point.name)
+        # one distribution may be seen twice, through two entries of the path
+        if before is not None and (before.value, before.distribution) != (entry.value, entry.distribution):
+            raise PluginError(
+                f"the name {point.name!r} is announced twice in {group}: by {before.distribution} ({before.value}) "
+                f"and by {entry.distribution} ({entry.value}); one of them must go"
+            )
+        found[point.name] = entry
+    return found
+
+
+def list_plugins() -> dict[str, type[Plugin[Any]]]:
+    """Every installed plugin, by name."""
+    return {name: plugin(name) for name in entries(PLUGINS)}
+
+
+def list_instruments() -> dict[str, Path]:
+    """Folder of every installed instrument, by name."""
+    return {name: instrument_folder(name) for name in entries(INSTRUMENTS)}
+
+
+@cache
+def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
+    """Class of an installed plugin.
+
+    Parameters
+    ----------
+    name : its entry point's name.
+    kind : ``resonator``, ``body``, ``exciter`` or ``pickup``, if only that will do.
+
+    Raises
+    ------
+    PluginError : there is none of that name or kind, it cannot be imported, or it breaks the contract.
+    """
+    known = entries(PLUGINS)
+    if name not in known:
+        raise PluginError(f"there is no plugin {name!r}; installed are {', '.join(known) or 'none'}")
+    entry = known[name]
+    module, _, attribute = entry.value.partition(":")
+    try:
+        found = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError, SyntaxError) as fault:
+        raise PluginError(f"plugin {name!r} of {entry.distribution} cannot be imported: {fault}") from None
+    check_plugin(found, f"plugin {name!r} of {entry.distribution}")
+    if kind is not None and found.kind != kind:
+        fitting = [other for other in known if plugin(other).kind == kind]
+        raise PluginError(f"plugin {name!r} is of kind {found.kind}; a {kind} is wanted: {', '.join(fitting)}")
+    checked: type[Plugin[Any]] = found
+    return checked
+
+
+def check_plugin(found: object, who: str) -> None:
+    """Hold a class to the contract.
+
+    Raises
+    ------
+    PluginError : beginning with `who`.
+    """
+    if not (inspect.isclass(found) and issubclass(found, Plugin)):
+        raise PluginError(f"{who} is not a class derived from {', '.join(k.__name__ for k in KINDS.values())}")
+    kinds = [kind for kind, base in KINDS.items() if issubclass(found, base)]
+    if len(kinds) != 1 or found.kind != kinds[0]:
+        raise PluginError(f"{who} must derive from exactly one of {', '.join(k.__name__ for k in KINDS.values())}")
+    if found.api != API:
+        raise PluginError(f"{who} was written for version {found.api!r} of the contract; this is version {API}")
+    parameters = getattr(found, "Parameters", None)
+    if not (inspect.isclass(parameters) and issubclass(parameters, Parameters) and parameters is not Parameters):
+        raise PluginError(f"{who} has no `Parameters` derived from tonewood.Parameters")
+    unsaid = [key for key, field in parameters.model_fields.items() if not field.description]
+    if unsaid:
+        raise PluginError(f"{who}: parameter {unsaid[0]!r} does not say what it is (doc)")
+    if inspect.isabstract(found):
+        missing = ", ".join(sorted(found.__abstractmethods__))
+        raise PluginError(f"{who} leaves out {missing}")
+
+
+def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
+    """Folder of a bundle: of an installed instrument by name, or any folder that holds an ``instrument.yaml``.
+
+    Raises
+    ------
+    BundleError : there is neither.
+    """
+    text = os.fspath(name_or_path)
+    known = entries(INSTRUMENTS)
+    if text in known:
+        try:
+            folder = Path(str(package_files(known[text].value))) / text
+        except ModuleNotFoundError as fault:
+            raise BundleError(f"instrument {text!r} of {known[text].distribution} is not there: {fault}") from None
+    else:
+        path = Path(text)
+        folder = path.parent if path.name == MANIFEST else path
+        if not (folder / MANIFEST).is_file():
+            looks_like_path = os.sep in text or "/" in text or path.exists()
+            reason = f"there is no {MANIFEST} in it" if looks_like_path else "is neither installed nor a folder"
+            raise BundleError(f"instrument {text!r}: {reason}; installed are {', '.join(known) or 'none'}")
+    return folder
+
+
+@cache
+def plugin_hash(name: str) -> str:
+    """SHA-256 of the source file a plugin is defined in, with its distribution's version."""
+    found, entry = plugin(name), entries(PLUGINS)[name]
+    digest = hashlib.sha256(f"{entry.distribution} {entry.version}".encode())
+    try:
+        digest.update(Path(inspect.getfile(found)).read_bytes())
+    except (OSError, TypeError):
+        pass  # a class without a file is known by its distribution's version alone
+    return digest.hexdigest()

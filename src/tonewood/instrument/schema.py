@@ -1,0 +1,214 @@
+"""The bundle format ``tonewood-instrument/1``: every key an ``instrument.yaml`` may have.
+
+SI throughout; other units only where the key says so (``_deg``, ``_cents``, ``_db``). A part that a plugin makes has
+the keys of that plugin beside those listed here.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, model_validator
+
+from tonewood.instrument.directions import Direction
+from tonewood.instrument.gestures import StringPlace
+from tonewood.params import Number, Parameters, Vector, described, quantity
+
+SCHEMA = "tonewood-instrument/1"
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+
+
+class Source(Parameters):
+    """Where figures come from."""
+
+    text: str = described("who, what, where it was published")
+    doi: str | None = described("digital object identifier", default=None)
+    url: str | None = described("address, where there is no DOI", default=None)
+    licence: str = described("SPDX name, or `facts` for figures that are nobody's")
+    changes: str | None = described("what was done to the data, and by whom", default=None)
+
+
+class Provenance(Parameters):
+    """What kind of figures these are."""
+
+    kind: Literal["measured", "published", "computed", "authored", "stand_in"] = described(
+        "measured on the instrument; published in a text; computed from such; authored by ear or judgement; "
+        "stand_in for figures nobody has published"
+    )
+    source: str | None = described("key of `sources`; needed unless authored or stand_in", default=None)
+    note: str | None = described("what to know about them", default=None)
+
+
+class PluginPart(Parameters):
+    """A part made by a plugin: the plugin's name, and keys that are checked against the plugin's own parameters."""
+
+    model_config = ConfigDict(extra="allow")
+    plugin: str = described("name of the plugin that makes it")
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Keys that are the plugin's."""
+        return dict(self.model_extra or {})
+
+
+class StringPoint(Parameters):
+    """A named place on a string, to be heard or joined."""
+
+    from_bridge: StringPlace = described("m, or {fraction: of the open speaking length}")
+
+
+class StringPart(PluginPart):
+    """A string; `defaults` gives keys for all of them."""
+
+    note: str | Number | None = described("pitch of the open string: note name or MIDI number", default=None)
+    freq: float | None = quantity("Hz", low=8.0, high=8000.0, default=None, doc="instead of `note`")
+    end: str | list[str] = described("body.POINT the string ends on; several for several directions at one place")
+    axis: Vector = described("from fixed end to bridge, length 1", default=(1.0, 0.0, 0.0))
+    polarizations: list[Direction] = described(
+        "one or two directions; the first is kept when effects are left out", default=["z", "y"], min_length=1,
+        max_length=2,
+    )  # fmt: skip
+    tilt_deg: float = quantity("deg", low=-90.0, high=90.0, default=0.0, doc="of the principal axes about the string")
+    split_cents: float = quantity(
+        "cents", low=-50.0, high=50.0, default=0.0, doc="by how much the second polarization is sharper"
+    )
+    freq_upper: float = quantity("Hz", low=100.0, high=1e5, default=20000.0, doc="highest mode")
+    end_compliance: float = quantity(
+        "m/N", low=0.0, high=1e-4, default=2e-8, doc="local compliance of the string's seat on the bridge"
+    )
+    stops: int | None = described("number of stops of this string, if not that of `stops`", default=None, ge=0, le=200, strict=True)
+    points: dict[Name, StringPoint] = described("further places on the string", default={})
+
+    @model_validator(mode="after")
+    def _pitch(self) -> StringPart:
+        if (self.note is None) == (self.freq is None):
+            raise ValueError("either `note` or `freq` is wanted")
+        return self
+
+
+class Stops(Parameters):
+    """How strings are stopped."""
+
+    kind: Literal["none", "frets", "continuous"] = described(
+        "none: open strings; frets: whole steps of the scale; continuous: any place up to `count` steps", default="none"
+    )
+    count: int = described("number of steps of the scale", default=0, ge=0, le=200, strict=True)
+    model: Literal["ideal"] = described("ideal: the string beyond the stop is out of play", default="ideal")
+
+
+class TuningPart(Parameters):
+    """Pitch."""
+
+    reference_freq: float = quantity("Hz", low=200.0, high=1000.0, default=440.0, doc="of A4")
+    scale: str = described("equal_12, or a Scala .scl file of the bundle", default="equal_12")
+    keymap: str | None = described("Scala .kbm file of the bundle", default=None)
+    compensate: Literal["coupled", "none"] = described(
+        "coupled: tensions are set so that the string on its body sounds the note; none: as they stand",
+        default="coupled",
+    )
+    at: Literal["each_stop", "open_only"] = described(
+        "each_stop: every stop is compensated; open_only: frets keep their errors", default="each_stop"
+    )
+
+
+class Velocity(Parameters):
+    """From MIDI velocity to a parameter: low at 1, high at 127."""
+
+    parameter: str = described("EXCITER.PARAMETER", default="pluck.force")
+    low: float = quantity("1", default=0.4, doc="at velocity 1, in the parameter's unit")
+    high: float = quantity("1", default=4.0, doc="at velocity 127")
+    curve: Literal["exponential", "linear"] = described(
+        "exponential: low (high / low)^((v - 1) / 126); linear: low + (high - low) (v - 1) / 126",
+        default="exponential",
+    )
+
+    @model_validator(mode="after")
+    def _positive(self) -> Velocity:
+        if self.curve == "exponential" and not (self.low > 0 and self.high > 0):
+            raise ValueError("an exponential curve needs low and high above 0")
+        return self
+
+    def value(self, velocity_midi: float) -> float:
+        """Parameter at a velocity of 1 .. 127; below and above the ends hold."""
+        share = (min(max(velocity_midi, 1.0), 127.0) - 1.0) / 126.0
+        if self.curve == "linear":
+            return self.low + (self.high - self.low) * share
+        return float(self.low * (self.high / self.low) ** share)
+
+
+class NoteEnd(Parameters):
+    """What happens when a note ends."""
+
+    kind: Literal["ring", "damp"] = described("ring: nothing; damp: the string is damped", default="ring")
+    t60: float = quantity("s", low=1e-3, high=100.0, default=0.12, doc="decay time of a damped string")
+
+
+class Control(Parameters):
+    """A controller that moves a parameter from low (0) to high (127)."""
+
+    parameter: str = described("EXCITER.PARAMETER")
+    low: float = quantity("1", doc="at 0, in the parameter's unit")
+    high: float = quantity("1", doc="at 127")
+
+    def value(self, position: float) -> float:
+        """Parameter at a controller's position 0 .. 1."""
+        return self.low + (self.high - self.low) * min(max(position, 0.0), 1.0)
+
+
+class Playing(Parameters):
+    """From notes to gestures."""
+
+    exciter: str | None = described("exciter of notes that name no technique; the velocity's where left out", default=None)
+    velocity: Velocity = described("velocity curve", default=Velocity())
+    note_end: NoteEnd = described("end of a note", default=NoteEnd())
+    controls: dict[Annotated[str, Field(pattern=r"^cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7])$")], Control] = described(
+        "ccN -> parameter", default={}
+    )
+
+
+class OutputPart(PluginPart):
+    """A group of output channels, made by a pickup plugin."""
+
+    name: Name = described("of the group")
+    full_scale: float = quantity("1", low=1e-12, high=1e12, doc="value at 0 dBFS, in the pickup's unit")
+    note: str | None = described("what this output is, and is not", default=None)
+
+
+class Effects(Parameters):
+    """What may be left out of a render, with a bound on what that costs."""
+
+    mode: Literal["auto", "all", "none"] | list[str] = described("auto, all, none or names", default="auto")
+    budget_db: float = quantity("dB", low=-300.0, high=0.0, default=-80.0, doc="for effects that add something")
+    budget_cents: float = quantity("cents", low=0.0, high=100.0, default=0.5, doc="for effects that change pitch")
+
+
+class Bundle(Parameters):
+    """An instrument."""
+
+    schema_: Literal["tonewood-instrument/1"] = Field(alias="schema", description="version of this format")
+    name: Name = described("as it is called on the command line")
+    title: str = described("one line")
+    description: str | None = described("what to know about it", default=None)
+    licence: str = described("SPDX name, of the bundle's data")
+    sources: dict[Name, Source] = described("key -> where figures come from")
+    provenance: dict[str, Provenance] = described("dotted path, * for one level -> what kind of figures", default={})
+    body: PluginPart = described("what the strings are joined to")
+    strings: dict[Name, StringPart] = described("name -> string, from bass to treble", min_length=1)
+    stops: Stops = described("frets", default=Stops())
+    tuning: TuningPart = described("pitch", default=TuningPart())
+    exciters: dict[Name, PluginPart] = described("name -> what plays", min_length=1)
+    playing: Playing = described("from notes to gestures", default=Playing())
+    outputs: list[OutputPart] = described("groups of channels; the first is the default", min_length=1)
+    effects: Effects = described("what may be left out", default=Effects())
+
+    @model_validator(mode="after")
+    def _names(self) -> Bundle:
+        names = [output.name for output in self.outputs]
+        taken = {"body", *self.strings}
+        for name in names:
+            if names.count(name) > 1 or name in taken:
+                raise ValueError(f"the output name {name!r} is taken")
+        if "body" in self.strings or "defaults" in self.strings:
+            raise ValueError("a string cannot be called body or defaults")
+        return self

@@ -1,0 +1,257 @@
+"""A string of an assembled instrument: its components, and their bases at every stop, bend and damping."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.instrument.contract import Resonator
+from tonewood.instrument.tuning import StringOnBody, TunedStop, tune
+from tonewood.numerics.modes import BLOCK, ModalBasis
+from tonewood.numerics.receptance import Ports
+from tonewood.params import Vector
+from tonewood.units import ratio_of_cents
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Polarization:
+    """One plane in which a string moves.
+
+    Attributes
+    ----------
+    component : its name in the system, ``STRING.NAME``.
+    direction : unit vector, tilt included.
+    ends : body point -> (p . d), share of that point's displacement in the string's end; without any the end is rigid.
+    detune : frequency ratio to the first polarization.
+    """
+
+    component: str
+    direction: Vector
+    ends: Mapping[str, float]
+    detune: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Stopping:
+    """Stops of a string.
+
+    Attributes
+    ----------
+    count : highest stop, in steps of the scale; 0 for open strings.
+    continuous : whether stops between whole steps exist.
+    freq : stop -> pitch it should sound, Hz.
+    compensate : ``each_stop``, ``open_only`` or ``none``.
+    """
+
+    count: int
+    continuous: bool
+    freq: Callable[[float], float]
+    compensate: str
+
+
+class StringModel:
+    """One string; immutable but for what it remembers of bases it has made.
+
+    Attributes
+    ----------
+    name : of the string.
+    polarizations : one or two, the first is the one kept when effects are left out.
+    open_note : note number of the open string.
+    stopping : its stops.
+    pluck_from_bridge : m, where it is plucked if nobody says where.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        resonator: Resonator[Any],
+        polarizations: tuple[Polarization, ...],
+        *,
+        open_note: float,
+        stopping: Stopping,
+        body: Ports,
+        freq_upper: float,
+        freq_limit: float,
+        end_compliance: float,
+        points: Mapping[str, float],
+        tilt_deg: float,
+        pluck_from_bridge: float,
+    ):
+        self.name, self.resonator, self.polarizations = name, resonator, polarizations
+        self.open_note, self.stopping, self.points = open_note, stopping, dict(points)
+        self.pluck_from_bridge = pluck_from_bridge
+        self._body, self._freq_upper, self._freq_limit = body, freq_upper, freq_limit
+        self._end_compliance, self._tilt_deg = end_compliance, tilt_deg
+        self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
+        self._bases: dict[float, ModalBasis] = {}
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of its components in the system, the first polarization first."""
+        return tuple(p.component for p in self.polarizations)
+
+    @property
+    def n_stops(self) -> int:
+        """Highest stop; 0 for a string that is only played open."""
+        return self.stopping.count
+
+    @property
+    def stop_freqs(self) -> tuple[float, ...]:
+        """Pitch of every whole stop from 0 (open) on, Hz."""
+        return tuple(self.freq(stop) for stop in range(self.n_stops + 1))
+
+    def freq(self, stop: float = 0) -> float:
+        """Pitch a stop should sound, Hz."""
+        return self.stopping.freq(stop)
+
+    def position(self, stop: float) -> float:
+        """Place of a stop, m from the nut: where the ideal string sounds the stop's pitch."""
+        if not (0 <= stop <= self.n_stops and (self.stopping.continuous or stop == int(stop))):
+            kind = "" if self.stopping.continuous else "whole "
+            raise ValueError(f"string {self.name} has {kind}stops from 0 to {self.n_stops}, not {stop:g}")
+        return self.resonator.length * (1.0 - self.freq(0) / self.freq(stop))
+
+    def length(self, stop: float = 0) -> float:
+        """Speaking length at a stop, m."""
+        return self.resonator.length - self.position(stop)
+
+    def tuned(self, stop: float = 0) -> TunedStop | None:
+        """Tension and coupled modes of a stop; None where the bundle asks for no compensation."""
+        return self._tune(stop)[0]
+
+    def tension(self, stop: float = 0) -> float:
+        """Tension of the first polarization at a stop, N."""
+        return self._tune(stop)[1]
+
+    def coupled(self, stop: float = 0, *, detuned: bool = False) -> StringOnBody:
+        """The string at a stop on its body, at any tension."""
+        base = self._untuned(stop)
+
+        def bases(tension: float) -> list[ModalBasis]:
+            return [self.resonator.detuned(base, tension * p.detune**2) for p in self.polarizations]
+
+        return StringOnBody(bases, self._body, min(self.pluck_from_bridge, 0.9 * self.length(stop)))
+
+    def bases(
+        self,
+        stop: float = 0,
+        *,
+        bend_cents: float = 0.0,
+        added_damping: float = 0.0,
+        pluck_from_bridge: float | None = None,
+    ) -> dict[str, ModalBasis]:
+        """Component -> basis, with the points ``bridge``, ``pluck`` and those named in the bundle.
+
+        Parameters
+        ----------
+        stop : 0 is open; a fraction on a continuous string.
+        bend_cents : by which the tension is changed.
+        added_damping : 1/s, added to every mode's damping rate.
+        pluck_from_bridge : m; the string's usual place where left out. Must lie on the speaking part.
+        """
+        length = self.length(stop)
+        pluck = min(self.pluck_from_bridge, 0.9 * length) if pluck_from_bridge is None else pluck_from_bridge
+        if not 0 <= pluck <= length:
+            raise ValueError(f"string {self.name} ends {length:g} m from the bridge at stop {stop:g}, before {pluck:g} m")
+        base, tension = self._untuned(stop), self.tension(stop) * ratio_of_cents(bend_cents) ** 2
+        out: dict[str, ModalBasis] = {}
+        for polarization in self.polarizations:
+            basis = self.resonator.detuned(base, tension * polarization.detune**2)
+            basis = below(basis, self._freq_limit)
+            if added_damping:
+                basis = with_damping(basis, added_damping)
+            out[polarization.component] = basis.with_places({"pluck": pluck, **self.points})
+        return out
+
+    def weights(self, angle_deg: float) -> dict[str, float]:
+        """Share of each component in a force (or motion) at an angle from the first direction towards the second.
+
+        The tilt is that of the string's principal axes: a force along the first direction as the bundle names it moves
+        both polarizations where they are tilted.
+        """
+        angle = math.radians(angle_deg - self._tilt_deg)
+        parts = (math.cos(angle), math.sin(angle))
+        return {p.component: parts[i] for i, p in enumerate(self.polarizations)}
+
+    def transfer(self, component: str, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
+        """Matrices that carry modal displacement and velocity from one stop's basis to another's."""
+        if component not in self.components:
+            raise ValueError(f"string {self.name} has the components {', '.join(self.components)}, not {component!r}")
+        return self.resonator.transfer(old, new)
+
+    def _untuned(self, stop: float) -> ModalBasis:
+        """Basis of a stop before the tuner's last turn, made once."""
+        if stop not in self._bases:
+            # the open string's tension, once known, is the best guess for every stop
+            guess = self._tuned[0.0][1] if 0.0 in self._tuned else self._first_guess()
+            basis = self.resonator.basis(self._freq_upper, stop=self.position(stop), tension=guess)
+            bridge = basis.index("bridge")
+            residual = basis.residual.copy()
+            residual[bridge, bridge] += self._end_compliance
+            self._bases[stop] = replace(basis, residual=residual)
+        return self._bases[stop]
+
+    def _first_guess(self) -> float:
+        """Tension of a rigidly held string of this pitch: f goes with its root."""
+        if self.stopping.compensate == "none":
+            return self.resonator.tension
+        nominal = self.resonator.basis(8 * self.freq(0), tension=self.resonator.tension)
+        held = Ports.of(nominal, np.eye(len(nominal.points))[[nominal.index("bridge")]])
+        from tonewood.numerics.receptance import Joint
+
+        zero = Joint([held]).newton(complex(-1e-3, 2 * math.pi * self.freq(0)), steps=80)
+        if zero is None:
+            return self.resonator.tension
+        return self.resonator.tension * (2 * math.pi * self.freq(0) / zero.imag) ** 2
+
+    def _tune(self, stop: float) -> tuple[TunedStop | None, float]:
+        stop = float(stop)
+        if stop not in self._tuned:
+            how = self.stopping.compensate
+            if how == "none":
+                self._tuned[stop] = (None, self.resonator.tension)
+            elif how == "open_only" and stop > 0:
+                tension, string = self.tension(0.0), self.coupled(stop)
+                modes = string.modes(string.joint(tension), self.freq(stop), tension)
+                self._tuned[stop] = (TunedStop(self.freq(stop), tension, modes), tension)
+            else:
+                guess = self.tension(0.0) if stop > 0 else self._first_guess()
+                found = tune(self.coupled(stop), self.freq(stop), guess)
+                self._tuned[stop] = (found, found.tension)
+        return self._tuned[stop]
+
+
+def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:
+    """Modes under `freq_limit` (Hz), the others' static compliance in the residual; what a bend can make necessary."""
+    keep = np.flatnonzero(basis.natural_freq < freq_limit)
+    if keep.size == basis.n_modes:
+        return basis
+    n = basis.n_modes
+    arrays = {
+        key: value[..., keep]
+        for key, value in basis.metadata.items()
+        if isinstance(value, np.ndarray) and value.shape[-1:] == (n,)
+    }
+    return replace(basis.select(keep), metadata={**basis.metadata, **arrays})
+
+
+def with_damping(basis: ModalBasis, added: float) -> ModalBasis:
+    """Real modes with `added` (1/s) more damping rate."""
+    new = ModalBasis.real(
+        np.sqrt(basis.stiffness),
+        basis.damping_rate + added,
+        basis.places,
+        shape=basis.shape,
+        residual=basis.residual,
+        metadata=basis.metadata,
+    )
+    return replace(new, residual_at=basis.residual_at)
+
+

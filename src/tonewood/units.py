@@ -1,0 +1,28 @@
+"""The few units besides SI that people name pitch, level and decay in."""
+
+from __future__ import annotations
+
+import math
+
+#: natural logarithm of 1000: a level falls by 60 dB in T60 = LN_1000 / sigma
+LN_1000 = math.log(1000.0)
+
+
+def cents(ratio: float) -> float:
+    """Cents of a frequency ratio: 1200 log2."""
+    return 1200.0 * math.log2(ratio)
+
+
+def ratio_of_cents(value: float) -> float:
+    """Frequency ratio of an interval in cents."""
+    return math.exp2(value / 1200.0)
+
+
+def decibel(ratio: float) -> float:
+    """Level of an amplitude ratio, dB; -inf for 0."""
+    return 20.0 * math.log10(ratio) if ratio > 0 else -math.inf
+
+
+def t60(damping_rate: float) -> float:
+    """Time in which an oscillation of damping rate sigma (1/s) falls by 60 dB, s."""
+    return LN_1000 / damping_rate if damping_rate > 0 else math.inf
