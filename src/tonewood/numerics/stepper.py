@@ -45,6 +45,11 @@ class NumpyStepper:
         out, forces = np.zeros((n, len(s.readouts))), np.zeros((n, m))
         two_way = [i for i, one_way in enumerate(s.driven) if not one_way]
 
+        def check(i: int, step: int) -> None:
+            if not np.all(np.isfinite(x[i])):
+                t = (state.sample + step) * s.dt
+                raise NumericalError(f"{s.names[i]} is no longer finite at {t:.6f} s")
+
         def gaps() -> Floats:
             total = np.zeros(m)
             for i in two_way:
@@ -60,13 +65,13 @@ class NumpyStepper:
                 k = state.sample + step - injection.start
                 if 0 <= k < injection.values.shape[1]:
                     x[s.slot(injection.component)] += np.einsum("v,vmx->mx", injection.values[:, k], injection.vectors)
+            for i in range(len(x)):
+                check(i, step)  # before connections spread the fault to other components
             f = solve.constant - solve.G @ (gaps() + solve.gamma * gap)
             forces[step] = f
             for i, compiled in enumerate(s.compiled):
                 x[i] += np.einsum("p,pmx->mx", incidence[i].T @ f, compiled.W)
-                if not np.all(np.isfinite(x[i])):
-                    t = (state.sample + step) * s.dt
-                    raise NumericalError(f"{s.names[i]} is no longer finite at {t:.6f} s")
+                check(i, step)
                 after = np.einsum("rmx,mx->r", compiled.rows[ports[i] :], x[i])
                 value = np.where(compiled.difference, after - before[i], before[i])
                 np.add.at(out[step], compiled.readouts, value)

@@ -238,9 +238,10 @@ class System:
             difference.append(mean)
         all_rows = np.concatenate(rows)
         history = np.empty((BLOCK_SIZE, len(ports), len(all_rows)))
-        moved, flat = W, all_rows.reshape(len(all_rows), -1).T
+        numbers = 2 * basis.n_modes
+        moved, flat = W, all_rows.reshape(len(all_rows), numbers).T
         for k in range(BLOCK_SIZE):
-            history[k] = moved.reshape(len(ports), -1) @ flat
+            history[k] = moved.reshape(len(ports), numbers) @ flat
             moved = apply(E, moved)
         compliance, residual = (np.zeros((len(self.connections),) * 2) for _ in range(2))
         if name not in {d.component for d in self.drives}:
