@@ -98,7 +98,6 @@ public:
                     c.shares[p].push_back({int(j), a});
         c.channels = channels;
         c.difference.assign(difference.begin(), difference.end());
-        connections_ = std::max(connections_, incidence.shape(0));
         components_[slot] = std::move(c);
     }
 
@@ -125,7 +124,10 @@ public:
                                      nb::ndarray<double, nb::c_contig, nb::device::cpu> out,
                                      nb::ndarray<double, nb::c_contig, nb::device::cpu> forces,
                                      const std::vector<std::tuple<int, std::int64_t, InT<T>, In>>& injections) {
-        if (connections_ > std::size_t(solve_.m)) throw std::invalid_argument("set_solve has fewer connections");
+        for (const auto& c : components_)
+            for (const auto& shares : c.shares)
+                for (const Share& s : shares)
+                    if (s.connection >= solve_.m) throw std::invalid_argument("set_solve has fewer connections");
         if (modes.ndim() != 2 || modes.shape(0) != 2 || modes.shape(1) != capacity_)
             throw std::invalid_argument("the state has the wrong shape");
         if (out.ndim() != 2 || forces.ndim() != 2 || out.shape(1) != std::size_t(n_channels_) ||
@@ -186,7 +188,7 @@ private:
             return table.run_f32;
     }
     Run<T> run_;
-    std::size_t capacity_, connections_ = 0;
+    std::size_t capacity_;
     int n_channels_;
     std::vector<Component<T>> components_;
     Solve solve_;

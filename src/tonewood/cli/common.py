@@ -47,10 +47,10 @@ def progress(label: str, total: float) -> Iterator[Advance]:
 def load(name: str, overrides: list[str] | None) -> Instrument:
     """Load an instrument and apply ``--set``."""
     from tonewood.instrument.bundle import Instrument
-    from tonewood.instrument.overrides import parse_settings
+    from tonewood.instrument.overrides import parse_assignment
 
     instrument = Instrument.load(name)
-    return instrument.replace(parse_settings(overrides)) if overrides else instrument
+    return instrument.replace(dict(map(parse_assignment, overrides))) if overrides else instrument
 
 
 def warn(lines: list[str]) -> None:

@@ -113,7 +113,7 @@ def _report(renderer: Renderer, output: Path, clipped: int, load_s: float, warni
     return {
         "schema": "tonewood-render/1",
         "output": str(output),
-        "outputs": list(renderer.model.output_groups),
+        "outputs": [group.name for group in renderer.model.outputs],
         "fs": s.fs,
         "frames": s.frames,
         "channels": len(renderer.channels),

@@ -36,7 +36,7 @@ _CACHE = 96
 class Fretting:
     """How a string is held now: stop, bend in cents, added damping (1/s), place of the plucking finger (m)."""
 
-    stop: int = 0
+    stop: float = 0.0
     cents: float = 0.0
     added_damping: float = 0.0
     place: float | None = None
@@ -140,10 +140,10 @@ class Engine:
         """First grid point after now at which something has to be looked at."""
         now, dt = self.state.sample, self.system.dt
         times = []
+        # a thing is done at the last grid point before its time
         if self._next_change < len(self.timeline.changes):
-            times.append(self.timeline.changes[self._next_change].time / dt)
+            times.append(self.timeline.changes[self._next_change].time / dt - GRID + 1)
         if self._next_play < len(self.timeline.plays):
-            # a gesture is compiled at the grid point before it begins
             times.append(self.timeline.plays[self._next_play].start / dt - GRID + 1)
         for active in self.active:
             if active.play.gesture.hold or active.play.stop / dt <= now + GRID:
@@ -160,7 +160,7 @@ class Engine:
         now, dt = self.state.sample, self.system.dt
         wanted = dict(self.frettings)
         changes, plays = self.timeline.changes, self.timeline.plays
-        while self._next_change < len(changes) and changes[self._next_change].time / dt <= now:
+        while self._next_change < len(changes) and changes[self._next_change].time / dt < now + GRID:
             change = changes[self._next_change]
             wanted[change.string] = _changed(wanted[change.string], change)
             self._next_change += 1
@@ -174,18 +174,26 @@ class Engine:
                 self.ticker.strings_played.add(play.string)
         moved = {name for name in wanted if wanted[name] != self.frettings[name]}
         if moved:
-            self._refret({name: wanted[name] for name in moved})
-        # gestures on a string that changed under them are compiled anew for what is left of them
-        cut = [a.play for a in self.active if a.play.string in moved]
-        if cut:
-            components = {c for play in cut for c in self.model.strings[play.string or ""].components}
-            self.injections = [_cut(i, now) if i.component in components else i for i in self.injections]
-            self.injections = [i for i in self.injections if i.stop > now]
-        for play in cut + fresh:
+            self._refret({name: self._playable(name, wanted[name]) for name in moved})
+        # a string is held by one finger at a time: a new gesture ends the one before it; a gesture whose string changed
+        # under it is compiled anew for what is left of it
+        taken = {play.string for play in fresh if play.string is not None}
+        again = [a.play for a in self.active if a.play.string in moved - taken]
+        self.active = [a for a in self.active if a.play.string not in taken]
+        touched = {c for name in moved | taken for c in self.model.strings[name].components}
+        self.injections = [_cut(i, now) if i.component in touched else i for i in self.injections]
+        self.injections = [i for i in self.injections if i.stop > now]
+        for play in again + fresh:
             self.injections += self._compile(play, now)
         self.active += [Active(play) for play in fresh]
         self._hold(now * dt)
         self.active = [a for a in self.active if a.play.stop / dt > now]
+
+    def _playable(self, name: str, fretting: Fretting) -> Fretting:
+        """The finger's place only where it lies on the string's speaking part."""
+        if fretting.place is not None and fretting.place > self.model.strings[name].length(fretting.stop):
+            return replace(fretting, place=None)
+        return fretting
 
     def _refret(self, wanted: dict[str, Fretting]) -> None:
         """Give strings other bases and carry their motion over."""
@@ -234,15 +242,17 @@ class Engine:
 
     def _compile(self, play: Play, now: int) -> list[Injection]:
         pieces = [Piece(s.start, s.stop, s.c0, s.c1, s.c2) for s in play.gesture.segments]
-        dt = self.system.dt
         if play.string is None:
-            component, _, point = (play.at or "").partition(".")
-            basis = self.system.compiled[self.system.slot(component)].basis
-            return compile_force(component, basis, point, pieces, dt, time=play.time, first=now)
+            where = self.model.inputs[play.at or ""]
+        else:
+            weights = self.model.strings[play.string].weights(play.gesture.angle_deg)
+            where = tuple((component, "pluck", weight) for component, weight in weights.items())
         out: list[Injection] = []
-        for component, weight in self.model.strings[play.string].weights(play.gesture.angle_deg).items():
+        for component, point, factor in where:
             basis = self.system.compiled[self.system.slot(component)].basis
-            out += compile_force(component, basis, "pluck", pieces, dt, time=play.time, first=now, factor=weight)
+            out += compile_force(
+                component, basis, point, pieces, self.system.dt, time=play.time, first=now, factor=factor
+            )
         return out
 
     def _hold(self, time: float) -> None:

@@ -11,7 +11,7 @@ from tonewood.engine.timeline import Change, Play, Timeline
 from tonewood.errors import ScoreError
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Event, Place
-from tonewood.score.assignment import Assigned, assign
+from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
 
 #: a damped string is let go when it has decayed this many times by 60 dB: from then on it may ring with the others
@@ -50,7 +50,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     notes, body_plays = _split_taps(score, model)
     factor = dict(zip(map(id, score.notes), volume_factors(score), strict=True))
     louder = [_with_force(n, model, factor[id(n)]) for n in notes]
-    assignment = assign(louder, model.playable, channel_per_string=channel_per_string, tuning=model.scale)
+    assignment = assign(louder, playable(model), channel_per_string=channel_per_string, tuning=model.instrument.tuning)
     by_string: dict[str, list[Assigned]] = defaultdict(list)
     for assigned in assignment.notes:
         by_string[assigned.string].append(assigned)
@@ -77,6 +77,20 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     )
     played.sort(key=lambda a: a.note.time)
     return Performance(timeline, played, sorted(dropped, key=lambda d: d.time), warnings)
+
+
+def playable(model: Model) -> list[PlayableString]:
+    """The strings as the left hand sees them."""
+    return [
+        PlayableString(
+            name,
+            (s.open_note, s.open_note + s.n_stops)
+            if s.stopping.continuous
+            else tuple(s.open_note + i for i in range(s.n_stops + 1)),
+            s.stopping.continuous,
+        )
+        for name, s in model.strings.items()
+    ]
 
 
 def _split_taps(score: Score, model: Model) -> tuple[list[Note], list[Play]]:
@@ -106,7 +120,7 @@ def _force(note: Note, model: Model, factor: float) -> float | None:
     if note.force is not None:
         return note.force * factor
     if note.velocity_midi is not None:
-        return model.velocity.force(note.velocity_midi) * factor
+        return model.playing.velocity.value(note.velocity_midi) * factor
     return None
 
 
@@ -117,17 +131,21 @@ def _with_force(note: Note, model: Model, factor: float) -> Note:
 
 def _gesture(assigned: Assigned, model: Model, controls: Sequence[Control]) -> Play:
     note, string = assigned.note, model.strings[assigned.string]
-    exciter = model.exciters[note.technique or model.default_exciter]
+    name = note.technique or model.default_exciter
     values: dict[str, float] = {}
-    for kind, control in model.controls.items():
+    for kind, control in model.playing.controls.items():
+        exciter, _, parameter = control.parameter.partition(".")
         latest = [c for c in controls if c.kind == kind and c.time <= note.time and c.channel in (None, note.channel)]
-        if latest and control.exciter == (note.technique or model.default_exciter):
-            values[control.parameter] = control.value(latest[-1].value)
-    given = {"force": note.force, "from_bridge": note.from_bridge, "angle_deg": note.angle_deg}
+        if latest and exciter == name:
+            values[parameter] = control.value(latest[-1].value)
+    given = {
+        model.playing.velocity.parameter.partition(".")[2]: note.force,
+        "from_bridge": note.from_bridge,
+        "angle_deg": note.angle_deg,
+    }
     values |= {k: v for k, v in given.items() if v is not None}
-    stop = int(assigned.stop)
-    place = Place(assigned.string, string.speaking_length(stop))
-    gesture = exciter.gesture(Event(values, string.pitch(stop)), place)
+    event = Event(values, string.freq(assigned.stop))
+    gesture = model.exciters[name].gesture(event, model.place(assigned.string, assigned.stop))
     return Play(note.time, gesture, string=assigned.string)
 
 
@@ -144,15 +162,15 @@ def _left_hand(
     line = bends.get(channel, ())
     before = [b.value for b in line if b.time <= play.start]
     at_start = assigned.cents + (before[-1] if before else 0.0)
-    out = [Change(play.start, name, stop=int(assigned.stop), cents=at_start, added_damping=0.0)]
+    out = [Change(play.start, name, stop=assigned.stop, cents=at_start, added_damping=0.0)]
     out += [Change(b.time, name, cents=assigned.cents + b.value) for b in line if play.start < b.time < assigned.end]
-    t60 = model.damp_t60
-    if t60 is None or not math.isfinite(assigned.end):
+    end = model.playing.note_end
+    if end.kind == "ring" or not math.isfinite(assigned.end):
         return out
     free_again = following.note.time if following else math.inf
     if assigned.end < free_again - 1e-3:
-        out.append(Change(assigned.end, name, added_damping=math.log(1000.0) / t60))
-        let_go = assigned.end + _LET_GO_AFTER * t60
+        out.append(Change(assigned.end, name, added_damping=math.log(1000.0) / end.t60))
+        let_go = assigned.end + _LET_GO_AFTER * end.t60
         if let_go < free_again - 0.1:
             out.append(Change(let_go, name, stop=0, cents=0.0, added_damping=0.0))
     return out

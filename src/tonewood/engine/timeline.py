@@ -14,16 +14,16 @@ class Change:
 
     Attributes
     ----------
-    time : s; takes effect on the next point of the control grid.
+    time : s; takes effect at the last point of the control grid before it.
     string : its name.
-    stop : number of the stop, 0 open.
+    stop : number of the stop, 0 open; a fraction where stops are continuous.
     cents : how far the string is bent from the stop's own pitch.
     added_damping : 1/s, added to every mode's decay rate: a finger that damps.
     """
 
     time: float
     string: str
-    stop: int | None = None
+    stop: float | None = None
     cents: float | None = None
     added_damping: float | None = None
 

@@ -132,9 +132,11 @@ class Renderer:
         self.model = assemble(instrument, self.fs, outputs=outputs)
         self.performance: Performance = perform(score, self.model, channel_per_string=channel_per_string)
         self.engine = Engine(self.model, self.performance.timeline, precision=precision)
+        groups = self.model.outputs
+        self._columns = np.array([i for group in groups for i in group.readouts], dtype=np.intp)
         gain = 10 ** (gain_db / 20)
-        self._scale = gain / np.array([channel.full_scale for channel in self.model.channels])
-        self._pending = np.zeros((0, len(self.model.channels)))
+        self._scale = gain / np.array([group.full_scale for group in groups for _ in group.channels])
+        self._pending = np.zeros((0, self._columns.size))
         self._frames, self._seconds, self._loudest = 0, 0.0, 0.0
         self._recent: list[tuple[int, float]] = []
         self._end = ""
@@ -142,7 +144,9 @@ class Renderer:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the output channels."""
-        return tuple(channel.name for channel in self.model.channels)
+        groups = self.model.outputs
+        alone = len(groups) == 1
+        return tuple(name if alone else f"{group.name}.{name}" for group in groups for name in group.channels)
 
     @property
     def expected_duration(self) -> float:
@@ -182,7 +186,7 @@ class Renderer:
             duration_s=duration,
             render_s=self._seconds,
             realtime_factor=duration / self._seconds if self._seconds > 0 else 0.0,
-            n_modes=sum(c.basis.n_modes for c in self.model.system.compiled),
+            n_modes=self.model.n_modes,
             notes=len(self.performance.timeline.plays),
             notes_dropped=self.performance.dropped,
             peak_dbfs=decibels(self._loudest),
@@ -205,7 +209,7 @@ class Renderer:
     def _fill(self) -> None:
         first = self.engine.state.sample
         began = time.perf_counter()
-        sound = self.engine.advance(_TICKS) * self._scale
+        sound = self.engine.advance(_TICKS)[:, self._columns] * self._scale
         self._seconds += time.perf_counter() - began
         sound = sound[max(0, -first) :]
         if self.max_duration is not None:
