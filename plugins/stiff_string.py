@@ -8,7 +8,6 @@ slopes (no change of tension with amplitude) and for wavelengths long against th
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -18,7 +17,7 @@ from tonewood.instrument.contract import Resonator
 from tonewood.instrument.losses import LossLaw
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.string_modes import string_basis
-from tonewood.numerics.string_transfer import string_transfer
+from tonewood.numerics.string_transfer import retuned, string_transfer
 from tonewood.params import Parameters, described, quantity
 
 Floats = NDArray[np.float64]
@@ -74,15 +73,8 @@ class StiffString(Resonator[StiffStringParameters]):
         known = basis.metadata
         a, b, wavenumber = (cast(Floats, known[key]) for key in ("tension_part", "bending_part", "wavenumber"))
         freq_rad = np.sqrt(tension * a + self.parameters.bending_stiffness * b)
-        new = ModalBasis.real(
-            natural_freq_rad=freq_rad,
-            damping_rate=freq_rad * self._eta(freq_rad, wavenumber, tension) / 2,
-            points=basis.places,
-            shape=basis.shape,
-            residual=basis.residual,
-            metadata={**known, "tension": tension},
-        )
-        return replace(new, residual_at=basis.residual_at)
+        sigma = freq_rad * self._eta(freq_rad, wavenumber, tension) / 2
+        return retuned(basis, freq_rad, sigma, {"tension": tension})
 
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         """Projections of displacement and velocity; see `tonewood.numerics.string_transfer`."""

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.contract import Resonator
 from tonewood.instrument.tuning import StringOnBody, TunedStop, tune
-from tonewood.numerics.modes import BLOCK, ModalBasis
-from tonewood.numerics.receptance import Ports
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.receptance import Joint, Ports
+from tonewood.numerics.string_transfer import retuned
 from tonewood.params import Vector
 from tonewood.units import ratio_of_cents
 
@@ -130,7 +131,7 @@ class StringModel:
         """Tension of the first polarization at a stop, N."""
         return self._tune(stop)[1]
 
-    def coupled(self, stop: float = 0, *, detuned: bool = False) -> StringOnBody:
+    def coupled(self, stop: float = 0) -> StringOnBody:
         """The string at a stop on its body, at any tension."""
         base = self._untuned(stop)
 
@@ -166,7 +167,7 @@ class StringModel:
             basis = self.resonator.detuned(base, tension * polarization.detune**2)
             basis = below(basis, self._freq_limit)
             if added_damping:
-                basis = with_damping(basis, added_damping)
+                basis = retuned(basis, np.sqrt(basis.stiffness), basis.damping_rate + added_damping)
             out[polarization.component] = basis.with_places({"pluck": pluck, **self.points})
         return out
 
@@ -204,8 +205,6 @@ class StringModel:
             return self.resonator.tension
         nominal = self.resonator.basis(8 * self.freq(0), tension=self.resonator.tension)
         held = Ports.of(nominal, np.eye(len(nominal.points))[[nominal.index("bridge")]])
-        from tonewood.numerics.receptance import Joint
-
         zero = Joint([held]).newton(complex(-1e-3, 2 * math.pi * self.freq(0)), steps=80)
         if zero is None:
             return self.resonator.tension
@@ -219,7 +218,7 @@ class StringModel:
                 self._tuned[stop] = (None, self.resonator.tension)
             elif how == "open_only" and stop > 0:
                 tension, string = self.tension(0.0), self.coupled(stop)
-                modes = string.modes(string.joint(tension), self.freq(stop), tension)
+                modes = string.modes(tension, self.freq(stop))
                 self._tuned[stop] = (TunedStop(self.freq(stop), tension, modes), tension)
             else:
                 guess = self.tension(0.0) if stop > 0 else self._first_guess()
@@ -240,18 +239,3 @@ def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:
         if isinstance(value, np.ndarray) and value.shape[-1:] == (n,)
     }
     return replace(basis.select(keep), metadata={**basis.metadata, **arrays})
-
-
-def with_damping(basis: ModalBasis, added: float) -> ModalBasis:
-    """Real modes with `added` (1/s) more damping rate."""
-    new = ModalBasis.real(
-        np.sqrt(basis.stiffness),
-        basis.damping_rate + added,
-        basis.places,
-        shape=basis.shape,
-        residual=basis.residual,
-        metadata=basis.metadata,
-    )
-    return replace(new, residual_at=basis.residual_at)
-
-

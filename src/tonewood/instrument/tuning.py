@@ -24,10 +24,10 @@ Complexes = NDArray[np.complex128]
 #: a second mode this near and this strong makes a wolf note
 WOLF_CENTS, WOLF_DB = 60.0, 6.0
 #: body poles within this ratio of the pitch take part in the search for modes
-_NEAR = 1.3
+_NEAR = 1.15
 #: a tension this far from the uncoupled one is not looked for, cents of pitch
 _REACH_CENTS = 120.0
-_ACCURACY_CENTS = 1e-4
+_ACCURACY_CENTS = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +49,14 @@ class CoupledMode:
     def freq(self) -> float:
         """Im s / 2 pi, Hz."""
         return self.pole.imag / (2 * math.pi)
+
+    def level_db(self, other: CoupledMode) -> float:
+        """Level at the bridge over the whole decay, against another mode: energy a^2 / 2 sigma, dB.
+
+        A body mode answers a pluck as strongly as the string's, but is gone at once and disturbs no pitch.
+        """
+        energy = [m.strength / math.sqrt(max(-m.pole.real, 1e-12)) for m in (self, other)]
+        return decibel(energy[0] / energy[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +81,16 @@ class TunedStop:
 
     @property
     def wolf(self) -> CoupledMode | None:
-        """A second mode within 60 cents and 6 dB of the first, not that of another polarization; None if there is none."""
+        """A second mode within 60 cents and 6 dB of the first, or one that keeps the first from the pitch; or None.
+
+        The other polarization, which is near by intention, does not count.
+        """
         first, *others = self.modes
         for mode in others:
+            if max(mode.shares[1:-1], default=0.0) >= 0.5:
+                continue
             near = abs(cents(mode.freq / first.freq)) <= WOLF_CENTS
-            strong = decibel(mode.strength / first.strength) >= -WOLF_DB
-            if near and strong and max(mode.shares[1:-1], default=0.0) < 0.5:
+            if (near and mode.level_db(first) >= -WOLF_DB) or abs(self.error_cents) > 1.0:
                 return mode
         return None
 
@@ -94,11 +106,17 @@ class StringOnBody:
     """
 
     def __init__(self, bases: Callable[[float], Sequence[ModalBasis]], body: Ports, pluck: float):
-        self.bases, self.body, self.pluck = bases, body, pluck
+        self._bases, self.body, self.pluck = bases, body, pluck
+        self._made: dict[float, tuple[Joint, Sequence[ModalBasis]]] = {}
 
     def joint(self, tension: float) -> Joint:
         """String and body at a tension."""
-        bases = self.bases(tension)
+        if tension not in self._made:
+            bases = self._bases(tension)
+            self._made[tension] = (self._join(bases), bases)
+        return self._made[tension][0]
+
+    def _join(self, bases: Sequence[ModalBasis]) -> Joint:
         parts = []
         for i, basis in enumerate(bases):
             rows = np.zeros((len(bases), len(basis.points)))
@@ -106,45 +124,40 @@ class StringOnBody:
             parts.append(Ports.of(basis, rows))
         return Joint([*parts, self.body])
 
-    def modes(self, joint: Joint, freq: float, tension: float) -> tuple[CoupledMode, ...]:
-        """Coupled modes near `freq` (Hz): first the string-dominated one, then by strength."""
+    def poles(self, joint: Joint, freq: float) -> list[tuple[complex, tuple[float, ...]]]:
+        """Poles of the coupled modes near `freq` (Hz) with their shares of energy, the string-dominated one first."""
         target = 2 * math.pi * freq
         ratio = np.abs(self.body.poles) / target
         seen = np.abs(self.body.right).max(axis=0) * np.abs(self.body.left).max(axis=0) > 0
         near = seen & (self.body.poles.imag > 0) & (ratio < _NEAR) & (ratio > 1 / _NEAR)
         # modes at the same frequency act on one string as one
         poles = list(dict.fromkeys(complex(p) for p in self.body.poles[near]))
-        n = joint.size
-        starts = [complex(-1e-3 * target, target * (1 + 1e-3 * i)) for i in range(n)] + poles
+        starts = [complex(-1e-3 * target, target * (1 + 1e-3 * i)) for i in range(joint.size)]
+        starts += [p * (1 + 1e-3) for p in poles]  # not the pole itself, where M is infinite
         zeros = joint.zeros(starts, multiply=poles)
-        bases = self.bases(tension)
-        modes = [self._mode(joint, s, bases) for s in zeros if all(abs(s - p) > 1e-9 * abs(s) for p in poles)]
-        if not modes:
-            return ()
-        first = max(modes, key=lambda m: m.shares[0])
-        others = sorted((m for m in modes if m is not first), key=lambda m: -m.strength)
-        return (first, *others)
+        found = [(s, tuple(float(x) for x in joint.shares(s))) for s in zeros if s not in poles]
+        return sorted(found, key=lambda pair: -pair[1][0])
 
-    def _mode(self, joint: Joint, s: complex, bases: Sequence[ModalBasis]) -> CoupledMode:
-        """Shares, and the residue of (bridge displacement) / (pluck force) at the mode.
+    def modes(self, tension: float, freq: float) -> tuple[CoupledMode, ...]:
+        """Coupled modes near `freq` (Hz): first the string-dominated one, then by strength."""
+        joint, first = self.joint(tension), self._made[tension][1][0]
+        modes = [CoupledMode(s, shares, self._strength(joint, s, first)) for s, shares in self.poles(joint, freq)]
+        return (*modes[:1], *sorted(modes[1:], key=lambda m: -m.strength))
+
+    def _strength(self, joint: Joint, s: complex, first: ModalBasis) -> float:
+        """Residue of (body displacement at the bridge) / (pluck force) at a mode, over |s|: the pluck is a step.
 
         The gaps' forces under a pluck F of the first polarization are f = -M^-1 h F, h its receptance from pluck to
-        bridge; near a zero of M with right and left null vectors v, w, M^-1 = v w^T / (w^T M' v (s - s_j)).
+        bridge; near a zero of M with right and left null vectors v, w, M^-1 = v w / (w M' v (s - s_j)).
         """
-        import scipy.linalg as sla
-
-        M, D = joint.receptance(s)
-        U, _, Vh = sla.svd(M)
-        v, w = Vh[-1].conj(), U[:, -1].conj()
-        first = bases[0]
+        v, w = joint.null(s)
+        slope = joint.receptance(s)[1]
         h = np.zeros(joint.size, dtype=np.complex128)
         if first.shape is not None:
-            phi = first.shape(min(self.pluck, 0.9 * float(first.metadata.get("length", math.inf))))  # type: ignore[arg-type]  # a number
-            bridge = first.right[first.index("bridge")].real
-            h[0] = np.sum(bridge * phi / (s**2 + 2 * first.damping_rate * s + first.stiffness))
-        body = sum(abs(x) for x in self.body_motion(s, v))
-        strength = abs(w @ h) / abs(w @ D @ v) * body / abs(s)
-        return CoupledMode(s, tuple(float(x) for x in joint.shares(s)), float(strength))
+            bridge, pluck = first.right[first.index("bridge")].real, first.shape(self.pluck)
+            h[0] = np.sum(bridge * pluck / (s**2 + 2 * first.damping_rate * s + first.stiffness))
+        body = float(np.abs(self.body_motion(s, v)).sum())
+        return float(abs(w @ h) / abs(w @ slope @ v) * body / abs(s))
 
     def body_motion(self, s: complex, force: Complexes) -> Complexes:
         """(p,) displacement of the body at its ports under port forces."""
@@ -160,27 +173,33 @@ def tune(string: StringOnBody, freq: float, tension: float) -> TunedStop:
 
     Notes
     -----
-    The search follows one mode from tension to tension (a secant rule on the logarithms of tension and pitch), then
-    asks again which mode dominates. Where string and body modes of one frequency share their energy evenly there may
-    be no tension at which the dominating mode sounds the note: the nearest one is taken, and `TunedStop.error_cents`
-    says so. Such a stop is a wolf note.
+    One mode is followed from tension to tension (a secant rule on the logarithms of tension and pitch), then it is
+    asked again which mode dominates. Where a body mode has nearly the pitch and as much of the energy, the dominating
+    mode jumps from below the pitch to above it as the tension grows, and no tension makes it sound the note: then the
+    tension at the jump is found by bisection, on the side that is nearer, and `TunedStop.error_cents` says what is
+    left. Such a stop is a wolf note whatever the string.
     """
-    best: TunedStop | None = None
+    best, least = tension, math.inf
+    flat, sharp = 0.0, math.inf
     guess = tension
-    for _ in range(4):
-        joint = string.joint(guess)
-        modes = string.modes(joint, freq, guess)
-        if not modes:
+    for _ in range(24):
+        poles = string.poles(string.joint(guess), freq)
+        if not poles:
             break
-        here = TunedStop(freq, guess, modes)
-        if best is None or abs(here.error_cents) < abs(best.error_cents):
-            best = here
-        if abs(here.error_cents) <= _ACCURACY_CENTS:
+        pole = poles[0][0]
+        error = cents(pole.imag / (2 * math.pi) / freq)
+        if abs(error) < least:
+            best, least = guess, abs(error)
+        if least <= _ACCURACY_CENTS or sharp < flat * (1 + 1e-5):
             break
-        guess = _follow(string, freq, guess, modes[0].pole)
-    if best is None:
+        flat, sharp = (max(flat, guess), sharp) if error < 0 else (flat, min(sharp, guess))
+        guess = _follow(string, freq, guess, pole)
+        if not flat < guess < sharp:
+            guess = math.sqrt(flat * sharp)
+    modes = string.modes(best, freq)
+    if not modes:
         raise ValueError(f"no mode of the string was found near {freq:.2f} Hz")
-    return best
+    return TunedStop(freq, best, modes)
 
 
 def _follow(string: StringOnBody, freq: float, tension: float, pole: complex) -> float:

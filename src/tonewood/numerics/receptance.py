@@ -121,15 +121,25 @@ class Joint:
         det = complex(sla.det(M))
         return det, det * complex(np.trace(sla.solve(M, D)))
 
-    def force(self, s: complex) -> Complexes:
-        """(p,) forces at the gaps in the mode at a zero s, norm 1."""
+    def null(self, s: complex) -> tuple[Complexes, Complexes]:
+        """Right and left null vectors v, w of M at a zero s, norm 1: M v = 0, w M = 0; v are the gaps' forces."""
+        M = self.receptance(s)[0]
+        if self.size == 1:
+            return np.ones(1, dtype=np.complex128), np.ones(1, dtype=np.complex128)
+        if self.size == 2:
+            # at a zero the adjugate has rank 1 and is v w
+            adjugate = np.array([[M[1, 1], -M[0, 1]], [-M[1, 0], M[0, 0]]])
+            i, j = np.unravel_index(int(np.argmax(np.abs(adjugate))), (2, 2))
+            v, w = adjugate[:, j], adjugate[i]
+            return v / np.sqrt(np.vdot(v, v).real), w / np.sqrt(np.vdot(w, w).real)
         import scipy.linalg as sla
 
-        return np.asarray(sla.svd(self.receptance(s)[0])[2][-1].conj())
+        U, _, Vh = sla.svd(M)
+        return np.asarray(Vh[-1].conj()), np.asarray(U[:, -1].conj())
 
     def shares(self, s: complex) -> Floats:
         """(n_parts,) share of the modal energy in each part, in the mode at a zero s."""
-        force = self.force(s)
+        force = self.null(s)[0]
         energy = np.array([part.energy(s, force) for part in self.parts])
         return np.asarray(energy / energy.sum())
 

@@ -1,4 +1,4 @@
-"""How a string's motion passes from one stop to another.
+"""How a string's motion passes from one stop to another, and its basis to another tension.
 
 Both strings are described by a ramp and sines from the bridge (x = 0) to their own stop (see `string_modes`):
 
@@ -24,6 +24,8 @@ a contraction by Bessel's inequality, because the sines are orthogonal in that n
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -75,6 +77,32 @@ def string_transfer(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         velocity[1:, 0] = -2 / (L_new * L) * np.sin(k_new * L) / k_new**2
     modal = vec_new.T @ _mass(len(k_new), L_new, _number(new, "linear_density"))
     return np.asarray(modal @ displacement @ vec), np.asarray(modal @ velocity @ vec)
+
+
+def retuned(
+    basis: ModalBasis, freq_rad: Floats, damping_rate: Floats, changes: Mapping[str, object] | None = None
+) -> ModalBasis:
+    """Real modes with other frequencies and losses, same shapes and places.
+
+    Parameters
+    ----------
+    basis : of real modes.
+    freq_rad, damping_rate : (n_modes,) rad/s and 1/s.
+    changes : of the metadata.
+    """
+    new = ModalBasis.real(
+        freq_rad,
+        damping_rate,
+        {name: basis.right[i].real for i, name in enumerate(basis.points)},
+        residual=basis.residual,
+    )
+    return replace(
+        new,
+        shape=basis.shape,
+        residual_at=basis.residual_at,
+        places=basis.places,
+        metadata={**basis.metadata, **(changes or {})},
+    )
 
 
 def _overlap(a: Floats, b: Floats, length: float, sign: float) -> Floats:
