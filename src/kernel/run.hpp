@@ -96,6 +96,10 @@ Fault run(const std::vector<Component<T>>& components, const Solve& solve, const
                 recur_read(c, x, y, rows);
             else
                 turn<T, true, false>(c, x, y, known[i].data(), int(known[i].size()), nb, rows);
+            // looked at here too, before connections spread a fault to other components
+            double check = 0.0;
+            for (int r = 0; r < c.n_rows; ++r) check += rows[r * kStride + nb];
+            if (!std::isfinite(check)) return {i, start};
         }
 
         // forces, sample by sample
