@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tonewood.batch.layout import Group
 from tonewood.batch.manifest import Manifest
+from tonewood.batch.pictures import CAPTION, HEIGHT, WIDTH
 from tonewood.batch.production import PICTURES, SoundFile
 from tonewood.batch.store import whole_file
 
@@ -30,14 +31,14 @@ img {{ display: block; max-width: 100%; height: auto; }}
 </head>
 <body>
 <h1>{title}</h1>
-<p class="facts">{count} sounds</p>
+<p class="facts">{count} sounds. {caption}</p>
 """
 
 
 def audition_page(manifest: Manifest, groups: Sequence[Group], files: dict[str, SoundFile]) -> str:
     """The page as text; a blind batch shows codes where an open one shows conditions."""
     title = escape(manifest.title or manifest.name)
-    parts = [_HEAD.format(title=title, count=len(files))]
+    parts = [_HEAD.format(title=title, count=len(files), caption=CAPTION)]
     for number, group in enumerate(groups, start=1):
         shown = [files[s.code] for s in group.stimuli if s.code in files]
         if not shown:
@@ -69,6 +70,6 @@ def _sound(manifest: Manifest, file: SoundFile) -> str:
         f'<figure id="{file.code}">\n<figcaption><strong>{name}</strong> '
         f'<audio controls preload="metadata" src="{file.file}"></audio> '
         f'<span class="facts">{facts}</span></figcaption>\n'
-        f'<img src="{PICTURES}/{file.code}.png" width="700" height="320" loading="lazy" '
+        f'<img src="{PICTURES}/{file.code}.png" width="{WIDTH}" height="{HEIGHT}" loading="lazy" '
         f'alt="waveform and spectrogram of {name}">\n</figure>\n'
     )

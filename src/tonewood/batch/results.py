@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.batch.answers import HELPERS, Answer, Kind, ResultsError, read_answers, read_key
-from tonewood.batch.pictures import figure, save
+from tonewood.batch.store import whole_file
 
 LIMIT_SCORE = 90.0
 LIMIT_SHARE = 0.15
@@ -209,11 +209,13 @@ def _unique(items: Iterable[str]) -> list[str]:
 
 def write_plot(results: Results, path: Path) -> None:
     """Plot the overall means or rates with their intervals as PNG."""
+    from matplotlib.figure import Figure
+
     rows: list[Mean | Rate] = list(results.overall)
     values = [r.mean if isinstance(r, Mean) else (math.nan if r.rate is None else r.rate) for r in rows]
     below = [0.0 if r.low is None else v - r.low for r, v in zip(rows, values, strict=True)]
     above = [0.0 if r.high is None else r.high - v for r, v in zip(rows, values, strict=True)]
-    made = figure(7.0, 1.2 + 0.45 * len(rows))
+    made = Figure(figsize=(7.0, 1.2 + 0.45 * len(rows)), layout="tight")
     axes = made.subplots()
     axes.errorbar(values, range(len(rows)), xerr=[below, above], fmt="o", capsize=4)
     axes.set_yticks(range(len(rows)), [r.label for r in rows])
@@ -229,5 +231,5 @@ def write_plot(results: Results, path: Path) -> None:
         axes.set(xlim=(0, 1), xlabel="share of right answers")
     counted = results.listeners - len(results.screened)
     axes.set_title(f"{results.name}: {counted} listeners, {100 * results.confidence:g} % intervals", fontsize=10)
-    made.tight_layout()
-    save(made, path)
+    with whole_file(path) as stream:
+        made.savefig(stream, format="png", metadata={"Software": None})

@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,8 @@ def content_key(identity: dict[str, Any]) -> str:
 
 
 @contextlib.contextmanager
-def whole_file(path: Path) -> Iterator[IO[bytes]]:
-    """A file opened for writing that appears under its name only when it is complete and on the disk.
+def whole_file(path: Path) -> Iterator[BinaryIO]:
+    """A file opened for writing that appears under its name only when it is complete.
 
     Raises
     ------
@@ -56,8 +56,6 @@ def whole_file(path: Path) -> Iterator[IO[bytes]]:
         path.parent.mkdir(parents=True, exist_ok=True)
         with part.open("wb") as stream:
             yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
         part.replace(path)
     except OSError as fault:
         raise OutputError(f"cannot be written: {fault.strerror or fault}", file=path) from fault

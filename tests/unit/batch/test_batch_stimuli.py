@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 import pytest
-from scipy.signal import freqz
+from scipy.signal import freqz, resample_poly
 
 from tonewood.batch import stimuli
 from tonewood.batch.seeds import generator
@@ -82,6 +82,14 @@ def test_true_peak_between_samples() -> None:
 def test_true_peak_is_never_below_the_samples(rng: np.random.Generator) -> None:
     noise = rng.standard_normal((2000, 2))
     assert stimuli.true_peak(noise) >= np.max(np.abs(noise))
+
+
+def test_true_peak_leaves_nothing_out(rng: np.random.Generator) -> None:
+    for n in (1, 100, 256, 5000):
+        sound = rng.standard_normal((n, 2)) * np.exp(-rng.uniform(0, 5) * np.linspace(0, 1, n))[:, None]
+        whole = max(np.max(np.abs(resample_poly(sound, 4, 1, axis=0))), np.max(np.abs(sound)))
+        assert stimuli.true_peak(sound) == pytest.approx(whole, rel=1e-12)
+    assert stimuli.true_peak(np.zeros((300, 1))) == 0.0
 
 
 def test_page_drop() -> None:
