@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tonewood.errors import ScoreError
@@ -149,6 +149,12 @@ class TestMoments:
         strum = [Note(0.006 * i, 1.0, note=n, channel=0) for i, n in enumerate((43, 47, 50, 55, 59, 67))]
         assert len({a.string for a in assign(strum, GUITAR).notes}) == 6
 
+    @pytest.mark.parametrize(("apart", "strings"), [(0.02, ["G3", "B3"]), (0.04, ["B3", "B3"])])
+    def test_a_chord_is_what_begins_within_30_ms(self, apart, strings):
+        """Two short notes of one string: together they need two, one after the other they do not."""
+        notes = [Note(0.0, 0.01, note=59, channel=0), Note(apart, 0.01, note=60, channel=0)]
+        assert [a.string for a in assign(notes, GUITAR).notes] == strings
+
     def test_voices_that_meet_share_a_pluck(self):
         notes = [
             Note(0.0, 1.0, note=60, velocity_midi=50, channel=0),
@@ -180,6 +186,26 @@ class TestMoments:
 
     def test_no_notes(self):
         assert assign([], GUITAR) == Assignment((), (), (), 0, 0.0)
+
+
+@pytest.mark.parametrize(("stop", "leaves"), [(9, False), (10, True)])
+def test_a_held_finger_is_left_behind_once(stop, leaves):
+    """Held at stop 5 from 0 to 4 s; a hand that moves up for other strings reaches one stop below itself, no more."""
+    held = Chord(0.0, (4.0,), (4.0,), ((Option(0, 5.0),),))
+    above = [Chord(t, (t + 1,), (1.0,), ((Option(s, float(stop + t - 1)),),)) for s, t in ((1, 1), (2, 2))]
+    _, cost = finger([held, *above[: 2 if leaves else 1]], 3, Costs(position=0.0, shift=0.0, stretch=0.0, cut=1.0))
+    assert cost == (0.75 if leaves else 0.0)
+
+
+def test_cost_of_three_notes_by_hand():
+    """Stops 5, 2 and 9: hand 1 to 2, stays, then to 6; the first note is cut at half its length by another stop."""
+    chords = [
+        Chord(0.0, (2.0,), (2.0,), ((Option(0, 5.0),),)),
+        Chord(1.0, (2.0,), (1.0,), ((Option(0, 2.0),),)),
+        Chord(2.0, (3.0,), (1.0,), ((Option(0, 9.0),),)),
+    ]
+    _, cost = finger(chords, 1, Costs(position=0.1, shift=1.0, stretch=1.0, cut=6.0))
+    assert cost == pytest.approx(0.1 * 16 + (1 + 4) + 6 * 0.5)
 
 
 def least_cost(chords: list[Chord], costs: Costs) -> float:
@@ -232,6 +258,7 @@ def small_pieces(draw) -> tuple[list[Chord], int, Costs]:
     return chords, len(opens), Costs(*weights)
 
 
+@settings(max_examples=80)
 @given(small_pieces())
 def test_nothing_is_cheaper(piece):
     chords, n_strings, costs = piece
