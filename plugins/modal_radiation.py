@@ -69,9 +69,7 @@ class ModalRadiation(Pickup[ModalRadiationParameters]):
             readouts=tuple(Readout(f"{name}.{c}", "displacement", (Probe(name, c),)) for c in self.channels),
             components={name: self.basis(scene.freq_upper)},
             drives=tuple(d for d in drives if d.factor != 0.0),
-            body_inputs={
-                point: ((name, "heave", sign), (name, "moment", sign * u)) for point, u in place.items()
-            },
+            body_inputs={point: ((name, "heave", sign), (name, "moment", sign * u)) for point, u in place.items()},
         )
 
     def basis(self, freq_upper: float) -> ModalBasis:

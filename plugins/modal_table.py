@@ -40,7 +40,7 @@ RANK_TOLERANCE = 1e-6
 class Point(Parameters):
     """A place of the body."""
 
-    direction: Direction = described("x, y, z or a unit vector: the point's displacement is counted along it", default="z")
+    direction: Direction = described("x, y, z or a unit vector: displacement is counted along it", default="z")
     u: float | None = quantity("1", default=None, doc="heave_rock: place along the line, -1 .. 1 between the feet")
     column: str | None = described("name of the point in the table; the point's own where left out", default=None)
 
@@ -107,9 +107,7 @@ class ModalTable(Body[ModalTableParameters]):
         else:
             maker = {"points": self._points, "residues": self._residues, "heave_rock": self._heave_rock}[p.shapes]
             which, shapes = maker(table)
-            basis = ModalBasis.real(
-                freq_rad[which], (zeta * freq_rad)[which], shapes, residual=self._residual()
-            )
+            basis = ModalBasis.real(freq_rad[which], (zeta * freq_rad)[which], shapes, residual=self._residual())
         if p.damping_case != "complex":
             basis = with_damping_case(basis, p.damping_case)
         if not basis.is_real:

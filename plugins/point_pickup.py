@@ -61,13 +61,13 @@ class PointPickup(Pickup[PointPickupParameters]):
 
     def rows(self, name: str, scene: Scene) -> PickupRows:
         """One readout per channel."""
-        sources = self.parameters.channels or {self.channels[0]: self.parameters.at}
+        sources = self.parameters.channels or {self.channels[0]: self.parameters.at or ""}
         return PickupRows(
             tuple(self._readout(f"{name}.{channel}", source, scene) for channel, source in sources.items())
         )
 
-    def _readout(self, name: str, source: Source | None, scene: Scene) -> Readout:
-        points = source.mean if isinstance(source, Mean) else [str(source)]
+    def _readout(self, name: str, source: Source, scene: Scene) -> Readout:
+        points = source.mean if isinstance(source, Mean) else [source]
         share, along = 1.0 / len(points), unit_vector(self.parameters.direction)
         if self.parameters.quantity == "force":
             forces: list[tuple[str, float]] = []

@@ -1,7 +1,9 @@
 """Parameters declared once: type, unit, range and meaning; validation, JSON schema and tables all follow from that.
 
-    class Spring(Parameters):
-        stiffness: float = quantity("N/m", low=0.0, doc="restoring force per displacement")
+>>> class Spring(Parameters):
+...     stiffness: float = quantity("N/m", low=0.0, doc="restoring force per displacement")
+>>> Spring(stiffness=2.0).stiffness
+2.0
 """
 
 from __future__ import annotations

@@ -257,6 +257,6 @@ def _scene(strings: Mapping[str, StringModel], body_points: Mapping[str, BodyPoi
         for point in ("bridge", "pluck", *string.points):
             string_points[f"{name}.{point}"] = tuple((p.component, point, p.direction) for p in string.polarizations)
         for p in string.polarizations:
-            # the connection pulls the string's end by +f, and the body by what is left of -f along the point's direction
+            # the connection pulls the string's end by +f, and the body by -f along the polarization
             bridge_forces += [BridgeForce(f"{p.component}.bridge", pt, -factor) for pt, factor in p.ends.items()]
     return Scene(body_points, tuple(bridge_forces), string_points, end_forces, limit)

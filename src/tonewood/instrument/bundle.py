@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import BundleError, ScoreError
+from tonewood.errors import BundleError, PluginError, ScoreError
 from tonewood.instrument import registry
 from tonewood.instrument.contract import Body, Exciter, Pickup, Plugin, Resonator
 from tonewood.instrument.directions import polarization_vectors
@@ -68,8 +68,8 @@ class Instrument:
         def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
             try:
                 plugin = registry.plugin(part.plugin, kind)
-            except registry.PluginError as fault:
-                raise registry.PluginError(fault.reason, file=files.manifest, key=f"{key}.plugin") from None
+            except PluginError as fault:
+                raise PluginError(fault.reason, file=files.manifest, key=f"{key}.plugin") from None
             return plugin.from_values(part.values, files, key)
 
         body = make(spec.body, "body", "body")

@@ -1,6 +1,6 @@
 """Override paths: dotted keys with ``*`` for one level, the same on the command line, in Python and in batches.
 
-    strings.E2.note = D2          strings.*.bending_stiffness = {scale: 2}       exciters.pluck.from_bridge = {fraction: .4}
+    strings.E2.note=D2     strings.*.bending_stiffness={scale: 2}     exciters.pluck.from_bridge={fraction: .4}
 
 A list's members are meant by their ``name``, or by number from 0.
 """
@@ -65,7 +65,7 @@ def _holders(
         if isinstance(at, dict) and key not in at:
             allowed = ", ".join(map(str, at)) or "nothing"
             raise BundleError(f"there is no {key!r}; there is {allowed}", file=file, key=whole)
-        below = at[key]  # type: ignore[call-overload]  # an index of a list, a key of a dict
+        below = at[key]
         yield from _holders(below, path[1:], [*place, str(key)], whole, file)
 
 
@@ -88,7 +88,8 @@ def _assign(holder: dict[str, Any] | list[Any], key: Any, value: Any, place: lis
         old = holder.get(key) if isinstance(holder, dict) else holder[key]
         factor = value["scale"]
         if not all(isinstance(x, int | float) and not isinstance(x, bool) for x in (old, factor)):
-            raise BundleError(f"{old!r} cannot be scaled by {factor!r}: numbers are wanted", file=file, key=".".join(place))
+            reason = f"{old!r} cannot be scaled by {factor!r}: numbers are wanted"
+            raise BundleError(reason, file=file, key=".".join(place))
         value = old * factor
     holder[key] = copy.deepcopy(value)
     other = _INSTEAD.get(str(key))

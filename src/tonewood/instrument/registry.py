@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module, metadata
@@ -159,8 +160,7 @@ def plugin_hash(name: str) -> str:
     """SHA-256 of the source file a plugin is defined in, with its distribution's version."""
     found, entry = plugin(name), entries(PLUGINS)[name]
     digest = hashlib.sha256(f"{entry.distribution} {entry.version}".encode())
-    try:
+    # a class without a file is known by its distribution's version alone
+    with suppress(OSError, TypeError):
         digest.update(Path(inspect.getfile(found)).read_bytes())
-    except (OSError, TypeError):
-        pass  # a class without a file is known by its distribution's version alone
     return digest.hexdigest()

@@ -66,9 +66,11 @@ class StringPart(PluginPart):
     end: str | list[str] = described("body.POINT the string ends on; several for several directions at one place")
     axis: Vector = described("from fixed end to bridge, length 1", default=(1.0, 0.0, 0.0))
     polarizations: list[Direction] = described(
-        "one or two directions; the first is kept when effects are left out", default=["z", "y"], min_length=1,
+        "one or two directions; the first is kept when effects are left out",
+        default=["z", "y"],
+        min_length=1,
         max_length=2,
-    )  # fmt: skip
+    )
     tilt_deg: float = quantity("deg", low=-90.0, high=90.0, default=0.0, doc="of the principal axes about the string")
     split_cents: float = quantity(
         "cents", low=-50.0, high=50.0, default=0.0, doc="by how much the second polarization is sharper"
@@ -77,7 +79,9 @@ class StringPart(PluginPart):
     end_compliance: float = quantity(
         "m/N", low=0.0, high=1e-4, default=2e-8, doc="local compliance of the string's seat on the bridge"
     )
-    stops: int | None = described("number of stops of this string, if not that of `stops`", default=None, ge=0, le=200, strict=True)
+    stops: int | None = described(
+        "number of stops of this string, if not that of `stops`", default=None, ge=0, le=200, strict=True
+    )
     points: dict[Name, StringPoint] = described("further places on the string", default={})
 
     @model_validator(mode="after")
@@ -91,7 +95,8 @@ class Stops(Parameters):
     """How strings are stopped."""
 
     kind: Literal["none", "frets", "continuous"] = described(
-        "none: open strings; frets: whole steps of the scale; continuous: any place up to `count` steps", default="none"
+        "none: open strings; frets: whole steps of the scale; continuous: any place up to `count` steps",
+        default="none",
     )
     count: int = described("number of steps of the scale", default=0, ge=0, le=200, strict=True)
     model: Literal["ideal"] = described("ideal: the string beyond the stop is out of play", default="ideal")
@@ -159,7 +164,7 @@ class Control(Parameters):
 class Playing(Parameters):
     """From notes to gestures."""
 
-    exciter: str | None = described("exciter of notes that name no technique; the velocity's where left out", default=None)
+    exciter: str | None = described("of notes that name no technique; the velocity's where left out", default=None)
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
     controls: dict[Annotated[str, Field(pattern=r"^cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7])$")], Control] = described(

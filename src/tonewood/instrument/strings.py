@@ -160,7 +160,7 @@ class StringModel:
         length = self.length(stop)
         pluck = min(self.pluck_from_bridge, 0.9 * length) if pluck_from_bridge is None else pluck_from_bridge
         if not 0 <= pluck <= length:
-            raise ValueError(f"string {self.name} ends {length:g} m from the bridge at stop {stop:g}, before {pluck:g} m")
+            raise ValueError(f"string {self.name} is {length:g} m long at stop {stop:g}; {pluck:g} m is not on it")
         base, tension = self._untuned(stop), self.tension(stop) * ratio_of_cents(bend_cents) ** 2
         out: dict[str, ModalBasis] = {}
         for polarization in self.polarizations:

@@ -108,7 +108,7 @@ class Joint:
         return value.reshape(self.size, self.size), slope.reshape(self.size, self.size)
 
     def determinant(self, s: complex) -> tuple[complex, complex]:
-        """det M and its derivative, det M tr(M^-1 M')."""
+        """Return det M and its derivative, det M tr(M^-1 M')."""
         M, D = self.receptance(s)
         if self.size == 1:
             return complex(M[0, 0]), complex(D[0, 0])
@@ -144,8 +144,13 @@ class Joint:
         return np.asarray(energy / energy.sum())
 
     def newton(
-        self, start: complex, *, multiply: Sequence[complex] = (), divide: Sequence[complex] = (),
-        tolerance: float = 1e-11, steps: int = 40,
+        self,
+        start: complex,
+        *,
+        multiply: Sequence[complex] = (),
+        divide: Sequence[complex] = (),
+        tolerance: float = 1e-11,
+        steps: int = 40,
     ) -> complex | None:
         """A zero of det M prod (s - multiply) / prod (s - divide) from `start`; None if it does not settle.
 

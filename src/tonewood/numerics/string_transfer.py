@@ -58,7 +58,7 @@ def string_transfer(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
     L, L_new = _number(old, "length"), _number(new, "length")
     tension, stiffness = _number(new, "tension"), _number(new, "bending_stiffness")
     vec, vec_new = _array(old, "vec"), _array(new, "vec")
-    k, k_new = (np.arange(1, len(v)) * np.pi / length for v, length in ((vec, L), (vec_new, L_new)))
+    k, k_new = _wavenumbers(len(vec) - 1, L), _wavenumbers(len(vec_new) - 1, L_new)
     short = min(L, L_new)
     sine = _overlap(k_new, k, short, -1.0)
     displacement, velocity = np.zeros((len(vec_new), len(vec))), np.zeros((len(vec_new), len(vec)))
@@ -109,6 +109,10 @@ def _overlap(a: Floats, b: Floats, length: float, sign: float) -> Floats:
     """(n_a, n_b) int_0^length of cos a x cos b x (sign 1) or sin a x sin b x (sign -1)."""
     difference, total = np.subtract.outer(a, b) * length, np.add.outer(a, b) * length
     return np.asarray(length / 2 * (np.sinc(difference / np.pi) + sign * np.sinc(total / np.pi)))
+
+
+def _wavenumbers(n_sines: int, length: float) -> Floats:
+    return np.asarray(np.arange(1, n_sines + 1) * np.pi / length, dtype=np.float64)
 
 
 def _mass(n_sines: int, length: float, linear_density: float) -> Floats:
