@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from tonewood.instrument.contract import Gesture
 
@@ -55,12 +56,12 @@ class Timeline:
     changes: Sequence[Change]
     plays: Sequence[Play]
 
-    @property
+    @cached_property
     def start(self) -> float:
         """Time of the first thing that happens, s, at most 0."""
         return min([0.0, *(c.time for c in self.changes), *(p.start for p in self.plays)])
 
-    @property
+    @cached_property
     def stop(self) -> float:
         """Time of the last thing that happens, s."""
         return max([0.0, *(c.time for c in self.changes), *(p.stop for p in self.plays)])

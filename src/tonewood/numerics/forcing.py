@@ -55,29 +55,31 @@ def compile_force(
     factor : multiplies the force.
     """
     B = real_form(basis).B[basis.index(point)] * factor
-    whole: dict[int, tuple[float, float, float]] = {}
+    whole: list[tuple[int, Floats]] = []  # first step, (3, n) coefficients at the beginning of each step
     broken: dict[int, Floats] = {}
     for piece in pieces:
         begin, end = (time + piece.start) / dt, (time + piece.stop) / dt
         if not end > begin:
             continue
         n0, n1 = int(np.floor(begin)), int(np.ceil(end))
-        for n in range(n0 if first is None else max(n0, first), n1):
-            a, b = max(begin - n, 0.0), min(end - n, 1.0)
-            if b <= a:
-                continue
-            coefficients = piece.shifted((n + a - begin) * dt)
-            if a == 0.0 and b == 1.0:
-                whole[n] = coefficients
-            else:
-                part = polynomial_injection(basis, B, dt, a * dt, b * dt, coefficients)
+        full0, full1 = int(np.ceil(begin)), int(np.floor(end))
+        for n in sorted({n0, n1 - 1} - set(range(full0, full1))):
+            if first is None or n >= first:
+                a, b = max(begin - n, 0.0), min(end - n, 1.0)
+                part = polynomial_injection(basis, B, dt, a * dt, b * dt, piece.shifted((n + a - begin) * dt))
                 broken[n] = broken.get(n, 0.0) + part
+        full0 = full0 if first is None else max(full0, first)
+        if full1 > full0:
+            at = (np.arange(full0, full1) - begin) * dt
+            c1 = piece.c1 + 2 * piece.c2 * at
+            coefficients = np.stack([piece.c0 + at * (piece.c1 + piece.c2 * at), c1, np.full(at.shape, piece.c2)])
+            whole.append((full0, coefficients))
     out = [Injection(component, n, v[None], np.ones((1, 1))) for n, v in sorted(broken.items())]
     if whole:
-        start, stop = min(whole), max(whole) + 1
+        start, stop = min(n for n, _ in whole), max(n + c.shape[1] for n, c in whole)
         values = np.zeros((3, stop - start))
-        for n, c in whole.items():
-            values[:, n - start] = c
+        for n, coefficients in whole:
+            values[:, n - start : n - start + coefficients.shape[1]] += coefficients
         _, p1, p2, p3 = flow(basis, dt, 3)
         vectors = np.stack([apply(dt * p1, B), apply(dt**2 * p2, B), apply(2 * dt**3 * p3, B)])
         used = np.any(values != 0.0, axis=1)
