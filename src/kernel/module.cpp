@@ -6,6 +6,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <cmath>
 #include <stdexcept>
 #include <string>
 
@@ -167,7 +168,14 @@ private:
                                      p[1] * p[2] + p[3] * p[3]};
                 for (int i = 0; i < 4; ++i) p[i] = q[i];
             }
-            for (int i = 0; i < 4; ++i) c.e_block[i * n + k] = T(p[i]);
+            T turn[4] = {T(p[0]), T(p[1]), T(p[2]), T(p[3])};
+            // rounded inwards, like E itself: a mode must not grow by the rounding of its propagator
+            if constexpr (sizeof(T) < sizeof(double)) {
+                const double exact = p[0] * p[3] - p[1] * p[2];
+                for (int tries = 0; tries < 4 && double(turn[0]) * turn[3] - double(turn[1]) * turn[2] > exact; ++tries)
+                    for (T& t : turn) t = std::nextafter(t, T(0));
+            }
+            for (int i = 0; i < 4; ++i) c.e_block[i * n + k] = turn[i];
             for (int r = 0; r < c.n_rows; ++r) {
                 const double rx = rows[2 * r * n + k], ry = rows[(2 * r + 1) * n + k];
                 c.slopes[2 * r * n + k] = T(rx * (a - 1) + ry * g);
