@@ -14,7 +14,7 @@ HEADER = f"""\
 # Body of a harp from Central Africa: 32 complex modes between 100 and 1700 Hz. A STAND-IN, not a measured instrument:
 # Fabre, Le Carrou & Chomette, J. Sound Vib. 590 (2024) 118593, identified such a body but do not print its modes.
 #
-# Made by scripts/make_harp_body.py (seed {SEED}) from the matrices of tonewood.lab.systems.harp_body. Licence CC-BY-4.0.
+# Made by scripts/make_harp_body.py (seed {SEED}) from the matrices in tonewood.lab.systems.harp_body. CC-BY-4.0.
 #
 # Points s1 .. s8: where the strings are tied to the tailpiece, direction normal to the soundboard (z).
 # y = 2 Re sum right z,  z' = lambda z + left f,  lambda = 2 pi f_Hz (-zeta + i sqrt(1 - zeta^2)), y in m, f in N.

@@ -1,8 +1,8 @@
 """A stand-in for the Central African harp of Fabre, Le Carrou & Chomette (2024, section 3.2.2).
 
 The paper shows that the harp's 32 modes between 100 and 1700 Hz are complex, several strongly so, and where that is
-heard, but does not print them. What stands here is made up to be like it where the paper speaks: 32 modes in that range,
-in four groups that Hasselman's criterion at 0.2 keeps apart; several with a phase collinearity below 0.95, the 22nd
+heard, but does not print them. What stands here is made up to be like it where the paper speaks: 32 modes in that
+range, in four groups that Hasselman's criterion at 0.2 keeps apart; several with a phase collinearity below 0.95, the 22nd
 and the 26th among them, which lie next to the third and the fourth partial of the paper's string (247 Hz).
 
 It is given as a second-order system in principal coordinates, and passive because its matrices say so:
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices
+from tonewood.numerics.damping import reciprocal_shapes
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.synthesis import basis_from_matrices
 
@@ -42,7 +43,10 @@ _MODAL_MASS = 0.03  # kg, geometric mean
 
 
 def harp_body_matrices(seed: int = SEED) -> tuple[Matrices, dict[str, Floats]]:
-    """M, C, K in principal coordinates (kg, N s/m, N/m), and the (32,) shapes at ``s1`` .. ``s8``, normal to the board."""
+    """M, C, K in principal coordinates (kg, N s/m, N/m), and the shapes (32,) at ``s1`` .. ``s8``.
+
+    Displacements count along the normal of the soundboard.
+    """
     rng = np.random.default_rng(seed)
     omega = 2 * np.pi * np.concatenate(FREQS)
     n = omega.size
@@ -71,11 +75,15 @@ def harp_body(seed: int = SEED) -> ModalBasis:
 
 
 def harp_body_table(seed: int = SEED) -> tuple[list[str], Floats]:
-    """Columns ``f_Hz, zeta, s1_right_re, s1_right_im, s1_left_re, s1_left_im, ...`` and their (32, n) values."""
+    """Columns ``f_Hz, zeta, s1_right_re, s1_right_im, s1_left_re, s1_left_im, ...`` and their (32, n) values.
+
+    Shapes are scaled so that Pi = 1: left and right ones are equal.
+    """
     basis = harp_body(seed)
+    shapes, _ = reciprocal_shapes(basis)
     names, columns = ["f_Hz", "zeta"], [basis.natural_freq, basis.damping_ratio]
-    for i, point in enumerate(basis.points):
-        for side, shapes in (("right", basis.right), ("left", basis.left)):
+    for point, row in zip(basis.points, shapes, strict=True):
+        for side in ("right", "left"):
             names += [f"{point}_{side}_re", f"{point}_{side}_im"]
-            columns += [shapes[i].real, shapes[i].imag]
+            columns += [row.real, row.imag]
     return names, np.stack(columns, axis=1)
