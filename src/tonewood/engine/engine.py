@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 #: samples between two points of the control grid
 GRID = 64
 #: a finger's growing dashpot is followed in this many levels
-_HOLD_LEVELS = 6
+_HOLD_LEVELS = 3
 #: compiled stops that are kept for use again
 _CACHE = 96
 

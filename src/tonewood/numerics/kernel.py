@@ -62,9 +62,11 @@ class KernelStepper:
         self._active = np.flatnonzero(~idle)
         for slot, (compiled, one_way) in enumerate(zip(system.compiled, system.driven, strict=True)):
             incidence = system.incidence(slot)[self._active]
-            if (known := self._loaded[slot]) and known[0] is compiled and known[1] == incidence.tobytes():
+            wired = np.nonzero(incidence)
+            key = b"".join(part.tobytes() for part in (*wired, incidence[wired]))
+            if (known := self._loaded[slot]) and known[0] is compiled and known[1] == key:
                 continue
-            self._loaded[slot] = (compiled, incidence.tobytes())
+            self._loaded[slot] = (compiled, key)
             p = len(compiled.ports)
             used = np.any(incidence != 0.0, axis=0)
             rows = np.concatenate([compiled.rows[:p][used], compiled.rows[p:]])

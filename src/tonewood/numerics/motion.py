@@ -51,8 +51,9 @@ def share_velocities(system: System, state: State) -> None:
         a, x = system.incidence(slot), system.modes_of(state, name).T
         rows = compiled.form.rows("velocity", compiled.ports)
         B = compiled.form.B[compiled.ports]
-        gap += a @ np.einsum("pmx,mx->p", rows, x)
-        mobility += a @ np.einsum("pmx,qmx->pq", rows, B) @ a.T
+        flat = rows.reshape(len(rows), -1)
+        gap += a @ (flat @ x.reshape(-1))
+        mobility += a @ (flat @ B.reshape(len(B), -1).T) @ a.T
         impulses.append(B)
     kick = np.zeros(m)
     kick[rigid] = -scaled_pinv(mobility[np.ix_(rigid, rigid)]) @ gap[rigid]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -274,12 +275,12 @@ class System:
             raise ValueError("a connection's terms cannot change, only its law")
         return replace(self, connections=connections)._solved()
 
-    @property
+    @cached_property
     def offsets(self) -> tuple[int, ...]:
         """Start of each component in `State.modes`."""
         return tuple(int(x) for x in np.cumsum((0, *self.capacities[:-1])))
 
-    @property
+    @cached_property
     def driven(self) -> tuple[bool, ...]:
         """Which components are driven one way."""
         one_way = {d.component for d in self.drives}
