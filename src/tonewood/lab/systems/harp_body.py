@@ -2,8 +2,8 @@
 
 The paper shows that the harp's 32 modes between 100 and 1700 Hz are complex, several strongly so, and where that is
 heard, but does not print them. What stands here is made up to be like it where the paper speaks: 32 modes in that
-range, in four groups that Hasselman's criterion at 0.2 keeps apart; several with a phase collinearity below 0.95, the 22nd
-and the 26th among them, which lie next to the third and the fourth partial of the paper's string (247 Hz).
+range, in four groups that Hasselman's criterion at 0.2 keeps apart; several with a phase collinearity below 0.95,
+the 22nd and the 26th among them, which lie next to the third and the fourth partial of the paper's string (247 Hz).
 
 It is given as a second-order system in principal coordinates, and passive because its matrices say so:
 
