@@ -136,16 +136,16 @@ def expand(manifest: Manifest, folder: Path) -> tuple[Condition, ...]:
 
 
 def vary_notes(
-    notes: Sequence[Note], draws: Sequence[Draw], base: Callable[[str, Note], float | None]
+    notes: Sequence[Note], draws: Sequence[Draw], base: Callable[[Draw, Note], float | None]
 ) -> tuple[Note, ...]:
-    """Notes with their human variation.
+    """Notes with their human variation, in time order.
 
     Parameters
     ----------
     notes : in the order they were written.
     draws : those with a `note_field` are applied, each with one number per note.
-    base : what a field is worth in a note that leaves it open (`from_bridge` of the instrument's pluck, the force
-        its velocity stands for); None leaves the note as it is.
+    base : what that field is worth in a note as it was written, given there or by the instrument; None leaves the
+        note as it is.
     """
     varied = list(notes)
     for draw in draws:
@@ -153,10 +153,11 @@ def vary_notes(
         if name is None:
             continue
         for i, drawn in enumerate(draw.values(len(varied))):
-            given = getattr(varied[i], name)
-            value = base(name, varied[i]) if given is None else float(given)
+            value = base(draw, notes[i])
             if value is not None:
-                changed: dict[str, Any] = {name: max(draw.applied(value, float(drawn)), 0.0)}
+                changed: dict[str, Any] = {name: draw.applied(value, float(drawn))}
+                if name != "angle_deg":
+                    changed[name] = max(changed[name], 0.0)
                 varied[i] = dataclasses.replace(varied[i], **changed)
     return tuple(sorted(varied, key=lambda note: note.time))
 

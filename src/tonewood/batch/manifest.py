@@ -108,9 +108,11 @@ class RenderSettings(_Part):
 
     fs: int = Field(default=48000, ge=8000, le=768000, description="Hz")
     precision: Literal["f64", "f32"] = "f64"
-    accuracy: str = "standard"
-    effects: str | list[str] = "auto"
-    isa: str = "auto"
+    accuracy: Literal["standard"] = "standard"
+    effects: Literal["auto", "all", "none"] | list[str] | None = Field(
+        default=None, description="the bundle's own choice if not given"
+    )
+    isa: Literal["auto", "avx512", "avx2", "neon", "baseline"] = "auto"
     output: str | None = Field(default=None, description="output group of the bundle; its first if not given")
     tail: Tail = Tail()
 

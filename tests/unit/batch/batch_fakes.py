@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from tonewood.batch.conditions import Condition, vary_notes
+from tonewood.batch.conditions import Condition, Draw, vary_notes
 from tonewood.batch.store import Rendered
 from tonewood.errors import NumericalError, TonewoodError
+from tonewood.score.note import Note
 
 BASE: dict[str, Any] = {
     "schema": "tonewood-batch/1",
@@ -53,6 +54,11 @@ def write(folder: Path, data: dict[str, Any]) -> Path:
     return path
 
 
+def given(draw: Draw, note: Note) -> float | None:
+    value = getattr(note, draw.note_field or "")
+    return 0.1 if value is None else value
+
+
 class FakeRenderer:
     """Sums of decaying sines; `sleep` makes each render take that long, `log` counts them in a file."""
 
@@ -82,7 +88,7 @@ class FakeRenderer:
         if t60 == "nan":
             return Rendered(np.full((100, 1), np.nan), 48000)
         fs = condition.render.fs
-        notes = vary_notes(condition.notes or (), condition.draws, lambda name, note: 0.1)
+        notes = vary_notes(condition.notes or (), condition.draws, given)
         t = np.arange(round((max(n.time for n in notes) + 2 * t60) * fs)) / fs
         sound = np.zeros(len(t))
         for note in notes:

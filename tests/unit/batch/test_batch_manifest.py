@@ -95,12 +95,18 @@ def test_varied_notes() -> None:
     draw = Draw("note.force", "normal_db", 0.5, 3, ("a",))
     place = Draw("exciters.pluck.from_bridge", "uniform", 0.002, 3, ("a",))
     notes = (Note(0.0, force=1.0, from_bridge=0.1), Note(1.0), Note(2.0, velocity_midi=64))
-    base = {"force": 3.0, "from_bridge": None}
-    got = vary_notes(notes, (draw, place), lambda name, note: base[name])
+    later = Draw("note.time", "uniform", 0.1, 3, ("a",))
+
+    def base(draw: Draw, note: Note) -> float | None:
+        value = getattr(note, draw.note_field)
+        return 3.0 if value is None and draw.note_field == "force" else value
+
+    got = vary_notes(notes, (later, draw, place), base)
     factors, shifts = draw.values(3), place.values(3)
     np.testing.assert_allclose([n.force for n in got], [1.0, 3.0, 3.0] * factors, rtol=1e-15)
     assert got[0].from_bridge == pytest.approx(0.1 + shifts[0])
     assert got[1].from_bridge is None
+    np.testing.assert_allclose([n.time for n in got], np.maximum(later.values(3) + [0.0, 1.0, 2.0], 0.0))
 
 
 def test_inline_notes_have_the_fields_of_notes() -> None:

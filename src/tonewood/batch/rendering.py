@@ -1,0 +1,201 @@
+"""Conditions to sound with tonewood's own engine: the only part of a batch that knows instruments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from tonewood.batch.conditions import Condition, Draw, vary_notes
+from tonewood.batch.store import Rendered
+from tonewood.errors import TonewoodError
+from tonewood.instrument import registry
+from tonewood.instrument.assembly import assemble
+from tonewood.instrument.bundle import Instrument
+from tonewood.numerics.kernel import instruction_set
+from tonewood.output.render import Renderer, Tail
+from tonewood.score.assignment import assign
+from tonewood.score.midi import read_midi
+from tonewood.score.note import Note, Score
+
+_SECONDS_PER_SECOND = 0.2  # of computing, a cautious guess for the plan
+
+
+@dataclass(frozen=True)
+class EngineRenderer:
+    """Renders conditions; holds nothing, so it costs nothing to send to a worker."""
+
+    def identity(self, condition: Condition) -> dict[str, Any]:
+        """Parameters, hashes, version and instruction set that decide the samples.
+
+        Raises
+        ------
+        TonewoodError
+            The bundle cannot be loaded, an override does not fit it, or the instruction set is not the one asked for.
+        """
+        wanted, here = condition.render.isa, instruction_set()
+        if wanted not in ("auto", here):
+            raise TonewoodError(f"{wanted} is asked for, this process runs {here}: set TONEWOOD_ISA", key="render.isa")
+        instrument = instrument_of(condition)
+        return {
+            "asked": condition.asked(),
+            "bundle": instrument.content_hash,
+            "plugins": {name: registry.plugin_hash(name) for name in instrument.plugin_names},
+            "parameters": instrument.resolved,
+            "version": _version(),
+            "isa": here,
+        }
+
+    def predict(self, condition: Condition) -> float:
+        """A cautious guess from the length of the score and the longest tail, s."""
+        notes = condition.notes
+        length = max(n.time + n.duration for n in notes) if notes else (condition.midi or {}).get("stop") or 30.0
+        return _SECONDS_PER_SECOND * (float(length) + 0.5 * condition.render.tail.cap)
+
+    def render(self, condition: Condition) -> Rendered:
+        """The sound of a condition, with its human variation.
+
+        Raises
+        ------
+        TonewoodError
+            A score cannot be read or played, or the render went wrong.
+        """
+        import numpy as np
+
+        settings = condition.render
+        instrument = instrument_of(condition)
+        score = _varied(_score(condition), instrument, condition)
+        renderer = Renderer(
+            score,
+            instrument,
+            settings.fs,
+            precision=settings.precision,
+            outputs=None if settings.output is None else [settings.output],
+            tail=Tail(level_db=settings.tail.energy_db, cap=settings.tail.cap),
+            channel_per_string=_channel_per_string(condition),
+        )
+        samples = np.concatenate(list(renderer.blocks(4096)))
+        summary = renderer.summary()
+        info = {
+            "channels": list(renderer.channels),
+            "end": summary.end,
+            "n_modes": summary.n_modes,
+            "realtime_factor": summary.realtime_factor,
+            "notes": summary.notes,
+            "notes_dropped": [f"{d.time:.3f} s: {d.reason}" for d in summary.notes_dropped],
+            "warnings": list(summary.warnings),
+        }
+        return Rendered(samples, renderer.fs, info)
+
+
+def instrument_of(condition: Condition) -> Instrument:
+    """The bundle with the condition's overrides, and with what varies once per repeat."""
+    overrides = dict(condition.overrides)
+    if condition.render.effects is not None:
+        overrides["effects.mode"] = condition.render.effects
+    instrument = _loaded(condition.bundle).replace(overrides)
+    varied: dict[str, Any] = {}
+    for draw in condition.draws:
+        if draw.note_field is None:
+            drawn = float(draw.values(1)[0])
+            varied |= {path: draw.applied(value, drawn) for path, value in _numbers(instrument.resolved, draw.path)}
+    return instrument.replace(varied)
+
+
+@lru_cache(maxsize=64)
+def _loaded(bundle: str) -> Instrument:
+    return Instrument.load(bundle)
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("tonewood")
+
+
+def _score(condition: Condition) -> Score:
+    if condition.notes is not None:
+        return Score(condition.notes, name=condition.score)
+    midi = condition.midi or {}
+    return read_midi(midi["path"], start=midi["start"], stop=midi["stop"])
+
+
+def _channel_per_string(condition: Condition) -> bool:
+    return bool((condition.midi or {}).get("channel_per_string", False))
+
+
+def _varied(score: Score, instrument: Instrument, condition: Condition) -> Score:
+    if not any(draw.note_field for draw in condition.draws):
+        return score
+    lookup = _Base(score, instrument, condition)
+    return Score(
+        vary_notes(score.notes, condition.draws, lookup.value),
+        score.controls,
+        score.dropped,
+        score.warnings,
+        score.name,
+        score.metadata,
+    )
+
+
+class _Base:
+    """What a field of a note is worth before it varies."""
+
+    def __init__(self, score: Score, instrument: Instrument, condition: Condition):
+        self.score, self.instrument, self.condition = score, instrument, condition
+        playing = instrument.spec.playing
+        self.velocity = playing.velocity
+        self.default = playing.exciter or playing.velocity.parameter.partition(".")[0]
+        self.lengths: dict[tuple[object, ...], float] | None = None
+
+    def value(self, draw: Draw, note: Note) -> float | None:
+        name = draw.note_field or ""
+        exciter = note.technique or self.default
+        head = draw.path.split(".")
+        if head[0] == "exciters" and head[1] not in ("*", exciter):
+            return None
+        given = getattr(note, name)
+        if given is not None:
+            return float(given)
+        if name == "force" and note.velocity_midi is not None:
+            return self.velocity.value(note.velocity_midi)
+        value = self.instrument.resolved["exciters"].get(exciter, {}).get(name)
+        if isinstance(value, Mapping):
+            length = self._length(note)
+            return None if length is None else float(value["fraction"]) * length
+        return None if value is None else float(value)
+
+    def _length(self, note: Note) -> float | None:
+        """Speaking length of the string a note will be played on, m; None for a note that cannot be played."""
+        if self.lengths is None:
+            from tonewood.engine.playing import playable
+
+            model = assemble(self.instrument, self.condition.render.fs)
+            assignment = assign(
+                self.score.notes,
+                playable(model),
+                channel_per_string=_channel_per_string(self.condition),
+                tuning=self.instrument.tuning,
+            )
+            self.lengths = {_place(a.note): model.place(a.string, a.stop).length for a in assignment.notes}
+        return self.lengths.get(_place(note))
+
+
+def _place(note: Note) -> tuple[object, ...]:
+    return (note.time, note.note, note.freq, note.string, note.stop)
+
+
+def _numbers(values: Any, path: str, place: str = "") -> list[tuple[str, float]]:
+    """Numbers a dotted path with ``*`` leads to, each with its own path."""
+    if not path:
+        if isinstance(values, bool) or not isinstance(values, (int, float)):
+            raise TonewoodError(f"{values!r} cannot vary: a number is wanted", key=f"vary.{place}")
+        return [(place, float(values))]
+    first, _, rest = path.partition(".")
+    if isinstance(values, list):
+        values = {str(v.get("name", i) if isinstance(v, Mapping) else i): v for i, v in enumerate(values)}
+    if not isinstance(values, Mapping) or (first != "*" and first not in values):
+        raise TonewoodError(f"there is no {first!r}", key=f"vary.{place}.{path}" if place else f"vary.{path}")
+    names = list(values) if first == "*" else [first]
+    return [found for n in names for found in _numbers(values[n], rest, f"{place}.{n}" if place else n)]

@@ -1,0 +1,93 @@
+"""``tonewood batch``: a manifest to a folder for listeners."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tonewood.cli.common import Advance, Json, progress, warn
+from tonewood.errors import TonewoodError
+
+if TYPE_CHECKING:
+    from tonewood.batch.runner import Plan, Report
+
+
+def batch(
+    manifest: Annotated[Path, typer.Argument(help="YAML file that says what is played, varied and heard")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="folder; an unfinished one is taken up again")],
+    jobs: Annotated[int, typer.Option(help="workers on this machine; -1 for one per core")] = -1,
+    workers: Annotated[str, typer.Option(help="processes or threads")] = "processes",
+    cluster: Annotated[str | None, typer.Option(help="address of a Dask scheduler to render on")] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="print the plan and the predicted time, do nothing")
+    ] = False,
+    as_json: Json = False,
+) -> int:
+    """Render all conditions of MANIFEST and write stimuli, pages, key and records."""
+    from tonewood.batch.rendering import EngineRenderer
+    from tonewood.batch.runner import plan_batch, run_batch
+    from tonewood.batch.workers import Workers
+
+    if jobs == 0 or jobs < -1:
+        raise TonewoodError(f"is {jobs}; 1 or more are allowed, or -1", key="--jobs")
+    if workers not in ("processes", "threads"):
+        raise TonewoodError(f"is {workers!r}; processes or threads are allowed", key="--workers")
+    place = Workers(jobs, "threads" if workers == "threads" else "processes", cluster)
+    if dry_run:
+        plan = plan_batch(manifest, output, EngineRenderer(), place)
+        print(json.dumps(plan.summary())) if as_json else _print_plan(plan)
+        return 1 if plan.faults else 0
+    with _Bars() as bars:
+        try:
+            report = run_batch(manifest, output, EngineRenderer(), place, bars)
+        except KeyboardInterrupt:
+            print("tonewood: interrupted; finished renders are kept, run it again to go on", file=sys.stderr)
+            return 130
+    print(json.dumps(report.summary())) if as_json else _print_report(report)
+    return 0 if report.ok else 1
+
+
+class _Bars(ExitStack):
+    """One progress bar after another, a stage each."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stage = ""
+        self.advance: Advance | None = None
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        if stage != self.stage:
+            self.pop_all().close()
+            self.stage, self.advance = stage, self.enter_context(progress(f"{stage} ({total})", total))
+        if self.advance is not None:
+            self.advance(done)
+
+
+def _print_plan(plan: Plan) -> None:
+    for condition in plan.conditions:
+        print(condition.name)
+    summary = plan.summary()
+    print(
+        f"{len(plan.conditions)} conditions: {summary['to_render']} to render, {summary['rendered']} rendered; "
+        f"{summary['files']} files, {summary['trials']} trials; about {summary['predicted_seconds']:.0f} s"
+    )
+    _print_faults(plan)
+
+
+def _print_report(report: Report) -> None:
+    print(
+        f"{report.folder}: {len(report.files)} files from {report.rendered} new and {report.reused} earlier renders, "
+        f"{report.seconds:.1f} s"
+    )
+    _print_faults(report)
+
+
+def _print_faults(found: Plan | Report) -> None:
+    warn(list(found.notes))
+    for fault in found.faults:
+        print(f"tonewood: failed: {fault.name}: {fault.reason}", file=sys.stderr)
