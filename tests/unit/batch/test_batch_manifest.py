@@ -106,7 +106,7 @@ def test_varied_notes() -> None:
     np.testing.assert_allclose([n.force for n in got], [1.0, 3.0, 3.0] * factors, rtol=1e-15)
     assert got[0].from_bridge == pytest.approx(0.1 + shifts[0])
     assert got[1].from_bridge is None
-    np.testing.assert_allclose([n.time for n in got], np.maximum(later.values(3) + [0.0, 1.0, 2.0], 0.0))
+    np.testing.assert_allclose([n.time for n in got], np.maximum(np.arange(3) + later.values(3), 0.0))
 
 
 def test_inline_notes_have_the_fields_of_notes() -> None:
