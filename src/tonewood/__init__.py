@@ -1,1 +1,128 @@
-"""tonewood: plugin-based physical sound synthesis."""
+"""tonewood: plugin-based physical sound synthesis.
+
+>>> import tonewood as tw
+>>> guitar = tw.load_instrument("classical_guitar")
+>>> audio = tw.render(tw.Score([tw.Note(0.0, 1.0, note=40, force=1.0)]), guitar, max_duration=0.1)
+>>> audio.samples.shape
+(4800, 2)
+
+Every public name is imported when it is first used, so that ``import tonewood`` costs next to nothing. What a plugin
+needs stands here too: see `Resonator`, `Body`, `Exciter` and `Pickup`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tonewood.errors import BundleError as BundleError
+    from tonewood.errors import NumericalError as NumericalError
+    from tonewood.errors import OutputError as OutputError
+    from tonewood.errors import PassivityError as PassivityError
+    from tonewood.errors import PluginError as PluginError
+    from tonewood.errors import ScoreError as ScoreError
+    from tonewood.errors import TonewoodError as TonewoodError
+    from tonewood.instrument.assembly import Model as Model
+    from tonewood.instrument.assembly import assemble as assemble
+    from tonewood.instrument.bundle import Instrument as Instrument
+    from tonewood.instrument.bundle import load_instrument as load_instrument
+    from tonewood.instrument.contract import Body as Body
+    from tonewood.instrument.contract import BodyPoint as BodyPoint
+    from tonewood.instrument.contract import BridgeForce as BridgeForce
+    from tonewood.instrument.contract import Event as Event
+    from tonewood.instrument.contract import Exciter as Exciter
+    from tonewood.instrument.contract import Gesture as Gesture
+    from tonewood.instrument.contract import Hold as Hold
+    from tonewood.instrument.contract import Pickup as Pickup
+    from tonewood.instrument.contract import PickupRows as PickupRows
+    from tonewood.instrument.contract import Place as Place
+    from tonewood.instrument.contract import Plugin as Plugin
+    from tonewood.instrument.contract import Resonator as Resonator
+    from tonewood.instrument.contract import Scene as Scene
+    from tonewood.instrument.contract import Segment as Segment
+    from tonewood.instrument.contract import dot as dot
+    from tonewood.instrument.directions import Direction as Direction
+    from tonewood.instrument.directions import unit_vector as unit_vector
+    from tonewood.instrument.gestures import Fraction as Fraction
+    from tonewood.instrument.gestures import StringPlace as StringPlace
+    from tonewood.instrument.gestures import metres as metres
+    from tonewood.instrument.gestures import smooth_step as smooth_step
+    from tonewood.instrument.losses import LossLaw as LossLaw
+    from tonewood.instrument.registry import list_instruments as list_instruments
+    from tonewood.instrument.registry import list_plugins as list_plugins
+    from tonewood.numerics.damping import with_damping_case as with_damping_case
+    from tonewood.numerics.modes import ModalBasis as ModalBasis
+    from tonewood.numerics.string_modes import string_basis as string_basis
+    from tonewood.numerics.string_transfer import retuned as retuned
+    from tonewood.numerics.string_transfer import string_transfer as string_transfer
+    from tonewood.numerics.system import Drive as Drive
+    from tonewood.numerics.system import Probe as Probe
+    from tonewood.numerics.system import Readout as Readout
+    from tonewood.output.audio import Audio as Audio
+    from tonewood.output.play import Playback as Playback
+    from tonewood.output.play import play as play
+    from tonewood.output.render import Renderer as Renderer
+    from tonewood.output.render import Summary as Summary
+    from tonewood.output.render import Tail as Tail
+    from tonewood.output.render import render as render
+    from tonewood.params import Number as Number
+    from tonewood.params import Parameters as Parameters
+    from tonewood.params import Vector as Vector
+    from tonewood.params import described as described
+    from tonewood.params import quantity as quantity
+    from tonewood.score.midi import read_midi as read_midi
+    from tonewood.score.midi import write_midi as write_midi
+    from tonewood.score.note import Control as Control
+    from tonewood.score.note import Dropped as Dropped
+    from tonewood.score.note import Note as Note
+    from tonewood.score.note import Score as Score
+
+    __version__: str
+
+_MODULES = {
+    "errors": (
+        "BundleError", "NumericalError", "OutputError", "PassivityError", "PluginError", "ScoreError", "TonewoodError",
+    ),
+    "instrument.assembly": ("Model", "assemble"),
+    "instrument.bundle": ("Instrument", "load_instrument"),
+    "instrument.contract": (
+        "Body", "BodyPoint", "BridgeForce", "Event", "Exciter", "Gesture", "Hold", "Pickup", "PickupRows", "Place",
+        "Plugin", "Resonator", "Scene", "Segment", "dot",
+    ),
+    "instrument.directions": ("Direction", "unit_vector"),
+    "instrument.gestures": ("Fraction", "StringPlace", "metres", "smooth_step"),
+    "instrument.losses": ("LossLaw",),
+    "instrument.registry": ("list_instruments", "list_plugins"),
+    "numerics.damping": ("with_damping_case",),
+    "numerics.modes": ("ModalBasis",),
+    "numerics.string_modes": ("string_basis",),
+    "numerics.string_transfer": ("retuned", "string_transfer"),
+    "numerics.system": ("Drive", "Probe", "Readout"),
+    "output.audio": ("Audio",),
+    "output.play": ("Playback", "play"),
+    "output.render": ("Renderer", "Summary", "Tail", "render"),
+    "params": ("Number", "Parameters", "Vector", "described", "quantity"),
+    "score.midi": ("read_midi", "write_midi"),
+    "score.note": ("Control", "Dropped", "Note", "Score"),
+}  # fmt: skip
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+__all__ = [*_HOME, "__version__"]  # strings, though computed
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: Any = version("tonewood")
+    elif name in _HOME:
+        value = getattr(import_module(f"tonewood.{_HOME[name]}"), name)
+    else:
+        raise AttributeError(f"module 'tonewood' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
