@@ -1,0 +1,121 @@
+"""Conditions on a real instrument: what a batch relies on."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tonewood.batch.conditions import Condition, Draw, expand
+from tonewood.batch.manifest import check_manifest
+from tonewood.batch.rendering import EngineRenderer, instrument_of
+from tonewood.batch.runner import run_batch
+from tonewood.batch.store import content_key
+from tonewood.errors import TonewoodError
+
+ENGINE = EngineRenderer()
+NOTE = {"time": 0.0, "duration": 0.3, "note": 57.0, "force": 1.0}
+
+
+def manifest(**changes: Any) -> dict[str, Any]:
+    data = {
+        "schema": "tonewood-batch/1",
+        "name": "real",
+        "seed": 5,
+        "instruments": {"guitar": "classical_guitar"},
+        "scores": {"note": {"phrase": [NOTE]}},
+        "factors": {"loss": {"path": "strings.*.loss.eta_a", "levels": {"low": {"scale": 1.0}, "high": {"scale": 30}}}},
+        "render": {"output": "bridge", "tail": {"energy_db": -40, "cap": 0.3}},
+        "pages": [{"type": "mushra", "reference": {"loss": "low"}, "anchors": [3500]}],
+    }
+    return data | changes
+
+
+def conditions(**changes: Any) -> tuple[Condition, ...]:
+    return expand(check_manifest(manifest(**changes)), Path())
+
+
+def test_identity_is_json_and_follows_what_is_asked() -> None:
+    low, high = conditions()
+    assert content_key(ENGINE.identity(low)) == content_key(ENGINE.identity(low))
+    assert content_key(ENGINE.identity(low)) != content_key(ENGINE.identity(high))
+    identity = json.loads(json.dumps(ENGINE.identity(high), allow_nan=False))
+    before = ENGINE.identity(low)["parameters"]["strings"]["A2"]["loss"]["eta_a"]
+    assert identity["parameters"]["strings"]["A2"]["loss"]["eta_a"] == pytest.approx(30 * before)
+    assert set(identity["plugins"]) >= {"stiff_string", "modal_table"}
+    assert len(identity["bundle"]) == 64
+    (seeded, _) = conditions(seed=6)
+    assert content_key(ENGINE.identity(seeded)) != content_key(ENGINE.identity(low))
+
+
+def test_renders_repeat_to_the_bit_and_hear_their_factor() -> None:
+    low, high = conditions()
+    first, again, other = ENGINE.render(low), ENGINE.render(low), ENGINE.render(high)
+    assert np.array_equal(first.samples, again.samples)
+    assert first.samples.shape[1] == 1
+    assert first.info["notes"] == 1
+    n = min(len(first.samples), len(other.samples)) // 2
+    late = slice(n, 2 * n)
+    assert np.std(other.samples[late]) < 0.9 * np.std(first.samples[late])
+
+
+def test_varied_force_scales_a_linear_sound() -> None:
+    plain = conditions()[0]
+    draw = Draw("exciters.pluck.force", "normal_db", 2.0, 5, ("guitar", "note", "1"))
+    varied = replace(plain, draws=(draw,))
+    factor = draw.values(1)[0]
+    assert abs(factor - 1.0) > 1e-3
+    a, b = ENGINE.render(plain).samples, ENGINE.render(varied).samples
+    n = min(len(a), len(b))
+    np.testing.assert_allclose(b[:n], factor * a[:n], atol=1e-9 * np.max(np.abs(a)))
+    tap = replace(plain, draws=(Draw("exciters.tap.force", "normal_db", 2.0, 5, ()),))
+    assert np.array_equal(ENGINE.render(tap).samples, a)  # no note is tapped
+
+
+def test_place_varies_about_a_fraction_of_the_string_played() -> None:
+    draw = Draw("exciters.pluck.from_bridge", "uniform", 0.01, 5, ())
+    asked = replace(conditions()[0], overrides={"exciters.pluck.from_bridge": {"fraction": 0.4}}, draws=(draw,))
+    # A3 is the second fret of the G string: 0.65 m / 2^(2/12)
+    place = 0.4 * 0.65 / 2 ** (2 / 12) + float(draw.values(1)[0])
+    assert asked.notes is not None
+    set_by_hand = replace(asked, notes=(replace(asked.notes[0], from_bridge=place),), draws=())
+    np.testing.assert_allclose(ENGINE.render(asked).samples, ENGINE.render(set_by_hand).samples, atol=1e-12)
+
+
+def test_parameters_of_the_instrument_vary_once_a_repeat() -> None:
+    plain = conditions()[0]
+    scaled = Draw("strings.*.tilt_deg", "normal", 3.0, 5, ())
+    got = instrument_of(replace(plain, draws=(scaled,))).resolved["strings"]
+    before = instrument_of(plain).resolved["strings"]
+    for name in before:
+        assert got[name]["tilt_deg"] - before[name]["tilt_deg"] == pytest.approx(float(scaled.values(1)[0]))
+    for path, words in {"strings.*.title": "no 'title'", "body.plugin": "cannot vary"}.items():
+        with pytest.raises(TonewoodError, match=words):
+            instrument_of(replace(plain, draws=(replace(scaled, path=path),)))
+
+
+def test_a_batch_on_a_real_instrument(tmp_path: Path) -> None:
+    levels = {"low": {"scale": 1.0}, "high": {"scale": 30}, "wrong": "loud"}
+    factors = {"loss": {"path": "strings.*.loss.eta_a", "levels": levels}}
+    path = tmp_path / "batch.yaml"
+    path.write_text(json.dumps(manifest(factors=factors, pages=[{"type": "html"}], output={"formats": ["json"]})))
+    report = run_batch(path, tmp_path / "out", ENGINE)
+    assert [f.name for f in report.faults] == ["guitar.note.loss=wrong"]
+    assert "strings.E2.loss" in report.faults[0].reason
+    assert len(report.files) == 2
+    row = json.loads((tmp_path / "out" / "manifest.json").read_text())["files"][0]
+    assert row["identity"]["isa"]
+    assert row["identity"]["parameters"]["name"] == "classical_guitar"
+    assert row["lufs"] == pytest.approx(-23.0 - row["page_drop_db"], abs=0.02)
+
+
+def test_another_instruction_set_is_refused() -> None:
+    here = ENGINE.identity(conditions()[0])["isa"]
+    other = "neon" if here != "neon" else "avx2"
+    (asked, _) = conditions(render={"isa": other})
+    with pytest.raises(TonewoodError, match=rf"render\.isa: {other} is asked for, this process runs {here}"):
+        ENGINE.identity(asked)
