@@ -147,7 +147,7 @@ def solve_ports(
     dt: float,
     guess: Floats | None = None,
     *,
-    rtol: float = 1e-13,
+    rtol: float = 1e-12,
     max_iterations: int = 100,
 ) -> tuple[Floats, Floats, int]:
     """Find F with F = phi(p_u - Z F; p) by Newton's method, safeguarded by the convex energy along each step.
@@ -158,7 +158,7 @@ def solve_ports(
     Z : (m, m) m/N.
     unconstrained, old : (m,) m, p_u and p.
     guess : (m,) N, start; the forces of the step before do.
-    rtol : of the displacement the forces make.
+    rtol : last correction of the gaps, relative to them and to the displacement the forces make.
 
     Returns
     -------
@@ -186,7 +186,12 @@ def solve_ports(
         residual = phi - F
         s = np.sqrt(slope)
         inner = np.eye(len(laws)) + s[:, None] * Z * s
-        step = residual - s * sla.solve(inner, s * (Z @ residual), assume_a="pos")
+        try:
+            step = residual - s * sla.solve(inner, s * (Z @ residual), assume_a="pos")
+        except sla.LinAlgError as error:
+            raise NumericalError(
+                "a nonlinear connection is too stiff for its step: 1 / rounding is exceeded"
+            ) from error
         moved = Z @ step
         start, t = float(moved @ (F - phi)), 1.0
         for _ in range(60):
@@ -197,9 +202,9 @@ def solve_ports(
                 break
             t *= 0.5
         F = trial
-        scale = float(np.abs(gaps).max(initial=0.0) + np.abs(unconstrained).max(initial=0.0))
-        if np.abs(Z @ (phi - F)).max(initial=0.0) <= rtol * scale:
-            return phi, unconstrained - Z @ phi, iteration
+        scale = np.abs(unconstrained) + np.abs(Z) @ np.abs(F)
+        if np.abs(moved).max(initial=0.0) <= rtol * scale.max(initial=0.0):
+            return F, gaps, iteration
     raise NumericalError(
         f"the forces of {len(laws)} nonlinear connections were not found in {max_iterations} iterations"
     )
