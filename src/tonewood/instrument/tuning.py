@@ -195,7 +195,7 @@ def tune(string: StringOnBody, freq: float, tension: float) -> TunedStop:
         flat, sharp = (max(flat, guess), sharp) if error < 0 else (flat, min(sharp, guess))
         guess = _follow(string, freq, guess, pole)
         if not flat < guess < sharp:
-            guess = math.sqrt(flat * sharp) if 0 < flat and sharp < math.inf else best * (1.05 if error < 0 else 0.95)
+            guess = math.sqrt(flat * sharp) if flat > 0 and sharp < math.inf else best * (1.05 if error < 0 else 0.95)
     modes = string.modes(best, freq)
     if not modes:
         raise ValueError(f"no mode of the string was found near {freq:.2f} Hz")

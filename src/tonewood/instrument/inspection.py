@@ -1,0 +1,160 @@
+"""What an assembled instrument is, without playing it: pitch at every stop, coupled partials, wolf notes, mobility."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.instrument.assembly import Model
+from tonewood.instrument.strings import StringModel
+from tonewood.instrument.tuning import CoupledMode, TunedStop
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.receptance import Joint, Ports
+from tonewood.units import cents, t60
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+#: a string-dominated mode this far from its pitch is worth a word
+TOLERANCE_CENTS = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pitch:
+    """A string at a stop as it sounds on its body.
+
+    Attributes
+    ----------
+    string, stop : which.
+    note : MIDI number, fractional in other tunings.
+    wanted_freq : Hz, what the note should be.
+    tension : N, of the first polarization.
+    modes : coupled modes near the pitch, the string-dominated one first.
+    wolf : a second mode that disturbs the first, or None.
+    """
+
+    string: str
+    stop: int
+    note: float
+    wanted_freq: float
+    tension: float
+    modes: tuple[CoupledMode, ...]
+    wolf: CoupledMode | None
+
+    @property
+    def freq(self) -> float:
+        """Of the string-dominated mode, Hz."""
+        return self.modes[0].freq
+
+    @property
+    def error_cents(self) -> float:
+        """Of the string-dominated mode against the note."""
+        return cents(self.freq / self.wanted_freq)
+
+    @property
+    def t60(self) -> float:
+        """Of the string-dominated mode, s."""
+        return t60(-self.modes[0].pole.real)
+
+
+@dataclass(frozen=True, slots=True)
+class Partial:
+    """A partial of one string on its body.
+
+    Attributes
+    ----------
+    number : 1 is the fundamental.
+    freq : Hz.
+    cents : from `number` times the note.
+    t60 : s.
+    shares : of the modal energy: one per polarization, then the body's.
+    """
+
+    number: int
+    freq: float
+    cents: float
+    t60: float
+    shares: tuple[float, ...]
+
+
+def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
+    """The string at one stop, tuned or as its tension stands."""
+    held = model.strings[string]
+    tuned = held.tuned(stop)
+    if tuned is None:
+        tension = held.tension(stop)
+        tuned = TunedStop(held.freq(stop), tension, held.coupled(stop).modes(tension, held.freq(stop)))
+    return Pitch(string, stop, held.open_note + stop, tuned.freq, tuned.tension, tuned.modes, tuned.wolf)
+
+
+def pitches(model: Model) -> list[Pitch]:
+    """Every string at every whole stop."""
+    return [pitch(model, name, stop) for name, held in model.strings.items() for stop in range(held.n_stops + 1)]
+
+
+def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> list[Partial]:
+    """String-dominated coupled modes, at most `count` of them and below the string's highest mode.
+
+    Each is looked for at the partial of the same string on a bridge that does not move.
+    """
+    held = model.strings[string]
+    at, coupled = pitch(model, string, stop), held.coupled(stop)
+    joint = coupled.joint(at.tension)
+    rigid = _rigid_partials(held, stop, at, count)
+    found = []
+    for number, freq in enumerate(rigid, 1):
+        near = [
+            (s, shares)
+            for s, shares in coupled.poles(joint, freq)
+            if abs(s.imag / (2 * math.pi) - freq) < at.wanted_freq / 2
+        ]
+        if near:
+            s, shares = near[0]
+            f = s.imag / (2 * math.pi)
+            found.append(Partial(number, f, cents(f / (number * at.wanted_freq)), t60(-s.real), shares))
+    return found
+
+
+def _rigid_partials(held: StringModel, stop: int, at: Pitch, count: int) -> list[float]:
+    """Frequencies of the first polarization held at the bridge, Hz."""
+    basis = _basis(held, stop)
+    joint = Joint([Ports.of(basis, np.eye(len(basis.points))[[basis.index("bridge")]])])
+    out: list[float] = []
+    last, step = 0.0, at.wanted_freq
+    while len(out) < count and last + step < float(basis.natural_freq.max()):
+        zero = joint.newton(2 * math.pi * (last + step) * complex(-1e-4, 1.0), steps=80)
+        if zero is None or zero.imag / (2 * math.pi) <= last + step / 2:
+            break
+        freq = zero.imag / (2 * math.pi)
+        last, step = freq, freq - last
+        out.append(freq)
+    return out
+
+
+def _basis(held: StringModel, stop: int) -> ModalBasis:
+    return held.bases(stop)[held.components[0]]
+
+
+def bridge_mobility(model: Model, freq: Sequence[float] | Floats) -> dict[str, Complexes]:
+    """Driving-point mobility of the body where each string ends, (m/s)/N; strings away.
+
+    Parameters
+    ----------
+    freq : (n,) Hz.
+
+    Returns
+    -------
+    string -> (n,), along the body point's direction; a string on a rigid end is left out.
+    """
+    compiled = model.system.compiled[model.system.slot("body")]
+    out: dict[str, Complexes] = {}
+    for name, string in model.strings.items():
+        ends = string.polarizations[0].ends
+        if ends:
+            point = max(ends, key=lambda p: abs(ends[p]))
+            out[name] = compiled.basis.frf(freq, point, point)
+    return out

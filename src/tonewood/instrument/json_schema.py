@@ -1,0 +1,104 @@
+"""The bundle format as JSON Schema, for editors: `tonewood-instrument/1` with the keys of every installed plugin."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+from pydantic.json_schema import models_json_schema
+
+from tonewood.instrument import registry
+from tonewood.instrument.schema import SCHEMA, Bundle, OutputPart, PluginPart, StringPart
+
+_KIND_OF = {"BodyPart": "body", "ExciterPart": "exciter", "StringPart": "resonator", "OutputPart": "pickup"}
+_COMMON = {"BodyPart": PluginPart, "ExciterPart": PluginPart, "StringPart": StringPart, "OutputPart": OutputPart}
+
+
+def bundle_json_schema() -> dict[str, Any]:
+    """JSON Schema (2020-12) of ``instrument.yaml``.
+
+    A part made by a plugin is any one of the installed plugins of its kind. Keys of a string may come from `defaults`,
+    so none is required here that the loader will miss later.
+    """
+    schema = Bundle.model_json_schema(by_alias=True, mode="validation")
+    definitions = schema.setdefault("$defs", {})
+    for name, kind in _KIND_OF.items():
+        definitions[name] = {"anyOf": _branches(kind, _COMMON[name], definitions, required=name != "StringPart")}
+    properties = schema["properties"]
+    properties["body"] = {**_described(properties["body"]), "$ref": "#/$defs/BodyPart"}
+    properties["exciters"]["additionalProperties"] = {"$ref": "#/$defs/ExciterPart"}
+    for keyed in ("exciters", "strings", "sources"):
+        # names are checked by the loader; patternProperties would hide the entries from editors
+        entry = properties[keyed].pop("patternProperties", None)
+        if entry:
+            properties[keyed]["additionalProperties"] = next(iter(entry.values()))
+        properties[keyed].pop("propertyNames", None)
+    properties["exciters"]["additionalProperties"] = {"$ref": "#/$defs/ExciterPart"}
+    properties["strings"]["additionalProperties"] = {"$ref": "#/$defs/StringPart"}
+    definitions.pop("PluginPart", None)
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"urn:{SCHEMA.replace('/', ':')}",
+        **schema,
+    }
+
+
+def _described(entry: dict[str, Any]) -> dict[str, Any]:
+    return {key: entry[key] for key in ("description", "title") if key in entry}
+
+
+def _branches(
+    kind: str, common: type[PluginPart], definitions: dict[str, Any], *, required: bool
+) -> list[dict[str, Any]]:
+    """One schema per installed plugin of a kind: the common keys and its own."""
+    out = []
+    for name, plugin in registry.list_plugins().items():
+        if plugin.kind != kind:
+            continue
+        _, own = models_json_schema([(plugin.Parameters, "validation")], by_alias=True)
+        own = _prefixed(own["$defs"], name)
+        definitions.update({key: value for key, value in own.items() if key != f"{name}.{plugin.Parameters.__name__}"})
+        parameters = own[f"{name}.{plugin.Parameters.__name__}"]
+        _, base = models_json_schema([(common, "validation")], by_alias=True)
+        shared = copy.deepcopy(base["$defs"][common.__name__])
+        definitions.update({key: value for key, value in base["$defs"].items() if key != common.__name__})
+        properties = {**shared["properties"], **parameters["properties"], "plugin": {"const": name}}
+        branch = {
+            "type": "object",
+            "title": name,
+            "description": parameters.get("description", ""),
+            "properties": properties,
+            "additionalProperties": False,
+        }
+        if required:
+            branch["required"] = sorted({*shared.get("required", []), *parameters.get("required", [])})
+        out.append(branch)
+    return out
+
+
+def _prefixed(definitions: dict[str, Any], prefix: str) -> dict[str, Any]:
+    """Give one plugin's definitions names of its own."""
+
+    def turned(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {
+                k: f"#/$defs/{prefix}.{v.removeprefix('#/$defs/')}" if k == "$ref" else turned(v)
+                for k, v in value.items()
+            }
+        return [turned(v) for v in value] if isinstance(value, list) else value
+
+    out = {f"{prefix}.{key}": turned(value) for key, value in definitions.items()}
+    for value in out.values():
+        # "mapping" of a discriminator is not JSON Schema, and its references would need renaming too
+        _drop_discriminators(value)
+    return out
+
+
+def _drop_discriminators(value: Any) -> None:
+    if isinstance(value, dict):
+        value.pop("discriminator", None)
+        for inner in value.values():
+            _drop_discriminators(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            _drop_discriminators(inner)
