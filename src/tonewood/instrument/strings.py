@@ -127,11 +127,6 @@ class StringModel:
         """Tension and coupled modes of a stop; None where the bundle asks for no compensation."""
         return self._tune(stop)[0]
 
-    def untuned(self, stop: float = 0) -> TunedStop:
-        """Coupled modes of a stop at the tension it has, whoever set it."""
-        tension = self.tension(stop)
-        return TunedStop(self.freq(stop), tension, self.coupled(stop).modes(tension, self.freq(stop)))
-
     def tension(self, stop: float = 0) -> float:
         """Tension of the first polarization at a stop, N."""
         return self._tune(stop)[1]
