@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from typing import NoReturn
+from importlib import import_module
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -21,24 +22,54 @@ app = typer.Typer(
 )
 
 
-def _register() -> None:
-    """Add the commands; each module imports what it needs only when it runs."""
-    from tonewood.cli import play, render
+#: command -> module and function
+_COMMANDS = {
+    "render": "render:render",
+    "play": "play:play",
+    "list": "listing:list_installed",
+    "check": "check:check",
+    "modes": "modes:modes",
+    "schema": "schema:schema",
+    "batch": "batch:batch",
+    "results": "results:results",
+}
 
-    app.command("render")(render.render)
-    app.command("play")(play.play)
+
+def _register(first: str | None) -> None:
+    """Add the command asked for, or all of them where there is none; modules import what they need when they run."""
+    for name in [first] if first in _COMMANDS else _COMMANDS:
+        module, _, function = _COMMANDS[name].partition(":")
+        app.command(name)(getattr(import_module(f"tonewood.cli.{module}"), function))
+    # with a single command typer would leave its name out
+    app.callback()(_options)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from tonewood import __version__
+
+        print(f"tonewood {__version__}")
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="print the version and exit", is_eager=True, callback=_print_version)
+    ] = False,
+) -> None:
+    """Options before the command."""
 
 
 def run(arguments: list[str] | None = None) -> None:
     """Run the command line and exit."""
-    _register()
     given = sys.argv[1:] if arguments is None else arguments
+    _register(given[0] if given else None)
     try:
         code = app(args=given or ["--help"], standalone_mode=False)
     except TonewoodError as error:
         _fail(str(error), 2)
     except _ClickError as error:
-        message = getattr(error, "format_message", lambda: str(error))()
+        message = error.format_message() if hasattr(error, "format_message") else str(error)
         _fail(" ".join(message.split()), 2)
     except (KeyboardInterrupt, typer.Abort):
         _fail("interrupted; nothing was written", 130)

@@ -1,0 +1,157 @@
+"""``tonewood check``: whether an instrument can be played, how true it is, and where its figures come from."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tonewood.cli.common import Json, Overrides, load
+
+if TYPE_CHECKING:
+    from tonewood.instrument.assembly import Model
+    from tonewood.instrument.inspection import Pitch
+
+
+def check(
+    instrument: Annotated[str, typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT")],
+    fs: Annotated[int, typer.Option(help="sampling rate to assemble it at, Hz")] = 48000,
+    settings: Overrides = None,
+    as_json: Json = False,
+) -> int:
+    """Load INSTRUMENT, test its body, tune every stop, list wolf notes, stand-ins and sources.
+
+    Exit code 2 if it cannot be played or its body could create energy.
+    """
+    from tonewood.instrument.assembly import assemble
+    from tonewood.instrument.inspection import TOLERANCE_CENTS, pitches
+
+    bundle = load(instrument, settings)
+    model = assemble(bundle, fs, outputs=tuple(bundle.pickups))
+    body = _body(model)
+    found = pitches(model)
+    wolves = [p for p in found if p.wolf is not None]
+    off = [p for p in found if abs(p.error_cents) > TOLERANCE_CENTS]
+    spec = bundle.spec
+    report: dict[str, Any] = {
+        "schema": "tonewood-check/1",
+        "instrument": bundle.name,
+        "title": spec.title,
+        "licence": spec.licence,
+        "folder": str(bundle.folder),
+        "ok": body["passive"],
+        "plugins": list(bundle.plugin_names),
+        "fs": fs,
+        "n_modes": model.n_modes,
+        "body": body,
+        "strings": {name: _string(model, name, found) for name in model.strings},
+        "off_pitch": [pitch_row(p) for p in off],
+        "wolf_notes": [pitch_row(p) for p in wolves],
+        "stand_ins": [{"path": path, "note": spec.provenance[path].note} for path in bundle.stand_ins()],
+        "provenance": dict(Counter(entry.kind for entry in spec.provenance.values())),
+        "sources": {key: source.model_dump(exclude_none=True) for key, source in spec.sources.items()},
+    }
+    if as_json:
+        print(json.dumps(report))
+    else:
+        _print(report)
+    return 0 if report["ok"] else 2
+
+
+def _body(model: Model) -> dict[str, Any]:
+    """The body's modes and whether it is passive; real modes are by construction."""
+    basis = model.system.compiled[model.system.slot("body")].basis
+    summary, passive = "passive by construction (real modes)", True
+    if not basis.is_real:
+        from tonewood.numerics.passivity import check as check_passivity
+
+        verdict = check_passivity(basis.poles, basis.right, basis.left, dt=model.system.dt)
+        summary, passive = verdict.summary(), verdict.passive
+    freq = basis.natural_freq
+    return {
+        "n_modes": basis.n_modes,
+        "freq_lower": float(freq.min(initial=math.inf)) if freq.size else None,
+        "freq_upper": float(freq.max(initial=0.0)) if freq.size else None,
+        "passive": passive,
+        "summary": summary,
+        **{key: str(value) for key, value in basis.metadata.items() if key == "repair"},
+    }
+
+
+def _string(model: Model, name: str, found: list[Pitch]) -> dict[str, Any]:
+    from tonewood.score.scales import note_name
+
+    string, mine = model.strings[name], [p for p in found if p.string == name]
+    return {
+        "note": note_name(string.open_note),
+        "stops": string.n_stops,
+        "n_modes": sum(model.system.compiled[model.system.slot(c)].basis.n_modes for c in string.components),
+        "tension": mine[0].tension,
+        "worst_cents": max((p.error_cents for p in mine), key=abs),
+    }
+
+
+def pitch_row(p: Pitch) -> dict[str, Any]:
+    """A pitch as plain values."""
+    from tonewood.score.scales import note_name
+    from tonewood.units import cents
+
+    row: dict[str, Any] = {
+        "string": p.string,
+        "stop": p.stop,
+        "note": note_name(p.note),
+        "wanted_freq": p.wanted_freq,
+        "freq": p.freq,
+        "error_cents": p.error_cents,
+        "t60": p.t60,
+    }
+    if p.wolf is not None:
+        row["wolf"] = {
+            "freq": p.wolf.freq,
+            "cents": cents(p.wolf.freq / p.freq),
+            "level_db": p.wolf.level_db(p.modes[0]),
+        }
+    return row
+
+
+def wolf_line(row: dict[str, Any]) -> str:
+    """One line about a wolf note."""
+    wolf = row["wolf"]
+    missed = f", {row['error_cents']:+.1f} cents off" if abs(row["error_cents"]) > 1 else ""
+    return (
+        f"{row['string']} stop {row['stop']:>2} ({row['note']}, {row['freq']:.1f} Hz{missed}): a body mode at "
+        f"{wolf['freq']:.1f} Hz, {wolf['cents']:+.0f} cents and {wolf['level_db']:+.1f} dB from it"
+    )
+
+
+def _print(report: dict[str, Any]) -> None:
+    body = report["body"]
+    print(f"{report['instrument']}: {report['title']} ({report['licence']})")
+    print(f"  folder: {report['folder']}")
+    print(f"  {report['n_modes']} modes at {report['fs']} Hz, plugins {', '.join(report['plugins'])}")
+    if body["n_modes"]:
+        span = f", {body['freq_lower']:.0f} to {body['freq_upper']:.0f} Hz"
+        print(f"  body: {body['n_modes']} modes{span}: {body['summary']}")
+    if "repair" in body:
+        print(f"  body: {body['repair']}")
+    for name, row in report["strings"].items():
+        stops = f"{row['stops']} stops" if row["stops"] else "open"
+        print(
+            f"  string {name}: {row['note']}, {stops}, {row['n_modes']} modes, {row['tension']:.2f} N, "
+            f"within {abs(row['worst_cents']):.2g} cents"
+        )
+    for row in report["off_pitch"]:
+        print(f"  off pitch: {row['string']} stop {row['stop']} ({row['note']}): {row['error_cents']:+.1f} cents")
+    for row in report["wolf_notes"]:
+        print(f"  wolf note: {wolf_line(row)}")
+    for row in report["stand_ins"]:
+        print(f"  stand-in: {row['path']}" + (f": {row['note']}" if row["note"] else ""))
+    kinds = ", ".join(f"{count} {kind}" for kind, count in report["provenance"].items())
+    print(f"  figures: {kinds or 'none told apart'}")
+    for key, source in report["sources"].items():
+        place = source.get("doi") or source.get("url") or ""
+        print(f"  source {key}: {source['text']}{', ' + place if place else ''} ({source['licence']})")
+    print("ok" if report["ok"] else "not ok: its body could create energy")

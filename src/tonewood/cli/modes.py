@@ -1,0 +1,119 @@
+"""``tonewood modes``: partials of strings on their body, wolf notes, and the mobility of the bridge."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tonewood.cli.common import Json, Overrides, load
+from tonewood.errors import OutputError, TonewoodError
+
+if TYPE_CHECKING:
+    from tonewood.instrument.assembly import Model
+
+
+def modes(
+    instrument: Annotated[str, typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT")],
+    string: Annotated[str | None, typer.Option(help="name of one string; all of them otherwise")] = None,
+    stop: Annotated[int, typer.Option(help="stop at which partials are listed, 0 is open")] = 0,
+    count: Annotated[int, typer.Option(help="partials listed of each string")] = 12,
+    fs: Annotated[int, typer.Option(help="sampling rate to assemble it at, Hz")] = 48000,
+    plot: Annotated[
+        Path | None, typer.Option(help="write the bridge mobility to this picture (.png, .pdf, .svg)")
+    ] = None,
+    settings: Overrides = None,
+    as_json: Json = False,
+) -> None:
+    """List the coupled modes of INSTRUMENT's strings: frequency, cents from the harmonic, T60, wolf notes."""
+    from tonewood.cli.check import pitch_row, wolf_line
+    from tonewood.instrument.assembly import assemble
+    from tonewood.instrument.inspection import partials, pitches
+
+    bundle = load(instrument, settings)
+    model = assemble(bundle, fs)
+    if string is not None and string not in model.strings:
+        raise TonewoodError(f"there is no string {string!r}; there are {', '.join(model.strings)}", key="--string")
+    if count < 1:
+        raise TonewoodError(f"is {count}; 1 or more is allowed", key="--count")
+    names = [string] if string else list(model.strings)
+    for name in names:
+        if not 0 <= stop <= model.strings[name].n_stops:
+            raise TonewoodError(f"is {stop}; string {name} has 0 to {model.strings[name].n_stops}", key="--stop")
+    listed = {name: partials(model, name, stop, count=count) for name in names}
+    wolves = [pitch_row(p) for p in pitches(model) if p.wolf is not None and p.string in names]
+    if plot is not None:
+        _plot(model, names, plot)
+    if as_json:
+        report: dict[str, Any] = {
+            "schema": "tonewood-modes/1",
+            "instrument": bundle.name,
+            "stop": stop,
+            "strings": {
+                name: {
+                    "wanted_freq": model.strings[name].freq(stop),
+                    "tension": model.strings[name].tension(stop),
+                    "partials": [
+                        {"number": p.number, "freq": p.freq, "cents": p.cents, "t60": _finite(p.t60),
+                         "string_share": sum(p.shares[:-1]), "body_share": p.shares[-1]}
+                        for p in rows
+                    ],
+                }
+                for name, rows in listed.items()
+            },
+            "wolf_notes": wolves,
+            "plot": None if plot is None else str(plot),
+        }  # fmt: skip
+        print(json.dumps(report))
+        return
+    for name, rows in listed.items():
+        print(
+            f"{name} at stop {stop}: {model.strings[name].freq(stop):.2f} Hz, {model.strings[name].tension(stop):.2f} N"
+        )
+        print("  partial     freq/Hz    cents    T60/s  share of the body")
+        for p in rows:
+            print(f"  {p.number:>7} {p.freq:>11.2f} {p.cents:>+8.2f} {p.t60:>8.2f} {100 * p.shares[-1]:>9.1f} %")
+    for row in wolves:
+        print(f"wolf note: {wolf_line(row)}")
+    if plot is not None:
+        print(f"bridge mobility: {plot}")
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _plot(model: Model, names: list[str], path: Path) -> None:
+    """Mobility of the body at each string's end, strings away."""
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        raise OutputError("a plot needs matplotlib: pip install 'tonewood[plot]'", file=path) from None
+    import numpy as np
+
+    mpl.use("Agg")
+    from matplotlib import pyplot
+
+    from tonewood.instrument.inspection import bridge_mobility
+
+    freq = np.geomspace(40.0, min(10000.0, 0.45 * model.fs), 4000)
+    found = {name: y for name, y in bridge_mobility(model, freq).items() if name in names}
+    if not found:
+        raise OutputError("no string of this instrument ends on a body that moves: there is no mobility", file=path)
+    figure, axes = pyplot.subplots(figsize=(8.0, 4.5), layout="constrained")
+    for name, mobility in found.items():
+        axes.semilogx(freq, 20 * np.log10(np.maximum(np.abs(mobility), 1e-12)), lw=1.0, label=name)
+        axes.axvline(model.strings[name].freq(), color="0.85", lw=0.8, zorder=0)
+    axes.set(xlabel="frequency, Hz", ylabel="mobility, dB re 1 (m/s)/N", title=model.instrument.spec.title)
+    axes.title.set_fontsize("medium")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(title="bridge at", fontsize="small")
+    try:
+        figure.savefig(path, dpi=120)
+    except (OSError, ValueError) as fault:
+        raise OutputError(f"cannot be written: {fault}", file=path) from None
+    finally:
+        pyplot.close(figure)

@@ -1,0 +1,12 @@
+"""``tonewood schema``: the bundle format for editors."""
+
+from __future__ import annotations
+
+import json
+
+
+def schema() -> None:
+    """Print the JSON schema of instrument.yaml, keys of every installed plugin included."""
+    from tonewood.instrument.json_schema import bundle_json_schema
+
+    print(json.dumps(bundle_json_schema(), indent=2))
