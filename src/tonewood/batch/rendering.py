@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import asdict, dataclass
+from functools import cache, lru_cache
 from typing import Any
 
 from tonewood.batch.conditions import Condition, Draw, vary_notes
@@ -76,17 +77,19 @@ class EngineRenderer:
             channel_per_string=_channel_per_string(condition),
         )
         samples = np.concatenate(list(renderer.blocks(4096)))
-        summary = renderer.summary()
-        info = {
-            "channels": list(renderer.channels),
-            "end": summary.end,
-            "n_modes": summary.n_modes,
-            "realtime_factor": summary.realtime_factor,
-            "notes": summary.notes,
-            "notes_dropped": [f"{d.time:.3f} s: {d.reason}" for d in summary.notes_dropped],
-            "warnings": list(summary.warnings),
-        }
+        info = _plain(asdict(renderer.summary())) | {"channels": list(renderer.channels)}
         return Rendered(samples, renderer.fs, info)
+
+
+def _plain(value: Any) -> Any:
+    """JSON-ready copy; numbers that are not finite become None."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, (str, int)) or value is None:
+        return value
+    return float(value) if math.isfinite(value) else None
 
 
 def instrument_of(condition: Condition) -> Instrument:
@@ -108,6 +111,7 @@ def _loaded(bundle: str) -> Instrument:
     return Instrument.load(bundle)
 
 
+@cache
 def _version() -> str:
     from importlib.metadata import version
 

@@ -1,0 +1,72 @@
+"""Stimuli per second of `tonewood batch`, and how much of the cores it uses.
+
+    python benchmarks/batch_throughput.py --notes 1000 --jobs 2 --workers processes
+
+Renders notes of two seconds on the classical guitar, once each, from manifest to files and pages. Core efficiency is
+the processor time of rendering and file making, summed over all workers, divided by jobs times wall time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import tempfile
+import time
+from pathlib import Path
+
+from tonewood.batch.rendering import EngineRenderer
+from tonewood.batch.runner import run_batch
+from tonewood.batch.workers import Workers
+
+
+def manifest(notes: int) -> dict:
+    """So many notes: pitches of the guitar, each at several places."""
+    pitches = min(notes, 40)
+    places = {f"p{i}": round(0.05 + 0.1 * i / (notes / pitches), 5) for i in range(-(-notes // pitches))}
+    return {
+        "schema": "tonewood-batch/1",
+        "name": "throughput",
+        "seed": 1,
+        "instruments": {"guitar": "classical_guitar"},
+        "scores": {f"n{40 + m}": {"phrase": [{"time": 0, "duration": 2, "note": 40 + m}]} for m in range(pitches)},
+        "factors": {"place": {"path": "exciters.pluck.from_bridge", "levels": places}},
+        "render": {"tail": {"energy_db": -200, "cap": 0.01}},
+        "stimuli": {"duration": 2.0},
+        "pages": [{"type": "html"}],
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--notes", type=int, default=1000)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--workers", choices=["processes", "threads"], default="processes")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "batch.yaml"
+        path.write_text(json.dumps(manifest(given.notes)))
+        stages: dict[str, list[float]] = {}
+        began = time.perf_counter()
+
+        def mark(stage: str, done: int, total: int) -> None:
+            now = time.perf_counter() - began
+            stages.setdefault(stage, [now, now])[1] = now
+
+        report = run_batch(path, Path(folder) / "out", EngineRenderer(), Workers(given.jobs, given.workers), mark)
+        wall = time.perf_counter() - began
+    from joblib.externals.loky import get_reusable_executor
+
+    get_reusable_executor().shutdown(wait=True)  # only ended children are counted below
+    used = sum(
+        usage.ru_utime + usage.ru_stime
+        for usage in (resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN))
+    )
+    print(f"{len(report.files)} stimuli, {given.jobs} {given.workers}: {wall:.1f} s, {len(report.files) / wall:.2f} /s")
+    print("until the end of each stage, s: " + ", ".join(f"{k} {v[1]:.1f}" for k, v in stages.items()))
+    print(f"core efficiency {used / wall / given.jobs:.3f} (processor time {used:.1f} s)")
+
+
+if __name__ == "__main__":
+    main()
