@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Protocol
 
 import typer
 
+from tonewood.errors import TonewoodError
+
 if TYPE_CHECKING:
     from tonewood.instrument.bundle import Instrument
 
@@ -51,6 +53,17 @@ def load(name: str, overrides: list[str] | None) -> Instrument:
 
     instrument = Instrument.load(name)
     return instrument.replace(dict(map(parse_assignment, overrides))) if overrides else instrument
+
+
+def allow(option: str, value: float, low: float, high: float, unit: str) -> None:
+    """Refuse an option's value outside its range, or not a number.
+
+    Raises
+    ------
+    TonewoodError : names the option and what is allowed.
+    """
+    if not low <= value <= high:
+        raise TonewoodError(f"is {value:g} {unit}; {low:g} to {high:g} are allowed", key=option)
 
 
 def warn(lines: list[str]) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tonewood.cli.common import InstrumentName, Overrides, ScorePath, load, warn
+from tonewood.cli.common import InstrumentName, Overrides, ScorePath, allow, load, warn
 
 
 def play(
@@ -15,19 +15,40 @@ def play(
     fs: Annotated[int, typer.Option(help="sampling rate, Hz")] = 48000,
     block: Annotated[int, typer.Option(help="frames per block")] = 1024,
     precision: Annotated[str, typer.Option(help="f64 or f32")] = "f64",
+    tail: Annotated[float, typer.Option(help="longest ring after the last event, s")] = 10.0,
     gain: Annotated[float, typer.Option(help="dB")] = 0.0,
+    limiter: Annotated[bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS")] = False,
+    outputs: Annotated[str | None, typer.Option(help="output groups, comma-separated; default: the first")] = None,
+    channel_per_string: Annotated[bool, typer.Option(help="MIDI channel 1 plays the first string, and so on")] = False,
     device: Annotated[str | None, typer.Option(help="sound device, by name or number")] = None,
     settings: Overrides = None,
 ) -> None:
     """Play SCORE on an instrument."""
+    from tonewood.output.limiter import Limiter
     from tonewood.output.play import play as play_renderer
-    from tonewood.output.render import Renderer
+    from tonewood.output.render import Renderer, Tail
     from tonewood.score.midi import read_midi
 
-    renderer = Renderer(read_midi(score), load(instrument, settings), fs, precision=precision, gain_db=gain)
+    allow("--block", block, 16, 1 << 16, "frames")
+    allow("--tail", tail, 0.0, 3600.0, "s")
+    allow("--gain", gain, -200.0, 200.0, "dB")
+    renderer = Renderer(
+        read_midi(score),
+        load(instrument, settings),
+        fs,
+        precision=precision,
+        outputs=[name.strip() for name in outputs.split(",")] if outputs else None,
+        tail=Tail(cap=tail),
+        gain_db=gain,
+        channel_per_string=channel_per_string,
+    )
     chosen = int(device) if device and device.isdigit() else device
-    played = play_renderer(renderer, block_size=block, device=chosen)
-    warn(list(renderer.summary().warnings))
-    for drop in renderer.summary().notes_dropped:
+    hold = Limiter(fs) if limiter else None
+    played = play_renderer(renderer, block_size=block, device=chosen, limiter=hold)
+    summary = renderer.summary()
+    warn(list(summary.warnings))
+    for drop in summary.notes_dropped:
         warn([f"not played at {drop.time:.2f} s: {drop.reason}"])
-    print(f"played {played.frames / fs:.2f} s, {played.underruns} underruns")
+    if played.clipped:
+        warn([f"{played.clipped} samples were clipped; lower --gain or use --limiter"])
+    print(f"played {played.frames / fs:.2f} s, {played.underruns} underruns; {summary.realtime_factor:.1f} x real time")

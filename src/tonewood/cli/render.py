@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import InstrumentName, Json, Overrides, ScorePath, load, progress, warn
+from tonewood.cli.common import InstrumentName, Json, Overrides, ScorePath, allow, load, progress, warn
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.units import decibel
 
 if TYPE_CHECKING:
+    from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer
 
 
@@ -31,6 +33,9 @@ def render(
     max_duration: Annotated[float | None, typer.Option(help="hard end, s")] = None,
     gain: Annotated[float, typer.Option(help="dB")] = 0.0,
     normalize: Annotated[float | None, typer.Option(help="scale the whole to this peak, dB re full scale")] = None,
+    limiter: Annotated[
+        bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS by a look-ahead limiter")
+    ] = False,
     outputs: Annotated[str | None, typer.Option(help="output groups, comma-separated; default: the first")] = None,
     channel_per_string: Annotated[bool, typer.Option(help="MIDI channel 1 plays the first string, and so on")] = False,
     settings: Overrides = None,
@@ -39,12 +44,21 @@ def render(
     """Render SCORE on an instrument to a sound file."""
     began = time.perf_counter()
     from tonewood.output.audio import file_format
+    from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer, Tail
     from tonewood.score.midi import read_midi
 
     file_format(output, subtype)
-    if not tail >= 0:
-        raise TonewoodError(f"is {tail} s; 0 or more is allowed", key="--tail")
+    allow("--tail", tail, 0.0, 3600.0, "s")
+    allow("--tail-level", tail_level, -300.0, -1.0, "dB")
+    if max_duration is not None:
+        allow("--max-duration", max_duration, 1e-3, 86400.0, "s")
+    allow("--gain", gain, -200.0, 200.0, "dB")
+    allow("--block", block, 1, 1 << 24, "frames")
+    if normalize is not None:
+        allow("--normalize", normalize, -200.0, 0.0, "dB")
+        if limiter:
+            raise TonewoodError("a normalized sound has no peaks to limit; one of both is allowed", key="--limiter")
     groups = [name.strip() for name in outputs.split(",")] if outputs else None
     bundle = load(instrument, settings)
     renderer = Renderer(
@@ -59,13 +73,17 @@ def render(
         channel_per_string=channel_per_string,
     )
     loaded = time.perf_counter()
-    clipped = _write(renderer, output, subtype, block, normalize)
+    hold = Limiter(fs) if limiter else None
+    clipped, peak = _write(renderer, output, subtype, block, normalize, hold)
     summary = renderer.summary()
     warnings = list(summary.warnings)
     if clipped:
-        warnings.append(f"{clipped} samples were clipped; lower --gain or use --normalize")
+        fate = "beyond full scale" if subtype.upper() in ("FLOAT", "DOUBLE") else "clipped"
+        warnings.append(f"{clipped} samples were {fate}; lower --gain, or use --normalize or --limiter")
+    if hold is not None and hold.reduction_db > 0:
+        warnings.append(f"the limiter took away up to {hold.reduction_db:.1f} dB")
     if as_json:
-        print(json.dumps(_report(renderer, output, clipped, loaded - began, warnings)))
+        print(json.dumps(_report(renderer, output, clipped, peak, loaded - began, warnings), allow_nan=False))
         return
     warn(warnings)
     for drop in summary.notes_dropped:
@@ -73,13 +91,20 @@ def render(
     played, lost = summary.notes, len(summary.notes_dropped)
     print(
         f"{output}: {summary.duration_s:.2f} s, {len(renderer.channels)} channels at {fs} Hz, "
-        f"peak {summary.peak_dbfs:.1f} dBFS; {played} notes, {lost} dropped; "
+        f"peak {decibel(peak):.1f} dBFS; {played} notes, {lost} dropped; "
         f"{summary.realtime_factor:.1f} x real time; ended: {summary.end}"
     )
 
 
-def _write(renderer: Renderer, output: Path, subtype: str, block: int, normalize: float | None) -> int:
-    """Stream to the file; with `normalize` through a scratch file of full precision beside it."""
+def _write(
+    renderer: Renderer, output: Path, subtype: str, block: int, normalize: float | None, limiter: Limiter | None
+) -> tuple[int, float]:
+    """Stream to the file; with `normalize` through a scratch file of full precision beside it.
+
+    Returns
+    -------
+    clipped, peak : samples beyond full scale, and the largest one, of what was written.
+    """
     from tonewood.output.audio import SoundWriter
 
     channels, fs = len(renderer.channels), renderer.fs
@@ -87,10 +112,11 @@ def _write(renderer: Renderer, output: Path, subtype: str, block: int, normalize
     with progress("rendering", renderer.expected_duration) as advance:
         if normalize is None:
             with SoundWriter(output, fs, channels, subtype, frames=frames) as writer:
-                for samples in renderer.blocks(block):
+                blocks = renderer.blocks(block)
+                for samples in blocks if limiter is None else limiter.process(blocks):
                     writer.write(samples)
                     advance(renderer.time)
-            return writer.clipped
+            return writer.clipped, writer.peak
         import soundfile as sf
 
         if not output.parent.is_dir():
@@ -105,10 +131,12 @@ def _write(renderer: Renderer, output: Path, subtype: str, block: int, normalize
             with SoundWriter(output, fs, channels, subtype, frames=frames) as final, sf.SoundFile(scratch) as source:
                 for samples in source.blocks(65536, dtype="float64", always_2d=True):
                     final.write(samples * factor)
-            return final.clipped
+            return final.clipped, final.peak
 
 
-def _report(renderer: Renderer, output: Path, clipped: int, load_s: float, warnings: list[str]) -> dict[str, Any]:
+def _report(
+    renderer: Renderer, output: Path, clipped: int, peak: float, load_s: float, warnings: list[str]
+) -> dict[str, Any]:
     s = renderer.summary()
     return {
         "schema": "tonewood-render/1",
@@ -127,7 +155,7 @@ def _report(renderer: Renderer, output: Path, clipped: int, load_s: float, warni
         "notes_dropped": [
             {"time_s": d.time, "note": d.note, "channel": d.channel, "reason": d.reason} for d in s.notes_dropped
         ],
-        "peak_dbfs": s.peak_dbfs if math.isfinite(s.peak_dbfs) else None,
+        "peak_dbfs": decibel(peak) if peak > 0 else None,
         "clipped": clipped,
         "end": s.end,
         "warnings": warnings,

@@ -8,9 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
+from tonewood.output.limiter import Limiter
 from tonewood.output.render import Renderer
+
+Floats = NDArray[np.float64]
 
 #: blocks rendered ahead of the sound card
 _AHEAD = 8
@@ -18,13 +22,28 @@ _AHEAD = 8
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """What was played: frames, and how often the card had to wait for a block."""
+    """What was played.
+
+    Attributes
+    ----------
+    frames : how many.
+    underruns : times the card got silence because no block was ready, or told of a gap itself.
+    clipped : samples beyond full scale.
+    """
 
     frames: int
     underruns: int
+    clipped: int = 0
 
 
-def play(renderer: Renderer, *, block_size: int = 1024, device: Any = None, stream: Any = None) -> Playback:
+def play(
+    renderer: Renderer,
+    *,
+    block_size: int = 1024,
+    device: Any = None,
+    stream: Any = None,
+    limiter: Limiter | None = None,
+) -> Playback:
     """Play a renderer to its end.
 
     Parameters
@@ -32,6 +51,7 @@ def play(renderer: Renderer, *, block_size: int = 1024, device: Any = None, stre
     renderer : its channels become the device's; one channel is played on both sides.
     block_size : frames per block.
     device : as sounddevice names it; None is the default.
+    limiter : holds peaks below full scale; without it they are clipped.
     stream : class with sounddevice's ``OutputStream`` interface, instead of that one.
 
     Raises
@@ -40,23 +60,32 @@ def play(renderer: Renderer, *, block_size: int = 1024, device: Any = None, stre
     """
     make = stream or _output_stream()
     n_channels = max(2, len(renderer.channels))
-    blocks: queue.Queue[np.ndarray[Any, Any] | None] = queue.Queue(maxsize=_AHEAD)
-    done, failed = threading.Event(), []
-    frames = underruns = 0
+    blocks: queue.Queue[Floats | None] = queue.Queue(maxsize=_AHEAD)
+    done, primed = threading.Event(), threading.Event()
+    failed: list[Exception] = []
+    frames = underruns = clipped = 0
 
     def fill() -> None:
+        nonlocal clipped
         try:
-            for block in renderer.blocks(block_size):
+            source = renderer.blocks(block_size)
+            for block in source if limiter is None else limiter.process(source):
+                clipped += int(np.count_nonzero(np.abs(block) > 1.0))
                 blocks.put(np.clip(np.repeat(block, 2, axis=1) if block.shape[1] == 1 else block, -1, 1))
+                if blocks.full():
+                    primed.set()
                 if done.is_set():
                     return
         except Exception as error:  # whatever it is must reach the caller's thread
             failed.append(error)
         finally:
+            primed.set()
             blocks.put(None)
 
     def callback(out: Any, n: int, _time: Any, status: Any) -> None:
         nonlocal frames, underruns
+        if getattr(status, "output_underflow", False):
+            underruns += 1
         try:
             block = blocks.get_nowait()
         except queue.Empty:
@@ -74,8 +103,10 @@ def play(renderer: Renderer, *, block_size: int = 1024, device: Any = None, stre
     filler = threading.Thread(target=fill, daemon=True)
     filler.start()
     try:
+        # the card starts with the queue full, not with underruns
+        primed.wait()
         with make(
-            samplerate=renderer.fs, blocksize=block_size, channels=n_channels, dtype="float64",
+            samplerate=renderer.fs, blocksize=block_size, channels=n_channels, dtype="float32",
             callback=callback, finished_callback=done.set, device=device,
         ):  # fmt: skip
             while not done.wait(0.1):
@@ -89,7 +120,7 @@ def play(renderer: Renderer, *, block_size: int = 1024, device: Any = None, stre
                 continue
     if failed:
         raise failed[0]
-    return Playback(frames, underruns)
+    return Playback(frames, underruns, clipped)
 
 
 def _output_stream() -> Any:
