@@ -84,3 +84,31 @@ def receptance(system: Matrices, s: ArrayLike, output: int, source: int) -> Comp
     unit = np.zeros((len(system.M), 1))
     unit[source] = 1.0
     return np.asarray([sla.solve(D, unit)[output, 0] for D in dynamic])
+
+
+def ramp_and_release(
+    system: Matrices, direction: ArrayLike, rate: float, release: float, times: ArrayLike, output: int
+) -> Floats:
+    """Displacement of one dof under a force that grows from zero and is let go, from the eigenvectors of the system.
+
+    Parameters
+    ----------
+    direction : (n_dof,) share of each dof in the force.
+    rate : N/s, until `release`, s.
+    times : (n,) s.
+
+    Returns
+    -------
+    (n,) m.
+    """
+    n = len(system.M)
+    # velocities in units of the highest rate: eigenvectors of one size
+    scale = np.concatenate([np.ones(n), np.full(n, 1 / np.sqrt(sla.norm(sla.solve(system.M, system.K), 2)))])
+    values, vectors = sla.eig(scale[:, None] * state_matrix(system) / scale)
+    push = scale * np.concatenate([np.zeros(n), sla.solve(system.M, np.asarray(direction, dtype=np.float64))])
+    driven = rate * sla.solve(vectors, push)
+    t = np.asarray(times, dtype=np.float64)
+    pulled = np.minimum(t, release)[:, None] * values
+    ramp = driven * (np.expm1(pulled) - pulled) / values**2
+    free = np.exp(np.maximum(t - release, 0.0)[:, None] * values)
+    return np.asarray(((ramp * free) @ vectors[output]).real)

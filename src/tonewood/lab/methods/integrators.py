@@ -14,7 +14,7 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.lab.methods import forms
-from tonewood.lab.methods.problem import Problem, StepMap, system_map
+from tonewood.lab.methods.problem import Array, Problem, StepMap, system_map
 from tonewood.numerics.connections import scaled_pinv
 from tonewood.numerics.propagator import flow
 
@@ -53,7 +53,10 @@ def exact(ode: forms.Ode, dt: float) -> StepMap:
 
 
 def adams_bashforth_3(ode: forms.Ode, dt: float) -> StepMap:
-    """q+ = q + dt/12 (23 d - 16 d_-1 + 5 d_-2), d = F q + G u; state (q, d_-1, d_-2), whose past starts at rest."""
+    """q+ = q + dt/12 (23 d - 16 d_-1 + 5 d_-2),  d = F q + G u;  state (q, d_-1, d_-2).
+
+    A motion that does not start from rest is given the past it would have had without forces, to second order.
+    """
     k = len(ode.F)
     zero, eye = np.zeros((k, k)), np.eye(k)
     T = np.block([
@@ -61,6 +64,11 @@ def adams_bashforth_3(ode: forms.Ode, dt: float) -> StepMap:
         [ode.F, zero, zero],
         [zero, eye, zero],
     ])  # fmt: skip
+
+    def past(ago: float) -> Array:
+        rate = ode.F @ ode.embed
+        return np.asarray(rate - ago * (ode.F @ rate) + ago**2 / 2 * (ode.F @ (ode.F @ rate)))
+
     now = np.concatenate([23 * dt / 12 * ode.G, ode.G, np.zeros_like(ode.G)])
     return StepMap(
         dt,
@@ -68,7 +76,7 @@ def adams_bashforth_3(ode: forms.Ode, dt: float) -> StepMap:
         now,
         np.zeros_like(now),
         np.concatenate([ode.C, np.zeros((len(ode.C), 2 * k))], axis=1),
-        np.concatenate([ode.embed, np.zeros((2 * k, ode.embed.shape[1]))]),
+        np.concatenate([ode.embed, past(dt), past(2 * dt)]),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.numerics.connections import Connection, Rigid, Term
+from tonewood.numerics.connections import Connection, Rigid, Term, scaled_pinv
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.propagator import RealForm, real_form
 from tonewood.numerics.system import Probe, Readout, System
@@ -72,6 +72,13 @@ class Problem:
     def input_columns(self) -> Floats:
         """(n, n_inputs)."""
         return self.columns(tuple((t,) for t in self.inputs))
+
+    @property
+    def impulse_columns(self) -> Floats:
+        """(n, n_inputs) state after unit impulses at the inputs, the constraints answering with impulses of theirs."""
+        rate = self.gap_rows @ self.generator
+        answer = scaled_pinv(rate @ self.gap_columns) @ rate @ self.input_columns
+        return np.asarray(self.input_columns - self.gap_columns @ answer)
 
     @property
     def output_rows(self) -> Floats:
@@ -144,15 +151,26 @@ class StepMap:
         -------
         (n, n_outputs) m.
         """
+        rest = np.zeros(self.embed.shape[1])
+        return self.advance(self.embed @ (rest if start is None else np.asarray(start, dtype=np.float64)), forces)[0]
+
+    def advance(self, x: Array, forces: ArrayLike) -> tuple[Floats, Array]:
+        """Displacements (n, n_outputs) from the state x (k,) on, and the state at the last of them."""
         u = np.asarray(forces, dtype=np.float64)
-        x = self.embed @ (np.zeros(self.embed.shape[1]) if start is None else np.asarray(start, dtype=np.float64))
         pushed = u[:-1] @ self.now.T + u[1:] @ self.next.T
         out = np.empty((len(u), len(self.output)))
-        for n in range(len(u)):
+        out[0] = (self.output @ x).real
+        for n, push in enumerate(pushed, start=1):
+            x = self.T @ x + push
             out[n] = (self.output @ x).real
-            if n + 1 < len(u):
-                x = self.T @ x + pushed[n]
-        return out
+        return out, x
+
+    def spectrum(self, freq: ArrayLike, start: ArrayLike) -> NDArray[np.complex128]:
+        """(n_freq, n_outputs) sum over all samples of y(n) exp(-2 pi i f n dt) dt, of the free motion from `start`."""
+        z = np.exp(2j * np.pi * np.atleast_1d(np.asarray(freq, dtype=np.float64)) * self.dt)
+        x = self.embed @ np.asarray(start, dtype=np.float64)
+        eye = np.eye(len(self.T))
+        return np.array([self.output @ sla.solve(eye - self.T / zk, x) * self.dt for zk in z])
 
     def multipliers(self) -> NDArray[np.complex128]:
         """(k,) eigenvalues of T."""

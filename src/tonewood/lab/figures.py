@@ -1,0 +1,30 @@
+"""Pictures of validations, drawn without any global state of matplotlib."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tonewood.errors import TonewoodError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def figure(
+    rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, polar: bool = False
+) -> tuple[Figure, Any]:
+    """An empty figure and its axes: one of them, or an array as of `matplotlib.pyplot.subplots`."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise TonewoodError("plots need matplotlib: pip install 'tonewood[plot]'") from None
+    fig = Figure(figsize=size or (9.0, 3.4 * rows), layout="constrained")
+    return fig, fig.subplots(rows, columns, subplot_kw={"projection": "polar"} if polar else {})
+
+
+def save(fig: Figure, path: Path) -> Path:
+    """Write a PNG, making its directory where needed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fig.savefig(path, dpi=110)
+    return path

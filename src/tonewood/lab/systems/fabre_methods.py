@@ -1,0 +1,139 @@
+"""Methods of the literature beside the project's own: the order each states, and where it stops being stable.
+
+Fabre, Le Carrou & Chomette (2024) step their equation with Adams-Bashforth 3, Antunes & Debut (2017) theirs with
+velocity Verlet. Both constrain accelerations; constraints on positions and velocities, and a constraint force that is
+linear in time, are stepped on the exact flow of the modes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import NDArray
+
+from tonewood.lab import assembled
+from tonewood.lab.figures import figure, save
+from tonewood.lab.methods import METHODS, Method, Problem, forms, stability_limit
+from tonewood.lab.row import Row
+from tonewood.lab.string_end import coupled_pole
+from tonewood.lab.systems import fabre_guitar
+from tonewood.lab.systems.fabre_academic import problem, subsystems, whole
+from tonewood.lab.systems.fabre_forms import proportional_problem
+from tonewood.numerics.connections import Connection, Term
+from tonewood.numerics.modes import ModalBasis
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+SYSTEM = "Fabre methods"
+#: largest |omega h| on the imaginary axis at which Adams-Bashforth 3 does not grow
+AB3_LIMIT = (5 + np.sqrt(5)) / 10
+
+
+def subject(method: Method) -> tuple[Problem, Complexes]:
+    """The academic system for a method, with its true poles; proportional damping where real modes are asked for."""
+    if method.name.endswith("_real"):
+        given, system = proportional_problem()
+        return given, assembled.poles(system)
+    return problem(), assembled.poles(whole(subsystems()))
+
+
+def pole_errors(method: Method, rates: Floats) -> Floats:
+    """Largest relative pole error of a method at each sampling rate, Hz."""
+    given, expected = subject(method)
+    out = []
+    for fs in rates:
+        poles = method.step_matrix(given, 1 / fs).poles()
+        out.append(max(float(np.min(np.abs(poles - p)) / abs(p)) for p in expected))
+    return np.array(out)
+
+
+def free_oscillator(freq_rad: float) -> Problem:
+    """One undamped mode, and a constraint that holds nothing."""
+    basis = ModalBasis.real([freq_rad], [0.0], {"p": [1.0]})
+    return Problem({"a": basis}, (Connection("none", (Term("a", "p", 0.0),)),))
+
+
+def lowest_ab3_rate(poles: Complexes) -> float:
+    """Sampling rate, Hz, above which AB3 is stable for these poles: the boundary locus, pole by pole."""
+    low, high = 1.0, 1e8
+    while high > low * (1 + 1e-6):
+        rate = np.sqrt(low * high)
+        radius = 0.0
+        for z in poles / rate:
+            radius = max(radius, float(np.abs(np.roots([1.0, -1 - 23 * z / 12, 16 * z / 12, -5 * z / 12])).max()))
+        low, high = (low, rate) if radius <= 1 + 1e-9 else (rate, high)
+    return high
+
+
+def rows() -> Iterator[Row]:
+    """Orders, limits of stability, the constraint's gap."""
+    for method in METHODS.values():
+        errors = pole_errors(method, np.array([400.0, 800.0]))
+        order = float(np.log2(errors[0] / errors[1]))
+        yield Row(SYSTEM, f"{method.name}: measured order", "the order it states", method.order, order, 0.15)
+    oscillator = free_oscillator(1000.0)
+    limit = 1000.0 / stability_limit(METHODS["ab3_real"], oscillator, 500.0, 5000.0)
+    yield Row(SYSTEM, "AB3: largest stable omega h", "boundary locus, (5 + sqrt 5)/10", float(AB3_LIMIT), limit, 2e-3)
+    limit = 1000.0 / stability_limit(METHODS["verlet_real"], oscillator, 300.0, 5000.0)
+    yield Row(SYSTEM, "velocity Verlet: largest stable omega h", "closed form", 2.0, limit, 2e-3)
+    given, _ = subject(METHODS["linear_position"])
+    worst = METHODS["linear_position"].step_matrix(given, 1e-4).multipliers()
+    grows = float(worst[np.argmax(np.abs(worst))].real)
+    source = "f2 + 4 f1 + f0 = 0, step to 0"
+    yield Row(SYSTEM, "linear constraint force: multiplier of the force", source, -2 - np.sqrt(3), grows, 1e-2)
+    step = METHODS["held_position"].step_matrix(given, 1 / 400)
+    yield Row(
+        SYSTEM,
+        "held_position: spectral radius - 1, if above",
+        "energy never rises",
+        0,
+        max(step.spectral_radius() - 1, 0.0),
+        1e-12,
+    )
+    joint = Problem(given.components, given.constraints, given.inputs, (Term("S1", "m4"), Term("S2", "m5")))
+    for name, tolerance in (("held_position", 1e-12), ("ab3_general", 1e-9)):
+        y = METHODS[name].step_matrix(joint, 1 / 400).run(np.zeros((2001, 1)), joint.impulse_columns[:, 0])
+        gap = float(np.abs(y[:, 0] - y[:, 1]).max() / np.abs(y).max())
+        yield Row(SYSTEM, f"{name}: gap of the junction over 5 s / peak", "constraint", 0, gap, tolerance)
+    # the paper's string of 150 modes on its guitar, and the rate it was stepped at
+    guitar = fabre_guitar.problem(fabre_guitar.string(n_modes=150))
+    poles = np.asarray(sla.eigvals(forms.general(guitar).F), dtype=np.complex128)
+    poles = poles[np.abs(poles) > 1.0]  # two zeros of the constraint
+    lowest = lowest_ab3_rate(poles)
+    top = float(np.abs(poles).max()) / AB3_LIMIT
+    yield Row(
+        SYSTEM,
+        "guitar, 150 string modes: lowest stable rate of AB3 (kHz)",
+        "top pole / .7236",
+        top / 1e3,
+        lowest / 1e3,
+        1.0,
+    )
+    exact = {n: coupled_pole(fabre_guitar.exact_string(), fabre_guitar.body_receptance, n) for n in (1, 20, 60)}
+    few = fabre_guitar.problem(fabre_guitar.string(n_modes=91))
+    values = np.asarray(sla.eigvals(forms.general(few).F), dtype=np.complex128)
+    for n, pole in exact.items():
+        z = fabre_guitar.nearest(values, pole) / 1.2e6
+        roots = np.roots([1.0, -1 - 23 * z / 12, 16 * z / 12, -5 * z / 12])
+        got = fabre_guitar.nearest(np.log(roots[np.abs(roots) > 0.5]) * 1.2e6, pole)
+        error = fabre_guitar.cents(got, pole)
+        yield Row(SYSTEM, f"guitar by AB3 at 1200 kHz: partial {n} (cents)", "exact dynamic stiffness", 0, error, 0.02)
+
+
+def plots(directory: Path) -> list[Path]:
+    """Pole error against sampling rate, every method."""
+    fig, axis = figure(1, 1, size=(8, 6))
+    rates = np.array([50.0 * 2**i for i in range(8)])
+    for i, method in enumerate(METHODS.values()):
+        dashed = "--" if method.name in ("linear_position",) else "-"
+        label = f"{method.name}, order {method.order}" + (" (unstable)" if dashed == "--" else "")
+        axis.loglog(rates, pole_errors(method, rates), dashed + "osv^"[i % 4], color=f"C{i}", label=label, markersize=4)
+    axis.set(xlabel="sampling rate (Hz)", ylabel="largest relative pole error", ylim=(1e-15, 1))
+    axis.set_title("Academic system (highest pole 4.2 Hz): error of the coupled poles")
+    axis.legend(fontsize=8)
+    axis.grid(alpha=0.3)
+    return [save(fig, directory / "fabre_methods_order.png")]
