@@ -68,7 +68,8 @@ class StiffString(Resonator[StiffStringParameters]):
     def detuned(self, basis: ModalBasis, tension: float) -> ModalBasis:
         """Same shapes, omega^2 = T a_k + EI b_k: how a bend or the tuner changes a string.
 
-        The change of the shapes themselves is of second order, and only with bending stiffness; it is left out.
+        What is left out is the change of the shapes, which bending stiffness alone makes: a tension raised by 50
+        cents raises the partials of a classical guitar's strings by 0.08 to 0.2 cent less, all nearly alike.
         """
         known = basis.metadata
         a, b, wavenumber = (cast(Floats, known[key]) for key in ("tension_part", "bending_part", "wavenumber"))

@@ -14,7 +14,7 @@ _KIND_OF = {"BodyPart": "body", "ExciterPart": "exciter", "StringPart": "resonat
 _COMMON = {"BodyPart": PluginPart, "ExciterPart": PluginPart, "StringPart": StringPart, "OutputPart": OutputPart}
 
 
-def bundle_json_schema() -> dict[str, Any]:
+def bundle_schema() -> dict[str, Any]:
     """JSON Schema (2020-12) of ``instrument.yaml``.
 
     A part made by a plugin is any one of the installed plugins of its kind. Keys of a string may come from `defaults`,

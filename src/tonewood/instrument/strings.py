@@ -16,7 +16,7 @@ from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.receptance import Joint, Ports
 from tonewood.numerics.string_transfer import retuned
 from tonewood.params import Vector
-from tonewood.units import ratio_of_cents
+from tonewood.units import cents, ratio_of_cents
 
 Floats = NDArray[np.float64]
 
@@ -92,6 +92,7 @@ class StringModel:
         self._end_compliance, self._tilt_deg = end_compliance, tilt_deg
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._bases: dict[float, ModalBasis] = {}
+        self._gains: dict[float, float] = {}
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -161,7 +162,9 @@ class StringModel:
         pluck = min(self.pluck_from_bridge, 0.9 * length) if pluck_from_bridge is None else pluck_from_bridge
         if not 0 <= pluck <= length:
             raise ValueError(f"string {self.name} is {length:g} m long at stop {stop:g}; {pluck:g} m is not on it")
-        base, tension = self._untuned(stop), self.tension(stop) * ratio_of_cents(bend_cents) ** 2
+        base, tension = self._untuned(stop), self.tension(stop)
+        if bend_cents:
+            tension *= ratio_of_cents(bend_cents * self._bend_gain(stop)) ** 2
         out: dict[str, ModalBasis] = {}
         for polarization in self.polarizations:
             basis = self.resonator.detuned(base, tension * polarization.detune**2)
@@ -201,14 +204,20 @@ class StringModel:
 
     def _first_guess(self) -> float:
         """Tension of a rigidly held string of this pitch: f goes with its root."""
+        nominal = self.resonator.tension
         if self.stopping.compensate == "none":
-            return self.resonator.tension
-        nominal = self.resonator.basis(8 * self.freq(0), tension=self.resonator.tension)
-        held = Ports.of(nominal, np.eye(len(nominal.points))[[nominal.index("bridge")]])
-        zero = Joint([held]).newton(complex(-1e-3, 2 * math.pi * self.freq(0)), steps=80)
-        if zero is None:
-            return self.resonator.tension
-        return self.resonator.tension * (2 * math.pi * self.freq(0) / zero.imag) ** 2
+            return nominal
+        freq = held_freq(self.resonator.basis(8 * self.freq(0), tension=nominal), self.freq(0))
+        return nominal if freq is None else nominal * (self.freq(0) / freq) ** 2
+
+    def _bend_gain(self, stop: float) -> float:
+        """Cents of tension per cent of pitch: not quite 1, because a bend leaves the shapes as they are."""
+        if stop not in self._gains:
+            base, tension, trial = self._untuned(stop), self.tension(stop), 50.0
+            pair = (self.resonator.detuned(base, t) for t in (tension, tension * ratio_of_cents(trial) ** 2))
+            low, high = (held_freq(basis, self.freq(stop)) for basis in pair)
+            self._gains[stop] = 1.0 if low is None or high is None else trial / cents(high / low)
+        return self._gains[stop]
 
     def _tune(self, stop: float) -> tuple[TunedStop | None, float]:
         stop = float(stop)
@@ -225,6 +234,13 @@ class StringModel:
                 found = tune(self.coupled(stop), self.freq(stop), guess)
                 self._tuned[stop] = (found, found.tension)
         return self._tuned[stop]
+
+
+def held_freq(basis: ModalBasis, near: float) -> float | None:
+    """Frequency (Hz) of a string held at its bridge, where the compliance of its free end vanishes; None if lost."""
+    ports = Ports.of(basis, np.eye(len(basis.points))[[basis.index("bridge")]])
+    zero = Joint([ports]).newton(2 * math.pi * near * complex(-1e-5, 1.0), steps=80)
+    return None if zero is None else zero.imag / (2 * math.pi)
 
 
 def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:

@@ -1,0 +1,166 @@
+"""What every plugin found must keep, whoever wrote it."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tonewood.errors import PluginError
+from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.contract import KINDS, Event, Exciter, Plugin, Resonator
+from tonewood.instrument.registry import check_plugin, list_instruments, list_plugins
+from tonewood.params import Parameters, quantity
+
+PLUGINS = list_plugins()
+INSTRUMENTS = list_instruments()
+
+
+@pytest.fixture(scope="module")
+def used() -> dict[str, list[Plugin[Any]]]:
+    """Every plugin as some installed instrument uses it."""
+    found: dict[str, list[Plugin[Any]]] = {}
+    for name in INSTRUMENTS:
+        i = Instrument.load(name)
+        parts = [(i.spec.body, i.body)]
+        parts += [(i.spec.strings[n], r) for n, r in i.resonators.items()]
+        parts += [(i.spec.exciters[n], e) for n, e in i.exciters.items()]
+        parts += [(o, i.pickups[o.name]) for o in i.spec.outputs]
+        for spec, plugin in parts:
+            found.setdefault(spec.plugin, []).append(plugin)
+    return found
+
+
+@pytest.mark.parametrize("name", PLUGINS)
+def test_declares_itself(name: str) -> None:
+    cls = PLUGINS[name]
+    check_plugin(cls, name)
+    assert cls.kind in KINDS
+    assert cls.__doc__
+    for key, field in cls.Parameters.model_fields.items():
+        assert field.description, key
+        if field.annotation is float:
+            extra = field.json_schema_extra
+            assert isinstance(extra, dict), key
+            assert extra.get("unit"), f"{name}.{key} has no unit"
+
+
+@pytest.mark.parametrize("name", PLUGINS)
+def test_refuses_unknown_keys(name: str) -> None:
+    with pytest.raises(Exception, match=r"no_such_key: is not a known key|is missing"):
+        PLUGINS[name].from_values({"no_such_key": 1.0}, key="part")
+
+
+@pytest.mark.parametrize("name", PLUGINS)
+def test_some_instrument_shows_it(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
+    assert name in used
+
+
+@pytest.mark.parametrize("name", [n for n, p in PLUGINS.items() if issubclass(p, Resonator)])
+def test_strings(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
+    string = used[name][0]
+    assert isinstance(string, Resonator)
+    whole = string.basis(3000.0)
+    assert whole.is_real
+    assert (whole.natural_freq <= 3000.0).all()
+    assert (whole.damping_rate >= 0).all()
+    assert "bridge" in whole.points
+    # the same every time, and nothing remembered that could move
+    np.testing.assert_array_equal(whole.poles, string.basis(3000.0).poles)
+    shorter = string.basis(3000.0, stop=0.2 * string.length)
+    assert shorter.n_modes < whole.n_modes
+    stretched = string.detuned(whole, 1.02 * string.tension)
+    # frequency goes with the root of the tension, less the share of the bending
+    ratio = stretched.natural_freq / whole.natural_freq
+    assert 1.0 < ratio.min()
+    assert ratio.max() <= np.sqrt(1.02) + 1e-9
+    assert ratio[0] == pytest.approx(np.sqrt(1.02), rel=1e-3)
+    displacement, velocity = string.transfer(whole, shorter)
+    assert displacement.shape == velocity.shape == (shorter.n_modes, whole.n_modes)
+    at_bridge = shorter.right[shorter.index("bridge")].real @ displacement
+    np.testing.assert_allclose(at_bridge, whole.right[whole.index("bridge")].real, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", [n for n, p in PLUGINS.items() if issubclass(p, Exciter)])
+def test_gestures(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
+    from tonewood.instrument.contract import Place
+
+    for exciter in used[name]:
+        assert isinstance(exciter, Exciter)
+        gesture = exciter.gesture(Event({}, 110.0), Place("A2", 0.65))
+        assert gesture.segments
+        for before, after in zip(gesture.segments, gesture.segments[1:], strict=False):
+            assert before.start < before.stop <= after.start + 1e-12
+        assert np.isfinite(gesture.start)
+        assert gesture.start < gesture.stop
+        assert dataclasses.is_dataclass(gesture)
+        # doubled when asked to
+        if "force" in type(exciter.parameters).model_fields:
+            twice = exciter.gesture(Event({"force": 2 * exciter.parameters.force}, 110.0), Place("A2", 0.65))
+            times = np.linspace(gesture.start, gesture.stop, 50)
+            np.testing.assert_allclose([twice.force(t) for t in times], [2 * gesture.force(t) for t in times])
+
+
+@pytest.mark.parametrize("name", INSTRUMENTS)
+def test_instruments_name_their_figures(name: str) -> None:
+    """Every number of a bundle is said to be measured, published, computed, authored or a stand-in."""
+    instrument = Instrument.load(name)
+    unknown = [p for p, v in _leaves(instrument.resolved) if isinstance(v, int | float) and not isinstance(v, bool)
+               and p.split(".")[0] not in ("provenance", "sources") and instrument.provenance(p) is None]  # fmt: skip
+    assert unknown == []
+    assert instrument.spec.licence
+
+
+def _leaves(value: Any, path: str = "") -> list[tuple[str, Any]]:
+    if isinstance(value, dict):
+        return [leaf for k, v in value.items() for leaf in _leaves(v, f"{path}.{k}" if path else str(k))]
+    if isinstance(value, list):
+        return [leaf for i, v in enumerate(value) for leaf in _leaves(v, f"{path}.{i}")]
+    return [(path, value)]
+
+
+@pytest.mark.parametrize("name", INSTRUMENTS)
+def test_instruments_cross_processes(name: str) -> None:
+    """What a worker needs to make the same instrument is plain data."""
+    instrument = Instrument.load(name)
+    again = Instrument.from_values(pickle.loads(pickle.dumps(dict(instrument.resolved))), instrument.folder)
+    assert again.resolved == instrument.resolved
+    assert again.content_hash == instrument.content_hash
+
+
+class _Numbers(Parameters):
+    x: float = quantity("m", default=1.0, doc="a length")
+
+
+class _Undocumented(Parameters):
+    x: float = 1.0
+
+
+def _exciter(**more: Any) -> type:
+    body = {"Parameters": _Numbers, "gesture": lambda self, event, place: None, **more}
+    return type("Made", (Exciter,), body)
+
+
+@pytest.mark.parametrize(
+    ("found", "reason"),
+    [
+        (42, "is not a class derived from"),
+        (int, "is not a class derived from"),
+        (Plugin, "must derive from exactly one of"),
+        (_exciter(api=2), "version 2 of the contract; this is version 1"),
+        (_exciter(Parameters=dict), "has no `Parameters`"),
+        (_exciter(Parameters=Parameters), "has no `Parameters`"),
+        (_exciter(Parameters=_Undocumented), "does not say what it is"),
+        (type("Made", (Exciter,), {"Parameters": _Numbers}), "leaves out gesture"),
+    ],
+)
+def test_a_broken_plugin_is_named(found: object, reason: str) -> None:
+    with pytest.raises(PluginError, match=rf"^plugin 'x' of somebody.*{reason}"):
+        check_plugin(found, "plugin 'x' of somebody")
+
+
+def test_a_sound_plugin_passes() -> None:
+    check_plugin(_exciter(), "plugin 'x' of somebody")
