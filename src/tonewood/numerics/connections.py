@@ -13,6 +13,15 @@ With g+ = g_u + Z f, Z = A (port compliance over one step) A^T, the corrective f
 f = -(Z + S)^+ (g_u + gamma g - (1 + gamma) b); ^+ is the pseudo-inverse, so redundant constraints are legal.
 For passive components no law here can create energy, whatever the step, stiffness or force: the work of f over a
 step is f (g+ - g), which is 0, minus a growth of the residual's potential, or minus spring energy and loss.
+
+Nonlinear laws (`laws`) act on what is left when these are eliminated: g_n+ = g_n,u + Z_nl f_l0 + Z~ f_n with
+Z~ = Z_nn - Z_nl G Z_ln. The residual compliance R of their gaps acts in series, as displacements rho that the laws see
+besides g,
+
+    theta rho+ + (1 - theta) rho = R f,      Z~ -> Z~ + R / theta,
+
+with the stored energy rho R^-1 rho / 2, and loses (2 theta - 1) / 2 of (rho+ - rho) R^-1 (rho+ - rho). With
+theta = 1/2, as for rigid connections, rho would change its sign for ever after a contact has opened.
 """
 
 from __future__ import annotations
@@ -22,6 +31,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tonewood.numerics.laws import NonlinearLaw
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +66,10 @@ class SpringDashpot:
             raise ValueError("stiffness and damping of a connection must not be negative")
 
 
-Law = Rigid | SpringDashpot
+Law = Rigid | SpringDashpot | NonlinearLaw
+
+#: theta of the residual compliance in series with nonlinear laws
+SERIES = 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +124,9 @@ def linear_solve(laws: Sequence[Law], compliance: Floats, residual: Floats, dt: 
     S += 2 * residual * np.outer(rigid, rigid)
     scale = np.maximum(np.diag(compliance), 0.0)
     for j, law in enumerate(laws):
+        if not isinstance(law, (Rigid, SpringDashpot)):
+            active[j] = False
+            continue
         if isinstance(law, SpringDashpot):
             alpha, beta = law.stiffness / 2 + law.damping / dt, law.stiffness / 2 - law.damping / dt
             active[j] = alpha > 0
@@ -123,6 +140,46 @@ def linear_solve(laws: Sequence[Law], compliance: Floats, residual: Floats, dt: 
         on = np.ix_(active, active)
         G[on] = scaled_pinv((S + compliance)[on])
     return LinearSolve(G, gamma, offset)
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearSolve:
+    """What the k nonlinear connections of a system see once the linear ones are eliminated.
+
+    Attributes
+    ----------
+    index : (k,) their places among the m connections.
+    laws : (k,).
+    Z : (k, k) m/N, Z~ with the series part R / theta.
+    from_linear : (k, m) m/N, Z_nl: gaps per force of the linear connections.
+    answer : (m, k) G Z_ln: linear forces are -answer @ (nonlinear forces) besides.
+    residual : (k, k) m/N, R of the gaps whose laws have it; zero elsewhere.
+    """
+
+    index: NDArray[np.intp]
+    laws: tuple[NonlinearLaw, ...]
+    Z: Floats
+    from_linear: Floats
+    answer: Floats
+    residual: Floats
+
+
+def nonlinear_solve(
+    laws: Sequence[Law], linear: LinearSolve, compliance: Floats, residual: Floats
+) -> NonlinearSolve | None:
+    """Eliminate the linear connections for the others; None if there are no others. Shapes as in `linear_solve`.
+
+    Residual compliance between a nonlinear and a linear gap is left out: what stays is positive semi-definite.
+    """
+    index = np.array([j for j, law in enumerate(laws) if not isinstance(law, (Rigid, SpringDashpot))], dtype=np.intp)
+    if not index.size:
+        return None
+    chosen = tuple(law for law in laws if not isinstance(law, (Rigid, SpringDashpot)))
+    series = np.array([law.residual for law in chosen], dtype=bool)
+    R = residual[np.ix_(index, index)] * np.outer(series, series)
+    answer = linear.G @ compliance[:, index]
+    Z = compliance[np.ix_(index, index)] - compliance[index] @ answer + R / SERIES
+    return NonlinearSolve(index, chosen, 0.5 * (Z + Z.T), compliance[index], answer, R)
 
 
 def scaled_pinv(matrix: Floats, rtol: float = 1e-12) -> Floats:

@@ -3,20 +3,64 @@
 One step: propagate every component without connections, read the gaps, find the forces, correct:
 
     x_u = E x + injections,   g_u = sum A C x_u,   f = -G (g_u + gamma g) + G b',   x+ = x_u + W A^T f.
+
+Nonlinear connections see what the linear ones leave of their gaps (`connections`), and their forces are found together
+(`law_solve`). A string whose tension rises is, at a given tension, a linear component with another x_u and W; its
+tension is found around all this (`tension`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import NumericalError
+from tonewood.numerics.connections import SERIES, LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
+from tonewood.numerics.law_solve import Drives, find_forces
+from tonewood.numerics.laws import Friction
 from tonewood.numerics.propagator import apply
-from tonewood.numerics.system import Injection, State, System
+from tonewood.numerics.system import Control, Injection, State, System
 
 Floats = NDArray[np.float64]
+
+#: of the tension, N / N
+TENSION_TOLERANCE = 1e-12
+MAX_TENSION_ITERATIONS = 200
+
+
+@dataclass
+class Statistics:
+    """What the nonlinear solves of a stepper took, since it was made.
+
+    Attributes
+    ----------
+    steps : samples stepped.
+    solves : nonlinear solves of a step's forces.
+    iterations, most_iterations : of Newton's method on the forces, in all, and in one step at most.
+    tension_iterations, most_tension_iterations : of the solve for the tensions.
+    failures : steps whose forces were not found; each of them raised a `NumericalError`.
+    """
+
+    steps: int = 0
+    solves: int = 0
+    iterations: int = 0
+    most_iterations: int = 0
+    tension_iterations: int = 0
+    most_tension_iterations: int = 0
+    failures: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """One step at given tensions."""
+
+    x: list[Floats]
+    forces: Floats
+    series: Floats
+    slip: Floats
 
 
 class NumpyStepper:
@@ -24,8 +68,11 @@ class NumpyStepper:
 
     def __init__(self, system: System):
         self.system = system
+        self.statistics = Statistics()
 
-    def run(self, state: State, n: int, injections: Sequence[Injection] = ()) -> tuple[Floats, Floats]:
+    def run(
+        self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
+    ) -> tuple[Floats, Floats]:
         """Advance `state` in place by n steps.
 
         Returns
@@ -35,50 +82,152 @@ class NumpyStepper:
 
         Raises
         ------
-        NumericalError : the state is no longer finite; names component and time.
+        NumericalError : the state is no longer finite, or a step's forces were not found; names what and when.
         """
-        s, solve = self.system, self.system.solve
+        s = self.system
         m = len(s.connections)
         x = [s.modes_of(state, name).T.copy() for name in s.names]
-        incidence = [s.incidence(i) for i in range(len(s.names))]
-        ports = [len(c.ports) for c in s.compiled]
+        rows = [c.rows[len(c.ports) :] for c in s.compiled]
         out, forces = np.zeros((n, len(s.readouts))), np.zeros((n, m))
-        two_way = [i for i, one_way in enumerate(s.driven) if not one_way]
-
-        def check(i: int, step: int) -> None:
-            if not np.all(np.isfinite(x[i])):
-                t = (state.sample + step) * s.dt
-                raise NumericalError(f"{s.names[i]} is no longer finite at {t:.6f} s")
-
-        def gaps() -> Floats:
-            total = np.zeros(m)
-            for i in two_way:
-                total += incidence[i] @ np.einsum("pmx,mx->p", s.compiled[i].rows[: ports[i]], x[i])
-            return total
+        still = s.start()
+        series = state.series if state.series.size else still.series
+        slip = state.slip if state.slip.size else still.slip
+        tension = state.tension if state.tension.size else still.tension
+        moving = s.controlled(controls, state.sample, n)
+        guess = np.asarray(state.forces, dtype=np.float64)
 
         for step in range(n):
-            gap = gaps()
-            before = [np.einsum("rmx,mx->r", c.rows[p:], xi) for c, p, xi in zip(s.compiled, ports, x, strict=True)]
-            for i, compiled in enumerate(s.compiled):
-                x[i] = apply(compiled.E, x[i])
+            time = (state.sample + step) * s.dt
+            before = [np.einsum("rmx,mx->r", r, xi) for r, xi in zip(rows, x, strict=True)]
+            free = [apply(c.E, xi) for c, xi in zip(s.compiled, x, strict=True)]
             for injection in injections:
                 k = state.sample + step - injection.start
                 if 0 <= k < injection.values.shape[1]:
-                    x[s.slot(injection.component)] += np.einsum("v,vmx->mx", injection.values[:, k], injection.vectors)
-            for i in range(len(x)):
-                check(i, step)  # before connections spread the fault to other components
-            f = solve.constant - solve.G @ (gaps() + solve.gamma * gap)
-            forces[step] = f
+                    free[s.slot(injection.component)] += np.einsum(
+                        "v,vmx->mx", injection.values[:, k], injection.vectors
+                    )
+            self._check(free, time)  # before connections spread the fault to other components
+            drives = self._drives({j: a[:, step] for j, a in moving.items()})
+            done, tensions = self._step(x, free, guess, series, slip, tension[:, 0], drives, time)
+            x, series, slip, guess = done.x, done.series, done.slip, done.forces
+            tension = np.column_stack([tensions, tension[:, :2]])
+            forces[step] = done.forces
+            self._check(x, time)
             for i, compiled in enumerate(s.compiled):
-                x[i] += np.einsum("p,pmx->mx", incidence[i].T @ f, compiled.W)
-                check(i, step)
-                after = np.einsum("rmx,mx->r", compiled.rows[ports[i] :], x[i])
+                after = np.einsum("rmx,mx->r", rows[i], x[i])
                 value = np.where(compiled.difference, after - before[i], before[i])
                 np.add.at(out[step], compiled.readouts, value)
-            out[step] += s.force_weights() @ f
+            out[step] += s.force_weights() @ done.forces
         for i, name in enumerate(s.names):
             s.modes_of(state, name)[:] = x[i].T
         if n:
             state.forces[:] = forces[-1]
+        state.series, state.slip, state.tension = series, slip, tension
         state.sample += n
+        self.statistics.steps += n
         return out, forces
+
+    def _check(self, x: list[Floats], time: float) -> None:
+        for name, modes in zip(self.system.names, x, strict=True):
+            if not np.all(np.isfinite(modes)):
+                raise NumericalError(f"{name} is no longer finite at {time:.6f} s")
+
+    def _drives(self, moving: dict[int, Floats]) -> Drives:
+        laws = self.system.nonlinear.laws if self.system.nonlinear else ()
+        offset = np.array([law.offset for law in laws])
+        velocity = np.array([law.velocity if isinstance(law, Friction) else 0.0 for law in laws])
+        drives = Drives(offset, offset.copy(), velocity, np.ones(len(laws)))
+        for j, values in moving.items():
+            drives.offset[j], drives.offset_after[j], drives.velocity[j], drives.scale[j] = values
+        return drives
+
+    def _step(
+        self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, tension: Floats,
+        drives: Drives, time: float,
+    ) -> tuple[_Attempt, Floats]:  # fmt: skip
+        """Find tensions and forces of one step; `tension` (n_tensions,) is where to start."""
+        s = self.system
+        strings = [
+            (t, [s.slot(name) for name in law.components]) for t, law in enumerate(s.tensions) if s.tension_on[t]
+        ]
+        if not strings:
+            return self._attempt(x, free, guess, series, slip, {}, drives, time), np.zeros(len(s.tensions))
+        parts = {i: part for _, slots in strings for i in slots if (part := s.compiled[i].tension) is not None}
+        kappa = {t: parts[slots[0]].kappa for t, slots in strings}
+        old = {t: sum(parts[i].stretch(x[i]) for i in slots) for t, slots in strings}
+        T = {t: max(float(tension[t]), kappa[t] * old[t]) for t, _ in strings}
+        for iteration in range(1, MAX_TENSION_ITERATIONS + 1):
+            done = self._attempt(x, free, guess, series, slip, {i: T[t] for t, slots in strings for i in slots}, drives,
+                                 time)  # fmt: skip
+            converged = True
+            for t, slots in strings:
+                excess = T[t] - kappa[t] * (sum(parts[i].stretch(done.x[i]) for i in slots) + old[t])
+                slope = 1 - kappa[t] * sum(parts[i].slope(x[i], done.x[i], T[t]) for i in slots)
+                converged &= abs(excess) <= TENSION_TOLERANCE * T[t]
+                T[t] = max(kappa[t] * old[t], T[t] - excess / slope)
+            if converged:
+                self.statistics.tension_iterations += iteration
+                most = max(self.statistics.most_tension_iterations, iteration)
+                self.statistics.most_tension_iterations = most
+                return done, np.array([T.get(t, 0.0) for t in range(len(s.tensions))])
+            guess = done.forces
+        self.statistics.failures += 1
+        raise NumericalError(f"the tensions of {', '.join(t.name for t in s.tensions)} were not found at {time:.6f} s")
+
+    def _attempt(
+        self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats,
+        tension: dict[int, float], drives: Drives, time: float,
+    ) -> _Attempt:  # fmt: skip
+        """One step at given tensions (by component slot)."""
+        s = self.system
+        m = len(s.connections)
+        free, W = list(free), [c.W for c in s.compiled]
+        for i, T in tension.items():
+            if (part := s.compiled[i].tension) is not None:
+                free[i], W[i] = part.step(x[i], free[i], W[i], T)
+        linear, nonlinear = self._solves(W, tension)
+
+        def gaps(state: list[Floats]) -> Floats:
+            total = np.zeros(m)
+            for i, c in enumerate(s.compiled):
+                if not s.driven[i]:
+                    total += s.incidence(i) @ np.einsum("pmx,mx->p", c.rows[: len(c.ports)], state[i])
+            return total
+
+        gap, gap_free = gaps(x), gaps(free)
+        f = linear.constant - linear.G @ (gap_free + linear.gamma * gap)
+        series, slip = series.copy(), slip.copy()
+        if nonlinear is not None:
+            on = nonlinear.index
+            lag = (1 - SERIES) / SERIES * series[on]
+            found = find_forces(
+                nonlinear.laws, nonlinear.Z, gap_free[on] + nonlinear.from_linear @ f - lag, gap[on] + series[on],
+                s.dt, drives, guess[on], slip[on],
+            )  # fmt: skip
+            self.statistics.solves += 1
+            self.statistics.iterations += found.iterations
+            self.statistics.most_iterations = max(self.statistics.most_iterations, found.iterations)
+            if not found.converged:
+                self.statistics.failures += 1
+                names = ", ".join(s.connections[j].name for j in on[found.forces != 0.0])
+                raise NumericalError(f"the forces of {names} were not found at {time:.6f} s")
+            f = f - nonlinear.answer @ found.forces
+            f[on] = found.forces
+            series[on], slip[on] = nonlinear.residual @ found.forces / SERIES - lag, found.slip
+        after = [
+            free[i] + np.einsum("p,pmx->mx", s.incidence(i).T @ f, W[i]) for i in range(len(s.names))
+        ]  # fmt: skip
+        return _Attempt(after, f, series, slip)
+
+    def _solves(self, W: list[Floats], tension: dict[int, float]) -> tuple[LinearSolve, NonlinearSolve | None]:
+        s = self.system
+        if not tension:
+            return s.solve, s.nonlinear
+        compliance, residual = np.zeros((len(s.connections),) * 2), s.gap_matrix("residual")
+        for i, c in enumerate(s.compiled):
+            if not s.driven[i]:
+                a = s.incidence(i)
+                compliance += a @ np.einsum("pmx,qmx->pq", c.rows[: len(c.ports)], W[i]) @ a.T
+        laws = [c.law for c in s.connections]
+        linear = linear_solve(laws, compliance, residual, s.dt)
+        return linear, nonlinear_solve(laws, linear, compliance, residual)

@@ -7,23 +7,25 @@ small matrix of `connections.linear_solve` change.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.numerics.connections import Connection, LinearSolve, linear_solve
+from tonewood.numerics.connections import Connection, LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
+from tonewood.numerics.laws import Friction
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.propagator import RealForm, apply, flow, real_form
+from tonewood.numerics.tension import TensionModulation, TensionPart
 
 Floats = NDArray[np.float64]
 
 #: samples that the kernel steps at a time: the reach of `Compiled.history`
 BLOCK_SIZE = 16
 #: modes of a component are padded to a multiple of this in the state
-PADDING = 32
+PADDING = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +83,10 @@ class Compiled:
         history[0, :, :n_ports] is the port compliance Z.
     readouts : (n_rows - n_ports,) channel that each further row adds to.
     difference : (n_rows - n_ports,) whether the row is read as (y(t + h) - y(t)) / h.
-    compliance, residual : (m, m) m/N, this component's share of the gaps' compliance over one step, and of their
-        residual compliance; zero for a driven component.
+    gaps : (g,) connections that its ports have a share in; none for a driven component.
+    compliance, residual : (g, g) m/N, its share of these gaps' compliance over one step, and of their residual
+        compliance.
+    tension : its share of a tension, if it belongs to one.
     """
 
     basis: ModalBasis
@@ -94,8 +98,10 @@ class Compiled:
     history: Floats
     readouts: NDArray[np.intp]
     difference: NDArray[np.bool_]
+    gaps: NDArray[np.intp]
     compliance: Floats
     residual: Floats
+    tension: TensionPart | None = None
 
 
 @dataclass(eq=False)
@@ -107,15 +113,28 @@ class State:
     modes : (2, capacity) the two numbers of every mode, component after component, padded.
     forces : (m,) N, connection forces of the step before.
     sample : steps taken since time 0.
+    series : (m,) m, displacement of the residual compliance in series with nonlinear connections; empty is rest.
+    slip : (m,) m/s, relative velocity of friction connections over the step before, 0 when sticking; empty is rest.
+    tension : (n_tensions, 3) N, mean additional tension of the last three steps, latest first; empty is rest.
     """
 
     modes: Floats
     forces: Floats
     sample: int = 0
+    series: Floats = field(default_factory=lambda: np.zeros(0))
+    slip: Floats = field(default_factory=lambda: np.zeros(0))
+    tension: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     def copy(self) -> State:
         """Return an independent copy."""
-        return State(self.modes.copy(), self.forces.copy(), self.sample)
+        return State(
+            self.modes.copy(),
+            self.forces.copy(),
+            self.sample,
+            self.series.copy(),
+            self.slip.copy(),
+            self.tension.copy(),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,10 +161,49 @@ class Injection:
 
 
 @dataclass(frozen=True, eq=False)
+class Control:
+    """Moves or scales a nonlinear connection's partner sample by sample, in place of its law's constants.
+
+    What it does to the partner is work from outside: only f (g+ - g) is balanced by the law.
+
+    Attributes
+    ----------
+    connection : its name.
+    start : absolute sample of the first step it acts in.
+    offset : (n_steps + 1,) m, gap of zero compression at the beginning of each step and the end of the last.
+    velocity : (n_steps,) m/s, of the partner in a `Friction`, mean over each step.
+    scale : (n_steps,) factor, not negative, on the force of the law: a bow's pressure, a finger's weight.
+    """
+
+    connection: str
+    start: int
+    offset: Floats | None = None
+    velocity: Floats | None = None
+    scale: Floats | None = None
+
+    def __post_init__(self) -> None:
+        lengths = {len(a) for a in (self.velocity, self.scale) if a is not None}
+        lengths |= {len(self.offset) - 1} if self.offset is not None else set()
+        if len(lengths) != 1 or min(lengths) < 0:
+            raise ValueError(f"a control of {self.connection!r} needs arrays of one number of steps")
+        if self.scale is not None and not np.all(self.scale >= 0.0):
+            raise ValueError(f"a control of {self.connection!r} has a negative scale")
+
+    @property
+    def stop(self) -> int:
+        """Absolute sample after the last step it acts in."""
+        for array, extra in ((self.velocity, 0), (self.scale, 0), (self.offset, 1)):
+            if array is not None:
+                return self.start + len(array) - extra
+        return self.start
+
+
+@dataclass(frozen=True, eq=False)
 class System:
     """Components, connections and readouts at one step length.
 
-    Build with `System.build`; exchange a component with `with_basis`, connections' laws with `with_laws`.
+    Build with `System.build`; exchange a component with `with_basis`, connections' laws with `with_laws`, and switch
+    tensions with `with_tensions`.
     """
 
     dt: float
@@ -156,6 +214,9 @@ class System:
     drives: tuple[Drive, ...]
     capacities: tuple[int, ...]
     solve: LinearSolve
+    nonlinear: NonlinearSolve | None = None
+    tensions: tuple[TensionModulation, ...] = ()
+    tension_on: tuple[bool, ...] = ()
     wiring: tuple[Floats, ...] = ()
 
     @classmethod
@@ -168,6 +229,7 @@ class System:
         dt: float,
         drives: Sequence[Drive] = (),
         capacities: Mapping[str, int] | None = None,
+        tensions: Sequence[TensionModulation] = (),
     ) -> System:
         """Compile.
 
@@ -175,10 +237,11 @@ class System:
         ----------
         components : name -> basis. One that `drives` name is driven one way: no connection may act on it.
         capacities : name -> modes to leave room for, where a component may later take a larger basis.
+        tensions : strings whose tension rises with their amplitude; all are on.
 
         Raises
         ------
-        ValueError : a connection, probe or drive names a component, point or connection that is not there.
+        ValueError : a connection, probe, drive or tension names a component, point or connection that is not there.
         """
         if not dt > 0:
             raise ValueError(f"a step is longer than {dt} s")
@@ -199,6 +262,10 @@ class System:
         for probe in (p for r in readouts for p in r.probes):
             if probe.component not in components:
                 raise ValueError(f"no component {probe.component!r} to read")
+        stretched = [name for t in tensions for name in t.components]
+        for name in stretched:
+            if name not in components or name in driven or stretched.count(name) > 1:
+                raise ValueError(f"a tension needs two-way components of its own, not {name!r}")
         names = tuple(components)
         system = cls(
             dt=dt,
@@ -209,6 +276,8 @@ class System:
             drives=tuple(drives),
             capacities=tuple(_padded(max(components[n].n_modes, (capacities or {}).get(n, 0))) for n in names),
             solve=LinearSolve(np.zeros((0, 0)), np.zeros(0), np.zeros(0)),
+            tensions=tuple(tensions),
+            tension_on=(True,) * len(tensions),
         )
         compiled = tuple(system.compile(name, components[name]) for name in names)
         wiring = tuple(system._incidence(name) for name in names)
@@ -224,7 +293,8 @@ class System:
         ports = np.array([basis.index(p) for p in self.ports_of(name)], dtype=np.intp)
         form = real_form(basis)
         phi = flow(basis, self.dt)
-        E, W = phi[0], apply(self.dt * phi[1], form.B[ports])
+        held = self.dt * phi[1]
+        E, W = phi[0], apply(held, form.B[ports])
         rows, readouts, difference = [form.C[ports]], [], []
         for channel, readout in enumerate(self.readouts):
             probes = [p for p in readout.probes if p.component == name]
@@ -244,14 +314,15 @@ class System:
         for k in range(BLOCK_SIZE):
             history[k] = moved.reshape(len(ports), numbers) @ flat
             moved = apply(E, moved)
-        compliance, residual = (np.zeros((len(self.connections),) * 2) for _ in range(2))
-        if name not in {d.component for d in self.drives}:
-            a = self._incidence(name)
-            compliance = a @ history[0, :, : len(ports)].T @ a.T
-            residual = a @ basis.residual[ports][:, ports] @ a.T
+        a = np.zeros((0, len(ports))) if name in {d.component for d in self.drives} else self._incidence(name)
+        gaps = np.flatnonzero(np.any(a != 0.0, axis=1))
+        a = a[gaps]
+        compliance = a @ history[0, :, : len(ports)].T @ a.T
+        residual = a @ basis.residual[ports][:, ports] @ a.T
+        tension = next((t.part(name, basis, self.dt, held) for t in self.tensions if name in t.components), None)
         return Compiled(
             basis, form, ports, E, W, all_rows, history,
-            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), compliance, residual,
+            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, compliance, residual, tension,
         )  # fmt: skip
 
     def with_compiled(self, changes: Mapping[str, Compiled]) -> System:
@@ -274,6 +345,17 @@ class System:
         if any(new.terms != old.terms for new, old in zip(connections, self.connections, strict=True)):
             raise ValueError("a connection's terms cannot change, only its law")
         return replace(self, connections=connections)._solved()
+
+    def with_tensions(self, names: Collection[str]) -> System:
+        """Switch on the tensions of these names, and off all others.
+
+        The stored energy EA/(8 L) S^2 of a string appears or vanishes with its tension: switch where it is small, or
+        book it.
+        """
+        known = [t.name for t in self.tensions]
+        if unknown := set(names) - set(known):
+            raise ValueError(f"no tension {sorted(unknown)}; there are {known}")
+        return replace(self, tension_on=tuple(name in names for name in known))
 
     @cached_property
     def offsets(self) -> tuple[int, ...]:
@@ -298,7 +380,41 @@ class System:
 
     def start(self) -> State:
         """Return the state of rest."""
-        return State(np.zeros((2, sum(self.capacities))), np.zeros(len(self.connections)))
+        m = len(self.connections)
+        modes = np.zeros((2, sum(self.capacities)))
+        return State(modes, np.zeros(m), 0, np.zeros(m), np.zeros(m), np.zeros((len(self.tensions), 3)))
+
+    def controlled(self, controls: Sequence[Control], start: int, n: int) -> dict[int, Floats]:
+        """(4, n) offset at the beginning and the end of each step, velocity and scale, of controlled connections.
+
+        Returns
+        -------
+        Place among `nonlinear` -> array, for the connections that `controls` touch in the n steps from `start`.
+        """
+        out: dict[int, Floats] = {}
+        for control in controls:
+            first, last = max(control.start, start), min(control.stop, start + n)
+            if first >= last:
+                continue
+            j = self._nonlinear_place(control.connection)
+            if j not in out:
+                law = self.nonlinear.laws[j] if self.nonlinear else None
+                still = law.velocity if isinstance(law, Friction) else 0.0
+                out[j] = np.repeat([[law.offset if law else 0.0]] * 2 + [[still], [1.0]], n, axis=1)
+            here, there = slice(first - start, last - start), slice(first - control.start, last - control.start)
+            if control.offset is not None:
+                out[j][0, here], out[j][1, here] = control.offset[:-1][there], control.offset[1:][there]
+            if control.velocity is not None:
+                out[j][2, here] = control.velocity[there]
+            if control.scale is not None:
+                out[j][3, here] = control.scale[there]
+        return out
+
+    def _nonlinear_place(self, connection: str) -> int:
+        names = [self.connections[i].name for i in self.nonlinear.index] if self.nonlinear else []
+        if connection not in names:
+            raise ValueError(f"no nonlinear connection {connection!r} to control")
+        return names.index(connection)
 
     def incidence(self, slot: int) -> Floats:
         """(m, n_ports) share of each port of a component in each gap (for a driven one: of each force in a port)."""
@@ -329,13 +445,14 @@ class System:
         """(m, m) m/N, ``compliance`` or ``residual`` of all components as the gaps see it."""
         total = np.zeros((len(self.connections),) * 2)
         for compiled in self.compiled:
-            total += getattr(compiled, which)
+            total[np.ix_(compiled.gaps, compiled.gaps)] += getattr(compiled, which)
         return total
 
     def _solved(self) -> System:
         laws = [c.law for c in self.connections]
-        solve = linear_solve(laws, self.gap_matrix("compliance"), self.gap_matrix("residual"), self.dt)
-        return replace(self, solve=solve)
+        compliance, residual = self.gap_matrix("compliance"), self.gap_matrix("residual")
+        solve = linear_solve(laws, compliance, residual, self.dt)
+        return replace(self, solve=solve, nonlinear=nonlinear_solve(laws, solve, compliance, residual))
 
 
 def _padded(n: int) -> int:
