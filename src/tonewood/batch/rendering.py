@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache, lru_cache
 from typing import Any
+
+import numpy as np
 
 from tonewood.batch.conditions import Condition, Draw, vary_notes
 from tonewood.batch.store import Rendered
@@ -20,7 +23,8 @@ from tonewood.score.assignment import assign
 from tonewood.score.midi import read_midi
 from tonewood.score.note import Note, Score
 
-_SECONDS_PER_SECOND = 0.2  # of computing, a cautious guess for the plan
+_PIECE = 0.25  # s, rendered to predict the time of the rest
+_COSTS: dict[tuple[str, int, str], tuple[float, float]] = {}  # s to set up, s per second of sound
 
 
 @dataclass(frozen=True)
@@ -49,10 +53,22 @@ class EngineRenderer:
         }
 
     def predict(self, condition: Condition) -> float:
-        """A cautious guess from the length of the score and the longest tail, s."""
-        notes = condition.notes
-        length = max(n.time + n.duration for n in notes) if notes else (condition.midi or {}).get("stop") or 30.0
-        return _SECONDS_PER_SECOND * (float(length) + 0.5 * condition.render.tail.cap)
+        """Time of a render, s, from a short measured piece of the first one asked for on the same bundle and rate.
+
+        The length is that of the score with half its longest tail.
+        """
+        settings = condition.render
+        kind = (condition.bundle, settings.fs, settings.precision)
+        if kind not in _COSTS:
+            began = time.perf_counter()
+            renderer = _renderer(condition, max_duration=_PIECE)
+            ready = time.perf_counter()
+            for _ in renderer.blocks():
+                pass
+            _COSTS[kind] = (ready - began, (time.perf_counter() - ready) / _PIECE)
+        setup, per_second = _COSTS[kind]
+        length = max((n.time + n.duration for n in _score(condition).notes), default=0.0) + 0.5 * settings.tail.cap
+        return setup + per_second * length
 
     def render(self, condition: Condition) -> Rendered:
         """The sound of a condition, with its human variation.
@@ -62,23 +78,25 @@ class EngineRenderer:
         TonewoodError
             A score cannot be read or played, or the render went wrong.
         """
-        import numpy as np
-
-        settings = condition.render
-        instrument = instrument_of(condition)
-        score = _varied(_score(condition), instrument, condition)
-        renderer = Renderer(
-            score,
-            instrument,
-            settings.fs,
-            precision=settings.precision,
-            outputs=None if settings.output is None else [settings.output],
-            tail=Tail(level_db=settings.tail.energy_db, cap=settings.tail.cap),
-            channel_per_string=_channel_per_string(condition),
-        )
+        renderer = _renderer(condition)
         samples = np.concatenate(list(renderer.blocks(4096)))
         info = _plain(asdict(renderer.summary())) | {"channels": list(renderer.channels)}
         return Rendered(samples, renderer.fs, info)
+
+
+def _renderer(condition: Condition, max_duration: float | None = None) -> Renderer:
+    settings = condition.render
+    instrument = instrument_of(condition)
+    return Renderer(
+        _varied(_score(condition), instrument, condition),
+        instrument,
+        settings.fs,
+        precision=settings.precision,
+        outputs=None if settings.output is None else [settings.output],
+        tail=Tail(level_db=settings.tail.energy_db, cap=settings.tail.cap),
+        max_duration=max_duration,
+        channel_per_string=_channel_per_string(condition),
+    )
 
 
 def _plain(value: Any) -> Any:

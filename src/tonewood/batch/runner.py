@@ -28,6 +28,7 @@ from tonewood.batch.workers import Workers
 from tonewood.errors import NumericalError, TonewoodError
 
 WORK = "work"
+_FILE_SECONDS = 0.1  # to measure, write and draw one sound file
 _CODE_FILE = re.compile(r"[b-df-hj-np-tv-xz]{6}\.(wav|png)")
 Progress = Callable[[str, int, int], None]
 
@@ -54,7 +55,7 @@ class Plan:
     conditions, groups : of the manifest, those that could be resolved.
     keys : content key by condition name.
     todo : one condition for each key that is not rendered yet.
-    seconds : predicted time of rendering those with the workers given, s.
+    seconds : predicted time of rendering those and of writing the files with the workers given, s; None if not asked.
     faults : conditions that could not be resolved.
     """
 
@@ -64,7 +65,7 @@ class Plan:
     keys: dict[str, str]
     identities: dict[str, dict[str, Any]]
     todo: tuple[Condition, ...]
-    seconds: float
+    seconds: float | None
     faults: tuple[Fault, ...]
     notes: tuple[str, ...]
 
@@ -82,7 +83,7 @@ class Plan:
             "rendered": len(set(self.keys.values())) - len(self.todo),
             "files": self.n_files,
             "trials": sum(len(g.trials) for g in self.groups),
-            "predicted_seconds": round(self.seconds, 3),
+            "predicted_seconds": None if self.seconds is None else round(self.seconds, 3),
             "failed": [{"name": f.name, "reason": f.reason} for f in self.faults],
             "notes": list(self.notes),
         }
@@ -120,8 +121,15 @@ class Report:
         }
 
 
-def plan_batch(manifest_path: Path, folder: Path, renderer: Renderer, workers: Workers | None = None) -> Plan:
+def plan_batch(
+    manifest_path: Path, folder: Path, renderer: Renderer, workers: Workers | None = None, *, predict: bool = False
+) -> Plan:
     """Expand a manifest and find out what is still to be rendered; nothing is written.
+
+    Parameters
+    ----------
+    manifest_path, folder, renderer, workers : as for `run_batch`.
+    predict : predict the time too, for which the renderer may try itself.
 
     Raises
     ------
@@ -151,8 +159,15 @@ def plan_batch(manifest_path: Path, folder: Path, renderer: Renderer, workers: W
         wanted = keys.get(condition.name)
         if wanted is not None and wanted not in todo and not store.has(wanted):
             todo[wanted] = condition
-    at_once = 1 if workers is None or workers.cluster else workers.count
-    seconds = sum(renderer.predict(c) for c in todo.values()) / at_once
+    seconds = None
+    if predict:
+        seconds = _FILE_SECONDS * sum(len(g.stimuli) for g in groups)
+        for condition in todo.values():
+            try:
+                seconds += renderer.predict(condition)
+            except TonewoodError as fault:
+                faults.append(Fault(condition.name, str(fault)))
+        seconds /= 1 if workers is None else workers.count
     return Plan(
         manifest, conditions, groups, keys, identities, tuple(todo.values()), seconds, tuple(faults), tuple(notes)
     )

@@ -39,7 +39,7 @@ def batch(
         raise TonewoodError(f"is {workers!r}; processes or threads are allowed", key="--workers")
     place = Workers(jobs, "threads" if workers == "threads" else "processes", cluster)
     if dry_run:
-        plan = plan_batch(manifest, output, EngineRenderer(), place)
+        plan = plan_batch(manifest, output, EngineRenderer(), place, predict=True)
         print(json.dumps(plan.summary())) if as_json else _print_plan(plan)
         return 1 if plan.faults else 0
     with _Bars() as bars:

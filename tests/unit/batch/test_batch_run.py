@@ -171,11 +171,11 @@ def test_files_of_an_earlier_seed_are_removed_and_strangers_kept(tmp_path: Path)
 
 def test_the_plan_writes_nothing(tmp_path: Path) -> None:
     path = fakes.write(tmp_path, fakes.manifest(**SMALL))
-    plan = plan_batch(path, tmp_path / "out", FakeRenderer(), Workers(1))
+    plan = plan_batch(path, tmp_path / "out", FakeRenderer(), Workers(1), predict=True)
     assert not (tmp_path / "out").exists()
     summary = plan.summary()
     assert (summary["to_render"], summary["files"], summary["trials"]) == (3, 3, 1)
-    assert summary["predicted_seconds"] == 1.5
+    assert summary["predicted_seconds"] == pytest.approx(3 * 0.5 + 3 * 0.1)
     run_batch(path, tmp_path / "out", FakeRenderer())
     assert plan_batch(path, tmp_path / "out", FakeRenderer()).summary()["to_render"] == 0
 
