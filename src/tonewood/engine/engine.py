@@ -1,13 +1,14 @@
 """Model, state and timeline in; sound out, on a control grid that output blocks know nothing of.
 
-Every change (a stop, a bend, a damper, a finger that takes hold) takes effect at a multiple of 64 samples counted from
-sample 0; known forces act at any fraction of a sample. The engine always steps from grid point to grid point, so its
-samples are the same however they are asked for.
+Every change (a stop, a bend, a damper) takes effect at a multiple of 64 samples counted from sample 0; a finger
+tightens its hold at whole samples, and known forces act at any fraction of a sample. Where the engine stops to look
+depends on what is played alone, so its samples are the same however they are asked for.
 """
 
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,7 +27,7 @@ Floats = NDArray[np.float64]
 
 #: samples between two points of the control grid
 GRID = 64
-#: a finger's growing dashpot is followed in this many levels
+#: a finger's growing dashpot is followed in this many steps
 _HOLD_LEVELS = 3
 #: compiled stops that are kept for use again
 _CACHE = 96
@@ -44,10 +45,10 @@ class Fretting:
 
 @dataclass(frozen=True, slots=True)
 class Active:
-    """A gesture in progress."""
+    """A gesture in progress, and from which sample on its finger damps the string how much (N s/m)."""
 
     play: Play
-    level: int = -1
+    holds: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(eq=False)
@@ -137,35 +138,40 @@ class Engine:
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
 
     def _next_event(self) -> int:
-        """First grid point after now at which something has to be looked at."""
-        now, dt = self.state.sample, self.system.dt
+        """First sample after now at which something has to be looked at: a grid point, or a finger's next step."""
+        now = self.state.sample
+        grid = now // GRID * GRID + GRID
         times = []
         # a thing is done at the last grid point before its time
         if self._next_change < len(self.timeline.changes):
-            times.append(self.timeline.changes[self._next_change].time / dt - GRID + 1)
+            times.append(self._samples(self.timeline.changes[self._next_change].time) - GRID + 1)
         if self._next_play < len(self.timeline.plays):
-            times.append(self.timeline.plays[self._next_play].start / dt - GRID + 1)
-        for active in self.active:
-            if active.play.gesture.hold or active.play.stop / dt <= now + GRID:
-                times.append(now)
-            else:
-                times.append(active.play.stop / dt)
-        if not times:
-            return now + 64 * GRID
-        due = int(np.ceil(min(times) / GRID)) * GRID
-        return max(due, now + GRID)
+            times.append(self._samples(self.timeline.plays[self._next_play].start) - GRID + 1)
+        times += [self._samples(active.play.stop) for active in self.active]
+        due = int(np.ceil(min(times) / GRID)) * GRID if times else grid + 63 * GRID
+        steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
+        return min([max(due, grid), *steps])
+
+    def _samples(self, time: float) -> float:
+        """Time in samples, rid of the rounding that would put it on the wrong side of a grid point."""
+        return round(time / self.system.dt, 6)
 
     def _control(self) -> None:
-        """At a grid point: take what is due, exchange bases, laws and injections."""
-        now, dt = self.state.sample, self.system.dt
+        """Take what is due: at a grid point bases and injections are exchanged, between them fingers' dashpots only."""
+        now = self.state.sample
+        if now % GRID == 0:
+            self._take(now)
+        self._hold(now)
+
+    def _take(self, now: int) -> None:
         wanted = dict(self.frettings)
         changes, plays = self.timeline.changes, self.timeline.plays
-        while self._next_change < len(changes) and changes[self._next_change].time / dt < now + GRID:
+        while self._next_change < len(changes) and self._samples(changes[self._next_change].time) < now + GRID:
             change = changes[self._next_change]
             wanted[change.string] = _changed(wanted[change.string], change)
             self._next_change += 1
         fresh: list[Play] = []
-        while self._next_play < len(plays) and plays[self._next_play].start / dt < now + GRID:
+        while self._next_play < len(plays) and self._samples(plays[self._next_play].start) < now + GRID:
             play = plays[self._next_play]
             self._next_play += 1
             fresh.append(play)
@@ -185,9 +191,8 @@ class Engine:
         self.injections = [i for i in self.injections if i.stop > now]
         for play in again + fresh:
             self.injections += self._compile(play, now)
-        self.active += [Active(play) for play in fresh]
-        self._hold(now * dt)
-        self.active = [a for a in self.active if a.play.stop / dt > now]
+        self.active += [Active(play, self._hold_steps(play)) for play in fresh]
+        self.active = [a for a in self.active if self._samples(a.play.stop) > now]
 
     def _playable(self, name: str, fretting: Fretting) -> Fretting:
         """The finger's place only where it lies on the string's speaking part."""
@@ -255,19 +260,30 @@ class Engine:
             )
         return out
 
-    def _hold(self, time: float) -> None:
-        """Set the dashpots of the fingers that hold strings now, in a few levels each."""
+    def _hold_steps(self, play: Play) -> tuple[tuple[int, float], ...]:
+        """The finger's growing dashpot in a few steps, each at the sample where the smooth one passes between them.
+
+        A finger that drags a string along pushes it; steps on the control grid would make the sound depend on the
+        phase of the grid by -31 dB.
+        """
+        hold = play.gesture.hold
+        if hold is None or play.string is None:
+            return ()
+        shares = (np.arange(_HOLD_LEVELS) + 0.5) / _HOLD_LEVELS
+        rise = 0.5 - np.sin(np.arcsin(1 - 2 * shares) / 3)  # of the smooth step 3 s^2 - 2 s^3
+        times = [*(hold.start + rise * (hold.grown - hold.start)), hold.stop]
+        sizes = [*(np.arange(1, _HOLD_LEVELS + 1) / _HOLD_LEVELS * hold.damping), 0.0]
+        return tuple(
+            (math.floor(self._samples(play.time + t)), float(size)) for t, size in zip(times, sizes, strict=True)
+        )
+
+    def _hold(self, now: int) -> None:
+        """Set the dashpots of the fingers that hold strings now."""
         wanted: dict[str, float] = {}
-        for i, active in enumerate(self.active):
-            hold = active.play.gesture.hold
-            if hold is None or active.play.string is None:
-                continue
-            # let go at the grid point before the string is released, so that no pluck is damped by the grid's phase
-            now, ends = time - active.play.time, GRID * self.system.dt
-            level = round(hold.at(now) / hold.damping * _HOLD_LEVELS) if now + ends <= hold.stop else 0
-            self.active[i] = replace(active, level=level)
-            if level > 0:
-                wanted[active.play.string] = level / _HOLD_LEVELS * hold.damping
+        for active in self.active:
+            reached = [size for sample, size in active.holds if sample <= now]
+            if reached and reached[-1] > 0 and active.play.string is not None:
+                wanted[active.play.string] = reached[-1]
         if wanted != self.holds:
             self.holds = wanted
             self.system = self._held(self.system)
