@@ -13,6 +13,8 @@ import scipy.linalg as sla
 
 from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.propagator import real_form
+from tonewood.numerics.system import Injection, Probe, Readout
 
 
 @dataclass(frozen=True)
@@ -171,3 +173,51 @@ def connect(name, parts, row, law=None):
                 terms.append(Term(component, f"n{i}", float(row[start + i])))
         start += part.n
     return Connection(name, tuple(terms), law or Rigid())
+
+
+def held_force(basis, component, point, forces, dt, start=0):
+    """An Injection of a force that is constant over each step."""
+    A, B = (getattr(real_form(basis), which) for which in "AB")
+    columns = np.zeros((basis.n_modes, 2))
+    for k, (a, b) in enumerate(zip(A, B[basis.index(point)], strict=True)):
+        scale = np.array([1.0, max(np.sqrt(abs(a[1, 0])), 1e-3) if a[0, 0] == 0 else 1.0])  # blocks: (q, q')
+        big = np.zeros((3, 3))
+        big[:2, :2], big[:2, 2] = a * scale[None, :] / scale[:, None], b / scale
+        columns[k] = sla.expm(big * dt)[:2, 2] * scale
+    return Injection(component, start, columns[None], np.asarray(forces, dtype=float)[None])
+
+
+def motion_readouts(parts):
+    """Displacement, then velocity, of every dof of every part."""
+    return [
+        Readout(f"{quantity} {name}.n{i}", quantity, (Probe(name, f"n{i}"),))
+        for quantity in ("displacement", "velocity")
+        for name, part in parts.items()
+        for i in range(part.n)
+    ]
+
+
+def step_map(system, make):
+    """(n, n) what one step of a stepper does to the states of the modes, found by stepping unit states."""
+    used = np.concatenate([
+        offset + np.arange(c.basis.n_modes) for offset, c in zip(system.offsets, system.compiled, strict=True)
+    ])  # fmt: skip
+    stepper, columns = make(system), []
+    for number in (0, 1):
+        for i in used:
+            state = system.start()
+            state.modes[number, i] = 1.0
+            stepper.run(state, 1)
+            columns.append(state.modes[:, used].ravel())
+    return np.array(columns).T
+
+
+def poles_of(step, dt, above=1e-6):
+    """Poles in the upper half plane, by frequency, that a step map gives; multipliers near 0 and -1 are left out.
+
+    A rigid joint without residual compliance has one of each: its gap is held, and its force may alternate.
+    """
+    multipliers = sla.eigvals(step)
+    poles = np.log(multipliers[np.abs(multipliers) > above]) / dt
+    poles = poles[(poles.imag > 0) & (poles.imag < 0.999 * np.pi / dt)]
+    return poles[np.argsort(poles.imag)]

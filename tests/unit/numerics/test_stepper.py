@@ -6,21 +6,15 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from assembled import chain, connect, held_force_matrices, merged, run_exact, run_held, uneven
+from assembled import chain, connect, held_force, held_force_matrices, merged, run_exact, run_held, uneven
 from tonewood.errors import NumericalError
 from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.propagator import apply, flow, real_form
+from tonewood.numerics.propagator import real_form
 from tonewood.numerics.stepper import NumpyStepper
-from tonewood.numerics.system import Drive, Injection, Probe, Readout, System
+from tonewood.numerics.system import Drive, Probe, Readout, System
 
 STEPS = 120
-
-
-def held_injection(name, basis, point, forces, dt, start=0):
-    """A force that is constant over each step."""
-    vector = apply(dt * flow(basis, dt)[1], real_form(basis).B[basis.index(point)])
-    return Injection(name, start, vector[None], np.asarray(forces)[None])
 
 
 def displacements(parts, quantity="displacement"):
@@ -38,7 +32,7 @@ def test_alone_a_component_follows_its_matrices(rng, dt):
     system = System.build({"a": basis}, [], displacements({"a": part}), dt=dt)
     force = rng.normal(size=(STEPS, 1))
     out, forces = NumpyStepper(system).run(
-        system.start(), STEPS, [held_injection("a", basis, "n2", force[:, 0], dt)]
+        system.start(), STEPS, [held_force(basis, "a", "n2", force[:, 0], dt)]
     )
     exact = run_exact(part, part.rows(["n2"]), force, dt)[:-1, : part.n]
     np.testing.assert_allclose(out, exact, atol=1e-11 * np.abs(exact).max())
@@ -68,7 +62,7 @@ def test_connected_components_follow_the_assembled_matrices(rng, laws, dt):
     system = System.build(BASES, links, displacements(PARTS), dt=dt)
     force = rng.normal(size=(STEPS, 1))
     out, forces = NumpyStepper(system).run(
-        system.start(), STEPS, [held_injection("a", BASES["a"], "n0", force[:, 0], dt)]
+        system.start(), STEPS, [held_force(BASES["a"], "a", "n0", force[:, 0], dt)]
     )
     whole = merged(*PARTS.values())
     states, expected = run_held(whole, gaps, laws, np.eye(7)[:1], force, dt)
@@ -84,7 +78,7 @@ def test_residual_compliance_softens_a_rigid_joint(rng):
     )  # fmt: skip
     system = System.build({"a": soft, "b": BASES["b"]}, [connect("c", PARTS, JOINT)], displacements(PARTS), dt=dt)
     force = rng.normal(size=(STEPS, 1))
-    out, forces = NumpyStepper(system).run(system.start(), STEPS, [held_injection("a", soft, "n0", force[:, 0], dt)])
+    out, forces = NumpyStepper(system).run(system.start(), STEPS, [held_force(soft, "a", "n0", force[:, 0], dt)])
     states, expected = run_held(
         merged(*PARTS.values()), [JOINT], [Rigid()], np.eye(7)[:1], force, dt, residual=np.array([[R]])
     )
@@ -104,7 +98,7 @@ def test_what_each_readout_means():
     system = System.build({"a": basis}, [spring], readouts, dt=dt)
     force = np.zeros((STEPS, 1))
     force[0] = 1.0
-    out, forces = NumpyStepper(system).run(system.start(), STEPS, [held_injection("a", basis, "n1", force[:, 0], dt)])
+    out, forces = NumpyStepper(system).run(system.start(), STEPS, [held_force(basis, "a", "n1", force[:, 0], dt)])
     states, expected = run_held(part, part.rows(["n0"]), [SpringDashpot(1e4)], part.rows(["n1"]), force, dt)
     row = np.array([0.0, 2.0, -1.0])
     u, v = states[:, :3] @ row, states[:, 3:] @ row
@@ -125,9 +119,9 @@ def test_driven_component_hears_the_force_and_gives_nothing_back(rng):
         dt=dt, drives=[Drive("mic", "n0", "ground", -2.0)],
     )  # fmt: skip
     force = rng.normal(size=STEPS)
-    out, forces = NumpyStepper(system).run(system.start(), STEPS, [held_injection("a", basis, "n0", force, dt)])
+    out, forces = NumpyStepper(system).run(system.start(), STEPS, [held_force(basis, "a", "n0", force, dt)])
     alone = System.build({"a": basis}, [ground], dt=dt)
-    _, same = NumpyStepper(alone).run(alone.start(), STEPS, [held_injection("a", basis, "n0", force, dt)])
+    _, same = NumpyStepper(alone).run(alone.start(), STEPS, [held_force(basis, "a", "n0", force, dt)])
     np.testing.assert_array_equal(forces, same)
     heard = run_exact(mic, mic.rows(["n0"]), -2.0 * forces, dt)[:-1, 2]
     np.testing.assert_allclose(out[:, 0], heard, atol=1e-10 * np.abs(heard).max())
@@ -137,7 +131,7 @@ def test_runs_continue_where_they_stopped(rng):
     dt = 1e-3
     links = [connect("c", PARTS, JOINT), connect("d", PARTS, SECOND, SpringDashpot(1e4, 2.0))]
     system = System.build(BASES, links, displacements(PARTS), dt=dt)
-    injection = held_injection("b", BASES["b"], "n3", rng.normal(size=60), dt, start=17)
+    injection = held_force(BASES["b"], "b", "n3", rng.normal(size=60), dt, start=17)
     whole = system.start()
     out, forces = NumpyStepper(system).run(whole, STEPS, [injection])
     cut = system.start()
