@@ -208,7 +208,7 @@ class Engine:
         for name, fretting in wanted.items():
             for component, compiled in self._bases(name, fretting).items():
                 old = self.system.compiled[self.system.slot(component)].basis
-                modes = np.asarray(self.system.modes_of(self.state, component), dtype=np.float64)
+                modes = np.array(self.system.modes_of(self.state, component), dtype=np.float64)
                 if fretting.stop != self.frettings[name].stop:
                     restopped = True
                     q, v = to_motion(old, modes)
