@@ -1,0 +1,111 @@
+"""Microphones against the discrete bank their table stands for, run sample by sample in a few lines here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tonewood.errors import BundleError
+from tonewood.instrument.contract import BodyPoint, BridgeForce, Scene
+from tonewood.instrument.files import Files
+from tonewood.instrument.registry import plugin
+from tonewood.numerics.connections import Connection, SpringDashpot, Term
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.stepper import NumpyStepper
+from tonewood.numerics.system import System
+
+ROWS = [
+    # f_Hz, Q, a, a_moment, b, b_moment
+    (210.0, 12.0, 0.004 - 0.01j, 0.001j, -0.002 + 0j, 0.0005 + 0.0002j),
+    (1450.0, 40.0, 0.001 + 0.002j, -0.0007 + 0j, 0.003j, 0.0),
+]
+
+
+def table() -> str:
+    head = "f_Hz,Q," + ",".join(f"{c}{m}_{x}" for c in "ab" for m in ("", "_moment") for x in ("re", "im"))
+    lines = [
+        ",".join(map(str, (f, q, *(part for r in residues for part in (complex(r).real, complex(r).imag)))))
+        for f, q, *residues in ROWS
+    ]
+    return "\n".join(["# residues of a discrete bank", head, *lines])
+
+
+def make(folder: Path, **values: Any) -> Any:
+    (folder / "radiation.csv").write_text(table())
+    files = Files(folder, folder / "instrument.yaml")
+    given = {"table": "radiation.csv", "channels": ["b", "a"], "residue_fs": 48000.0, **values}
+    return plugin("modal_radiation").from_values(given, files, "outputs.mics")
+
+
+def scene(**more: Any) -> Scene:
+    points = {"bass": BodyPoint((0.0, 0.0, 1.0), {"u": -0.8}), "far": BodyPoint((0.0, 0.0, 1.0), {"u": 1.7})}
+    forces = (BridgeForce("s.bridge", "bass", -0.9), BridgeForce("t.bridge", "far", -1.0))
+    given: dict[str, Any] = {"body_points": points, "bridge_forces": forces, "string_points": {}, "end_forces": {}}
+    return Scene(**{**given, "freq_upper": 20000.0, **more})
+
+
+@pytest.mark.parametrize("fs", [48000.0, 96000.0])
+def test_same_numbers_as_the_discrete_bank(tmp_path: Path, fs: float) -> None:
+    """Two strings' forces, random; p_{n+1} = sum R' f_n + p' (state), R' = R (p' - 1) / (p48 - 1)."""
+    rows = make(tmp_path, force_sign=-1).rows("mics", scene())
+    # two light masses on dashpots: their connection forces are whatever they are, and are recorded
+    mass = ModalBasis.real([900.0], [30.0], {"p": [1.0]}, modal_mass=0.01)
+    other = ModalBasis.real([3100.0], [90.0], {"p": [1.0]}, modal_mass=0.02)
+    joints = [
+        Connection("s.bridge", (Term("m", "p"),), SpringDashpot(2e4, 1.0)),
+        Connection("t.bridge", (Term("o", "p"),), SpringDashpot(5e4, 2.0)),
+    ]
+    system = System.build(
+        {"m": mass, "o": other, **rows.components}, joints, rows.readouts, dt=1 / fs, drives=rows.drives
+    )
+    state = system.start()
+    system.modes_of(state, "m")[:] = 1e-3
+    system.modes_of(state, "o")[:] = -2e-3
+    out, forces = NumpyStepper(system).run(state, 300)
+    on_body = np.array([-0.9 * forces[:, 0], -1.0 * forces[:, 1]])
+    u = np.array([-0.8, 1.0])  # beyond the end of the bridge the end counts
+    heave, moment = -on_body.sum(axis=0), -(u @ on_body)  # force_sign -1: into the soundboard is positive
+    for channel, name in enumerate("ba"):
+        expected = np.zeros(300)
+        for f, q, *residues in ROWS:
+            r, rm = residues[:2] if name == "a" else residues[2:]
+            pole = np.pi * f * (-1 / q + 2j)
+            p, p48 = np.exp(pole / fs), np.exp(pole / 48000.0)
+            z = 0j
+            for n in range(300):
+                expected[n] += 2 * z.real
+                z = p * z + (r * heave[n] + rm * moment[n]) * (p - 1) / (p48 - 1)
+        np.testing.assert_allclose(out[:, channel], expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_taps_are_heard_too(tmp_path: Path) -> None:
+    rows = make(tmp_path).rows("mics", scene())
+    assert rows.body_inputs["bass"] == (("mics", "heave", 1.0), ("mics", "moment", -0.8))
+
+
+def test_continuous_residues(tmp_path: Path) -> None:
+    basis = make(tmp_path, residue_fs=None).basis(20000.0)
+    f, q, r = ROWS[0][0], ROWS[0][1], ROWS[0][2]
+    pole = np.pi * f * (-1 / q + 2j)
+    s = 2j * np.pi * 205.0
+    expected = r / (s - pole) + np.conj(r) / (s - np.conj(pole))
+    pole2, r2 = np.pi * ROWS[1][0] * (-1 / ROWS[1][1] + 2j), ROWS[1][2]
+    expected += r2 / (s - pole2) + np.conj(r2) / (s - np.conj(pole2))
+    assert basis.frf([205.0], "a", "heave", "receptance")[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_modes_above_the_limit_are_left_out(tmp_path: Path) -> None:
+    assert make(tmp_path).basis(1000.0).n_modes == 2
+
+
+def test_faults(tmp_path: Path) -> None:
+    with pytest.raises(BundleError, match=r"outputs\.mics\.table: radiation\.csv: no column 'c_re'"):
+        make(tmp_path, channels=["c"]).rows("mics", scene())
+    nowhere = {"bass": BodyPoint((0.0, 0.0, 1.0)), "far": BodyPoint((0.0, 0.0, 1.0))}
+    with pytest.raises(BundleError, match="has no place u on the bridge"):
+        make(tmp_path).rows("mics", scene(body_points=nowhere))
+    with pytest.raises(BundleError, match=r"there is no file 'other\.csv'"):
+        make(tmp_path, table="other.csv").basis(1000.0)

@@ -1,0 +1,225 @@
+"""Bundles: what is read, what is refused and how it is told, what overrides change."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tonewood.errors import BundleError, PluginError, TonewoodError
+from tonewood.instrument.assembly import assemble
+from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.overrides import apply_overrides, parse_assignment
+
+Make = Callable[..., Instrument]
+
+
+def test_defaults_are_merged_under_every_string(make: Make) -> None:
+    small = make()
+    assert small.string_names == ("A2", "D3")
+    assert small.resolved["strings"]["D3"]["length"] == 0.65
+    assert small.resolved["strings"]["D3"]["loss"]["sigma1"] == 2e-4
+    assert small.resolved["strings"]["D3"]["split_cents"] == 0.0  # the schema's own default, written out
+    assert small.resolved["exciters"]["pluck"]["release_time"] == 2e-4  # the plugin's
+
+
+def test_resolved_values_make_the_same_instrument(make: Make) -> None:
+    small = make()
+    again = make(dict(small.resolved))
+    assert again.resolved == small.resolved
+    assert again.content_hash == small.content_hash
+
+
+def test_the_hash_follows_values_and_tables(make: Make, tmp_path: Path) -> None:
+    small = make()
+    assert small.replace({"strings.A2.tension": 73.8}).content_hash != small.content_hash
+    (tmp_path / "body.csv").write_text((tmp_path / "body.csv").read_text() + "900,30,0.3,1,1\n")
+    assert make().content_hash != small.content_hash
+
+
+def put(values: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
+    *above, last = path.split(".")
+    at = values
+    for key in above:
+        at = at[int(key)] if isinstance(at, list) else at[key]
+    if value is None:
+        del at[last]
+    else:
+        at[last] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "reason"),
+    [
+        ("schema", "tonewood-instrument/2", "schema: Input should be 'tonewood-instrument/1'"),
+        ("title", None, "title: is missing"),
+        ("tittle", "x", "tittle: is not a known key; allowed: schema, name, title"),
+        ("strings.A2.tension", "tight", "strings.A2.tension: Input should be a valid number, not 'tight'"),
+        ("strings.A2.tension", True, "strings.A2.tension"),
+        ("strings.A2.tension", 1e9, "strings.A2.tension: Input should be less than or equal to 2000"),
+        ("strings.A2.tensoin", 7.0, "strings.A2.tensoin: is not a known key; allowed: length, tension"),
+        ("strings.A2.note", "H2", "strings.A2.note: 'H2' is not a note"),
+        ("strings.A2.note", None, "strings.A2: either `note` or `freq` is wanted"),
+        ("strings.A2.end", "body.wings", "strings.A2.end: there is no point 'body.wings'; there are body.bridge"),
+        ("strings.A2.axis", [1, 1, 0], "strings.A2.axis: has length 1.414"),
+        ("strings.A2.polarizations", ["x", "z"], "strings.A2.polarizations: lies along the string"),
+        ("strings.A2.polarizations", ["z", "z"], "strings.A2.polarizations: lies along the string, or repeats"),
+        ("strings.A2.plugin", "pluck_ramp", "strings.A2.plugin: plugin 'pluck_ramp' is of kind exciter"),
+        ("strings.A2.plugin", "no_such", "strings.A2.plugin: there is no plugin 'no_such'; installed are"),
+        ("strings.A2.loss", {"law": "woodhouse"}, "strings.A2.loss.eta_f: is missing"),
+        ("strings.defaults", 3, "strings.defaults: holds keys that are merged"),
+        ("strings.body", {"note": "A2"}, "a string cannot be called body"),
+        ("strings.2A", {"note": "A2"}, "strings.2A"),
+        ("body.points", {}, "body.points"),
+        ("body.points.bridge.direction", "w", "body.points.bridge.direction"),
+        ("stops.count", 2.5, "stops.count: Input should be a valid integer, not 2.5"),
+        ("stops.model", "finger", "stops.model: Input should be 'ideal'"),
+        ("exciters", {}, "exciters"),
+        ("exciters.tap.at", "body.no", "exciters.tap.at: there is no point 'body.no'"),
+        ("playing.velocity", {"parameter": "bow.force"}, "playing.velocity.parameter: there is no exciter 'bow'"),
+        ("playing.velocity", {"parameter": "pluck.speed"}, "pluck has no parameter 'speed'; it has force"),
+        ("playing.velocity", {"low": 0.0}, "playing.velocity: an exponential curve needs low and high above 0"),
+        ("playing.controls.cc999", {"parameter": "pluck.force", "low": 0, "high": 1}, "playing.controls.cc999"),
+        ("outputs.0.full_scale", 0, "outputs.0.full_scale"),
+        ("outputs.1.name", "bridge", "the output name 'bridge' is taken"),
+        ("outputs.1.name", "A2", "the output name 'A2' is taken"),
+        ("effects", {"budget_db": 3}, "effects.budget_db: Input should be less than or equal to 0"),
+        ("provenance", {"body": {"kind": "measured", "source": "x"}}, "provenance.body.source: there is no source 'x'"),
+        ("provenance", {"body": {"kind": "measured"}}, "provenance.body.source: measured figures need a source"),
+        ("provenance", {"body": {"kind": "guessed"}}, "provenance.body.kind"),
+    ],
+)  # fmt: skip
+def test_faults_are_one_line_with_file_and_key(
+    make: Make, values: dict[str, Any], path: str, value: Any, reason: str
+) -> None:
+    with pytest.raises((BundleError, PluginError)) as fault:
+        make(put(values, path, value))
+    line = str(fault.value)
+    assert "\n" not in line
+    assert "instrument.yaml" in line
+    assert reason in line
+
+
+@pytest.mark.parametrize(
+    "name", ["../body.csv", "/etc/hostname", "sub/../../body.csv", "no.csv", "a\\b.csv", "C:x", ""]
+)
+def test_tables_stay_inside_the_bundle(make: Make, values: dict[str, Any], tmp_path: Path, name: str) -> None:
+    (tmp_path.parent / "body.csv").write_text("f_Hz,Q,bridge,wing\n100,20,1,1\n")
+    instrument = make(put(values, "body.table", name))
+    with pytest.raises(BundleError, match=r"body\.table: .*(leads out of the bundle|no file)"):
+        assemble(instrument, 16000)
+
+
+def test_links_out_of_the_bundle_are_refused(make: Make, values: dict[str, Any], tmp_path: Path) -> None:
+    outside = tmp_path.parent / "outside.csv"
+    outside.write_text("f_Hz,Q,bridge,wing\n100,20,1,1\n")
+    os.symlink(outside, tmp_path / "link.csv")
+    with pytest.raises(BundleError, match="leads out of the bundle"):
+        assemble(make(put(values, "body.table", "link.csv")), 16000)
+
+
+def test_loading_by_path_and_by_name(tmp_path: Path) -> None:
+    with pytest.raises(BundleError, match=r"'no_such_harp': is neither installed nor a folder; installed are african"):
+        Instrument.load("no_such_harp")
+    with pytest.raises(BundleError, match=r"there is no instrument\.yaml in it"):
+        Instrument.load(tmp_path)
+    (tmp_path / "instrument.yaml").write_text("schema: tonewood-instrument/1\nname: [\n")
+    with pytest.raises(BundleError, match=r"instrument\.yaml: line \d"):
+        Instrument.load(tmp_path)
+    installed = Instrument.load("monochord")
+    assert Instrument.load(installed.folder).resolved == installed.resolved
+    assert Instrument.load(installed.folder / "instrument.yaml").resolved == installed.resolved
+
+
+def test_overrides(make: Make) -> None:
+    small = make()
+    changed = small.replace(
+        {
+            "strings.*.bending_stiffness": {"scale": 2},
+            "strings.D3.note": "C3",
+            "exciters.pluck.from_bridge": {"fraction": 0.4},
+            "outputs.bridge.full_scale": 100,
+            "body.truncation.residual_compliance": 1e-8,
+        }
+    )
+    assert changed.resolved["strings"]["A2"]["bending_stiffness"] == 8e-5
+    assert changed.open_note("D3") == 48
+    assert changed.resolved["outputs"][0]["full_scale"] == 100
+    assert small.resolved["strings"]["A2"]["bending_stiffness"] == 4e-5
+    assert small.replace({}) is small
+    freq = small.replace({"strings.A2.freq": 108.0})  # takes the note's place
+    assert freq.resolved["strings"]["A2"]["note"] is None
+    assert freq.open_note("A2") == pytest.approx(45 - 0.31767, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "reason"),
+    [
+        ("strings.E2.note", "D2", "strings.E2.note: there is no 'E2'; there is A2, D3"),
+        ("strings.A2.note.x", 1, "holds a value, nothing lies below it"),
+        ("strings..note", 1, "is not a dotted path"),
+        ("strings.A2.note", {"scale": 2}, "strings.A2.note: 'A2' cannot be scaled by 2"),
+        ("strings.A2.tension", {"scale": "x"}, "cannot be scaled"),
+        ("outputs.drum.full_scale", 1, "there is no 'drum' in outputs; there is bridge, wing"),
+        ("strings.*.tension", -1, "strings.A2.tension"),
+        ("strings.A2.strength", 1, "strings.A2.strength: is not a known key"),
+    ],
+)
+def test_wrong_overrides(make: Make, path: str, value: Any, reason: str) -> None:
+    with pytest.raises(TonewoodError) as fault:
+        make().replace({path: value})
+    assert reason in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_assignments_on_the_command_line() -> None:
+    assert parse_assignment("strings.E2.note=D2") == ("strings.E2.note", "D2")
+    assert parse_assignment("a.b = 2e-3") == ("a.b", 2e-3)
+    assert parse_assignment("a.b={scale: 2}") == ("a.b", {"scale": 2})
+    assert parse_assignment("a.b=[0, 0, 1]") == ("a.b", [0, 0, 1])
+    assert parse_assignment("a.b=null") == ("a.b", None)
+    for text in ("a.b", "=3", "a=", "a=[1"):
+        with pytest.raises(BundleError):
+            parse_assignment(text)
+
+
+def test_lists_by_number_and_star() -> None:
+    values = {"outputs": [{"name": "a", "x": 1}, {"name": "b", "x": 2}]}
+    assert apply_overrides(values, {"outputs.1.x": 5})["outputs"][1]["x"] == 5
+    assert [o["x"] for o in apply_overrides(values, {"outputs.*.x": {"scale": 3}})["outputs"]] == [3, 6]
+    assert values["outputs"][0]["x"] == 1
+
+
+def test_provenance_takes_the_most_exact_path(make: Make, values: dict[str, Any]) -> None:
+    values["sources"] = {"w": {"text": "a paper", "licence": "facts"}}
+    values["provenance"] = {
+        "strings.*": {"kind": "published", "source": "w"},
+        "strings.*.tilt_deg": {"kind": "authored"},
+        "strings.D3": {"kind": "stand_in"},
+    }
+    small = make(values)
+
+    def kind(path: str) -> str | None:
+        found = small.provenance(path)
+        return found.kind if found else None
+
+    assert kind("strings.A2.tension") == "published"
+    assert kind("strings.A2.tilt_deg") == "authored"
+    assert kind("strings.D3.tension") == "stand_in"
+    assert kind("body.table") is None
+    assert small.stand_ins() == ["strings.D3"]
+
+
+def test_scales_of_the_bundle(make: Make, values: dict[str, Any], tmp_path: Path) -> None:
+    (tmp_path / "just.scl").write_text("! just.scl\njust\n 12\n" + "\n".join(
+        ["16/15", "9/8", "6/5", "5/4", "4/3", "45/32", "3/2", "8/5", "5/3", "9/5", "15/8", "2/1"]) + "\n")  # fmt: skip
+    values["tuning"] = {"scale": "just.scl", "reference_freq": 440.0}
+    string = assemble(make(values), 16000).strings["D3"]
+    assert string.freq(7) / string.freq(0) == pytest.approx(40 / 27, rel=1e-9)  # D to A, the just scale's narrow fifth
+    values["tuning"] = {"scale": "none.scl"}
+    with pytest.raises(BundleError, match=r"tuning\.scale: there is no file 'none\.scl'"):
+        make(values).tuning  # noqa: B018

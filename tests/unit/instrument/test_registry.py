@@ -1,0 +1,80 @@
+"""Finding plugins and instruments by entry points, with a made-up distribution on the path."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tonewood.errors import BundleError, PluginError
+from tonewood.instrument import registry
+
+
+@pytest.fixture
+def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A distribution that announces what its entry_points.txt says."""
+    (tmp_path / "foreign-1.0.dist-info").mkdir()
+    (tmp_path / "foreign-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: foreign\nVersion: 1.0\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for cached in (registry.entries, registry.plugin, registry.plugin_hash):
+        cached.cache_clear()
+    yield tmp_path
+    for cached in (registry.entries, registry.plugin, registry.plugin_hash):
+        cached.cache_clear()
+    sys.modules.pop("foreign_plugin", None)
+
+
+def announce(folder: Path, text: str) -> None:
+    (folder / "foreign-1.0.dist-info" / "entry_points.txt").write_text(text)
+
+
+def test_a_foreign_plugin_is_found(foreign: Path) -> None:
+    announce(foreign, "[tonewood.plugins]\nknock = foreign_plugin:Knock\n")
+    (foreign / "foreign_plugin.py").write_text(
+        "from tonewood.instrument.contract import Exciter, Gesture, Segment\n"
+        "from tonewood.params import Parameters, quantity\n"
+        "class P(Parameters):\n    force: float = quantity('N', default=1.0, doc='peak')\n"
+        "class Knock(Exciter):\n    'A knock.'\n    Parameters = P\n"
+        "    def gesture(self, event, place):\n        return Gesture((Segment(0.0, 1e-3, 1.0),))\n"
+    )
+    assert "knock" in registry.list_plugins()
+    assert registry.plugin("knock", "exciter").kind == "exciter"
+    assert len(registry.plugin_hash("knock")) == 64
+
+
+def test_the_same_name_twice(foreign: Path) -> None:
+    announce(foreign, "[tonewood.plugins]\npluck_ramp = foreign_plugin:Knock\n")
+    with pytest.raises(PluginError, match=r"'pluck_ramp' is announced twice .*foreign.*one of them must go"):
+        registry.list_plugins()
+
+
+@pytest.mark.parametrize(
+    ("value", "source", "reason"),
+    [
+        ("no_such_module:X", "", "plugin 'knock' of foreign cannot be imported"),
+        ("foreign_plugin:Missing", "x = 1\n", "plugin 'knock' of foreign cannot be imported"),
+        ("foreign_plugin:X", "class X: pass\n", "plugin 'knock' of foreign is not a class derived from"),
+        ("foreign_plugin:X", "def broken(:\n", "plugin 'knock' of foreign cannot be imported"),
+    ],
+)
+def test_a_broken_plugin_names_its_distribution(foreign: Path, value: str, source: str, reason: str) -> None:
+    announce(foreign, f"[tonewood.plugins]\nknock = {value}\n")
+    (foreign / "foreign_plugin.py").write_text(source)
+    with pytest.raises(PluginError, match=reason):
+        registry.plugin("knock")
+
+
+def test_a_foreign_instrument(foreign: Path) -> None:
+    announce(foreign, "[tonewood.instruments]\nlyre = foreign_instruments\nghost = no_such_package\n")
+    (foreign / "foreign_instruments" / "lyre").mkdir(parents=True)
+    (foreign / "foreign_instruments" / "__init__.py").write_text("")
+    assert registry.instrument_folder("lyre") == foreign / "foreign_instruments" / "lyre"
+    with pytest.raises(BundleError, match="instrument 'ghost' of foreign is not there"):
+        registry.instrument_folder("ghost")
+
+
+def test_built_ins_are_announced_like_anyone() -> None:
+    assert {e.distribution for e in registry.entries(registry.PLUGINS).values()} >= {"tonewood"}
+    assert {"classical_guitar", "flamenco_guitar", "african_harp", "monochord"} <= set(registry.list_instruments())

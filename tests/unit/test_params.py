@@ -1,0 +1,69 @@
+"""Parameters: numbers are numbers, unknown keys are refused, faults are one line."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import pytest
+
+from tonewood.errors import BundleError
+from tonewood.params import Number, Parameters, Vector, described, quantity, validated
+from tonewood.units import cents, decibel, ratio_of_cents, t60
+
+
+class Inner(Parameters):
+    depth: float = quantity("m", low=0.0, high=1.0, doc="how deep")
+
+
+class Outer(Parameters):
+    mass: float = quantity("kg", low=0.0, doc="how heavy")
+    way: Vector = described("where to", default=(1.0, 0.0, 0.0))
+    kind: Literal["a", "b"] = described("which", default="a")
+    parts: list[Inner] = described("what is in it", default=[])
+    named: dict[str, Inner] = described("and by name", default={})
+    either: Number | Inner = described("one or the other", default=0.0)
+
+
+def test_sound_values() -> None:
+    outer = validated(Outer, {"mass": 2, "way": [0, 0, 1], "named": {"x": {"depth": 0.5}}}, key="o")
+    assert (outer.mass, outer.way, outer.named["x"].depth) == (2.0, (0.0, 0.0, 1.0), 0.5)
+    assert Outer.model_json_schema()["properties"]["mass"]["unit"] == "kg"
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({}, "f.yaml: o.mass: is missing"),
+        ({"mass": "2"}, "f.yaml: o.mass: Input should be a valid number, not '2'"),
+        ({"mass": True}, "f.yaml: o.mass: Input should be a valid number, not True"),
+        ({"mass": math.inf}, "f.yaml: o.mass: Input should be a finite number, not inf"),
+        ({"mass": -1.0}, "f.yaml: o.mass: Input should be greater than or equal to 0, not -1.0"),
+        ({"mass": 1, "way": [1, 0]}, "f.yaml: o.way"),
+        ({"mass": 1, "way": [1, 0, "z"]}, "f.yaml: o.way.2: Input should be a valid number, not 'z'"),
+        ({"mass": 1, "kind": "c"}, "f.yaml: o.kind: Input should be 'a' or 'b', not 'c'"),
+        ({"mass": 1, "colour": 3}, "f.yaml: o.colour: is not a known key; allowed: mass, way, kind, parts"),
+        ({"mass": 1, "parts": [{"depth": 0}, {"wide": 1, "depth": 0}]}, "parts.1.wide: is not a known key; allowed: depth"),
+        ({"mass": 1, "named": {"x": {}}}, "f.yaml: o.named.x.depth: is missing"),
+        ({"mass": 1, "either": {"depth": 3}}, "o.either"),
+    ],
+)  # fmt: skip
+def test_faults(values: dict[str, Any], line: str) -> None:
+    with pytest.raises(BundleError) as fault:
+        validated(Outer, values, key="o", file="f.yaml")
+    assert line in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_parameters_do_not_change() -> None:
+    with pytest.raises(ValueError, match="frozen"):
+        Inner(depth=0.5).depth = 0.2
+
+
+def test_units() -> None:
+    assert cents(2.0) == 1200.0
+    assert ratio_of_cents(cents(1.37)) == pytest.approx(1.37)
+    assert decibel(0.001) == pytest.approx(-60.0)
+    assert decibel(0.0) == -math.inf
+    assert math.exp(-3.0 * t60(3.0)) == pytest.approx(1e-3)
+    assert t60(0.0) == math.inf
