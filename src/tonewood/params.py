@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -92,10 +92,9 @@ def _place(loc: tuple[int | str, ...], values: object) -> list[str]:
     place: list[str] = []
     at = values
     for i, part in enumerate(loc):
-        if isinstance(at, Mapping) and part in at:
-            at = at[part]
-        elif isinstance(at, Sequence) and isinstance(part, int) and part < len(at):
-            at = at[part]
+        member = isinstance(at, Sequence) and isinstance(part, int) and part < len(at)
+        if member or (isinstance(at, Mapping) and part in at):
+            at = cast(Any, at)[part]
         elif not (i == len(loc) - 1 and isinstance(at, Mapping)):
             continue
         place.append(str(part))

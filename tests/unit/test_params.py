@@ -43,7 +43,7 @@ def test_sound_values() -> None:
         ({"mass": 1, "way": [1, 0, "z"]}, "f.yaml: o.way.2: Input should be a valid number, not 'z'"),
         ({"mass": 1, "kind": "c"}, "f.yaml: o.kind: Input should be 'a' or 'b', not 'c'"),
         ({"mass": 1, "colour": 3}, "f.yaml: o.colour: is not a known key; allowed: mass, way, kind, parts"),
-        ({"mass": 1, "parts": [{"depth": 0}, {"wide": 1, "depth": 0}]}, "parts.1.wide: is not a known key; allowed: depth"),
+        ({"mass": 1, "parts": [{"depth": 0}, {"wide": 1, "depth": 0}]}, "1.wide: is not a known key; allowed: depth"),
         ({"mass": 1, "named": {"x": {}}}, "f.yaml: o.named.x.depth: is missing"),
         ({"mass": 1, "either": {"depth": 3}}, "o.either"),
     ],
