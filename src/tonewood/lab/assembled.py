@@ -86,29 +86,45 @@ def receptance(system: Matrices, s: ArrayLike, output: int, source: int) -> Comp
     return np.asarray([sla.solve(D, unit)[output, 0] for D in dynamic])
 
 
+def modal_receptance(system: Matrices, s: ArrayLike, output: ArrayLike, source: ArrayLike) -> Complexes:
+    """(n,) displacement along `output` per force along `source`, both (n_dof,), from one eigenproblem: for many s."""
+    values, vectors, scale = _eigenvectors(system)
+    n = len(system.M)
+    push = scale * np.concatenate([np.zeros(n), sla.solve(system.M, np.asarray(source, dtype=np.float64))])
+    residue = (np.asarray(output) @ vectors[:n]) * sla.solve(vectors, push)
+    return np.asarray(np.sum(residue / (np.atleast_1d(s)[:, None] - values), axis=1), dtype=np.complex128)
+
+
+def _eigenvectors(system: Matrices) -> tuple[Complexes, Complexes, Floats]:
+    """Poles and eigenvectors of the state (x, x' scaled): velocities in units of the highest rate, for their sake."""
+    n = len(system.M)
+    scale = np.concatenate([np.ones(n), np.full(n, 1 / np.sqrt(sla.norm(sla.solve(system.M, system.K), 2)))])
+    values, vectors = sla.eig(scale[:, None] * state_matrix(system) / scale)
+    return values, vectors, scale
+
+
 def ramp_and_release(
-    system: Matrices, direction: ArrayLike, rate: float, release: float, times: ArrayLike, output: int
+    system: Matrices, direction: ArrayLike, rate: float, release: float, times: ArrayLike, output: ArrayLike
 ) -> Floats:
-    """Displacement of one dof under a force that grows from zero and is let go, from the eigenvectors of the system.
+    """Displacement under a force that grows from zero and is let go, from the eigenvectors of the system.
 
     Parameters
     ----------
     direction : (n_dof,) share of each dof in the force.
     rate : N/s, until `release`, s.
     times : (n,) s.
+    output : (n_dof,) share of each dof in the displacement.
 
     Returns
     -------
     (n,) m.
     """
     n = len(system.M)
-    # velocities in units of the highest rate: eigenvectors of one size
-    scale = np.concatenate([np.ones(n), np.full(n, 1 / np.sqrt(sla.norm(sla.solve(system.M, system.K), 2)))])
-    values, vectors = sla.eig(scale[:, None] * state_matrix(system) / scale)
+    values, vectors, scale = _eigenvectors(system)
     push = scale * np.concatenate([np.zeros(n), sla.solve(system.M, np.asarray(direction, dtype=np.float64))])
     driven = rate * sla.solve(vectors, push)
     t = np.asarray(times, dtype=np.float64)
     pulled = np.minimum(t, release)[:, None] * values
     ramp = driven * (np.expm1(pulled) - pulled) / values**2
     free = np.exp(np.maximum(t - release, 0.0)[:, None] * values)
-    return np.asarray(((ramp * free) @ vectors[output]).real)
+    return np.asarray(((ramp * free) @ (np.asarray(output) @ vectors[:n])).real)

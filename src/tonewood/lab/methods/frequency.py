@@ -27,6 +27,8 @@ def coupled_receptance(problem: Problem, freq: ArrayLike) -> Complexes:
     gaps = [c.terms for c in problem.constraints]
     H_oi, H_oc = _receptance(problem, f, outputs, inputs), _receptance(problem, f, outputs, gaps)
     H_ci, H_cc = _receptance(problem, f, gaps, inputs), _receptance(problem, f, gaps, gaps)
+    if len(gaps) == 1:
+        return np.asarray(H_oi - H_oc @ H_ci / H_cc)
     correction = np.array([oc @ sla.pinv(cc) @ ci for oc, cc, ci in zip(H_oc, H_cc, H_ci, strict=True)])
     return np.asarray(H_oi - correction)
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.lab.methods import forms
-from tonewood.lab.methods.problem import Array, Problem, StepMap, system_map
+from tonewood.lab.methods.problem import Problem, StepMap, system_map
 from tonewood.numerics.connections import scaled_pinv
 from tonewood.numerics.propagator import flow
 
@@ -65,8 +66,9 @@ def adams_bashforth_3(ode: forms.Ode, dt: float) -> StepMap:
         [zero, eye, zero],
     ])  # fmt: skip
 
-    def past(ago: float) -> Array:
-        rate = ode.F @ ode.embed
+    rate = ode.F @ ode.embed
+
+    def past(ago: float) -> NDArray[Any]:
         return np.asarray(rate - ago * (ode.F @ rate) + ago**2 / 2 * (ode.F @ (ode.F @ rate)))
 
     now = np.concatenate([23 * dt / 12 * ode.G, ode.G, np.zeros_like(ode.G)])

@@ -187,11 +187,12 @@ def rows() -> Iterator[Row]:
 
     # half as many modes: the assembled system has the same
     duration, few = 1.3, string(n_modes=46)
-    times = np.arange(round(duration * 48000) + 1) / 48000
+    times = np.arange(round((RAMP - 0.01) * 48000), round(duration * 48000) + 1) / 48000
     system, direction = whole(few.n_modes - 1)
-    reference_wave = assembled.ramp_and_release(system, direction, FORCE / RAMP, RAMP, times, few.n_modes - 1)
+    plate = np.eye(len(direction))[few.n_modes - 1]
+    reference_wave = assembled.ramp_and_release(system, direction, FORCE / RAMP, RAMP, times, plate)
     peak = np.abs(reference_wave[times > RAMP]).max()
-    wave, case_2 = (pluck(problem(few, case), 48000, duration) for case in ("complex", "proportional"))
+    wave, case_2 = (pluck(problem(few, case), 48000, duration)[-len(times) :] for case in ("complex", "proportional"))
     error = float(np.abs(wave - reference_wave).max() / peak)
     yield Row(SYSTEM, "waveform of the plate, 48 kHz, largest error / peak", "eig of assembled M, C, K", 0, error, 1e-4)
     overlap = "Fabre 2024, Fig. 5: the curves overlap"
