@@ -50,7 +50,9 @@ from tonewood.numerics.mobility import (
 #: 40-degree-of-freedom eigenproblem reaches 1e-11; the growth 1e-9 allows takes days to be heard.
 TOLERANCE = 1e-9
 
-_LOSSLESS = 1e-11  # |Re lambda| / |lambda| below which a pole counts as undamped
+#: |Re lambda| / |lambda| below which a pole counts as undamped
+UNDAMPED = 1e-11
+
 _STRUCTURAL = 1e-12  # share of a residue by which it may miss the form of a real mode
 _ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 
@@ -183,7 +185,7 @@ def check(
         faults.append(
             f"right shapes (rank {right_rank}) and left shapes (rank {left_rank}) span different port spaces"
         )
-    growing = np.flatnonzero(lam.real > _LOSSLESS * np.abs(lam))
+    growing = np.flatnonzero(lam.real > UNDAMPED * np.abs(lam))
     unstable = tuple((float(lam[k].imag / (2 * np.pi)), float(lam[k].real)) for k in growing)
     if unstable:
         freq, rate = max(unstable, key=lambda pole: pole[1])
@@ -241,7 +243,7 @@ def modal_partners(poles: Complexes, right: Complexes, left: Complexes) -> tuple
     slack = _STRUCTURAL * np.abs(residues).sum(axis=(1, 2))
     symmetric = np.abs(residues - residues.transpose(0, 2, 1)).sum(axis=(1, 2)) <= slack
     trace = np.einsum("kii->k", residues)
-    candidate = symmetric & (poles.real <= _LOSSLESS * np.abs(poles))
+    candidate = symmetric & (poles.real <= UNDAMPED * np.abs(poles))
     pair = poles.imag > 0.0
     imaginary = np.abs(residues.real).sum(axis=(1, 2)) <= slack
     passive = candidate & np.where(pair, imaginary & (trace.imag <= 0.0), trace.real >= 0.0)
@@ -269,11 +271,11 @@ def _undamped_residues(
     """Undamped poles whose residue of the mobility, lambda sum r l^T, is not Hermitian positive semidefinite."""
     found = []
     left_over = [
-        int(k) for k in np.flatnonzero((np.abs(poles.real) <= _LOSSLESS * np.abs(poles)) & (poles.imag > 0))
+        int(k) for k in np.flatnonzero((np.abs(poles.real) <= UNDAMPED * np.abs(poles)) & (poles.imag > 0))
     ]
     while left_over:
         first = poles[left_over[0]]
-        group = [k for k in left_over if abs(poles[k] - first) <= 10 * _LOSSLESS * abs(first)]
+        group = [k for k in left_over if abs(poles[k] - first) <= 10 * UNDAMPED * abs(first)]
         left_over = [k for k in left_over if k not in group]
         residue = 1j * (right[:, group] @ left[:, group].T)  # of Y, without the positive factor |lambda|
         size = float(linalg.norm(residue)) or 1.0
@@ -289,7 +291,7 @@ def _bands(
     poles: Complexes, right: Complexes, left: Complexes, negative_at_infinity: bool, tolerance: float
 ) -> tuple[Violation, ...]:
     """Bands where the Hermitian part of the mobility of the damped modes is negative."""
-    damped = (np.abs(poles.real) > _LOSSLESS * np.abs(poles)) | (poles == 0)  # at zero: a constant mobility
+    damped = (np.abs(poles.real) > UNDAMPED * np.abs(poles)) | (poles == 0)  # at zero: a constant mobility
     lam, r, l_ = poles[damped], right[:, damped], left[:, damped]
     if not lam.any() or r.shape[0] == 0:
         return ()
@@ -393,7 +395,10 @@ def _lowest(
     if not high > low:
         return known
     found = minimize_scalar(
-        lambda w: float(excess(np.array([w]))[0]), bounds=(low, high), method="bounded", options={"xatol": 1e-5 * (high - low)}
+        lambda w: float(excess(np.array([w]))[0]),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 1e-5 * (high - low)},
     )
     at, value = float(found.x), float(found.fun)
     return (at, value) if value < known[1] else known

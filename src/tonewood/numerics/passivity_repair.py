@@ -26,7 +26,7 @@ from scipy import linalg
 from tonewood.errors import PassivityError
 from tonewood.numerics.conjugates import Complexes, Floats, conjugate_weights, extend, halve, real_form
 from tonewood.numerics.mobility import mobility, port_scale
-from tonewood.numerics.passivity import PassivityReport, check
+from tonewood.numerics.passivity import UNDAMPED, PassivityReport, check
 from tonewood.numerics.passivity_storage import Storage, lyapunov_dissipation
 
 #: relative H2 change of the mobility above which a repair is refused
@@ -35,8 +35,8 @@ MAX_CHANGE = 0.1
 _FLATTENINGS = (1.0, 0.5, 0.0)
 _EVENING = 0.4  # 0: all modes on the scale of their energies, 0.5: all of equal weight
 _PROPER = 1e-4  # share of sum |r||l| below which the skew direct term counts as gone
-_TRIALS = (100, 200)  # iterations after which variants twice as far as the nearest are given up
-_MARGIN = 1e-7  # loss added in every direction, relative to the modes' own, so that X is safely invertible
+_TRIAL = 200  # iterations, at most, after which variants twice as far as the nearest are given up
+_MARGIN = 1e-5  # loss added in every direction, relative to the modes' own, so that X is safely invertible
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def repair(
     lam, r, l_, misfit = halve(*(np.asarray(a, dtype=np.complex128) for a in (poles, right, left)))
     if before.method == "none" or misfit > 1e-4 or before.unstable:
         raise PassivityError(f"cannot be repaired: {'; '.join(before.faults)}")
-    if np.any(lam.real >= -1e-11 * np.abs(lam)):
+    if np.any(lam.real >= -UNDAMPED * np.abs(lam)):
         raise PassivityError("cannot be repaired: a pole is undamped; give every mode some damping")
     scale = port_scale(lam, r, l_)[:, None]
     right_scaled, left_scaled = r / scale, l_ / scale
@@ -124,13 +124,14 @@ def repair(
     attempts = [
         _Nearest(lam[active], right_scaled[:, active], left_scaled[:, active], mu) for mu in _FLATTENINGS
     ]
-    for trial in _TRIALS:
+    limit = max_iterations or max(300, min(3000, 2_500_000 // lam.size**2))
+    for share in (5, 3):
         for attempt in attempts:
-            attempt.run(trial)
+            attempt.run(min(_TRIAL, limit // share))
         nearest = min(attempt.change() for attempt in attempts)
         attempts = [attempt for attempt in attempts if attempt.change() <= 2.0 * nearest]
     best = min(attempts, key=_Nearest.change)
-    best.run(max_iterations or max(300, min(3000, 2_500_000 // lam.size**2)))
+    best.run(limit)
     new_right, new_left = right_scaled.copy(), np.zeros_like(left_scaled)
     new_right[:, active], new_left[:, active], P_active = best.result()
 

@@ -19,7 +19,7 @@ from scipy import linalg
 from tonewood.errors import PassivityError
 from tonewood.numerics.conjugates import Complexes, Floats, extend, halve, real_form
 from tonewood.numerics.mobility import port_directions, port_scale
-from tonewood.numerics.passivity import modal_partners
+from tonewood.numerics.passivity import UNDAMPED, modal_partners
 
 _EXACT = 1e-8  # share by which P B = (R A)^H / 2 may be missed before the result is refused
 
@@ -81,7 +81,7 @@ def storage_matrix(poles: Complexes, right: Complexes, left: Complexes) -> Stora
     passive, partner = modal_partners(poles, right, left)
     if passive.all():
         return _of_modes(poles, right, left, partner)
-    return _of_riccati(poles, right, left)
+    return _of_complex_modes(poles, right, left)
 
 
 def mechanical_storage(
@@ -160,21 +160,42 @@ def _of_modes(poles: Complexes, right: Complexes, left: Complexes, partner: list
     return Storage(P, Q, cross, direct, "modal")
 
 
-def _of_riccati(poles: Complexes, right: Complexes, left: Complexes) -> Storage:
-    """Storage function of a basis without direct term, as described at `storage_matrix`."""
-    if np.any(poles.real >= 0.0):
-        raise PassivityError("no storage function: a pole of a complex-mode basis is undamped or grows")
+def _of_complex_modes(poles: Complexes, right: Complexes, left: Complexes) -> Storage:
+    """Storage function of a list of complex modes: undamped ones by themselves, the others by a Riccati equation."""
+    scale = port_scale(poles, right, left)[:, None]
+    sizes = [np.sqrt((np.abs(shapes / scale) ** 2).sum(axis=0)) for shapes in (right, left)]
+    driven_and_seen = (sizes[0] > 0.0) & (sizes[1] > 0.0)  # the others stay at rest or do no work
+    undamped = (np.abs(poles.real) <= UNDAMPED * np.abs(poles)) & (poles != 0)
+    if np.any((poles.real >= 0.0) & ~undamped):
+        raise PassivityError("no storage function: a pole of a list of complex modes grows, or is zero")
+    pairs = poles.imag > 0.0
+    P = np.zeros((poles.size + int(pairs.sum()),) * 2, dtype=np.complex128)
+    for k in np.flatnonzero(undamped & driven_and_seen):
+        # P l = (r lambda)^H / 2 with one number for P: l = -i a conj(r), a > 0
+        r, l_ = right[:, k] / scale[:, 0], left[:, k] / scale[:, 0]
+        a = complex(1j * np.sum(r * l_)).real / sizes[0][k] ** 2
+        if not a > 0.0 or float(linalg.norm(l_ + 1j * a * r.conj())) > _EXACT * sizes[1][k]:
+            raise PassivityError("no storage function: an undamped mode is not passive by itself")
+        second = poles.size + int(pairs[:k].sum())
+        P[k, k] = P[second, second] = 0.5 * abs(poles[k]) / a
+    damped = driven_and_seen & ~undamped
+    rows = np.concatenate([damped, damped[pairs]])
+    if damped.any():
+        P[np.ix_(rows, rows)] = _of_riccati(poles[damped], right[:, damped], left[:, damped])
     n_ports = right.shape[0]
+    cross, direct = np.zeros((rows.size, n_ports), dtype=np.complex128), np.zeros((n_ports, n_ports))
+    return Storage(P, lyapunov_dissipation(extend(poles, right, left)[0], P), cross, direct, "riccati")
+
+
+def _of_riccati(poles: Complexes, right: Complexes, left: Complexes) -> Complexes:
+    """P over the full list of a damped basis without direct term, as described at `storage_matrix`."""
     scale = port_scale(poles, right, left)
     right, left = right / scale[:, None], left / scale[:, None]
     ports, values = port_directions(right, left)
     right, left = (ports / values).T @ right, (ports / values).T @ left
     # states in which P is about 1/2, time in units of a middle frequency
     unit = float(np.exp(np.mean(np.log(np.abs(poles)))))
-    norms = linalg.norm(right, axis=0) * np.abs(poles) / unit, linalg.norm(left, axis=0) / unit
-    if np.any(norms[0] == 0.0) or np.any(norms[1] == 0.0):
-        raise PassivityError("no storage function: a complex mode is not driven, or not seen, at any port")
-    gain = np.sqrt(norms[1] / norms[0])
+    gain = np.sqrt(linalg.norm(left, axis=0) / (linalg.norm(right, axis=0) * np.abs(poles)))
     form = real_form(poles / unit, right * gain, left / (gain * unit))
     A, B, R, C = form.A, form.B, form.R, form.C
     m = R.shape[0]
@@ -199,19 +220,12 @@ def _of_riccati(poles: Complexes, right: Complexes, left: Complexes) -> Storage:
     if float(linalg.norm(P @ B - 0.5 * C.T)) > _EXACT * float(linalg.norm(C)):
         raise PassivityError("no storage function: masses at the ports are not symmetric")
 
-    pairs = poles.imag > 0.0
-    units = np.concatenate([gain, gain[pairs]])
-    full = form.to_full @ P @ form.to_full.conj().T
-    full = full / np.outer(units, units)
-    lost = lyapunov_dissipation(extend(poles, right, left)[0], full)
-    storage = Storage(
-        full, lost, np.zeros((units.size, n_ports), dtype=np.complex128), np.zeros((n_ports, n_ports)), "riccati"
-    )
-    balanced = np.outer(units, units)
-    for name, matrix in (("energy", full * balanced), ("dissipation", lost * balanced)):
+    lost = -(A.T @ P + P @ A)
+    for name, matrix in (("energy", P), ("dissipation", lost)):
         if float(linalg.eigvalsh(matrix)[0]) < -_EXACT * float(linalg.norm(matrix, 2)):
             raise PassivityError(f"no storage function: its {name} would be negative somewhere")
-    return storage
+    gains = np.concatenate([gain, gain[poles.imag > 0.0]])
+    return np.asarray(form.to_full @ P @ form.to_full.conj().T / np.outer(gains, gains), dtype=np.complex128)
 
 
 def _riccati(A: Floats, B: Floats, S: Floats, R: Floats) -> Floats:
