@@ -25,7 +25,7 @@ from scipy import linalg
 
 from tonewood.errors import PassivityError
 from tonewood.numerics.conjugates import Complexes, Floats, conjugate_weights, extend, halve, real_form
-from tonewood.numerics.mobility import mobility, port_scale
+from tonewood.numerics.mobility import PORT_RANK, mobility, port_scale
 from tonewood.numerics.passivity import UNDAMPED, PassivityReport, check
 from tonewood.numerics.passivity_storage import Storage, lyapunov_dissipation
 
@@ -232,7 +232,7 @@ class _Nearest:
         self._W = self._lyap(self._C.T @ self._C, adjoint=True) / square
         self._T = self._lyap(self._C.T @ given_C, adjoint=True) @ given_B / square
         self._amount = float(np.sum(linalg.norm(self._R, axis=0) * linalg.norm(given_B, axis=1)))
-        self._at_rest, _ = linalg.qr(self._R.T, mode="economic")
+        self._seen = linalg.orth(self._R.T, rcond=PORT_RANK)
         self._multiplier = np.zeros((self._R.shape[0],) * 2)
         self._penalty = 0.0
         steepest = self._largest_curvature(lambda L: self._W @ L)
@@ -262,7 +262,7 @@ class _Nearest:
 
     def _project(self, Q: Floats) -> Floats:
         """Nearest positive semidefinite matrix without the directions that R sees."""
-        seen = self._at_rest
+        seen = self._seen
         Q = Q - seen @ (seen.T @ Q)
         Q = Q - (Q @ seen) @ seen.T
         values, vectors = linalg.eigh(0.5 * (Q + Q.T), driver="evd", check_finite=False)
@@ -316,7 +316,7 @@ class _Nearest:
     def _solution(self) -> tuple[Floats, Floats]:
         """X and L of the present Q with a little loss in every direction that may have one."""
         root = np.sqrt(np.diag(self._start))
-        free = np.diag(root) - (self._at_rest @ self._at_rest.T) * root
+        free = np.diag(root) - (self._seen @ self._seen.T) * root
         X = self._lyap(self._Q + _MARGIN * (free @ free.T))
         X = 0.5 * (X + X.T)
         return X, X @ self._C.T

@@ -131,3 +131,12 @@ def test_modes_without_work_at_the_ports_are_kept_at_rest():
     np.testing.assert_array_equal(new.left[:, [3, 5]], 0)
     np.testing.assert_array_equal(new.poles, poles)
     assert new.storage.P.shape == (16, 16)
+
+
+def test_dependent_ports_cost_nothing(rng):
+    poles, right, left = body(3, 0.03, n_dof=16, n_ports=2).truncated()
+    mix = np.concatenate([np.eye(2), rng.standard_normal((2, 2)), np.zeros((1, 2))])
+    one, many = repair(poles, right, left), repair(poles, mix @ right, mix @ left)
+    assert many.after.passive
+    # the norm weighs the directions differently, that is all
+    assert many.mobility_change < 2 * one.mobility_change
