@@ -167,7 +167,7 @@ def rows() -> Iterator[Row]:
     joined = all(len(g) == 1 for g in groups.values())
     block = METHODS["held_position"].step_matrix(problem("block"), 1 / FS).poles()
     third = block[np.argmin(np.abs(block - assembled.poles(whole(parts))[2]))]
-    yield Row(SYSTEM, "one group per subsystem at threshold 0.2 (1 = yes)", "Fabre 2024, Eq. 39", 1, joined, 0)
+    yield Row(SYSTEM, "one group per subsystem at threshold 0.2 (1 = yes)", "Fabre 2024, Eq. 39", 1, float(joined), 0)
     yield Row(SYSTEM, "block case: third coupled mode, zeta", "case 1", 0.0178, -third.real / abs(third), 5e-5)
 
 

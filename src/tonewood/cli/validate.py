@@ -1,0 +1,43 @@
+"""``tonewood validate``: every system of the papers against references from outside the code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def validate(
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write all rows to FILE as JSON")] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", metavar="NAME", help="system, or the beginning of some names, e.g. fabre; repeatable"),
+    ] = None,
+    plots: Annotated[
+        Path | None, typer.Option("--plots", metavar="DIR", help="redraw the papers' figures into DIR")
+    ] = None,
+) -> int:
+    """Print one row per checked quantity; exit code 1 if one fails."""
+    from rich.console import Console
+
+    from tonewood.lab import validation
+
+    validation.selected(only)
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(width=180, highlight=False)
+    rows = []
+    for name, found in validation.run_each(only):
+        console.print(validation.table(name, found))
+        rows += found
+    failed = [row for row in rows if not row.passed]
+    console.print(f"{len(rows)} rows, {len(failed)} failed")
+    for row in failed:
+        console.print(f"FAILED: {row.system}: {row.quantity}: error {row.error:.3g}, tolerance {row.tolerance:.3g}")
+    if json is not None:
+        validation.write_json(rows, json)
+    if plots is not None:
+        for path in validation.draw(plots, only):
+            console.print(f"{path}")
+    return 1 if failed else 0

@@ -1,0 +1,123 @@
+"""All checked quantities of the laboratory in one table: every system of the papers, and closed forms.
+
+Each module of `lab.systems` offers ``rows()`` and ``plots(directory)``; what is listed here is run by
+``tonewood validate``, and by the tests.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from importlib import import_module
+from numbers import Real
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from tonewood.errors import OutputError, TonewoodError
+from tonewood.lab.row import Row
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+SCHEMA = "tonewood-validation/1"
+#: name -> module of `lab.systems`
+SYSTEMS = {
+    "fabre_forms": "fabre_forms",
+    "fabre_academic": "fabre_academic",
+    "fabre_guitar": "fabre_guitar",
+    "fabre_harp": "harp",
+    "fabre_methods": "fabre_methods",
+    "string_and_body": "string_and_body",
+    "klosner": "klosner",
+    "chinnakonda": "chinnakonda",
+}
+
+
+def selected(only: Sequence[str] | None) -> list[str]:
+    """Names of the systems that `only` asks for: each entry is a name or the beginning of some (``fabre``).
+
+    Raises
+    ------
+    TonewoodError : an entry fits no name.
+    """
+    if not only:
+        return list(SYSTEMS)
+    names = []
+    for wanted in only:
+        found = [name for name in SYSTEMS if name.startswith(wanted)]
+        if not found or not wanted:
+            raise TonewoodError(
+                f"is {wanted!r}; there are {', '.join(SYSTEMS)}, or the beginning of these", key="--only"
+            )
+        names += [name for name in found if name not in names]
+    return names
+
+
+def run(only: Sequence[str] | None = None) -> list[Row]:
+    """Compute the rows of some systems, or of all."""
+    return [row for _, rows in run_each(only) for row in rows]
+
+
+def run_each(only: Sequence[str] | None = None) -> Iterator[tuple[str, list[Row]]]:
+    """The same, system by system, as each is done."""
+    for name in selected(only):
+        yield name, list(_module(name).rows())
+
+
+def draw(directory: Path, only: Sequence[str] | None = None) -> list[Path]:
+    """Redraw the papers' figures as PNG files; the paths of what was written."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise OutputError(f"cannot be made: {fault.strerror}", file=directory) from None
+    return [path for name in selected(only) for path in _module(name).plots(directory)]
+
+
+def write_json(rows: Sequence[Row], path: Path) -> None:
+    """``{"schema": ..., "rows": [...]}``; a value that is not a number becomes null."""
+    plain = [{key: _plain(value) for key, value in row.to_dict().items()} for row in rows]
+    try:
+        path.write_text(json.dumps({"schema": SCHEMA, "rows": plain}, indent=1) + "\n", encoding="utf-8")
+    except OSError as fault:
+        raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
+
+
+def table(name: str, rows: Sequence[Row]) -> Table:
+    """The rows of one system for a terminal."""
+    from rich.table import Table
+
+    failed = sum(not row.passed for row in rows)
+    title = f"{name}: {len(rows)} rows" + (f", {failed} FAILED" if failed else "")
+    out = Table(title=title, title_justify="left", expand=False)
+    out.add_column("system")
+    out.add_column("quantity", overflow="fold")
+    out.add_column("reference from", overflow="fold")
+    for heading in ("reference", "value", "error", "tolerance"):
+        out.add_column(heading, justify="right", no_wrap=True)
+    out.add_column("", no_wrap=True)
+    for row in rows:
+        relative = " rel" if row.relative else ""
+        out.add_row(
+            row.system,
+            row.quantity,
+            row.source,
+            f"{row.reference:.6g}",
+            f"{row.value:.6g}",
+            f"{row.error:.2g}{relative}",
+            f"{row.tolerance:.2g}",
+            "ok" if row.passed else "FAIL",
+            style=None if row.passed else "bold red",
+        )
+    return out
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return value
+    return float(value) if math.isfinite(value) else None
+
+
+def _module(name: str) -> ModuleType:
+    return import_module(f"tonewood.lab.systems.{SYSTEMS[name]}")

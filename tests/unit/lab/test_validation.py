@@ -1,0 +1,85 @@
+"""The table of checked quantities: choice of systems, JSON, exit code."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import pytest
+
+from tonewood.cli.validate import validate
+from tonewood.errors import TonewoodError
+from tonewood.lab import validation
+from tonewood.lab.row import Row
+
+GOOD = Row("toy", "a", "by hand", 2.0, 2.01, 0.1)
+BAD = Row("toy", "b", "by hand", 2.0, 2.2, 0.05, relative=True)
+NAN = Row("toy", "c", "by hand", 1.0, float("nan"), 1e9)
+
+
+@pytest.fixture
+def toys(monkeypatch):
+    given = {"good": [GOOD], "bad": [GOOD, BAD], "nan": [NAN]}
+    monkeypatch.setattr(validation, "SYSTEMS", {name: name for name in given})
+
+    def plots(directory):
+        return [directory / "toy.png"]
+
+    monkeypatch.setattr(
+        validation, "_module", lambda name: SimpleNamespace(rows=lambda: iter(given[name]), plots=plots)
+    )
+
+
+def test_row_judges_absolute_and_relative_errors():
+    assert GOOD.passed
+    assert GOOD.error == pytest.approx(0.01)
+    assert not BAD.passed
+    assert BAD.error == pytest.approx(0.1)
+    assert not NAN.passed
+
+
+def test_names_and_their_beginnings():
+    assert validation.selected(None) == list(validation.SYSTEMS)
+    assert validation.selected(["fabre_g", "klosner"]) == ["fabre_guitar", "klosner"]
+    assert len(validation.selected(["fabre"])) == 5
+    assert validation.selected(["fabre", "fabre_guitar"]) == validation.selected(["fabre"])
+    for unknown in ("", "stradivari"):
+        with pytest.raises(TonewoodError, match=r"--only.*fabre_guitar"):
+            validation.selected([unknown])
+
+
+@pytest.mark.parametrize(("only", "code"), [(["good"], 0), (["bad"], 1), (["nan"], 1), (["good", "bad"], 1)])
+def test_exit_code_tells_of_a_failed_row(toys, capsys, only, code):
+    assert validate(only=only) == code
+    printed = capsys.readouterr().out
+    assert ("FAILED: toy" in printed) == (code == 1)
+
+
+def test_json_holds_every_row(toys, tmp_path, capsys):
+    path = tmp_path / "rows.json"
+    assert validate(json=path, only=["bad", "nan"]) == 1
+    found = json.loads(path.read_text(), parse_constant=lambda text: pytest.fail(f"{text} is no JSON"))
+    assert found["schema"] == "tonewood-validation/1"
+    assert [row["pass"] for row in found["rows"]] == [True, False, False]
+    row = found["rows"][1]
+    keys = {"system", "quantity", "source", "reference", "value", "error", "tolerance", "pass"}
+    assert keys <= set(row)
+    assert (row["system"], row["reference"], row["value"], row["tolerance"]) == ("toy", 2.0, 2.2, 0.05)
+    assert found["rows"][2]["value"] is None
+    capsys.readouterr()
+
+
+def test_what_cannot_be_written_is_one_line(toys, tmp_path, capsys):
+    with pytest.raises(TonewoodError, match="cannot be written"):
+        validate(json=tmp_path / "nowhere" / "rows.json", only=["good"])
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(TonewoodError, match="cannot be made"):
+        validate(plots=blocked, only=["good"])
+    capsys.readouterr()
+
+
+def test_plots_are_listed(toys, tmp_path, capsys):
+    assert validate(plots=tmp_path / "new", only=["good"]) == 0
+    assert "toy.png" in capsys.readouterr().out
+    assert (tmp_path / "new").is_dir()
