@@ -177,7 +177,7 @@ def respond(
             cache[key] = flow(basis, float(step), 0)[0], np.einsum("imxy,fmy->ifmx", W, B)
         E, injected = cache[key]
         values = np.array([np.broadcast_to(force(nodes), nodes.shape) for force in forces.values()])
-        state[k + 1] = apply(E, state[k]) + np.einsum("ifmx,fi->mx", injected, values.reshape(len(forces), -1))
+        state[k + 1] = apply(E, state[k]) + np.einsum("ifmx,fi->mx", injected, values.reshape(len(forces), nodes.size))
     every = np.arange(len(basis.points))
     return Response(
         t[ends],

@@ -5,7 +5,9 @@
 
 alpha = 0, beta = 1/4, gamma = 1/2 is the average-acceleration method. HHT-alpha (Hilber, Hughes & Taylor 1977), alpha
 in [-1/3, 0], beta = (1 - alpha)^2/4, gamma = 1/2 - alpha, is of second order and damps what it does not resolve: for
-an infinite frequency its multipliers have moduli up to (1 + alpha)/(1 - alpha).
+an infinite frequency its multipliers have moduli up to (1 + alpha)/(1 - alpha). The first acceleration is that of
+equilibrium; a stiff mode that is out of balance at the start then overshoots in velocity, in proportion to omega h, and
+damping that couples it to the others carries that over.
 """
 
 from __future__ import annotations
