@@ -32,6 +32,7 @@ _COMMANDS = {
     "schema": "schema:schema",
     "batch": "batch:batch",
     "results": "results:results",
+    "validate": "validate:validate",
 }
 
 
