@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tonewood.params import Parameters, quantity
+from tonewood.params import Parameters, described, quantity
 
 Floats = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class Woodhouse(StringLoss):
     Woodhouse (2004), Acta Acustica 90, 945, Eq. 8 (k = n pi / L there).
     """
 
-    law: Literal["woodhouse"]
+    law: Literal["woodhouse"] = described("chooses this law")
     eta_f: float = quantity("1", low=0.0, high=1.0, doc="loss of stretching, the same at every frequency")
     eta_b: float = quantity("1", low=0.0, high=1.0, doc="loss of bending")
     eta_a: float = quantity("1/s", low=0.0, high=1e3, doc="loss to the air")
@@ -62,7 +62,7 @@ class Sigma(StringLoss):
     Bensa, Bilbao, Kronland-Martinet & Smith (2003), J. Acoust. Soc. Am. 114, 1095, Eq. 6.
     """
 
-    law: Literal["sigma"]
+    law: Literal["sigma"] = described("chooses this law")
     sigma0: float = quantity("1/s", low=0.0, high=1e4, doc="damping rate at low frequency")
     sigma1: float = quantity("m^2/s", low=0.0, high=1.0, default=0.0, doc="growth of the damping rate with k^2")
 
@@ -83,7 +83,7 @@ class Valette(StringLoss):
     Doaré (2017), J. Sound Vib. 393, 219.
     """
 
-    law: Literal["valette"]
+    law: Literal["valette"] = described("chooses this law")
     diameter: float = quantity("m", low=1e-5, high=0.05, doc="of the string, as the air meets it")
     delta_ve: float = quantity("1", low=0.0, high=1.0, doc="visco-elastic loss angle of bending")
     inverse_q_te: float = quantity("1", low=0.0, high=1.0, default=0.0, doc="thermo-elastic and dislocation loss")
