@@ -14,7 +14,6 @@ All three keep the poles. Over- and critically damped modes and rigid-body modes
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -272,11 +271,3 @@ def hermitian_mass_inverse(shapes: Complexes, poles: Complexes, norm: ArrayLike 
     pinv = sla.pinv(psi)
     out = pinv @ inverse_mass @ pinv.conj().T
     return np.asarray(0.5 * (out + out.conj().T))
-
-
-def group_labels(groups: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
-    """(n_modes,) number of the group that each mode belongs to."""
-    out = np.empty(sum(len(g) for g in groups), dtype=np.intp)
-    for i, group in enumerate(groups):
-        out[group] = i
-    return out

@@ -1,8 +1,9 @@
 """Udwadia and Kalaba's equation in modal coordinates, as the literature writes it: an ordinary differential equation.
 
-Each form gives q' = F q + G u, y = C q for the constrained system. They describe one motion: the unconstrained motion
-plus the least correction that satisfies A y'' = 0. What the three ask of the components differs:
+Each form gives q' = F q + G u + H b, y = C q for the constrained system. They describe one motion: the unconstrained
+motion plus the least correction that satisfies A y'' = b. What they ask of the components differs:
 
+* `physical`: matrices M, C, K (Udwadia & Kalaba 1992; Fabre et al. 2024, Eqs 1-7);
 * `general`: complex modes, left and right shapes; acoustic dofs allowed (Fabre et al. 2024, Eqs 24-27);
 * `compact`: complex modes of structures, and their Hermitian modal mass (Eqs 28-32);
 * `real`: real modes (Antunes & Debut 2017; Fabre's Eqs 11-12).
@@ -17,8 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from tonewood.lab.assembled import Matrices
 from tonewood.lab.methods.problem import Array, Problem
 from tonewood.numerics.connections import Term
 from tonewood.numerics.damping import hermitian_mass_inverse, reciprocal_shapes
@@ -30,7 +32,7 @@ Complexes = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class Ode:
-    """q' = F q + G u,  y = Re(C q).
+    """q' = F q + G u + H b,  y = Re(C q).
 
     Attributes
     ----------
@@ -38,12 +40,40 @@ class Ode:
     G : (k, n_inputs).
     C : (n_outputs, k).
     embed : (k, n) puts a state of `Problem.generator` into q.
+    H : (k, n_constraints), of the accelerations b that the constraints ask for, m/s^2.
     """
 
     F: Array
     G: Array
     C: Array
     embed: Array
+    H: Array
+
+
+def physical(system: Matrices, constraints: ArrayLike, directions: ArrayLike, outputs: ArrayLike) -> Ode:
+    """Eq. 7: x'' = x_u'' + M^-1/2 B^+ (b - A x_u''),  M x_u'' = D^T f - C x' - K x,  B = A M^-1/2; state (x, x').
+
+    Parameters
+    ----------
+    system : matrices of the uncoupled subsystems, on the diagonal.
+    constraints : A (m, n_dof), of any rank.
+    directions : (n_inputs, n_dof) of the known forces.
+    outputs : (n_outputs, n_dof).
+    """
+    A, D, Y = (np.asarray(a, dtype=np.float64) for a in (constraints, directions, outputs))
+    n = len(system.M)
+    values, vectors = sla.eigh(system.M)
+    root_inverse = (vectors / np.sqrt(values)) @ vectors.T
+    correct = root_inverse @ sla.pinv(A @ root_inverse)
+    free = root_inverse @ root_inverse @ np.concatenate([-system.K, -system.C, D.T], axis=1)
+    motion = free - correct @ (A @ free)
+    return Ode(
+        F=np.concatenate([np.eye(2 * n)[n:], motion[:, : 2 * n]]),
+        G=np.concatenate([np.zeros_like(D.T), motion[:, 2 * n :]]),
+        C=np.concatenate([Y, np.zeros_like(Y)], axis=1),
+        embed=np.eye(2 * n),
+        H=np.concatenate([np.zeros_like(correct), correct]),
+    )
 
 
 def general(problem: Problem) -> Ode:
@@ -58,12 +88,14 @@ def general(problem: Problem) -> Ode:
     A_r, A_l = _gaps(problem, right), _gaps(problem, left)
     root = np.sqrt(poles)
     B_r, B_l = A_r * root, A_l * root
-    project = np.eye(len(poles)) - (B_l / root).T @ sla.pinv(B_r @ B_l.T) @ (A_r * poles)
+    correction = (B_l / root).T @ sla.pinv(B_r @ B_l.T)
+    project = np.eye(len(poles)) - correction @ (A_r * poles)
     return Ode(
         F=project * poles,
         G=project @ _points(problem, left, problem.inputs).T,
         C=_points(problem, right, problem.outputs),
         embed=_embed(np.ones(len(poles) // 2)),
+        H=correction,
     )
 
 
@@ -94,6 +126,7 @@ def compact(problem: Problem) -> Ode:
         G=project @ _points(problem, normal, problem.inputs).T,
         C=_points(problem, normal, problem.outputs),
         embed=_embed(np.concatenate(scale)),
+        H=correction,
     )
 
 
@@ -111,6 +144,7 @@ def real(problem: Problem) -> Ode:
         G=np.concatenate([np.zeros_like(modes.inputs.T), modes.project @ modes.inputs.T]),
         C=np.concatenate([modes.outputs, np.zeros_like(modes.outputs)], axis=1),
         embed=modes.embed,
+        H=np.concatenate([np.zeros_like(modes.correction), modes.correction]),
     )
 
 
@@ -123,6 +157,7 @@ class RealModes:
     omega2, sigma : (n,).
     inputs, outputs : (., n) shapes.
     project : (n, n) I - A^+ A: leaves the accelerations that the constraints allow.
+    correction : (n, n_constraints) A^+.
     embed : (2n, n_state) state of `Problem.generator` -> (q, q').
     """
 
@@ -131,6 +166,7 @@ class RealModes:
     inputs: Floats
     outputs: Floats
     project: Floats
+    correction: Floats
     embed: Floats
 
 
@@ -154,6 +190,7 @@ def real_modes(problem: Problem) -> RealModes:
         inputs=_points(problem, shapes, problem.inputs)[:, :half].real,
         outputs=_points(problem, shapes, problem.outputs)[:, :half].real,
         project=np.eye(half) - sla.pinv(A) @ A,
+        correction=np.asarray(sla.pinv(A)),
         embed=np.concatenate([embed[0::2], embed[1::2]]),
     )
 
