@@ -140,8 +140,10 @@ def test_folding_modes_away_keeps_the_static_deflection():
     np.testing.assert_array_equal(dropped.residual, 0.0)
     # far below the modes left out the response is kept, near them it is not
     f = np.array([0.05]) * whole.natural_freq[3]
-    assert abs(folded.frf(f, "n0", "n0")[0] / whole.frf(f, "n0", "n0")[0] - 1) < 3e-3 < (
-        abs(dropped.frf(f, "n0", "n0")[0] / whole.frf(f, "n0", "n0")[0] - 1)
+    assert (
+        abs(folded.frf(f, "n0", "n0")[0] / whole.frf(f, "n0", "n0")[0] - 1)
+        < 3e-3
+        < (abs(dropped.frf(f, "n0", "n0")[0] / whole.frf(f, "n0", "n0")[0] - 1))
     )
 
 
@@ -215,6 +217,10 @@ def test_bad_arguments_are_named():
         ModalBasis.real([-1.0], [0.0], {"a": [1.0]})
     with pytest.raises(ValueError, match=r"\(1, 1\), not \(2, 2\)"):
         ModalBasis.real([1.0], [0.0], {"a": [1.0]}, residual=np.eye(2))
+    with pytest.raises(ValueError, match="residual of a basis must be finite"):
+        ModalBasis.real([1.0], [0.0], {"a": [1.0]}, residual=[[np.inf]])
+    with pytest.raises(ValueError, match="right of a basis must be finite"):
+        ModalBasis.complex([-1 + 5j], {"a": [np.nan]})
     basis = ModalBasis.real([1.0], [0.0], {"a": [1.0], "b": [2.0]})
     with pytest.raises(ValueError, match="no point 'c'; there are a, b"):
         basis.frf([1.0], "c", "a")
