@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from tonewood.engine.engine import GRID
 from tonewood.engine.timeline import Change, Play, Timeline
 from tonewood.errors import ScoreError
 from tonewood.instrument.assembly import Model
@@ -16,6 +17,8 @@ from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
 
 #: a damped string is let go when it has decayed this many times by 60 dB: from then on it may ring with the others
 _LET_GO_AFTER = 1.5
+#: cents/s, how fast a bend follows its wheel: a string whose tension jumped would gain as much energy as tension
+_BEND_RATE = 40e3
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     by_string: dict[str, list[Assigned]] = defaultdict(list)
     for assigned in assignment.notes:
         by_string[assigned.string].append(assigned)
-    bends = _by_channel(score.controls, "bend")
+    bends = {channel: _glided(line, GRID / model.fs) for channel, line in _by_channel(score.controls, "bend").items()}
     changes: list[Change] = []
     plays = list(body_plays)
     dropped = [*score.dropped, *assignment.dropped]
@@ -173,6 +176,21 @@ def _left_hand(
         let_go = assigned.end + _LET_GO_AFTER * end.t60
         if let_go < free_again - 0.1:
             out.append(Change(let_go, name, stop=0, cents=0.0, added_damping=0.0))
+    return out
+
+
+def _glided(line: Sequence[Control], tick: float) -> list[Control]:
+    """The same bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate."""
+    out: list[Control] = []
+    value, step = 0.0, _BEND_RATE * tick
+    for i, control in enumerate(line):
+        time = control.time
+        until = line[i + 1].time if i + 1 < len(line) else math.inf
+        while value != control.value and time < until:
+            way = control.value - value
+            value = control.value if abs(way) <= step else value + math.copysign(step, way)
+            out.append(replace(control, time=time, value=value))
+            time += tick
     return out
 
 
