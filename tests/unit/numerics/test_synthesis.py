@@ -9,9 +9,12 @@ import pytest
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.numerics.connections import Connection, SpringDashpot, Term
 from tonewood.numerics.modes import BLOCK, PAIR, REAL
 from tonewood.numerics.propagator import apply, flow, real_form
+from tonewood.numerics.stepper import NumpyStepper
 from tonewood.numerics.synthesis import basis_from_matrices, initial_state, velocity_potential_form
+from tonewood.numerics.system import Probe, Readout, System
 
 Floats = NDArray[np.float64]
 Matrices = tuple[Floats, Floats, Floats]
@@ -245,3 +248,27 @@ _EYE = np.eye(2)
 def test_refusals(call: Callable[[], object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_a_closed_cavity_is_stepped_like_any_component() -> None:
+    """Its block reads both of its states: joined to a mass, its motion converges to the assembled system's."""
+    M, C, K = _cavity(False, False)
+    cavity = basis_from_matrices(M, C, K, ["u", "v", "a", "b"], acoustic_dofs=[2, 3])
+    mass = basis_from_matrices([[0.7]], [[0.1]], [[3.0]], ["x"])
+    gap = np.array([1.0, 0, 0, 0, -1.0])
+    loss, stiff = sla.block_diag(C, 0.1), sla.block_diag(K, 3.0)
+    whole = sla.block_diag(M, 0.7), loss + 0.3 * np.outer(gap, gap), stiff + 2 * np.outer(gap, gap)
+    link = Connection("link", (Term("cavity", "u"), Term("mass", "x", -1.0)), SpringDashpot(2.0, 0.3))
+    readouts = [Readout(p, "displacement", (Probe("cavity", p),)) for p in "uvab"]
+    readouts += [Readout("pressure", "velocity", (Probe("cavity", "b"),))]
+    errors = []
+    for h in (0.02, 0.01):
+        system = System.build({"cavity": cavity, "mass": mass}, [link], readouts, dt=h)
+        state = system.start()
+        system.modes_of(state, "mass")[:] = initial_state(mass, [[0.7]], [[0.1]], [0.4], [-1.0]).T
+        steps = round(4 / h)
+        out, _ = NumpyStepper(system).run(state, steps + 1)
+        x, v = _step(*whole, np.array([0, 0, 0, 0, 0.4]), np.array([0, 0, 0, 0, -1.0]), np.zeros(5), 4.0)
+        errors.append(np.abs(out[-1] - [*x[:4], v[3]]).max())
+    assert errors[1] < 2e-4
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)

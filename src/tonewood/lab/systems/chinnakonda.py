@@ -139,7 +139,7 @@ def _orders() -> Iterator[Row]:
         for update in UPDATES:
             source = "stated order" + thesis.get((update.name, c), "")
             value, tolerance = measured_order(update, c), 0.05 if update.order <= 4 else 0.25
-            yield Row("chinnakonda order", f"{update.name}, {name} damping", source, update.order, value, tolerance)
+            yield Row("chinnakonda order", f"{update.name}, {name} damping", source, float(update.order), value, tolerance)
 
 
 def _initial_conditions() -> Iterator[Row]:

@@ -1,0 +1,1 @@
+"""The published systems: what was computed of them, against what, and their figures."""
