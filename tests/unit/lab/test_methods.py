@@ -95,6 +95,24 @@ def test_forces_go_in_alike_everywhere():
         assert y[-1, 0] == pytest.approx(static[3], rel=2e-3), name
 
 
+def test_fourth_order_needs_proper_modes():
+    """Where sum r l is not zero the leading error no longer cancels: order 2 (docs/theory.md, section 2)."""
+    oscillator = ModalBasis.real([30.0, 50.0], [0.2, 0.3], {"0": [1.0, 1.2]})
+    cut_off = ModalBasis.complex(
+        [-0.5 + 40j, -0.8 + 70j], {"2": [0.02 + 0.004j, 0.03 - 0.02j]}, {"2": [1 - 1.2j, 1 - 1j]}
+    )
+    problem = Problem({"left": cut_off, "right": oscillator}, (JUNCTION,))
+    A, B, C = problem.generator, problem.gap_columns, problem.gap_rows
+    assert abs((C @ B).item()) > 1e-3
+    zeros = sla.eigvals(A - B @ C @ A / (C @ B))  # of C (s - A)^-1 B, and one at 0
+    zeros = zeros[zeros.imag > 1.0]
+    errors = []
+    for fs in (1000.0, 2000.0):
+        poles = METHODS["held_position"].step_matrix(problem, 1 / fs).poles()
+        errors.append(sum(np.min(np.abs(poles - s)) for s in zeros))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
+
+
 def test_linear_constraint_force_is_unstable_at_any_step():
     for fs in (100.0, 1000.0, 10000.0):
         root = METHODS["linear_position"].step_matrix(COMPLEX[0], 1 / fs).multipliers()
