@@ -1,7 +1,7 @@
 """All checked quantities of the laboratory in one table: every system of the papers, and closed forms.
 
-Each module of `lab.systems` offers ``rows()`` and ``plots(directory)``; what is listed here is run by
-``tonewood validate``, and by the tests.
+Each module of `lab.systems` offers ``rows()`` and, where there are figures to redraw, ``plots(directory)``; what is
+listed here is run by ``tonewood validate``, and by the tests.
 """
 
 from __future__ import annotations
@@ -72,7 +72,8 @@ def draw(directory: Path, only: Sequence[str] | None = None) -> list[Path]:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
         raise OutputError(f"cannot be made: {fault.strerror}", file=directory) from None
-    return [path for name in selected(only) for path in _module(name).plots(directory)]
+    modules = [_module(name) for name in selected(only)]
+    return [path for module in modules if hasattr(module, "plots") for path in module.plots(directory)]
 
 
 def write_json(rows: Sequence[Row], path: Path) -> None:

@@ -25,9 +25,11 @@ def toys(monkeypatch):
     def plots(directory):
         return [directory / "toy.png"]
 
-    monkeypatch.setattr(
-        validation, "_module", lambda name: SimpleNamespace(rows=lambda: iter(given[name]), plots=plots)
-    )
+    def module(name):
+        drawn = {"plots": plots} if name == "good" else {}
+        return SimpleNamespace(rows=lambda: iter(given[name]), **drawn)
+
+    monkeypatch.setattr(validation, "_module", module)
 
 
 def test_row_judges_absolute_and_relative_errors():
@@ -80,6 +82,6 @@ def test_what_cannot_be_written_is_one_line(toys, tmp_path, capsys):
 
 
 def test_plots_are_listed(toys, tmp_path, capsys):
-    assert validate(plots=tmp_path / "new", only=["good"]) == 0
-    assert "toy.png" in capsys.readouterr().out
+    assert validate(plots=tmp_path / "new", only=["good", "nan"]) == 1
+    assert capsys.readouterr().out.count("toy.png") == 1
     assert (tmp_path / "new").is_dir()
