@@ -109,7 +109,10 @@ class ModalTable(Body[ModalTableParameters]):
             which, shapes = maker(table)
             basis = ModalBasis.real(freq_rad[which], (zeta * freq_rad)[which], shapes, residual=self._residual())
         if p.damping_case != "complex":
-            basis = with_damping_case(basis, p.damping_case)
+            try:
+                basis = with_damping_case(basis, p.damping_case)
+            except ValueError as fault:
+                raise self.fault(str(fault), "damping_case") from None
         if not basis.is_real:
             basis = self._passive(basis)
         return basis.select(np.flatnonzero(basis.natural_freq < freq_upper))

@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 from tonewood.instrument.contract import Resonator
 from tonewood.instrument.losses import LossLaw
 from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.string_modes import string_basis
+from tonewood.numerics.string_modes import string_basis, wavenumber
 from tonewood.numerics.string_transfer import retuned, string_transfer
 from tonewood.params import Parameters, described, quantity
 
 Floats = NDArray[np.float64]
+
+#: modes are found by a dense eigenproblem; nothing that is heard as a string has more
+MOST_MODES = 3000
 
 
 class StiffStringParameters(Parameters):
@@ -53,6 +56,10 @@ class StiffString(Resonator[StiffStringParameters]):
         """Every mode below `freq_upper` (Hz) of the string stopped `stop` metres from the nut."""
         p = self.parameters
         actual = p.tension if tension is None else tension
+        k = wavenumber(2 * np.pi * freq_upper, actual, p.linear_density, p.bending_stiffness)
+        count = int((p.length - stop) / np.pi * k)
+        if count > MOST_MODES:
+            raise self.fault(f"has some {count} modes below {freq_upper:g} Hz; at most {MOST_MODES} are allowed")
         try:
             return string_basis(
                 p.length - stop,

@@ -36,6 +36,7 @@ class Instrument:
     exciters : name -> plugin.
     pickups : output group -> plugin.
     resolved : the whole as plain values (JSON), plugins' defaults included; what `replace` works on.
+    granted : files outside the folder that overrides have named.
     """
 
     folder: Path
@@ -45,6 +46,7 @@ class Instrument:
     exciters: Mapping[str, Exciter[Any]]
     pickups: Mapping[str, Pickup[Any]]
     resolved: Mapping[str, Any]
+    granted: frozenset[Path] = frozenset()
 
     @classmethod
     def load(cls, name_or_path: str | os.PathLike[str]) -> Instrument:
@@ -59,10 +61,12 @@ class Instrument:
         return cls.from_values(load_yaml(manifest, error=BundleError), folder)
 
     @classmethod
-    def from_values(cls, values: Mapping[str, Any], folder: str | os.PathLike[str]) -> Instrument:
-        """Make one from nested plain values; tables are read from `folder`."""
+    def from_values(
+        cls, values: Mapping[str, Any], folder: str | os.PathLike[str], granted: frozenset[Path] = frozenset()
+    ) -> Instrument:
+        """Make one from nested plain values; tables are read from `folder`, and of other files only those `granted`."""
         root = Path(folder)
-        files = Files(root, root / registry.MANIFEST)
+        files = Files(root, root / registry.MANIFEST, granted)
         spec = validated(Bundle, _merged(values, files), key="", file=files.manifest)
 
         def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
@@ -81,7 +85,7 @@ class Instrument:
         resolved["strings"] = {name: _flat(spec.strings[name], made) for name, made in strings.items()}
         resolved["exciters"] = {name: _flat(spec.exciters[name], made) for name, made in exciters.items()}
         resolved["outputs"] = [_flat(part, pickups[part.name]) for part in spec.outputs]
-        instrument = cls(root, spec, body, strings, exciters, pickups, resolved)  # type: ignore[arg-type]  # kinds were checked by the registry
+        instrument = cls(root, spec, body, strings, exciters, pickups, resolved, granted)  # type: ignore[arg-type]  # kinds were checked by the registry
         instrument._check()
         return instrument
 
@@ -90,7 +94,8 @@ class Instrument:
 
         Parameters
         ----------
-        overrides : path -> value, ``{"scale": x}`` or ``{"fraction": x}``; see `overrides`.
+        overrides : path -> value, ``{"scale": x}`` or ``{"fraction": x}``; see `overrides`. A scale or keymap may be
+            any file: whoever overrides may read it, while a bundle is confined to its folder.
 
         Examples
         --------
@@ -101,8 +106,16 @@ class Instrument:
         """
         if not overrides:
             return self
-        file = self.folder / registry.MANIFEST
-        return Instrument.from_values(apply_overrides(self.resolved, overrides, file=file), self.folder)
+        given, granted = dict(overrides), set(self.granted)
+        for key in ("tuning.scale", "tuning.keymap"):
+            value = given.get(key)
+            if not isinstance(value, str) or (not Path(value).is_absolute() and (self.folder / value).is_file()):
+                continue
+            if Path(value).is_file():
+                given[key] = str(Path(value).resolve())
+                granted.add(Path(value).resolve())
+        values = apply_overrides(self.resolved, given, file=self._files.manifest)
+        return Instrument.from_values(values, self.folder, frozenset(granted))
 
     @property
     def name(self) -> str:
@@ -118,9 +131,8 @@ class Instrument:
     def tuning(self) -> Tuning:
         """Frequencies of notes."""
         part = self.spec.tuning
-        files = Files(self.folder, self.folder / registry.MANIFEST)
-        scale = None if part.scale == "equal_12" else files.path(part.scale, "tuning.scale")
-        keymap = None if part.keymap is None else files.path(part.keymap, "tuning.keymap")
+        scale = None if part.scale == "equal_12" else self._files.path(part.scale, "tuning.scale")
+        keymap = None if part.keymap is None else self._files.path(part.keymap, "tuning.keymap")
         return read_tuning(scale, keymap, reference_freq=part.reference_freq)
 
     def open_note(self, string: str) -> float:
@@ -164,8 +176,9 @@ class Instrument:
     def content_hash(self) -> str:
         """SHA-256 over the resolved values, the bundle's other files, and the plugins' sources."""
         digest = hashlib.sha256(json.dumps(self.resolved, sort_keys=True, ensure_ascii=True).encode())
-        for path in sorted(p for p in self.folder.rglob("*") if p.is_file() and p.name != registry.MANIFEST):
-            digest.update(path.relative_to(self.folder).as_posix().encode())
+        tables = (p for p in self.folder.rglob("*") if p.is_file() and p.name != registry.MANIFEST)
+        for path in [*sorted(tables), *sorted(self.granted)]:
+            digest.update(path.name.encode())
             digest.update(hashlib.sha256(path.read_bytes()).digest())
         for name in sorted(self.plugin_names):
             digest.update(f"{name}:{registry.plugin_hash(name)}".encode())
@@ -178,8 +191,12 @@ class Instrument:
         parts: list[PluginPart] = [spec.body, *spec.strings.values(), *spec.exciters.values(), *spec.outputs]
         return tuple(dict.fromkeys(part.plugin for part in parts))
 
+    @property
+    def _files(self) -> Files:
+        return Files(self.folder, self.folder / registry.MANIFEST, self.granted)
+
     def _fault(self, reason: str, key: str) -> BundleError:
-        return BundleError(reason, file=self.folder / registry.MANIFEST, key=key)
+        return BundleError(reason, file=self._files.manifest, key=key)
 
     def _check(self) -> None:
         """What no single part can know."""

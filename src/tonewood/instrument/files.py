@@ -24,11 +24,13 @@ class Files:
     ----------
     root : the folder, or None where there is none (parts made from values alone).
     manifest : name of the file that describes the instrument, for errors.
+    granted : files outside the folder that the person at the keyboard has named.
     """
 
-    def __init__(self, root: Path | None, manifest: Path | None = None):
+    def __init__(self, root: Path | None, manifest: Path | None = None, granted: frozenset[Path] = frozenset()):
         self.root = root
         self.manifest = manifest
+        self.granted = granted
 
     def path(self, name: str, key: str = "") -> Path:
         """File `name`, a relative path with forward slashes that stays inside the folder.
@@ -37,6 +39,8 @@ class Files:
         ------
         BundleError : absolute, leads out of the folder (links included), or is not a file.
         """
+        if Path(name) in self.granted:
+            return Path(name)
         if self.root is None:
             raise BundleError(f"table {name!r} needs a bundle's folder", key=key)
         pure = PurePosixPath(name)

@@ -91,9 +91,10 @@ def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
     return Pitch(string, stop, held.open_note + stop, tuned.freq, tuned.tension, tuned.modes, tuned.wolf)
 
 
-def pitches(model: Model) -> list[Pitch]:
-    """Every string at every whole stop."""
-    return [pitch(model, name, stop) for name, held in model.strings.items() for stop in range(held.n_stops + 1)]
+def pitches(model: Model, strings: Sequence[str] | None = None) -> list[Pitch]:
+    """Every string, or those named, at every whole stop."""
+    names = model.strings if strings is None else strings
+    return [pitch(model, name, stop) for name in names for stop in range(model.strings[name].n_stops + 1)]
 
 
 def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> list[Partial]:

@@ -20,6 +20,9 @@ from tonewood.units import cents, ratio_of_cents
 
 Floats = NDArray[np.float64]
 
+#: a note that needs this many times the bundle's tension, or this many times less, is a mistake
+_RETENSION = 5.0
+
 
 @dataclass(frozen=True, slots=True)
 class Polarization:
@@ -207,15 +210,22 @@ class StringModel:
         nominal = self.resonator.tension
         if self.stopping.compensate == "none":
             return nominal
-        freq = held_freq(self.resonator.basis(8 * self.freq(0), tension=nominal), self.freq(0))
-        return nominal if freq is None else nominal * (self.freq(0) / freq) ** 2
+        freq = held_freq(self.resonator.basis(min(self._freq_upper, 12 * self.freq(0)), tension=nominal))
+        guess = nominal if freq is None else nominal * (self.freq(0) / freq) ** 2
+        if not 1 / _RETENSION <= guess / nominal <= _RETENSION:
+            raise self.resonator.fault(
+                f"{self.freq(0):.2f} Hz needs a tension of {guess:.3g} N where the bundle says {nominal:g} N; up to "
+                f"{_RETENSION:g} times more or less is allowed",
+                "note",
+            )
+        return guess
 
     def _bend_gain(self, stop: float) -> float:
         """Cents of tension per cent of pitch: not quite 1, because a bend leaves the shapes as they are."""
         if stop not in self._gains:
             base, tension, trial = self._untuned(stop), self.tension(stop), 50.0
             pair = (self.resonator.detuned(base, t) for t in (tension, tension * ratio_of_cents(trial) ** 2))
-            low, high = (held_freq(basis, self.freq(stop)) for basis in pair)
+            low, high = (held_freq(basis) for basis in pair)
             self._gains[stop] = 1.0 if low is None or high is None else trial / cents(high / low)
         return self._gains[stop]
 
@@ -231,15 +241,22 @@ class StringModel:
                 self._tuned[stop] = (TunedStop(self.freq(stop), tension, modes), tension)
             else:
                 guess = self.tension(0.0) if stop > 0 else self._first_guess()
-                found = tune(self.coupled(stop), self.freq(stop), guess)
+                try:
+                    found = tune(self.coupled(stop), self.freq(stop), guess)
+                except ValueError as fault:
+                    raise self.resonator.fault(f"at stop {stop:g}: {fault}", "note") from None
                 self._tuned[stop] = (found, found.tension)
         return self._tuned[stop]
 
 
-def held_freq(basis: ModalBasis, near: float) -> float | None:
-    """Frequency (Hz) of a string held at its bridge, where the compliance of its free end vanishes; None if lost."""
+def held_freq(basis: ModalBasis) -> float | None:
+    """Lowest frequency (Hz) of a string held at its bridge, where the compliance of its free end vanishes.
+
+    It lies an octave above the lowest one with the bridge free, or little more; None if it is not found there.
+    """
     ports = Ports.of(basis, np.eye(len(basis.points))[[basis.index("bridge")]])
-    zero = Joint([ports]).newton(2 * math.pi * near * complex(-1e-5, 1.0), steps=80)
+    octave = 2 * math.sqrt(float(basis.stiffness.min()))
+    zero = Joint([ports]).newton(octave * complex(-1e-5, 1.0), steps=80)
     return None if zero is None else zero.imag / (2 * math.pi)
 
 

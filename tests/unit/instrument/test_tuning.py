@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from tonewood.errors import BundleError
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.lab.string_end import ExactString, coupled_pole
@@ -138,10 +139,25 @@ def test_without_compensation_tensions_stand(make: Make) -> None:
     assert model.strings["A2"].tuned(0) is None
 
 
-def test_scordatura(make: Make) -> None:
-    low = assemble(make().replace({"strings.D3.note": "C3"}), 16000.0).strings["D3"]
-    tuned = low.tuned(0)
+@pytest.mark.parametrize(
+    ("note", "freq", "semitones"), [("C3", 130.8128, -2), ("D4", 293.6648, 12), ("D2", 73.4162, -12)]
+)
+def test_scordatura(make: Make, note: str, freq: float, semitones: int) -> None:
+    """The fundamental, not some partial, sounds the new note."""
+    string = assemble(make().replace({"strings.D3.note": note}), 16000.0).strings["D3"]
+    tuned = string.tuned(0)
     assert tuned is not None
-    assert tuned.freq == pytest.approx(130.8128, abs=1e-4)
+    assert tuned.freq == pytest.approx(freq, abs=1e-4)
     assert abs(tuned.error_cents) < 0.01
-    assert low.tension() / 71.2 == pytest.approx(2 ** (-4 / 12), rel=0.03)
+    assert string.tension() / 71.2 == pytest.approx(2 ** (2 * semitones / 12), rel=0.04)
+
+
+def test_a_note_the_string_cannot_reach(make: Make) -> None:
+    with pytest.raises(BundleError, match=r"strings\.D3\.note: 587\.33 Hz needs a tension of 1\.1\de\+03 N"):
+        assemble(make().replace({"strings.D3.note": "D5"}), 16000.0)
+
+
+def test_more_modes_than_a_string_can_have(make: Make) -> None:
+    long = {"length": 5.0, "linear_density": 0.1, "tension": 670.0, "note": "C-1", "freq_upper": 1e5}
+    with pytest.raises(BundleError, match=r"strings\.A2: has some \d+ modes below 100000 Hz; at most 3000"):
+        assemble(make().replace({f"strings.A2.{key}": value for key, value in long.items()}), 400000.0)
