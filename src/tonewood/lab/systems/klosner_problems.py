@@ -217,8 +217,8 @@ def by_form(problem: Problem, form: str, dt: float, n: int) -> Motion:
     at_main, speed = q[:, :n_modes] @ main.interface[0], v[:, :n_modes] @ main.interface[0]
     sub = q @ nonlinear.motion.T
     foot_speed = (v @ nonlinear.motion.T)[:, 0]
-    force = [mounting.continuous(g, r) for g, r in zip(at_main - sub[:, 0], speed - foot_speed, strict=True)]
-    return Motion(at_main, sub, np.array(force))
+    gaps = zip(at_main - sub[:, 0], speed - foot_speed, strict=True)
+    return Motion(at_main, sub, np.array([mounting.continuous(gap, rate) for gap, rate in gaps]))
 
 
 def components(problem: Problem, form: str) -> dict[str, ModalBasis]:
