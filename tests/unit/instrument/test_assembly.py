@@ -14,6 +14,7 @@ from tonewood.errors import BundleError
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.numerics.connections import Rigid, SpringDashpot, Term
+from tonewood.numerics.kernel import KernelStepper
 from tonewood.numerics.stepper import NumpyStepper
 
 Make = Callable[..., Instrument]
@@ -140,3 +141,37 @@ def test_points_on_strings(make: Make, values: dict[str, Any]) -> None:
     values["strings"]["A2"]["points"] = {"pluck": {"from_bridge": 0.1}}
     with pytest.raises(BundleError, match="other than bridge and pluck"):
         assemble(make(values), FS)
+
+
+def test_a_struck_body_does_not_ring_at_nyquist() -> None:
+    """Velocities that do not fit together leave an alternating force; the seats' compliance and the strings end it."""
+    system = assemble(Instrument.load("classical_guitar"), 48000.0, outputs=["bridge"]).system
+    state = system.start()
+    body = system.modes_of(state, "body")
+    body[:] = 1e-6 * np.random.default_rng(5).standard_normal(body.shape)
+    stepper, high = KernelStepper(system), []
+    for _ in range(4):
+        _, forces = stepper.run(state, 4800)
+        spectrum = np.abs(np.fft.rfft(forces[:, :12] * np.hanning(4800)[:, None], axis=0))
+        high.append(spectrum[-200:].max() / spectrum.max())
+    assert high[0] > 1e-2
+    assert high[3] < 1e-6
+
+
+def test_seats_do_not_detune(make: Make) -> None:
+    """The seat's compliance lengthens the string by T R: well under 0.02 cent, alike for every partial."""
+    from tonewood.numerics.coupled_modes import coupled_modes
+
+    freqs = []
+    for compliance in (0.0, 2e-8):
+        changes = {"strings.*.end_compliance": compliance, "tuning.compensate": "none"}
+        model = assemble(make().replace(changes), FS)
+        joints = [c for c in model.system.connections if c.name == "D3.z.bridge"]
+        parts = {n: model.system.compiled[model.system.slot(n)].basis for n in ("body", "D3.z")}
+        modes = coupled_modes(parts, joints)
+        freqs.append(modes.freq[modes.dominated_by("D3.z")][:15])
+    shift = 1200 * np.log2(freqs[1] / freqs[0])
+    assert (shift <= 1e-9).all()
+    expected = -1200 / math.log(2) * 71.2 * 2e-8 / 0.65
+    np.testing.assert_allclose(shift[8:], expected, rtol=0.1)
+    assert np.abs(shift).max() < 0.02
