@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from functools import wraps
 from importlib import import_module
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -13,14 +15,6 @@ from tonewood.errors import TonewoodError
 # typer may carry its own copy of click: its errors are found through it
 _UsageError = typer.BadParameter.__bases__[0]
 _ClickError: type[Exception] = _UsageError.__bases__[0]
-
-app = typer.Typer(
-    name="tonewood",
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    help="Physical sound synthesis: render and play scores on modelled instruments, and look into them.",
-)
-
 
 #: command -> module and function
 _COMMANDS = {
@@ -36,13 +30,35 @@ _COMMANDS = {
 }
 
 
-def _register(first: str | None) -> None:
-    """Add the command asked for, or all of them where there is none; modules import what they need when they run."""
+def _app(first: str | None) -> typer.Typer:
+    """The command asked for, or all of them where there is none; modules import what they need when they run."""
+    app = typer.Typer(
+        name="tonewood",
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        help="Physical sound synthesis: render and play scores on modelled instruments, and look into them.",
+    )
     for name in [first] if first in _COMMANDS else _COMMANDS:
         module, _, function = _COMMANDS[name].partition(":")
-        app.command(name)(getattr(import_module(f"tonewood.cli.{module}"), function))
+        app.command(name)(_interruptible(getattr(import_module(f"tonewood.cli.{module}"), function)))
     # with a single command typer would leave its name out
     app.callback()(_options)
+    return app
+
+
+class _InterruptError(Exception):
+    """Ctrl-C inside a command; typer would turn a KeyboardInterrupt into an exit code without a word."""
+
+
+def _interruptible(command: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(command)
+    def wrapped(*args: Any, **options: Any) -> Any:
+        try:
+            return command(*args, **options)
+        except KeyboardInterrupt:
+            raise _InterruptError from None
+
+    return wrapped
 
 
 def _print_version(wanted: bool) -> None:
@@ -64,7 +80,7 @@ def _options(
 def run(arguments: list[str] | None = None) -> None:
     """Run the command line and exit."""
     given = sys.argv[1:] if arguments is None else arguments
-    _register(given[0] if given else None)
+    app = _app(given[0] if given else None)
     try:
         code = app(args=given or ["--help"], standalone_mode=False)
     except TonewoodError as error:
@@ -72,7 +88,7 @@ def run(arguments: list[str] | None = None) -> None:
     except _ClickError as error:
         message = error.format_message() if hasattr(error, "format_message") else str(error)
         _fail(" ".join(message.split()), 2)
-    except (KeyboardInterrupt, typer.Abort):
+    except (_InterruptError, KeyboardInterrupt, typer.Abort):
         _fail("interrupted; nothing was written", 130)
     except BrokenPipeError:
         sys.stderr.close()

@@ -39,12 +39,14 @@ def modes(
         raise TonewoodError(f"there is no string {string!r}; there are {', '.join(model.strings)}", key="--string")
     if count < 1:
         raise TonewoodError(f"is {count}; 1 or more is allowed", key="--count")
+    if plot is not None and not plot.parent.is_dir():
+        raise OutputError(f"there is no folder {str(plot.parent)!r}", file=plot)
     names = [string] if string else list(model.strings)
     for name in names:
         if not 0 <= stop <= model.strings[name].n_stops:
             raise TonewoodError(f"is {stop}; string {name} has 0 to {model.strings[name].n_stops}", key="--stop")
     listed = {name: partials(model, name, stop, count=count) for name in names}
-    wolves = [pitch_row(p) for p in pitches(model) if p.wolf is not None and p.string in names]
+    wolves = [pitch_row(p) for p in pitches(model, names) if p.wolf is not None]
     if plot is not None:
         _plot(model, names, plot)
     if as_json:

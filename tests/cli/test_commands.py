@@ -1,0 +1,303 @@
+"""The command line in this process: what it prints, where, and with which exit code."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import soundfile as sf
+
+import tonewood as tw
+from midi_bytes import midi_file, note, write
+from tonewood.cli.main import run
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def tonewood(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command; returns exit code, stdout and stderr."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as exit_:
+            run([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        assert isinstance(exit_.value.code, int)
+        return exit_.value.code, out, err
+
+    return call
+
+
+@pytest.fixture
+def score(tmp_path: Path) -> Path:
+    return write(tmp_path / "score.mid", [*note(0.0, 0.2, 45), *note(0.1, 0.2, 50), *note(0.2, 0.1, 20)])
+
+
+def refused(result: tuple[int, str, str], *said: str) -> None:
+    """Exit code 2 and one line on stderr that says all of `said`."""
+    code, out, err = result
+    assert code == 2
+    assert out == ""
+    assert err.startswith("tonewood: ")
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    for word in said:
+        assert word in err
+
+
+def test_render_writes_the_samples_of_the_renderer(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    wav = tmp_path / "out.wav"
+    code, out, _ = tonewood(
+        "render", score, "-i", "monochord", "-o", wav, "--subtype", "DOUBLE", "--max-duration", 0.3, "--gain", -6
+    )
+    assert code == 0
+    assert str(wav) in out
+    samples, fs = sf.read(str(wav), always_2d=True)
+    audio = tw.render(tw.read_midi(score), tw.load_instrument("monochord"), max_duration=0.3, gain_db=-6.0)
+    assert fs == 48000
+    assert np.array_equal(samples, audio.samples)
+
+
+def test_json_is_one_object_and_nothing_else(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    wav = tmp_path / "out.wav"
+    code, out, err = tonewood(
+        "render", score, "-i", "monochord", "-o", wav, "--max-duration", 0.4, "--fs", 32000, "--json"
+    )
+    assert code == 0
+    assert err == ""
+    report = json.loads(out)
+    assert report["schema"] == "tonewood-render/1"
+    assert report["output"] == str(wav)
+    assert report["outputs"] == ["bridge"]
+    assert (report["fs"], report["frames"], report["channels"]) == (32000, 12800, 1)
+    assert sf.info(str(wav)).frames == 12800
+    assert report["duration_s"] == pytest.approx(0.4)
+    assert report["load_s"] > 0
+    assert report["render_s"] > 0
+    assert report["realtime_factor"] == pytest.approx(0.4 / report["render_s"])
+    assert isinstance(report["n_modes"], int)
+    assert report["notes"] == 2
+    assert isinstance(report["notes"], int)
+    (dropped,) = report["notes_dropped"]
+    assert dropped["note"] == 20
+    assert dropped["channel"] == 0
+    assert dropped["time_s"] == pytest.approx(0.2)
+    assert dropped["reason"]
+    peak = np.abs(sf.read(str(wav))[0]).max()
+    assert report["peak_dbfs"] == pytest.approx(20 * np.log10(peak), abs=1e-3)
+    assert report["clipped"] == 0
+    assert isinstance(report["warnings"], list)
+
+
+def test_dropped_notes_are_told_of_on_stderr(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    _, out, err = tonewood("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.1)
+    assert "1 dropped" in out
+    assert "not played at 0.20 s" in err
+
+
+def test_normalize_limiter_and_clipping(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    def report(name: str, *more: object) -> dict[str, Any]:
+        common = ("render", score, "-i", "monochord", "-o", tmp_path / name, "--max-duration", 0.3, "--json")
+        found: dict[str, Any] = json.loads(tonewood(*common, *more)[1])
+        return found
+
+    plain = report("plain.wav", "--subtype", "DOUBLE")
+    normal = report("normal.wav", "--subtype", "DOUBLE", "--normalize", -3)
+    assert normal["peak_dbfs"] == pytest.approx(-3.0, abs=1e-9)
+    a, b = (sf.read(str(tmp_path / f"{n}.wav"))[0] for n in ("plain", "normal"))
+    assert np.allclose(b, a * (10 ** (-3 / 20) / np.abs(a).max()), rtol=1e-12, atol=0)
+    assert not list(tmp_path.glob(".tonewood*"))
+    loud = report("loud.wav", "--gain", 60)
+    assert loud["clipped"] == int(np.count_nonzero(np.abs(a) * 1000 > 1.0))
+    assert any("clipped" in w for w in loud["warnings"])
+    limited = report("limited.wav", "--gain", 60, "--limiter")
+    assert limited["clipped"] == 0
+    assert limited["peak_dbfs"] < -0.09
+    assert any("limiter" in w for w in limited["warnings"])
+    assert plain["frames"] == limited["frames"]
+
+
+def test_settings_and_outputs_reach_the_instrument(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    common = ("-i", "classical_guitar", "--max-duration", 0.05, "--fs", 16000, "--json")
+    code, out, _ = tonewood(
+        "render", score, *common, "-o", tmp_path / "a.wav",
+        "--outputs", "bridge,microphones", "--set", "strings.E2.note=D2", "--set", "strings.*.loss.eta_a={scale: 2}",
+    )  # fmt: skip
+    assert code == 0
+    report = json.loads(out)
+    assert report["outputs"] == ["bridge", "microphones"]
+    assert report["channel_names"] == ["bridge.acceleration", "microphones.bass", "microphones.treble"]
+    assert sf.info(str(tmp_path / "a.wav")).channels == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--fs", "0"], ["fs", "8000"]),
+        (["--fs", "fast"], ["--fs", "integer"]),
+        (["--block", "0"], ["--block"]),
+        (["--precision", "f16"], ["f64 or f32"]),
+        (["--subtype", "PCM_12"], ["PCM_12", "PCM_24"]),
+        (["--tail", "-1"], ["--tail"]),
+        (["--tail", "nan"], ["--tail"]),
+        (["--max-duration", "0"], ["--max-duration"]),
+        (["--max-duration", "inf"], ["--max-duration"]),
+        (["--gain", "nan"], ["--gain"]),
+        (["--normalize", "3"], ["--normalize"]),
+        (["--normalize", "-1", "--limiter"], ["--limiter"]),
+        (["--outputs", "ceiling"], ["ceiling", "bridge"]),
+        (["--set", "strings.A2.tension"], ["PATH=VALUE"]),
+        (["--set", "strings.A2.tensoin=3"], ["strings.A2.tensoin", "instrument.yaml", "tension"]),
+        (["--set", "strings.A2.tension=fast"], ["strings.A2.tension", "number"]),
+        (["--set", "strings.A2.tension=-4"], ["strings.A2.tension"]),
+        (["--set", "body.table=other.csv"], ["other.csv"]),
+        (["--loud"], ["--loud"]),
+        (["again.mid"], ["again.mid"]),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(
+    tonewood: Run, score: Path, tmp_path: Path, arguments: list[str], said: list[str]
+) -> None:
+    wav = tmp_path / "out.wav"
+    refused(tonewood("render", score, "-i", "monochord", "-o", wav, *arguments), *said)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["score.mid"]
+
+
+def test_bad_files_are_refused_in_one_line(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    wav = tmp_path / "out.wav"
+    refused(tonewood("render", tmp_path / "no.mid", "-i", "monochord", "-o", wav), "no.mid")
+    refused(tonewood("render", score, "-i", "no_such", "-o", wav), "no_such", "monochord")
+    refused(tonewood("render", score, "-i", tmp_path, "-o", wav), "instrument.yaml")
+    refused(tonewood("render", score, "-i", "monochord", "-o", tmp_path / "x.mp3"), "x.mp3", ".wav")
+    refused(tonewood("render", score, "-i", "monochord", "-o", tmp_path / "no" / "x.wav"), "no folder")
+    refused(tonewood("render", score, "-i", "monochord"), "--output")
+    text = tmp_path / "text.mid"
+    text.write_text("this is no music")
+    refused(tonewood("render", text, "-i", "monochord", "-o", wav), "text.mid")
+    cut = tmp_path / "cut.mid"
+    cut.write_bytes(midi_file(note(0.0, 0.1, 45))[:19])
+    refused(tonewood("render", cut, "-i", "monochord", "-o", wav), "cut.mid")
+    assert not list(tmp_path.glob("*.wav*"))
+
+
+def test_a_score_without_notes_is_refused(tonewood: Run, tmp_path: Path) -> None:
+    empty = write(tmp_path / "empty.mid", [])
+    refused(tonewood("render", empty, "-i", "monochord", "-o", tmp_path / "a.wav"), "no notes")
+    assert not (tmp_path / "a.wav").exists()
+
+
+def test_a_bundle_with_a_fault_names_file_and_key(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    original = tw.load_instrument("monochord").folder
+    for name in ("instrument.yaml", "body.csv"):
+        (folder / name).write_text((original / name).read_text())
+    manifest = folder / "instrument.yaml"
+    manifest.write_text(manifest.read_text().replace("tension: 58.8", "tension: 58.8 N"))
+    refused(
+        tonewood("render", score, "-i", folder, "-o", tmp_path / "a.wav"), str(manifest), "strings.A2.tension", "58.8 N"
+    )
+    refused(tonewood("check", folder), str(manifest), "strings.A2.tension")
+
+
+def test_unknown_commands_and_nothing_at_all(tonewood: Run) -> None:
+    refused(tonewood("rendre"), "rendre")
+    refused(tonewood("check"), "INSTRUMENT")
+    code, out, _ = tonewood()
+    assert code == 0
+    for command in ("render", "play", "list", "check", "modes", "schema", "batch", "results"):
+        assert command in out
+    assert tonewood("--version")[1] == f"tonewood {tw.__version__}\n"
+
+
+def test_list_names_what_is_installed(tonewood: Run) -> None:
+    code, out, _ = tonewood("list", "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert {"classical_guitar", "flamenco_guitar", "african_harp", "monochord"} <= {
+        i["name"] for i in found["instruments"]
+    }
+    plugins = {p["name"]: p for p in found["plugins"]}
+    assert plugins["stiff_string"]["kind"] == "resonator"
+    assert plugins["stiff_string"]["package"] == "tonewood"
+    assert all(p["summary"] for p in found["plugins"])
+    text = tonewood("list")[1]
+    assert all(name in text for name in plugins)
+
+
+def test_check_tells_pitch_wolf_notes_stand_ins_and_sources(tonewood: Run) -> None:
+    code, out, _ = tonewood("check", "classical_guitar", "--json")
+    assert code == 0
+    report = json.loads(out)
+    assert report["ok"]
+    assert report["body"]["passive"]
+    assert report["sources"]["body"]["doi"] == "10.5281/zenodo.4604577"
+    assert set(report["strings"]) == {"E2", "A2", "D3", "G3", "B3", "E4"}
+    # every stop is within a cent of its note, or a strong mode of the body says why not
+    assert {(p["string"], p["stop"]) for p in report["off_pitch"]} <= {
+        (p["string"], p["stop"]) for p in report["wolf_notes"]
+    }
+    # the body's strongest resonance lies near 215 Hz: A3 is a wolf note wherever it is stopped on the lower strings
+    assert {p["string"] for p in report["wolf_notes"] if p["note"] == "A3"} >= {"E2", "A2", "D3"}
+    assert all(abs(w["wolf"]["cents"]) <= 60 or abs(w["error_cents"]) > 1 for w in report["wolf_notes"])
+    text = tonewood("check", "african_harp")[1]
+    assert "stand-in: body" in text
+    assert text.endswith("ok\n")
+
+
+def test_modes_lists_partials_and_draws_the_mobility(tonewood: Run, tmp_path: Path) -> None:
+    picture = tmp_path / "bridge.png"
+    code, out, _ = tonewood(
+        "modes", "classical_guitar", "--string", "E4", "--stop", 3, "--count", 5, "--plot", picture, "--json"
+    )
+    assert code == 0
+    report = json.loads(out)
+    rows = report["strings"]["E4"]["partials"]
+    assert [r["number"] for r in rows] == [1, 2, 3, 4, 5]
+    g4 = 440.0 * 2 ** (-2 / 12)
+    assert rows[0]["freq"] == pytest.approx(g4, rel=1e-5)
+    assert all(r["freq"] == pytest.approx(r["number"] * g4, rel=0.02) for r in rows)
+    assert all(0 < r["t60"] < 20 for r in rows)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert "partial" in tonewood("modes", "monochord")[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--string", "H7"], ["H7", "E2"]),
+        (["--stop", "20"], ["--stop", "19"]),
+        (["--stop", "-1"], ["--stop"]),
+        (["--count", "0"], ["--count"]),
+        (["--string", "E2", "--plot", "nowhere/a.png"], ["nowhere/a.png"]),
+    ],
+)
+def test_modes_refuses(tonewood: Run, arguments: list[str], said: list[str]) -> None:
+    refused(tonewood("modes", "classical_guitar", *arguments), *said)
+
+
+def test_schema_is_one_json_schema_that_all_bundles_keep(tonewood: Run) -> None:
+    from jsonschema import Draft202012Validator
+
+    from tonewood.yaml_io import load_yaml
+
+    code, out, _ = tonewood("schema")
+    assert code == 0
+    validator = Draft202012Validator(json.loads(out))
+    Draft202012Validator.check_schema(validator.schema)
+    for folder in tw.list_instruments().values():
+        assert list(validator.iter_errors(load_yaml(folder / "instrument.yaml"))) == []
+    wrong = load_yaml(tw.list_instruments()["monochord"] / "instrument.yaml")
+    wrong["strings"]["A2"]["tensoin"] = 3.0
+    assert not validator.is_valid(wrong)
+
+
+def test_play_without_a_sound_card_is_one_line(tonewood: Run, score: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "sounddevice", None)
+    refused(tonewood("play", score, "-i", "monochord"), "sounddevice")

@@ -1,0 +1,127 @@
+"""The installed command as a process of its own: interrupted, on a full disk, from elsewhere, spawned."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile as sf
+
+import tonewood as tw
+from midi_bytes import note, write
+
+TONEWOOD = [sys.executable, "-m", "tonewood"]
+
+
+@pytest.fixture
+def score(tmp_path: Path) -> Path:
+    return write(tmp_path / "score.mid", note(0.0, 0.2, 45))
+
+
+def test_ctrl_c_leaves_no_file_and_code_130(tmp_path: Path) -> None:
+    events = [e for i in range(2000) for e in note(0.3 * i, 0.2, 45 + i % 12)]
+    process = subprocess.Popen(
+        [*TONEWOOD, "render", write(tmp_path / "long.mid", events), "-i", "monochord", "-o", tmp_path / "out.wav"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob(".out.wav*")):  # it has begun to write
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == ""
+    assert err == "tonewood: interrupted; nothing was written\n"
+    assert [p.name for p in tmp_path.iterdir()] == ["long.mid"]
+
+
+def test_a_full_disk_is_one_line_and_no_file(tmp_path: Path, score: Path) -> None:
+    """Files may grow to 50 kB here, as on a disk with as much left."""
+    result = subprocess.run(
+        [*TONEWOOD, "render", score, "-i", "monochord", "-o", tmp_path / "out.wav", "--max-duration", "1.0"],
+        capture_output=True, text=True, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000)),
+    )  # fmt: skip
+    assert result.returncode == 2
+    assert result.stderr.startswith(f"tonewood: {tmp_path / 'out.wav'}: ")
+    assert result.stderr.count("\n") == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["score.mid"]
+
+
+def test_from_another_folder_with_relative_paths_and_a_pipe(tmp_path: Path, score: Path) -> None:
+    result = subprocess.run(
+        [*TONEWOOD, "render", "score.mid", "-i", "monochord", "-o", "out.flac", "--max-duration", "0.2", "--json"],
+        capture_output=True, text=True, check=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert json.loads(result.stdout)["output"] == "out.flac"
+    assert result.stderr == ""  # no progress bar, no escapes
+    assert sf.info(str(tmp_path / "out.flac")).frames == 9600
+    assert score.exists()
+
+
+def test_a_reader_that_goes_away_is_no_error() -> None:
+    result = subprocess.run(
+        f"{' '.join(TONEWOOD)} schema | head -n 1", shell=True, capture_output=True, text=True, check=False
+    )
+    assert result.stdout.strip() == "{"
+    assert result.stderr == ""
+
+
+def test_rendering_imports_nothing_heavy_it_does_not_need(tmp_path: Path, score: Path) -> None:
+    """What a cold start costs is imports above all."""
+    program = (
+        "import sys\nfrom tonewood.cli.main import run\n"
+        f"try:\n    run(['render', {str(score)!r}, '-i', 'classical_guitar', '-o', {str(tmp_path / 'a.wav')!r},"
+        " '--max-duration', '0.05', '--fs', '16000'])\n"
+        "except SystemExit as end:\n    assert end.code == 0\n"
+        "heavy = ('scipy.signal', 'scipy.optimize', 'scipy.stats', 'scipy.interpolate', 'scipy.sparse', 'scipy.fft',"
+        " 'matplotlib', 'rich.progress', 'joblib', 'dask', 'sounddevice', 'mido', 'asyncio', 'tonewood.lab')\n"
+        "print([name for name in heavy if name in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines()[-1] == "[]"
+
+
+def _rendered(path: str) -> np.ndarray:
+    audio = tw.render(tw.read_midi(path), tw.load_instrument("monochord"), 16000, max_duration=0.1)
+    return audio.samples
+
+
+def test_a_spawned_process_renders_the_same(score: Path) -> None:
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        there = pool.apply(_rendered, (os.fspath(score),))
+    assert np.array_equal(there, _rendered(os.fspath(score)))
+
+
+def test_the_isa_can_be_pinned(tmp_path: Path, score: Path) -> None:
+    from tonewood._kernel import instruction_sets
+
+    sounds = {}
+    for isa in {instruction_sets()[0], instruction_sets()[-1]}:
+        out = tmp_path / f"{isa}.wav"
+        subprocess.run(
+            [*TONEWOOD, "render", score, "-i", "monochord", "-o", out, "--max-duration", "0.2", "--subtype", "DOUBLE"],
+            check=True, capture_output=True, env={**os.environ, "TONEWOOD_ISA": isa},
+        )  # fmt: skip
+        sounds[isa] = sf.read(str(out))[0]
+    reference = next(iter(sounds.values()))
+    for samples in sounds.values():
+        assert np.abs(samples - reference).max() < 1e-10 * np.abs(reference).max()
+    wrong = subprocess.run(
+        [*TONEWOOD, "render", score, "-i", "monochord", "-o", tmp_path / "x.wav"],
+        check=False, capture_output=True, text=True, env={**os.environ, "TONEWOOD_ISA": "mmx"},
+    )  # fmt: skip
+    assert wrong.returncode == 2
+    assert wrong.stderr.count("\n") == 1
+    assert "mmx" in wrong.stderr
