@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -230,3 +231,21 @@ def test_scales_of_the_bundle(make: Make, values: dict[str, Any], tmp_path: Path
     values["tuning"] = {"scale": "none.scl"}
     with pytest.raises(BundleError, match=r"tuning\.scale: there is no file 'none\.scl'"):
         make(values).tuning  # noqa: B018
+
+
+def test_velocity_and_controllers(make: Make) -> None:
+    playing = make().spec.playing
+    velocity = playing.velocity  # 0.4 N to 4 N, exponentially
+    assert [velocity.value(v) for v in (1, 64, 127)] == pytest.approx([0.4, 0.4 * 10**0.5, 4.0])
+    assert (velocity.value(0), velocity.value(200)) == (pytest.approx(0.4), pytest.approx(4.0))
+    linear = make().replace({"playing.velocity.curve": "linear"}).spec.playing.velocity
+    assert linear.value(64) == pytest.approx(2.2)
+    control = playing.controls["cc74"]
+    assert [control.value(x) for x in (0.0, 0.5, 1.0)] == pytest.approx([0.03, 0.14, 0.25])
+
+
+def test_an_instrument_crosses_processes_whole(make: Make) -> None:
+    small = make().replace({"strings.D3.note": "C3"})
+    again = pickle.loads(pickle.dumps(small))
+    assert again.resolved == small.resolved
+    assert again.open_note("D3") == 48
