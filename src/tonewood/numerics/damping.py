@@ -93,8 +93,9 @@ def with_damping_case(basis: ModalBasis, case: str, threshold: float = 0.2) -> M
 
     Returns
     -------
-    A basis with the same poles and points. At acoustic points (where the left shape has the other sign, Fabre et al.
-    2024, Eq. 16) the velocity potential of a real mode is imaginary, and is kept so.
+    A basis with the same poles and points; real modes are returned as they are. At acoustic points (where the left
+    shape has the other sign, Fabre et al. 2024, Eq. 16) the velocity potential of a real mode is imaginary, and is
+    kept so.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def with_damping_case(basis: ModalBasis, case: str, threshold: float = 0.2) -> M
     if case not in CASES:
         raise ValueError(f"a damping case is complex, proportional or block, not {case!r}")
     pairs = np.flatnonzero(basis.kind == PAIR)
-    if case == "complex" or pairs.size == 0:
+    if case == "complex" or pairs.size == 0 or basis.is_real:
         return basis
     normal, sign = reciprocal_shapes(basis)
     turn = np.where(sign < 0, 1j, 1.0)[:, None]
@@ -118,9 +119,13 @@ def with_damping_case(basis: ModalBasis, case: str, threshold: float = 0.2) -> M
         groups = [g[basis.kind[g] == PAIR] for g in damping_groups(basis, threshold)]
     right, left = basis.right.copy(), basis.left.copy()
     for group in groups:
-        if group.size:
-            shapes = turn * proper_shapes(flat[:, group]).shapes / weight
-            right[:, group], left[:, group] = shapes, sign[:, None] * shapes
+        if group.size == 0:
+            continue
+        # mass-normalised: a mode of its own group has real shapes, and the basis of such modes is real
+        root = np.sqrt(2j * basis.poles[group].imag)
+        shapes = proper_shapes(flat[:, group]).shapes * root / weight
+        shapes = turn * (shapes.real if group.size == 1 else shapes)
+        right[:, group], left[:, group] = shapes, sign[:, None] * shapes / root**2
     return replace(basis, right=right, left=left, metadata={**basis.metadata, "damping_case": case})
 
 

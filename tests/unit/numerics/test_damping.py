@@ -118,6 +118,17 @@ def test_proportional_case_is_the_printed_formula_and_a_real_basis():
     np.testing.assert_allclose(got.frf(s.imag / (2 * np.pi), "p0", "p2", "receptance"), modal.sum(axis=1), rtol=1e-11)
 
 
+def test_falsely_complex_modes_are_a_real_basis():
+    got = with_damping_case(basis_of(body(5, 3, coupling=2.0)), "proportional")
+    assert got.is_real
+    assert with_damping_case(got, "proportional") is got
+    M, _, K = body(4, 1)
+    phi = sla.eigh(K, M)[1]
+    given = ModalBasis.real(np.sqrt(sla.eigh(K, M, eigvals_only=True)), 0.1, {"a": phi[0], "b": phi[2]})
+    for case in ("proportional", "block"):
+        assert with_damping_case(given, case) is given
+
+
 def test_block_lies_between_the_other_two():
     given = basis_of(pairs_of_modes(4))
     assert [g.tolist() for g in damping_groups(given)] == [[0, 1], [2, 3]]

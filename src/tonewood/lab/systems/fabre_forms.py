@@ -38,6 +38,7 @@ def rows() -> Iterator[Row]:
     yield from _vibro_acoustic()
     yield from _redundant()
     yield from _not_ideal()
+    yield from _every_kind()
 
 
 def pole_error(poles: Complexes, exact_poles: Complexes) -> float:
@@ -237,6 +238,42 @@ def _not_ideal() -> Iterator[Row]:
     step = _system_map({**components, "mass": mass}, ties, FS)
     error = pole_error(step.poles(), assembled.poles(system))
     yield Row(SYSTEM, "inertia in the junction (a free mass): poles at 4 kHz", _BY_EIG, 0, error, 1e-9)
+
+
+def _every_kind() -> Iterator[Row]:
+    """Modes that complex modal analysis leaves out, on the end of S1: all go through the one path."""
+    S1 = subsystems()["S1"]
+    one, two = np.eye(1), np.eye(2)
+    stiffness = 60.0
+    added = {
+        "critically damped oscillator": Matrices(one, 2 * np.sqrt(stiffness) * one, stiffness * one),
+        "over-damped oscillator": Matrices(one, 50.0 * one, stiffness * one),
+        "two oscillators of one pole": Matrices(two, 0.4 * two, stiffness * two),
+        "free mass": Matrices(one, 0 * one, 0 * one),
+        "free mass on a dashpot": Matrices(one, 2.0 * one, 0 * one),
+        "two masses adrift on one spring": assembled.joined(
+            [Matrices(two, 0 * two, 0 * two), Matrices(0 * one, 0.3 * one, 40.0 * one)], [two, np.array([[1.0, -1.0]])]
+        ),
+    }
+    n, dt = 8000, 1 / FS
+    for name, part in added.items():
+        size = len(part.M)
+        # the part's first dof sits on m4; a second one, where there is one, goes on m4 too if it is its twin
+        twin = name.startswith("two oscillators")
+        eye = np.eye(4 + (0 if twin else size - 1))
+        where = eye[[3] * size] if twin else eye[[3, *range(4, 3 + size)]]
+        system = assembled.joined([S1, part], [eye[:4], where])
+        basis = basis_from_matrices(*part, [str(i) for i in range(size)])
+        ties = tuple(
+            Connection(f"tie {i}", (Term("S1", "m4"), Term("part", str(i), -1.0))) for i in range(size if twin else 1)
+        )
+        given = Problem({"S1": bases()["S1"], "part": basis}, ties, (Term("S1", "m2"),), (Term("part", str(size - 1)),))
+        start = given.impulse_columns[:, 0]
+        y = METHODS["held_position"].step_matrix(given, dt).run(np.zeros((n, 1)), start)[:, 0]
+        v0 = sla.solve(system.M, np.eye(len(system.M))[1])
+        expected = assembled.free_motion(system, 0 * v0, v0, dt, n)[:, len(system.M) - 1]
+        error = float(np.abs(y - expected).max() / np.abs(expected).max())
+        yield Row(SYSTEM, f"{name} on m4: waveform, largest error / peak", _BY_EXPM, 0, error, 1e-8)
 
 
 def _system_map(components: dict[str, ModalBasis], connections: tuple[Connection, ...], fs: float) -> StepMap:
