@@ -188,7 +188,7 @@ class Engine:
         self.active = [a for a in self.active if a.play.string not in taken]
         touched = {c for name in moved | taken for c in self.model.strings[name].components}
         self.injections = [_cut(i, now) if i.component in touched else i for i in self.injections]
-        self.injections = [i for i in self.injections if i.stop > now]
+        self.injections = [i for i in self.injections if i.stop > max(now, i.start)]
         for play in again + fresh:
             self.injections += self._compile(play, now)
         self.active += [Active(play, self._hold_steps(play)) for play in fresh]

@@ -25,6 +25,10 @@ def zero_length() -> list[Event]:
     return _flat(note(0.1 * i, 0.0, 45 + i) for i in range(6))
 
 
+def scale_faster_than_a_finger() -> list[Event]:
+    return _flat(note(0.0104 * i, 0.0, 40 + i) for i in range(30))
+
+
 def cluster() -> list[Event]:
     return _flat(note(0.0, 0.3, n) for n in range(40, 70))
 
@@ -85,7 +89,7 @@ def out_of_range() -> list[Event]:
 
 
 ODDITIES: list[Callable[[], list[Event]]] = [
-    zero_length, cluster, one_key_on_all_channels, pedal_chatter, bends_of_two_octaves_at_once, bend_chatter,
+    zero_length, scale_faster_than_a_finger, cluster, one_key_on_all_channels, pedal_chatter, bends_of_two_octaves_at_once, bend_chatter,
     all_notes_off, never_released, released_twice_and_before, trill_faster_than_a_finger, same_key_again_and_again,
     everything_at_once_and_loud, silent_volume, plucking_place_to_and_fro, out_of_range,
 ]  # fmt: skip
