@@ -27,6 +27,14 @@ def motion(instrument, injections, steps=STEPS):
     return out[:, : instrument.n], out[:, instrument.n : 2 * instrument.n]
 
 
+def alone(instrument, *dofs):
+    """What 1 N moves the lightest of these masses in one step when nothing holds it, m.
+
+    Joints may hold a driven mass fast; what is left of its motion is then the rounding of this.
+    """
+    return instrument.dt**2 / np.diag(merged(*instrument.parts.values()).M)[list(dofs)].min()
+
+
 def energy(instrument, u, v):
     """(steps,) mechanical energy of all parts, springs and residual compliance, from the matrices."""
     whole = merged(*instrument.parts.values())
@@ -46,9 +54,7 @@ def test_energy_never_rises_by_more_than_the_work_put_in(instrument, dof, seed):
     u, v = motion(instrument, [push(instrument, dof, force)], STEPS + 1)
     E = energy(instrument, u, v)
     work = force * np.diff(u[:, dof])
-    # joints may hold the driven mass fast: rounding is then that of the energy it would have had alone
-    alone = (np.abs(force).max() * instrument.dt) ** 2 / np.diag(merged(*instrument.parts.values()).M)[dof]
-    scale = E.max() + np.abs(work).max() + alone
+    scale = E.max() + np.abs(work).max() + np.abs(force).max() ** 2 * alone(instrument, dof)
     assert np.all(np.diff(E) - work <= 1e-9 * scale)
     assert E[-1] <= E[STEPS // 2] + 1e-9 * scale
 
@@ -60,19 +66,20 @@ def test_drive_and_listener_may_change_places(instrument, dofs):
     pulse = np.array([1.0, -0.5, 0.25])
     there = motion(instrument, [push(instrument, a, pulse)])[0][:, b]
     back = motion(instrument, [push(instrument, b, pulse)])[0][:, a]
-    scale = max(np.abs(there).max(), np.abs(back).max())
-    assert np.abs(there - back).max() <= 1e-8 * scale
+    assert np.abs(there - back).max() <= 1e-8 * np.abs(there).max() + 1e-12 * alone(instrument, a, b)
 
 
 @FEW
 @given(instrument=instruments(), seed=st.integers(0, 10**6))
 def test_responses_add_up(instrument, seed):
     rng = np.random.default_rng(seed)
-    one, other = (push(instrument, int(rng.integers(instrument.n)), rng.normal(size=40)) for _ in range(2))
+    dofs = rng.integers(instrument.n, size=2)
+    one, other = (push(instrument, int(dof), rng.normal(size=40)) for dof in dofs)
     scaled = Injection(other.component, other.start, other.vectors, -3.0 * other.values)
     first, second = motion(instrument, [one])[0], motion(instrument, [other])[0]
     both = motion(instrument, [one, scaled])[0]
-    assert np.abs(both - (first - 3 * second)).max() <= 1e-11 * max(np.abs(first).max(), np.abs(second).max())
+    peak = max(np.abs(first).max(), np.abs(second).max())
+    assert np.abs(both - (first - 3 * second)).max() <= 1e-9 * peak + 1e-12 * alone(instrument, *dofs)
 
 
 @FEW
@@ -85,7 +92,7 @@ def test_a_later_force_has_the_same_response_later(instrument, seed, shift):
     assert not later[: shift + 1].any()
     if shift % BLOCK_SIZE == 0:
         np.testing.assert_array_equal(later[shift:], now)
-    assert np.abs(later[shift:] - now).max() <= 1e-11 * np.abs(now).max()
+    assert np.abs(later[shift:] - now).max() <= 1e-9 * np.abs(now).max() + 1e-12 * alone(instrument, dof)
 
 
 @settings(max_examples=8)
@@ -93,7 +100,8 @@ def test_a_later_force_has_the_same_response_later(instrument, seed, shift):
 def test_blocks_of_any_size_give_the_same_motion(instrument, seed):
     rng = np.random.default_rng(seed)
     steps = 520
-    injections = [push(instrument, int(rng.integers(instrument.n)), rng.normal(size=100), int(rng.integers(50)))]
+    dof = int(rng.integers(instrument.n))
+    injections = [push(instrument, dof, rng.normal(size=100), int(rng.integers(50)))]
     stepper = KernelStepper(instrument.system)
     whole, _ = stepper.run(stepper.start(), steps, injections)
     peak = np.abs(whole).max(axis=0)
@@ -104,9 +112,9 @@ def test_blocks_of_any_size_give_the_same_motion(instrument, seed):
         out = np.concatenate(parts)
         if size % BLOCK_SIZE == 0 or size == steps:
             np.testing.assert_array_equal(out, whole)
-        # a connection force may be the small difference of large motions: held to what it moves
-        moved = slice(0, 2 * instrument.n)
-        assert np.all(np.abs(out - whole)[:, moved] <= 1e-10 * max(peak[moved].max(), 1e-300))
+        # steps of hundreds of radians leave phases no more digits than this
+        moved, limit = slice(0, instrument.n), 1e-12 * alone(instrument, dof)
+        assert np.all(np.abs(out - whole)[:, moved] <= 1e-9 * peak[moved].max() + limit)
 
 
 @settings(max_examples=10)
@@ -124,7 +132,7 @@ def test_motion_is_that_of_the_assembled_system_with_held_forces(seed, n_strings
         whole, instrument.gaps, instrument.laws, np.eye(instrument.n)[[1]], force, dt, residual=instrument.residual
     )
     expected = states[:-1, : instrument.n]
-    assert np.abs(u - expected).max() <= 1e-9 * np.abs(expected).max()
+    assert np.abs(u - expected).max() <= 1e-9 * np.abs(expected).max() + 1e-12 * alone(instrument, 1)
 
 
 @settings(max_examples=6)
