@@ -9,7 +9,7 @@
 namespace tonewood {
 
 constexpr int kBlock = 16;    // samples stepped between two visits to a component's modes
-constexpr int kPadding = 32;  // modes per component are a multiple of this
+constexpr int kPadding = 16;  // modes per component are a multiple of this
 
 template <class T>
 struct AlignedAllocator {
@@ -26,11 +26,12 @@ struct AlignedAllocator {
 template <class T>
 using Array = std::vector<T, AlignedAllocator<T>>;
 
-// One known input to a component's modes: `vector` (2, n) is added `value[b]` times in sample b of the block.
+// One known input to a component's modes: `vector` (2, n) is added values[b * stride] times in sample b of the block.
 template <class T>
 struct Input {
     const T* vector;
     const double* values;
+    int stride = 1;
 };
 
 // A share of a port in a gap: port force += factor * force[connection], gap += factor * port displacement.
@@ -42,16 +43,16 @@ struct Share {
 template <class T>
 struct Component {
     int n = 0;          // modes, padded
-    int n_ports = 0;    // rows [0, n_ports) are the displacement of the ports
-    int n_rows = 0;     // further rows are readouts
+    int n_ports = 0;
+    int n_rows = 0;          // displacement of the ports (not of a driven component), then readouts
     std::size_t offset = 0;  // of this component in the state
     bool driven = false;     // forces in, nothing back
     Array<T> e;              // (4, n): e00, e01, e10, e11
     Array<T> rows;           // (n_rows, 2, n)
     Array<T> w;              // (n_ports, 2, n)
-    Array<double> history;   // (n_ports, n_rows, kBlock): response of each row k steps after a port force
+    Array<double> history;   // (kBlock, n_ports, n_rows): response of each row k steps after a port force
     // for the recurrences of sweep.hpp, derived from the above in double precision
-    Array<T> det, kappa;     // (n)
+    Array<T> turn, kappa;    // (n): tr E - 1 and det(I - E)
     Array<T> slopes;         // (n_rows, 2, n): rows (E - I)
     Array<T> w_slope;        // (n_ports, 2, n): (I + E - tr) w
     Array<T> e_block;        // (4, n): E^kBlock
@@ -60,12 +61,37 @@ struct Component {
     std::vector<char> difference;            // by readout row: (y+ - y) instead of y
 };
 
+// f = constant - G (g_free + gamma g), the forces of the connections from their gaps.
 struct Solve {
-    int m = 0, stride = 0;   // connections; the same padded to 8
-    Array<double> g_t;       // (m, stride) transposed G
+    int m = 0;               // connections
+    Array<double> g;         // (m, m)
     Array<double> gamma;     // (m)
-    Array<double> constant;  // (stride)
-    Array<double> weights;  // (n_channels, m) of forces in the readouts
+    Array<double> constant;  // (m)
+    Array<double> weights;   // (n_channels, m) of forces in the readouts
+};
+
+// Where the rows of all two-way components lie while a block is stepped: one line of `width` numbers per sample.
+// Components of one port come first, side by side, so that one vector serves several; every other one begins at a
+// multiple of kLane. The forces of all ports stand side by side too. What the connections do in between is folded into
+// two small matrices: f = constant + pull^T (y_free(b + 1), y(b)), port forces = push^T f.
+constexpr int kLane = 8;
+
+struct Layout {
+    struct Several {     // a component of several ports
+        int row, force, n_ports, width;
+        Array<double> history;  // (kBlock, n_ports, width)
+    };
+    int width = 0, single_width = 0;       // of a line; of the one-port components in it
+    int f_width = 0, force_width = 0;      // connections and ports, padded to kLane
+    std::vector<int> row, port;            // first row and first port of each component
+    std::vector<int> port_rows;            // row of every two-way port
+    std::vector<int> singles;              // port that each row of the one-port components answers to, or -1
+    Array<double> single_history;          // (kBlock, single_width)
+    std::vector<Several> several;
+    std::vector<Array<double>> driven_history;  // by component: (n_ports, n_rows, 2 kBlock), the first half zero
+    Array<double> constant;                // (f_width)
+    Array<double> pull;                    // (2 port_rows, f_width)
+    Array<double> push;                    // (m, force_width)
 };
 
 // A known force on one component during a run.
@@ -97,7 +123,7 @@ struct Fault {
 };
 
 template <class T>
-using Run = Fault (*)(const std::vector<Component<T>>&, const Solve&, const Job<T>&);
+using Run = Fault (*)(const std::vector<Component<T>>&, const Layout&, const Solve&, const Job<T>&);
 
 // Entry points of one instruction set's translation unit.
 struct Table {

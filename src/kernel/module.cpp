@@ -76,7 +76,8 @@ public:
         expect("history", history, {kBlock, n_ports, n_rows});
         if (n % kPadding != 0 || offset % kPadding != 0 || offset + n > capacity_)
             throw std::invalid_argument("a component's modes do not fit the state");
-        if (n_rows < n_ports || channels.size() != n_rows - n_ports || difference.size() != channels.size())
+        const std::size_t read = channels.size() + (driven ? 0 : n_ports);
+        if (n_rows != read || difference.size() != channels.size())
             throw std::invalid_argument("a component's rows do not fit its ports and readouts");
         for (int channel : channels)
             if (channel < 0 || channel >= n_channels_) throw std::invalid_argument("no such channel");
@@ -87,10 +88,7 @@ public:
         c.e.assign(e.data(), e.data() + e.size());
         c.rows.assign(rows.data(), rows.data() + rows.size());
         c.w.assign(w.data(), w.data() + w.size());
-        c.history.resize(std::size_t(kBlock) * n_ports * n_rows);
-        for (std::size_t qr = 0; qr < n_ports * n_rows; ++qr)
-            for (std::size_t k = 0; k < kBlock; ++k)
-                c.history[qr * kBlock + k] = history.data()[k * n_ports * n_rows + qr];
+        c.history.assign(history.data(), history.data() + history.size());
         derive(c, e.data(), rows.data(), w.data());
         c.shares.resize(n_ports);
         for (std::size_t j = 0; j < incidence.shape(0); ++j)
@@ -100,6 +98,7 @@ public:
         c.channels = channels;
         c.difference.assign(difference.begin(), difference.end());
         components_[slot] = std::move(c);
+        laid_out_ = false;
     }
 
     void set_solve(In g, In gamma, In constant, In weights) {
@@ -108,14 +107,11 @@ public:
         expect("gamma", gamma, {m});
         expect("constant", constant, {m});
         expect("weights", weights, {std::size_t(n_channels_), m});
-        const std::size_t stride = (m + 7) / 8 * 8;
-        solve_.m = int(m), solve_.stride = int(stride);
-        solve_.g_t.assign(m * stride, 0.0);
-        for (std::size_t i = 0; i < m; ++i)
-            for (std::size_t j = 0; j < m; ++j) solve_.g_t[j * stride + i] = g.data()[i * m + j];
+        solve_.m = int(m);
+        solve_.g.assign(g.data(), g.data() + g.size());
         solve_.gamma.assign(gamma.data(), gamma.data() + m);
-        solve_.constant.assign(stride, 0.0);
-        for (std::size_t i = 0; i < m; ++i) solve_.constant[i] = constant.data()[i];
+        solve_.constant.assign(constant.data(), constant.data() + m);
+        laid_out_ = false;
         solve_.weights.assign(weights.data(), weights.data() + weights.size());
     }
 
@@ -147,8 +143,9 @@ public:
         job.modes[0] = modes.data(), job.modes[1] = modes.data() + capacity_;
         job.n = std::int64_t(out.shape(0)), job.out = out.data(), job.forces = forces.data();
         job.n_channels = n_channels_, job.injections = known.data(), job.n_injections = int(known.size());
+        if (!laid_out_) lay_out();
         nb::gil_scoped_release release;
-        const Fault fault = run_(components_, solve_, job);
+        const Fault fault = run_(components_, layout_, solve_, job);
         return {fault.slot, fault.sample};
     }
 
@@ -156,11 +153,11 @@ private:
     // What the recurrences need, computed in double whatever T is.
     static void derive(Component<T>& c, const double* e, const double* rows, const double* w) {
         const std::size_t n = c.n;
-        c.det.resize(n), c.kappa.resize(n), c.e_block.resize(4 * n);
+        c.turn.resize(n), c.kappa.resize(n), c.e_block.resize(4 * n);
         c.slopes.resize(c.rows.size()), c.w_slope.resize(c.w.size());
         for (std::size_t k = 0; k < n; ++k) {
             const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
-            c.det[k] = T(a * d - b * g);
+            c.turn[k] = T(a + d - 1);
             c.kappa[k] = T((1 - a) * (1 - d) - b * g);
             double p[4] = {a, b, g, d};
             for (int squared = 1; squared < kBlock; squared *= 2) {
@@ -189,6 +186,72 @@ private:
         }
     }
 
+    // Gives every row and port its place and folds the connections into small matrices; see Layout.
+    void lay_out() {
+        layout_ = Layout{};
+        auto& l = layout_;
+        const auto padded = [](int n) { return (n + kLane - 1) / kLane * kLane; };
+        const auto alone = [](const Component<T>& c) { return !c.driven && c.n_ports <= 1; };
+        const int m = solve_.m;
+        int n_ports = 0;
+        for (const auto& c : components_) l.port.push_back(n_ports), n_ports += c.n_ports;
+        l.row.assign(components_.size(), 0);
+        l.driven_history.resize(components_.size());
+        for (std::size_t i = 0; i < components_.size(); ++i) {
+            const auto& c = components_[i];
+            if (!alone(c)) continue;
+            l.row[i] = int(l.singles.size());
+            l.singles.insert(l.singles.end(), c.n_rows, c.n_ports ? l.port[i] : -1);
+        }
+        l.single_width = l.width = padded(int(l.singles.size()));
+        l.single_history.assign(std::size_t(kBlock) * l.single_width, 0.0);
+        for (std::size_t i = 0; i < components_.size(); ++i) {
+            const auto& c = components_[i];
+            if (c.driven) {
+                auto& h = l.driven_history[i];
+                h.assign(std::size_t(c.n_ports) * c.n_rows * 2 * kBlock, 0.0);
+                for (int k = 0; k < kBlock; ++k)
+                    for (int pr = 0; pr < c.n_ports * c.n_rows; ++pr)
+                        h[std::size_t(pr) * 2 * kBlock + kBlock + k] = c.history[k * c.n_ports * c.n_rows + pr];
+            }
+            if (c.driven || c.n_ports == 0) continue;
+            if (alone(c)) {
+                for (int k = 0; k < kBlock; ++k)
+                    for (int r = 0; r < c.n_rows; ++r)
+                        l.single_history[std::size_t(k) * l.single_width + l.row[i] + r] = c.history[k * c.n_rows + r];
+                continue;
+            }
+            const int width = padded(c.n_rows);
+            l.row[i] = l.width, l.width += width;
+            Array<double> history(std::size_t(kBlock) * c.n_ports * width, 0.0);
+            for (int kp = 0; kp < kBlock * c.n_ports; ++kp)
+                for (int r = 0; r < c.n_rows; ++r) history[std::size_t(kp) * width + r] = c.history[kp * c.n_rows + r];
+            l.several.push_back({l.row[i], l.port[i], c.n_ports, width, std::move(history)});
+        }
+        l.f_width = padded(m), l.force_width = padded(n_ports);
+        l.constant = solve_.constant;
+        l.constant.resize(l.f_width, 0.0);
+        l.push.assign(std::size_t(m) * l.force_width, 0.0);
+        Array<double> of_old;
+        for (std::size_t i = 0; i < components_.size(); ++i)
+            for (int p = 0; p < components_[i].n_ports; ++p) {
+                Array<double> pull(l.f_width, 0.0), pull_old(l.f_width, 0.0);
+                for (const Share& s : components_[i].shares[p]) {
+                    l.push[std::size_t(s.connection) * l.force_width + l.port[i] + p] += s.factor;
+                    for (int k = 0; k < m; ++k) {
+                        const double g = solve_.g[std::size_t(k) * m + s.connection] * s.factor;
+                        pull[k] -= g, pull_old[k] -= g * solve_.gamma[s.connection];
+                    }
+                }
+                if (components_[i].driven) continue;
+                l.port_rows.push_back(l.row[i] + p);
+                l.pull.insert(l.pull.end(), pull.begin(), pull.end());
+                of_old.insert(of_old.end(), pull_old.begin(), pull_old.end());
+            }
+        l.pull.insert(l.pull.end(), of_old.begin(), of_old.end());
+        laid_out_ = true;
+    }
+
     static Run<T> pick(const Table& table) {
         if constexpr (sizeof(T) == sizeof(double))
             return table.run_f64;
@@ -199,6 +262,8 @@ private:
     std::size_t capacity_;
     int n_channels_;
     std::vector<Component<T>> components_;
+    Layout layout_;
+    bool laid_out_ = false;
     Solve solve_;
 };
 

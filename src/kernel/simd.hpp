@@ -1,6 +1,8 @@
 // Vectors of the translation unit's instruction set, in packs of several so that their latencies overlap.
 #pragma once
 
+#include <utility>
+
 #include "model.hpp"
 
 namespace tonewood {
@@ -25,10 +27,13 @@ struct Simd {
     typedef T Loose __attribute__((vector_size(kVectorBytes), aligned(alignof(T)), may_alias));
     static V load(const T* p) { return V(*reinterpret_cast<const Loose*>(p)); }
     static void store(T* p, V v) { *reinterpret_cast<Loose*>(p) = v; }
-    static double sum(const T* p) {  // of one vector, in lane order
-        double s = 0;
-        for (int i = 0; i < width; ++i) s += double(p[i]);
-        return s;
+    // Sum of the lanes: halves are added until one is left.
+    static double sum(V v) { return double(folded<width / 2>(v, std::make_index_sequence<width>{})[0]); }
+    static double sum(const T* p) { return sum(load(p)); }
+    template <int Half, std::size_t... I>
+    static V folded(V v, std::index_sequence<I...> lanes) {
+        if constexpr (Half == 0) return v;
+        else return folded<Half / 2>(v + __builtin_shufflevector(v, v, int(I ^ Half)...), lanes);
     }
 };
 
@@ -70,11 +75,16 @@ inline Pack<T, N> mul_add(const Pack<T, N>& x, T y, const Pack<T, N>& z) {
     if constexpr (N == 1) return {x.a * y + z.a};
     else return {mul_add(x.a, y, z.a), mul_add(x.b, y, z.b)};
 }
-// x * y + s for a scalar s
+// x * y + s and s - x * y for a scalar s
 template <class T, int N>
 inline Pack<T, N> mul_plus(const Pack<T, N>& x, const Pack<T, N>& y, T s) {
     if constexpr (N == 1) return {x.a * y.a + s};
     else return {mul_plus(x.a, y.a, s), mul_plus(x.b, y.b, s)};
+}
+template <class T, int N>
+inline Pack<T, N> neg_mul_plus(const Pack<T, N>& x, const Pack<T, N>& y, T s) {
+    if constexpr (N == 1) return {s - x.a * y.a};
+    else return {neg_mul_plus(x.a, y.a, s), neg_mul_plus(x.b, y.b, s)};
 }
 template <class T, int N>
 inline Pack<T, N> operator*(const Pack<T, N>& x, const Pack<T, N>& y) {

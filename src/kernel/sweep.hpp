@@ -6,9 +6,10 @@
 // * turning: x+ = E x, sample by sample. Takes known inputs on the way and reads any number of rows.
 // * recurring: by Cayley-Hamilton each mode's share s of a row obeys s'' = tr s' - det s. In differences, which keep
 //   full precision for slow modes (Reinsch),
-//       d+ = det d - kappa s,   s+ = s + d+,      kappa = det(I - E) = 1 - tr + det,
-//   four operations per row and sample. The forces of a block go in through the transposed recurrence (Goertzel):
-//       d+ = det d - kappa u + F,   u+ = u + d+,   x(kBlock) = E^kBlock x(0) + d W + (u - d) (I + E - tr) W,
+//       d+ = (tr - 1) d - kappa s,   s+ = s + d,      kappa = det(I - E) = 1 - tr + det,
+//   four operations per row and sample, of which only half wait for each other. The forces of a block go in through
+//   the transposed recurrence (Goertzel):
+//       d+ = (tr - 1) d - kappa u + F,   u+ = u + d,   x(kBlock) = E^kBlock x(0) + d W + u (I + E - tr) W,
 //   three operations per port and sample.
 #pragma once
 
@@ -16,8 +17,6 @@
 
 namespace tonewood {
 namespace {
-
-constexpr int kStride = 3 * kBlock;  // of a row's values: samples 0 .. kBlock, and room to write past the block's end
 
 // Accumulators of rows, one vector per row and sample.
 template <class T>
@@ -29,17 +28,24 @@ T* accumulators(int n_rows) {
     return memory.data();
 }
 
+// Row values at samples 0 .. nb go to value[sample * stride + row].
 template <class T>
-void reduce(const T* acc, int n_rows, int nb, double* value) {
+void reduce(const T* acc, int n_rows, int nb, double* value, int stride) {
     for (int r = 0; r < n_rows; ++r)
-        for (int s = 0; s <= nb; ++s)
-            value[r * kStride + s] = Simd<T>::sum(acc + (std::size_t(r) * (kBlock + 1) + s) * Simd<T>::width);
+        for (int s = 0; s <= nb; ++s, acc += Simd<T>::width) value[s * stride + r] = Simd<T>::sum(acc);
 }
 
-// Turning. Read: row values go to value[row * kStride + s], s = 0 .. nb. Store: the state moves on to sample nb.
+// Goes through n modes in the widest packs first, then in smaller ones: calls visit(pack size tag, first mode).
+template <class T, int N, class Visit>
+void in_packs(std::size_t n, const Visit& visit, std::size_t k = 0) {
+    for (; k + Pack<T, N>::size <= n; k += Pack<T, N>::size) visit.template operator()<N>(k);
+    if constexpr (N > 1) in_packs<T, N / 2>(n, visit, k);
+}
+
+// Turning. Read: row values at samples 0 .. nb. Store: the state moves on to sample nb.
 template <class T, bool Read, bool Store>
-void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inputs, int nb, double* value) {
-    constexpr int N = 2;
+void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inputs, int nb, double* value, int stride) {
+    constexpr int N = kPadding / Simd<T>::width < 2 ? 1 : 2;
     using P = Pack<T, N>;
     constexpr int width = Simd<T>::width;
     static_assert(kPadding % P::size == 0);
@@ -58,7 +64,7 @@ void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inp
             y = mul_add(e11, y, e10 * x);
             x = turned;
             for (int j = 0; j < n_inputs; ++j) {
-                const T f = T(inputs[j].values[s]);
+                const T f = T(inputs[j].values[s * inputs[j].stride]);
                 x = mul_add(P::load(inputs[j].vector + k), f, x);
                 y = mul_add(P::load(inputs[j].vector + n + k), f, y);
             }
@@ -67,7 +73,7 @@ void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inp
             x.store(path_x + nb * P::size), y.store(path_y + nb * P::size);
             for (int r = 0; r < n_rows; ++r) {
                 const P rx = P::load(&c.rows[2 * r * n + k]), ry = P::load(&c.rows[(2 * r + 1) * n + k]);
-                T* to = acc + std::size_t(r) * (kBlock + 1) * width;
+                T* to = acc + std::size_t(r) * (nb + 1) * width;
                 for (int s = 0; s <= nb; ++s, to += width) {
                     const P share = mul_add(rx, P::load(path_x + s * P::size), ry * P::load(path_y + s * P::size));
                     Simd<T>::store(to, Simd<T>::load(to) + share.folded());
@@ -76,65 +82,61 @@ void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inp
         }
         if constexpr (Store) x.store(sx + k), y.store(sy + k);
     }
-    if constexpr (Read) reduce(acc, n_rows, nb, value);
+    if constexpr (Read) reduce(acc, n_rows, nb, value, stride);
 }
 
 // Recurring, a whole block: values of all rows, without inputs. The state stays.
 template <class T>
-void recur_read(const Component<T>& c, const T* sx, const T* sy, double* value) {
-    using P = Pack<T, sizeof(T) == sizeof(double) ? kPack : kPack / 2>;
+void recur_read(const Component<T>& c, const T* sx, const T* sy, double* value, int stride) {
     constexpr int width = Simd<T>::width;
-    static_assert(kPadding % P::size == 0);
     const std::size_t n = c.n;
     T* const acc = accumulators<T>(c.n_rows);
     for (int r = 0; r < c.n_rows; ++r) {
         const T* row = &c.rows[2 * r * n];
         const T* slope = &c.slopes[2 * r * n];
         T* const to = acc + std::size_t(r) * (kBlock + 1) * width;
-        for (std::size_t k = 0; k < n; k += P::size) {
+        in_packs<T, kPack>(n, [&]<int N>(std::size_t k) {
+            using P = Pack<T, N>;
             const P x = P::load(sx + k), y = P::load(sy + k);
-            const P det = P::load(&c.det[k]), kappa = P::load(&c.kappa[k]);
+            const P turn = P::load(&c.turn[k]), kappa = P::load(&c.kappa[k]);
             P s = mul_add(P::load(row + k), x, P::load(row + n + k) * y);
             P d = mul_add(P::load(slope + k), x, P::load(slope + n + k) * y);
-            Simd<T>::store(to, Simd<T>::load(to) + s.folded());
-            for (int b = 1; b < kBlock; ++b) {
-                s = s + d;
-                d = neg_mul_add(kappa, s, det * d);
+            for (int b = 0; b < kBlock; ++b) {
                 Simd<T>::store(to + b * width, Simd<T>::load(to + b * width) + s.folded());
+                const P pull = kappa * s;
+                s = s + d;
+                d = turn * d - pull;
             }
-            s = s + d;
             Simd<T>::store(to + kBlock * width, Simd<T>::load(to + kBlock * width) + s.folded());
-        }
+        });
     }
-    reduce(acc, c.n_rows, kBlock, value);
+    reduce(acc, c.n_rows, kBlock, value, stride);
 }
 
-// Recurring, a whole block: the state moves on under the port forces (n_ports, kBlock).
+// Recurring, a whole block: the state moves on under the port forces, forces[b * stride + port].
 template <class T>
-void recur_store(const Component<T>& c, T* sx, T* sy, const double* forces) {
-    using P = Pack<T, sizeof(T) == sizeof(double) ? kPack : kPack / 2>;
+void recur_store(const Component<T>& c, T* sx, T* sy, const double* forces, int stride) {
     const std::size_t n = c.n;
-    for (std::size_t k = 0; k < n; k += P::size) {
+    in_packs<T, kPack>(n, [&]<int N>(std::size_t k) {
+        using P = Pack<T, N>;
         const P x = P::load(sx + k), y = P::load(sy + k);
         P nx = mul_add(P::load(&c.e_block[k]), x, P::load(&c.e_block[n + k]) * y);
         P ny = mul_add(P::load(&c.e_block[3 * n + k]), y, P::load(&c.e_block[2 * n + k]) * x);
-        const P det = P::load(&c.det[k]), kappa = P::load(&c.kappa[k]);
+        const P turn = P::load(&c.turn[k]), kappa = P::load(&c.kappa[k]);
         for (int p = 0; p < c.n_ports; ++p) {
-            const double* f = forces + p * kBlock;
+            const double* f = forces + p;
             P d{}, u{};
-            d = mul_plus(det, d, T(f[0]));
-            u = d;
-            for (int b = 1; b < kBlock; ++b) {
-                d = neg_mul_add(kappa, u, mul_plus(det, d, T(f[b])));
+            for (int b = 0; b < kBlock; ++b) {
+                const P push = neg_mul_plus(kappa, u, T(f[b * stride]));
                 u = u + d;
+                d = mul_add(turn, d, push);
             }
-            u = u - d;
             const T *w = &c.w[2 * p * n + k], *v = &c.w_slope[2 * p * n + k];
             nx = mul_add(P::load(w), d, mul_add(P::load(v), u, nx));
             ny = mul_add(P::load(w + n), d, mul_add(P::load(v + n), u, ny));
         }
         nx.store(sx + k), ny.store(sy + k);
-    }
+    });
 }
 
 }  // namespace

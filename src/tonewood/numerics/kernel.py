@@ -69,8 +69,10 @@ class KernelStepper:
             self._loaded[slot] = (compiled, key)
             p = len(compiled.ports)
             used = np.any(incidence != 0.0, axis=0)
-            rows = np.concatenate([compiled.rows[:p][used], compiled.rows[p:]])
-            keep = np.concatenate([used, np.ones(len(compiled.rows) - p, dtype=bool)])
+            # nobody asks for the motion of a driven component's ports
+            ports_read = np.zeros(p, dtype=bool) if one_way else used
+            keep = np.concatenate([ports_read, np.ones(len(compiled.rows) - p, dtype=bool)])
+            rows = compiled.rows[keep]
             E = compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)
             self._kernel.set_component(
                 slot,
