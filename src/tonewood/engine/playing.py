@@ -11,12 +11,14 @@ from tonewood.engine.engine import GRID
 from tonewood.engine.timeline import Change, Play, Timeline
 from tonewood.errors import ScoreError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Place
+from tonewood.instrument.contract import Event, Gesture, Place, Segment
 from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
 
 #: a damped string is let go when it has decayed this many times by 60 dB: from then on it may ring with the others
 _LET_GO_AFTER = 1.5
+#: s, for the preparation of a pluck that follows another at once
+_SHORTEST_PREPARATION = 1e-3
 #: cents/s, how fast a bend follows its wheel: a string whose tension jumped would gain as much energy as tension
 _BEND_RATE = 40e3
 
@@ -65,6 +67,8 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     for name, line in by_string.items():
         for i, assigned in enumerate(line):
             play = _gesture(assigned, model, score.controls)
+            if i:
+                play = replace(play, gesture=_hurried(play.gesture, play.time - plays[-1].stop))
             following = line[i + 1] if i + 1 < len(line) else None
             plays.append(play)
             played.append(assigned)
@@ -150,6 +154,25 @@ def _gesture(assigned: Assigned, model: Model, controls: Sequence[Control]) -> P
     event = Event(values, string.freq(assigned.stop))
     gesture = model.exciters[name].gesture(event, model.place(assigned.string, assigned.stop))
     return Play(note.time, gesture, string=assigned.string)
+
+
+def _hurried(gesture: Gesture, available: float) -> Gesture:
+    """The same gesture prepared within `available` s: the string's last pluck has to be over before it begins."""
+    shorter = max(available, _SHORTEST_PREPARATION) / -gesture.start if gesture.start < 0 else 1.0
+    if shorter >= 1.0:
+        return gesture
+
+    def time(t: float) -> float:
+        return t * shorter if t < 0 else t
+
+    segments = tuple(
+        Segment(time(s.start), time(s.stop), s.c0, s.c1 / shorter, s.c2 / shorter**2) if s.stop <= 0 else s
+        for s in gesture.segments
+    )
+    hold = gesture.hold
+    if hold is not None:
+        hold = replace(hold, start=time(hold.start), grown=time(hold.grown), stop=time(hold.stop))
+    return replace(gesture, segments=segments, hold=hold)
 
 
 def _left_hand(

@@ -1,0 +1,125 @@
+"""From notes to hands: what is played when, on which string, and what happens at a note's end."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+import tonewood as tw
+from tonewood.engine.playing import perform
+
+
+@pytest.fixture(scope="module")
+def guitar() -> tw.Model:
+    return tw.assemble(tw.load_instrument("classical_guitar"), 48000)
+
+
+@pytest.fixture(scope="module")
+def harp() -> tw.Model:
+    return tw.assemble(tw.load_instrument("african_harp"), 48000)
+
+
+def test_a_pluck_draws_before_its_time_and_lets_go_on_it(guitar: tw.Model) -> None:
+    played = perform(tw.Score([tw.Note(1.0, 0.5, note=64, force=3.0)]), guitar)
+    (play,) = played.timeline.plays
+    assert play.time == 1.0
+    assert play.start == pytest.approx(0.98)
+    assert play.gesture.force(0.0) == pytest.approx(3.0)
+    assert play.gesture.force(-0.0201) == 0.0
+    assert play.gesture.force(0.0201) == 0.0
+    rise = [play.gesture.force(t) for t in np.linspace(-0.02, 0.0, 50)]
+    assert all(a <= b for a, b in itertools.pairwise(rise))
+
+
+def test_velocity_becomes_force_by_the_bundles_curve(guitar: tw.Model) -> None:
+    """0.4 (4 / 0.4)^((v - 1) / 126) N."""
+    notes = [tw.Note(float(i), 0.5, note=60, velocity_midi=v) for i, v in enumerate((1, 64, 127))]
+    forces = [p.gesture.force(0.0) for p in perform(tw.Score(notes), guitar).timeline.plays]
+    assert forces == pytest.approx([0.4, 0.4 * 10**0.5, 4.0])
+    quieter = tw.Score(notes[2:], [tw.Control(0.0, "cc7", 0.5)])
+    assert perform(quieter, guitar).timeline.plays[0].gesture.force(0.0) == pytest.approx(1.0)
+
+
+def test_a_damped_string_is_damped_at_the_end_of_its_note_and_let_go_later(guitar: tw.Model) -> None:
+    changes = perform(tw.Score([tw.Note(0.5, 1.0, note=47, force=1.0)]), guitar).timeline.changes
+    stopped, damped, open_again = changes
+    assert (stopped.stop, stopped.added_damping) == (2, 0.0)
+    assert stopped.time == pytest.approx(0.48)
+    assert damped.time == pytest.approx(1.5)
+    assert damped.added_damping == pytest.approx(math.log(1000) / 0.12)
+    assert open_again.time > damped.time + 0.12
+    assert (open_again.stop, open_again.added_damping) == (0, 0.0)
+
+
+def test_a_string_that_rings_is_left_alone(harp: tw.Model) -> None:
+    changes = perform(tw.Score([tw.Note(0.5, 0.1, string="s4", force=1.0)]), harp).timeline.changes
+    assert [c.added_damping for c in changes] == [0.0]
+
+
+def test_a_note_that_follows_at_once_ends_no_pluck_before_its_time(guitar: tw.Model) -> None:
+    notes = [tw.Note(0.1 + 0.008 * i, 0.1, string="E4", stop=i, force=2.0) for i in range(5)]
+    plays = perform(tw.Score(notes), guitar).timeline.plays
+    assert len(plays) == 5
+    for before, after in itertools.pairwise(plays):
+        assert after.start >= before.stop - 1e-12
+        times = np.linspace(after.gesture.start, after.gesture.stop, 4000)
+        force = np.array([after.gesture.force(t) for t in times])
+        assert force.max() == pytest.approx(2.0, rel=1e-3)
+        assert np.abs(np.diff(force)).max() < 0.05  # no step
+
+
+def test_bends_follow_their_channel_and_glide(guitar: tw.Model) -> None:
+    score = tw.Score(
+        [tw.Note(0.1, 1.0, note=64, force=1.0, channel=0), tw.Note(0.1, 1.0, note=55, force=1.0, channel=1)],
+        [tw.Control(0.5, "bend", 400.0, 0), tw.Control(0.7, "bend", 0.0, 0), tw.Control(0.05, "bend", -30.0, 1)],
+    )
+    played = perform(score, guitar)
+    strings = {a.note.channel: a.string for a in played.notes}
+    first = [c for c in played.timeline.changes if c.string == strings[0] and c.cents is not None]
+    bent = [c.cents or 0.0 for c in first if c.time < 1.0]
+    assert max(bent) == 400.0
+    assert bent[-1] == 0.0
+    assert max(abs(a - b) for a, b in itertools.pairwise(bent)) <= 54.0
+    assert next(c.time for c in first if c.cents == 400.0) < 0.52
+    (start,) = [c for c in played.timeline.changes if c.string == strings[1] and c.stop is not None and c.time < 1.0]
+    assert start.cents == -30.0
+
+
+def test_plucking_place_follows_its_controller(guitar: tw.Model) -> None:
+    """cc74 from 0.03 m to 0.25 m; the note's own place counts more."""
+    score = tw.Score(
+        [
+            tw.Note(0.1, 0.2, note=64, force=1.0),
+            tw.Note(0.6, 0.2, note=64, force=1.0),
+            tw.Note(1.1, 0.2, note=64, force=1.0, from_bridge=0.2),
+        ],
+        [tw.Control(0.5, "cc74", 1.0)],
+    )
+    places = [p.gesture.from_bridge for p in perform(score, guitar).timeline.plays]
+    assert places == pytest.approx([0.105, 0.25, 0.2])
+
+
+def test_a_technique_may_play_the_body(guitar: tw.Model) -> None:
+    played = perform(tw.Score([tw.Note(0.1, 0.2, technique="tap", force=7.0)]), guitar)
+    (tap,) = played.timeline.plays
+    assert (tap.string, tap.at) == (None, "body.bridge_G3")
+    assert max(tap.gesture.force(t) for t in np.linspace(0, 1e-3, 101)) == pytest.approx(7.0)
+    with pytest.raises(tw.ScoreError, match="technique 'kick' is not one of the instrument's: pluck, tap"):
+        perform(tw.Score([tw.Note(0.1, technique="kick")]), guitar)
+
+
+def test_what_cannot_be_played_is_listed(guitar: tw.Model) -> None:
+    notes = [tw.Note(0.1 * i, 0.2, note=n, force=1.0, channel=3) for i, n in enumerate((20, 64, 110))]
+    played = perform(tw.Score(notes), guitar)
+    assert [(d.note, d.channel) for d in played.dropped] == [(20, 3), (110, 3)]
+    assert [a.note.note for a in played.notes] == [64]
+
+
+def test_one_channel_per_string(guitar: tw.Model) -> None:
+    notes = [tw.Note(0.1, 0.2, note=60, force=1.0, channel=c) for c in (2, 3)]
+    played = perform(tw.Score(notes), guitar, channel_per_string=True)
+    names = list(guitar.strings)
+    assert {a.note.channel: a.string for a in played.notes} == {2: names[2], 3: names[3]}
