@@ -9,6 +9,12 @@ The table has columns ``f_Hz, Q`` and per channel ``NAME_re, NAME_im, NAME_momen
 continuous bank used here, residues R p / (exp(p / residue_fs) - 1), gives the same numbers back at that rate when its
 force is held over a sample, and R (exp(p h) - 1) / (exp(p / residue_fs) - 1) at any other. Without it they are the
 continuous ones, Pa/(N s).
+
+A fit says nothing of frequencies below its range, and its modes there add up to a pressure that follows a slowly
+growing force, which air does not. With `low_cut` the bank is that of H(s) s^2 / ((s + a) (s + b)), a and b a quarter
+below and above the cut: residues times that factor at each pole, and two real modes more per input,
+
+    H(-a) a^2 / ((b - a) (s + a))   and   H(-b) b^2 / ((a - b) (s + b)).
 """
 
 from __future__ import annotations
@@ -16,6 +22,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tonewood.instrument.contract import Pickup, PickupRows, Scene
 from tonewood.numerics.modes import ModalBasis
@@ -33,6 +40,9 @@ class ModalRadiationParameters(Parameters):
         "1 if the table counts a force out of the soundboard (+z) as positive, -1 if into it", default=1
     )
     residue_fs: float | None = quantity("Hz", low=1e3, default=None, doc="rate of a discrete fit")
+    low_cut: float | None = quantity(
+        "Hz", low=1.0, high=200.0, default=None, doc="second-order high-pass below the range of the fit"
+    )
 
 
 class ModalRadiation(Pickup[ModalRadiationParameters]):
@@ -89,10 +99,37 @@ class ModalRadiation(Pickup[ModalRadiationParameters]):
         freq = table["f_Hz"][keep]
         poles = np.pi * freq * (-1 / table["Q"][keep] + 2j)
         gain = np.ones_like(poles) if p.residue_fs is None else poles / np.expm1(poles / p.residue_fs)
+        residues = {
+            (c, m): (table[f"{c}{m}_re"] + 1j * table[f"{c}{m}_im"])[keep] * gain
+            for c in p.channels
+            for m in ("", "_moment")
+        }
+        if p.low_cut is not None:
+            residues = {key: cut_low(poles, np.asarray(r), p.low_cut) for key, r in residues.items()}
+            poles = np.concatenate([poles, -_cut_rates(p.low_cut)])
         zero, one = np.zeros_like(poles), np.ones_like(poles)
         right = {"heave": np.concatenate([zero, zero]), "moment": np.concatenate([zero, zero])}
         left = {"heave": np.concatenate([one, zero]), "moment": np.concatenate([zero, one])}
         for c in p.channels:
-            residue = [(table[f"{c}{m}_re"] + 1j * table[f"{c}{m}_im"])[keep] * gain for m in ("", "_moment")]
-            right[c], left[c] = np.concatenate(residue), np.concatenate([zero, zero])
+            right[c] = np.concatenate([residues[c, ""], residues[c, "_moment"]])
+            left[c] = np.concatenate([zero, zero])
         return ModalBasis.complex(np.concatenate([poles, poles]), right, left)
+
+
+def _cut_rates(freq: float) -> NDArray[np.float64]:
+    """Rates a and b of the high-pass, 1/s."""
+    return 2 * np.pi * freq * np.array([0.8, 1.25])
+
+
+def cut_low(poles: NDArray[np.complex128], residues: NDArray[np.complex128], freq: float) -> NDArray[np.complex128]:
+    """Residues of H(s) s^2 / ((s + a) (s + b)): of the poles of H, then of -a and -b.
+
+    Parameters
+    ----------
+    poles, residues : (n,) of H, one of each conjugate pair.
+    freq : Hz, a and b are 0.8 and 1.25 times 2 pi freq.
+    """
+    a, b = _cut_rates(freq)
+    at = [float(np.sum(2 * (residues / (-rate - poles)).real)) for rate in (a, b)]
+    real = np.array([at[0] * a**2 / (b - a), at[1] * b**2 / (a - b)])
+    return np.concatenate([residues * poles**2 / ((poles + a) * (poles + b)), real])

@@ -109,3 +109,17 @@ def test_faults(tmp_path: Path) -> None:
         make(tmp_path).rows("mics", scene(body_points=nowhere))
     with pytest.raises(BundleError, match=r"there is no file 'other\.csv'"):
         make(tmp_path, table="other.csv").basis(1000.0)
+
+
+def test_a_low_cut_is_the_high_pass_it_says(tmp_path: Path) -> None:
+    """H(s) s^2 / ((s + a) (s + b)) at frequencies below, in and above the fit's range; nothing at all at 0 Hz."""
+    freq = np.array([0.0, 5.0, 16.0, 80.0, 210.0, 3000.0])
+    plain, cut = make(tmp_path).basis(20000.0), make(tmp_path, low_cut=16.0).basis(20000.0)
+    s, a, b = 2j * np.pi * freq, 2 * np.pi * 16.0 * 0.8, 2 * np.pi * 16.0 * 1.25
+    for channel in "ab":
+        for point in ("heave", "moment"):
+            whole = plain.frf(freq, channel, point, "receptance")
+            expected = whole * s**2 / ((s + a) * (s + b))
+            np.testing.assert_allclose(
+                cut.frf(freq, channel, point, "receptance"), expected, rtol=1e-10, atol=1e-13 * np.abs(whole).max()
+            )
