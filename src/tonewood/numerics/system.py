@@ -445,7 +445,7 @@ class System:
         """(m, m) m/N, ``compliance`` or ``residual`` of all components as the gaps see it."""
         total = np.zeros((len(self.connections),) * 2)
         for compiled in self.compiled:
-            total[np.ix_(compiled.gaps, compiled.gaps)] += getattr(compiled, which)
+            total[compiled.gaps[:, None], compiled.gaps] += getattr(compiled, which)
         return total
 
     def _solved(self) -> System:
