@@ -34,6 +34,24 @@ struct Input {
     int stride = 1;
 };
 
+// Ports that only contacts act on, kept apart: they are left out of a block while a bound says that nothing touches
+// there (guard.hpp).
+template <class T>
+struct Guarded {
+    int n = 0;
+    Array<T> rows, slopes;       // (n, 2, n_modes), as in Component
+    Array<T> w, w_slope;         // (n, 2, n_modes)
+    Array<double> from_fixed;    // (n_ports, n, kBlock): response of these rows k steps after a port force
+    Array<double> from_guarded;  // (n, n, kBlock): the same after a force on one of these ports
+    Array<double> on_rows;       // (n, kBlock, n_rows): response of the component's other rows to them
+    // bounds throughout a block
+    Array<T> norm;               // (2, n_modes): weights of the squares of a mode's two numbers
+    Array<T> size;               // (n_modes): weight of the second number in the size of a mode
+    Array<T> middle;             // (n, 2, n_modes): rows in the middle of a block
+    Array<T> spread;             // (n, n_modes): how far the block may move a row from there, per size of a mode
+    std::vector<double> peak;    // (n): |row| <= peak sqrt(norm)
+};
+
 // A share of a port in a gap: port force += factor * force[connection], gap += factor * port displacement.
 struct Share {
     int connection;
@@ -59,6 +77,7 @@ struct Component {
     std::vector<std::vector<Share>> shares;  // by port
     std::vector<int> channels;               // by readout row
     std::vector<char> difference;            // by readout row: (y+ - y) instead of y
+    Guarded<T> guarded;
 };
 
 // f = constant - G (g_free + gamma g), the forces of the connections from their gaps.
@@ -75,6 +94,7 @@ struct Solve {
 // multiple of kLane. The forces of all ports stand side by side too. What the connections do in between is folded into
 // two small matrices: f = constant + pull^T (y_free(b + 1), y(b)), port forces = push^T f.
 constexpr int kLane = 8;
+constexpr int kStride = 2 * kBlock + 8;  // of a guarded row's values: samples 0 .. kBlock, and room beyond the block
 
 struct Layout {
     struct Several {     // a component of several ports
@@ -92,6 +112,96 @@ struct Layout {
     Array<double> constant;                // (f_width)
     Array<double> pull;                    // (2 port_rows, f_width)
     Array<double> push;                    // (m, force_width)
+};
+
+// One nonlinear law; its numbers are those of tonewood.numerics.laws.
+struct Law {
+    enum Kind { contact, spring, sampled, compiled, friction };
+    Kind kind = contact;
+    double a[4] = {};  // contact: K, alpha. spring: k, k3, d. friction: N, static, dynamic, speed
+    double loss = 0, damping = 0;
+    double offset = 0, velocity = 0;
+    std::vector<double> knots, coefficients;  // (n + 1), (n, 4)
+    struct Function {
+        double (*plain)(double) = nullptr;
+        double (*with_data)(double, void*) = nullptr;
+        void* data = nullptr;
+        double operator()(double x) const { return plain ? plain(x) : with_data(x, data); }
+    } potential, slope;
+};
+
+// Nonlinear connections, as the linear ones leave their gaps.
+struct Nonlinear {
+    struct Term {
+        int connection, component, port;
+        bool guarded;
+        double factor;
+    };
+    struct Group {  // of components that contacts on guarded ports join
+        std::vector<int> components, contacts;
+    };
+    int k = 0;
+    double dt = 0;
+    double theta = 0.5;         // of the residual compliance in series
+    bool asleep_allowed = true; // use the bounds of guard.hpp
+    std::vector<Law> laws;
+    Array<double> z;            // (k, k): gaps per force, with the series part
+    Array<double> from_linear;  // (k, m): gaps per force of the linear connections
+    Array<double> answer;       // (k, f_width): linear forces that a nonlinear one calls up
+    Array<double> residual;     // (k, k)
+    Array<double> weights;      // (n_channels, k) of forces in the readouts
+    std::vector<int> heard;     // connections with a weight
+    std::vector<int> series;    // (k): which group of gaps shares residual compliance, -1 without
+    int n_series = 0;
+    std::vector<Term> all_terms;
+    // made by prepare.hpp
+    std::vector<std::vector<Term>> terms, driven;  // by connection: two-way ones, one-way ones
+    std::vector<char> guarded;                     // by connection: whether it may sleep
+    std::vector<int> group_of;                     // by component, -1 outside of groups
+    std::vector<Group> groups;
+    std::vector<int> first;                        // by component: its first guarded port among all
+    std::vector<Array<double>> reach;  // by component: (all ports, all ports), fixed ones first: |row| per sum |force|
+    int n_guarded = 0;
+};
+
+// What a run with nonlinear connections moves besides, and its buffers: nothing is allocated while stepping.
+struct Workspace {
+    // by connection (k)
+    Array<double> old_p, free_p, law_force, last_force, series, series_after, slip, slip_after, offset, offset_after,
+        velocity, scale, size, clearance, slack;
+    std::vector<char> awake, touching;
+    std::vector<int> awake_list, active, previous;
+    std::vector<char> series_alive;  // by series group
+    bool any_alive = false;
+    // by component
+    Array<double> norm, added;       // of the state at the block's beginning; of what known forces add in it
+    std::vector<char> sized;
+    Array<char> sizes;               // of modes, as T
+    std::vector<std::vector<int>> awake_rows, loaded;  // guarded ports read, and pushed, in this block
+    // by guarded port
+    Array<double> value;             // (n_guarded, kStride): free motion, then the motion
+    Array<double> force;             // (n_guarded, kBlock)
+    std::vector<char> row_awake, is_loaded;
+    // by component, over all its ports, fixed ones first
+    std::vector<Array<double>> spent;  // sum |F| in this block
+    std::vector<Array<double>> worth;  // share of the tightest slack per newton
+    Array<double> level;             // by group: sum of worth |F|; nothing touches below 1
+    std::vector<int> asleep;         // by group
+    // of the solve
+    std::vector<int> stored, sliding;
+    Array<double> x[12], matrix, inner, f0;
+};
+
+struct Statistics {
+    std::int64_t solves = 0, iterations = 0, most_iterations = 0, failures = 0;
+    std::int64_t blocks = 0, rows_read = 0, woken = 0;
+    std::int64_t tension_iterations = 0, most_tension_iterations = 0;
+};
+
+// What stands in for a law's constants during a run: offset before and after each step, velocity, scale.
+struct Control {
+    int connection;        // among the nonlinear ones
+    const double* values;  // (4, n)
 };
 
 // A known force on one component during a run.
@@ -114,16 +224,23 @@ struct Job {
     int n_channels;
     const Injection<T>* injections;
     int n_injections;
+    // of nonlinear connections
+    double* law_forces;  // (n, k), zero beforehand
+    double *series, *slip, *last_force;  // (k), moved
+    const Control* controls;
+    int n_controls;
 };
 
-// Where the state stopped being finite; slot < 0 if it did not.
+// Where a run had to stop: a component that is no longer finite, or connections whose forces were not found.
 struct Fault {
-    int slot = -1;
+    static constexpr int kNone = -1, kUnsolved = -2;
+    int slot = kNone;
     std::int64_t sample = 0;
 };
 
 template <class T>
-using Run = Fault (*)(const std::vector<Component<T>>&, const Layout&, const Solve&, const Job<T>&);
+using Run = Fault (*)(const std::vector<Component<T>>&, const Layout&, const Solve&, const Nonlinear&, Workspace&,
+                      Statistics&, const Job<T>&);
 
 // Entry points of one instruction set's translation unit.
 struct Table {

@@ -10,7 +10,7 @@
 #include <stdexcept>
 #include <string>
 
-#include "model.hpp"
+#include "prepare.hpp"
 
 static_assert((tonewood::kBlock & (tonewood::kBlock - 1)) == 0, "E^kBlock is made by squaring");
 
@@ -45,6 +45,7 @@ const Table& find(const std::string& isa) {
 }
 
 using In = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+using Out = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 template <class T>
 using InT = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
 
@@ -56,6 +57,37 @@ void expect(const char* what, const In& a, std::initializer_list<std::size_t> sh
         ++i;
     }
     if (!same) throw std::invalid_argument(std::string("kernel array has the wrong shape: ") + what);
+}
+
+// A law as Python gives it: kind, numbers a[4], loss, damping, offset, velocity; samples; addresses of C functions.
+using LawArrays = std::tuple<int, std::vector<double>, std::vector<double>, std::vector<double>,
+                             std::vector<std::tuple<std::uintptr_t, std::uintptr_t, bool>>>;
+
+Law make_law(const LawArrays& given) {
+    const auto& [kind, numbers, knots, coefficients, functions] = given;
+    if (kind < Law::contact || kind > Law::friction || numbers.size() != 8)
+        throw std::invalid_argument("no such law");
+    Law law;
+    law.kind = Law::Kind(kind);
+    std::copy_n(numbers.begin(), 4, law.a);
+    law.loss = numbers[4], law.damping = numbers[5], law.offset = numbers[6], law.velocity = numbers[7];
+    law.knots = knots, law.coefficients = coefficients;
+    if (law.kind == Law::sampled && (knots.size() < 2 || coefficients.size() != 4 * (knots.size() - 1)))
+        throw std::invalid_argument("a sampled law has the wrong shape");
+    if (law.kind == Law::compiled) {
+        if (functions.size() != 2) throw std::invalid_argument("a compiled law has two functions");
+        Law::Function* to[2] = {&law.potential, &law.slope};
+        for (int i = 0; i < 2; ++i) {
+            const auto [address, data, with_data] = functions[i];
+            if (address == 0) throw std::invalid_argument("a compiled law has no function");
+            if (with_data)
+                to[i]->with_data = reinterpret_cast<double (*)(double, void*)>(address);
+            else
+                to[i]->plain = reinterpret_cast<double (*)(double)>(address);
+            to[i]->data = reinterpret_cast<void*>(data);
+        }
+    }
+    return law;
 }
 
 template <class T>
@@ -101,6 +133,94 @@ public:
         laid_out_ = false;
     }
 
+    // Ports that only contacts act on, of a component just set; histories are (kBlock, forced port, row).
+    void set_guarded(std::size_t slot, In e, In rows, In w, In from_fixed, In from_guarded, In on_rows) {
+        if (slot >= components_.size()) throw std::invalid_argument("no such component slot");
+        Component<T>& c = components_[slot];
+        const std::size_t n = c.n, fixed = c.n_ports, count = rows.ndim() == 3 ? rows.shape(0) : 0;
+        expect("e", e, {4, n});
+        expect("guarded rows", rows, {count, 2, n});
+        expect("guarded w", w, {count, 2, n});
+        expect("from_fixed", from_fixed, {kBlock, fixed, count});
+        expect("from_guarded", from_guarded, {kBlock, count, count});
+        expect("on_rows", on_rows, {kBlock, count, std::size_t(c.n_rows)});
+        if (c.driven) throw std::invalid_argument("a component driven one way has no guarded ports");
+        Guarded<T>& guarded = c.guarded;
+        guarded.n = int(count);
+        guarded.rows.assign(rows.data(), rows.data() + rows.size());
+        guarded.w.assign(w.data(), w.data() + w.size());
+        guarded.slopes = slopes_of(n, e.data(), rows.data(), count);
+        guarded.w_slope = w_slopes_of(n, e.data(), w.data(), count);
+        const auto by_pair = [](const In& h) {
+            const std::size_t pairs = h.shape(1) * h.shape(2);
+            Array<double> out(pairs * kBlock);
+            for (std::size_t k = 0; k < kBlock; ++k)
+                for (std::size_t i = 0; i < pairs; ++i) out[i * kBlock + k] = h.data()[k * pairs + i];
+            return out;
+        };
+        guarded.from_fixed = by_pair(from_fixed), guarded.from_guarded = by_pair(from_guarded);
+        const std::size_t n_rows = c.n_rows;
+        guarded.on_rows.resize(on_rows.size());
+        for (std::size_t k = 0; k < kBlock; ++k)
+            for (std::size_t p = 0; p < count; ++p)
+                std::copy_n(on_rows.data() + (k * count + p) * n_rows, n_rows,
+                            &guarded.on_rows[(p * kBlock + k) * n_rows]);
+        derive_bounds(c, e.data(), rows.data());
+        laid_out_ = false;
+    }
+
+    // k connections, each a law; terms are (connection, slot, port, guarded, factor). Call after set_solve.
+    void set_nonlinear(const std::vector<LawArrays>& laws,
+                       const std::vector<std::tuple<int, int, int, bool, double>>& terms, double dt, double theta,
+                       bool guarded, In z, In from_linear, In answer, In residual, In weights) {
+        const std::size_t k = laws.size(), m = solve_.m;
+        expect("z", z, {k, k});
+        expect("from_linear", from_linear, {k, m});
+        expect("answer", answer, {m, k});
+        expect("residual", residual, {k, k});
+        expect("weights", weights, {std::size_t(n_channels_), k});
+        Nonlinear nl;
+        nl.k = int(k), nl.dt = dt, nl.theta = theta, nl.asleep_allowed = guarded;
+        for (const LawArrays& law : laws) nl.laws.push_back(make_law(law));
+        for (const auto& [connection, slot, port, is_guarded, factor] : terms) {
+            if (connection < 0 || std::size_t(connection) >= k || slot < 0 || std::size_t(slot) >= components_.size() ||
+                port < 0)
+                throw std::invalid_argument("a nonlinear connection does not fit the components");
+            nl.all_terms.push_back({connection, slot, port, is_guarded, factor});
+        }
+        nl.z.assign(z.data(), z.data() + z.size());
+        nl.from_linear.assign(from_linear.data(), from_linear.data() + from_linear.size());
+        nl.residual.assign(residual.data(), residual.data() + residual.size());
+        nl.weights.assign(weights.data(), weights.data() + weights.size());
+        const std::size_t f_width = (m + kLane - 1) / kLane * kLane;
+        nl.answer.assign(k * f_width, 0.0);
+        for (std::size_t i = 0; i < m; ++i)
+            for (std::size_t j = 0; j < k; ++j) nl.answer[j * f_width + i] = answer.data()[i * k + j];
+        for (std::size_t j = 0; j < k; ++j)
+            for (std::size_t o = 0; o < std::size_t(n_channels_); ++o)
+                if (nl.weights[o * k + j] != 0.0) {
+                    nl.heard.push_back(int(j));
+                    break;
+                }
+        // gaps that share residual compliance
+        nl.series.assign(k, -1);
+        std::vector<std::size_t> open;
+        for (std::size_t j = 0; j < k; ++j) {
+            if (nl.series[j] >= 0 || nl.residual[j * k + j] == 0.0) continue;
+            open.push_back(j);
+            nl.series[j] = nl.n_series;
+            while (!open.empty()) {
+                const std::size_t i = open.back();
+                open.pop_back();
+                for (std::size_t q = 0; q < k; ++q)
+                    if (nl.series[q] < 0 && nl.residual[i * k + q] != 0.0) nl.series[q] = nl.n_series, open.push_back(q);
+            }
+            ++nl.n_series;
+        }
+        nonlinear_ = std::move(nl);
+        laid_out_ = false;
+    }
+
     void set_solve(In g, In gamma, In constant, In weights) {
         const std::size_t m = gamma.size();
         expect("g", g, {m, m});
@@ -115,12 +235,14 @@ public:
         solve_.weights.assign(weights.data(), weights.data() + weights.size());
     }
 
-    // Advances `modes` (2, capacity) in place; fills out (n, n_channels) and forces (n, m).
-    // Returns (slot, sample) of the first fault, slot -1 if there is none.
+    // Advances `modes` (2, capacity) and `series`, `slip`, `last_force` (k) in place; fills out (n, n_channels), forces
+    // (n, m) and law_forces (n, k), which must be zero. Controls are (connection, (4, n)).
+    // Returns (slot, sample) of the first fault; slot -1 if there is none, -2 if forces were not found.
     std::pair<int, std::int64_t> run(nb::ndarray<T, nb::c_contig, nb::device::cpu> modes,
-                                     nb::ndarray<double, nb::c_contig, nb::device::cpu> out,
-                                     nb::ndarray<double, nb::c_contig, nb::device::cpu> forces,
-                                     const std::vector<std::tuple<int, std::int64_t, InT<T>, In>>& injections) {
+                                     Out out, Out forces,
+                                     const std::vector<std::tuple<int, std::int64_t, InT<T>, In>>& injections,
+                                     Out law_forces, const std::vector<std::pair<int, In>>& controls, Out series,
+                                     Out slip, Out last_force) {
         for (const auto& c : components_)
             for (const auto& shares : c.shares)
                 for (const Share& s : shares)
@@ -130,6 +252,16 @@ public:
         if (out.ndim() != 2 || forces.ndim() != 2 || out.shape(1) != std::size_t(n_channels_) ||
             forces.shape(1) != std::size_t(solve_.m) || out.shape(0) != forces.shape(0))
             throw std::invalid_argument("the outputs have the wrong shape");
+        const std::size_t k = nonlinear_.k;
+        if (law_forces.ndim() != 2 || law_forces.shape(0) != out.shape(0) || law_forces.shape(1) != k ||
+            series.size() != k || slip.size() != k || last_force.size() != k)
+            throw std::invalid_argument("the state of nonlinear connections has the wrong shape");
+        std::vector<Control> moved;
+        for (const auto& [connection, values] : controls) {
+            expect("control", values, {4, out.shape(0)});
+            if (connection < 0 || std::size_t(connection) >= k) throw std::invalid_argument("no such connection");
+            moved.push_back({connection, values.data()});
+        }
         std::vector<Injection<T>> known;
         for (const auto& [slot, first, vectors, values] : injections) {
             if (slot < 0 || std::size_t(slot) >= components_.size() || vectors.ndim() != 3 || values.ndim() != 2 ||
@@ -143,10 +275,25 @@ public:
         job.modes[0] = modes.data(), job.modes[1] = modes.data() + capacity_;
         job.n = std::int64_t(out.shape(0)), job.out = out.data(), job.forces = forces.data();
         job.n_channels = n_channels_, job.injections = known.data(), job.n_injections = int(known.size());
-        if (!laid_out_) lay_out();
+        job.law_forces = law_forces.data(), job.series = series.data(), job.slip = slip.data();
+        job.last_force = last_force.data(), job.controls = moved.data(), job.n_controls = int(moved.size());
+        if (!laid_out_) {
+            lay_out();
+            arrange(components_, nonlinear_);
+            prepare(components_, nonlinear_, layout_, capacity_, workspace_);
+        }
         nb::gil_scoped_release release;
-        const Fault fault = run_(components_, layout_, solve_, job);
+        const Fault fault = run_(components_, layout_, solve_, nonlinear_, workspace_, statistics_, job);
         return {fault.slot, fault.sample};
+    }
+
+    // Connections that acted last, or whose forces were not found.
+    std::vector<int> active() const { return workspace_.active; }
+
+    std::vector<std::int64_t> statistics() const {
+        const Statistics& s = statistics_;
+        return {s.solves, s.iterations, s.most_iterations, s.failures, s.tension_iterations, s.most_tension_iterations,
+                s.blocks, s.rows_read, s.woken};
     }
 
 private:
@@ -154,7 +301,7 @@ private:
     static void derive(Component<T>& c, const double* e, const double* rows, const double* w) {
         const std::size_t n = c.n;
         c.turn.resize(n), c.kappa.resize(n), c.e_block.resize(4 * n);
-        c.slopes.resize(c.rows.size()), c.w_slope.resize(c.w.size());
+        c.slopes = slopes_of(n, e, rows, c.n_rows), c.w_slope = w_slopes_of(n, e, w, c.n_ports);
         for (std::size_t k = 0; k < n; ++k) {
             const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
             c.turn[k] = T(a + d - 1);
@@ -173,17 +320,31 @@ private:
                     for (T& t : turn) t = std::nextafter(t, T(0));
             }
             for (int i = 0; i < 4; ++i) c.e_block[i * n + k] = turn[i];
-            for (int r = 0; r < c.n_rows; ++r) {
-                const double rx = rows[2 * r * n + k], ry = rows[(2 * r + 1) * n + k];
-                c.slopes[2 * r * n + k] = T(rx * (a - 1) + ry * g);
-                c.slopes[(2 * r + 1) * n + k] = T(rx * b + ry * (d - 1));
-            }
-            for (int q = 0; q < c.n_ports; ++q) {
-                const double wx = w[2 * q * n + k], wy = w[(2 * q + 1) * n + k];
-                c.w_slope[2 * q * n + k] = T((1 - d) * wx + b * wy);
-                c.w_slope[(2 * q + 1) * n + k] = T(g * wx + (1 - a) * wy);
-            }
         }
+    }
+
+    // rows (E - I), of `count` rows of n modes
+    static Array<T> slopes_of(std::size_t n, const double* e, const double* rows, std::size_t count) {
+        Array<T> out(2 * count * n);
+        for (std::size_t r = 0; r < count; ++r)
+            for (std::size_t k = 0; k < n; ++k) {
+                const double rx = rows[2 * r * n + k], ry = rows[(2 * r + 1) * n + k];
+                out[2 * r * n + k] = T(rx * (e[k] - 1) + ry * e[2 * n + k]);
+                out[(2 * r + 1) * n + k] = T(rx * e[n + k] + ry * (e[3 * n + k] - 1));
+            }
+        return out;
+    }
+
+    // (I + E - tr) w
+    static Array<T> w_slopes_of(std::size_t n, const double* e, const double* w, std::size_t count) {
+        Array<T> out(2 * count * n);
+        for (std::size_t q = 0; q < count; ++q)
+            for (std::size_t k = 0; k < n; ++k) {
+                const double wx = w[2 * q * n + k], wy = w[(2 * q + 1) * n + k];
+                out[2 * q * n + k] = T((1 - e[3 * n + k]) * wx + e[n + k] * wy);
+                out[(2 * q + 1) * n + k] = T(e[2 * n + k] * wx + (1 - e[k]) * wy);
+            }
+        return out;
     }
 
     // Gives every row and port its place and folds the connections into small matrices; see Layout.
@@ -265,6 +426,9 @@ private:
     Layout layout_;
     bool laid_out_ = false;
     Solve solve_;
+    Nonlinear nonlinear_;
+    Workspace workspace_;
+    Statistics statistics_;
 };
 
 template <class T>
@@ -274,7 +438,11 @@ void bind(nb::module_& m, const char* name) {
         .def(nb::init<const std::string&, std::size_t, std::size_t, int>())
         .def("set_component", &K::set_component)
         .def("set_solve", &K::set_solve)
-        .def("run", &K::run);
+        .def("set_guarded", &K::set_guarded)
+        .def("set_nonlinear", &K::set_nonlinear)
+        .def("run", &K::run)
+        .def("active", &K::active)
+        .def("statistics", &K::statistics);
 }
 
 }  // namespace

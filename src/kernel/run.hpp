@@ -11,6 +11,8 @@
 #include <immintrin.h>
 #endif
 
+#include "lines.hpp"
+#include "nonlinear.hpp"
 #include "sweep.hpp"
 
 namespace tonewood {
@@ -64,80 +66,9 @@ void emit(const Component<T>& c, const double* rows, int stride, std::int64_t st
     }
 }
 
-// sum += matrix^T x over the rows of a (n, width) matrix, width a multiple of kLane
-inline void add_product(const double* __restrict matrix, int width, const double* __restrict x, int n,
-                        double* __restrict sum) {
-    using S = Simd<double>;
-    static_assert(kLane % S::width == 0);
-    for (int k = 0; k < width; k += S::width) {
-        // four sums side by side: a chain of additions would wait for itself
-        S::V a = S::load(sum + k), b{}, c{}, d{};
-        const double* column = matrix + k;
-        int i = 0;
-        for (; i + 3 < n; i += 4, column += 4 * width) {
-            a += S::load(column) * x[i];
-            b += S::load(column + width) * x[i + 1];
-            c += S::load(column + 2 * width) * x[i + 2];
-            d += S::load(column + 3 * width) * x[i + 3];
-        }
-        for (; i < n; ++i, column += width) b += S::load(column) * x[i];
-        S::store(sum + k, (a + b) + (c + d));
-    }
-}
-
-// What the port forces of one sample do to every row in the rest of the block. `lines` begins at the next sample.
-inline void spread(const Layout& layout, const double* __restrict force, int n_left, double* __restrict per_row,
-                   double* __restrict lines) {
-    using S = Simd<double>;
-    const int width = layout.width, single_width = layout.single_width;
-    for (std::size_t i = 0; i < layout.singles.size(); ++i)
-        per_row[i] = layout.singles[i] < 0 ? 0.0 : force[layout.singles[i]];
-    const double* __restrict h = layout.single_history.data();
-    for (int i = 0; i < single_width; i += S::width) {
-        const S::V f = S::load(per_row + i);
-        for (int k = 0; k < n_left; ++k) {
-            double* line = lines + std::size_t(k) * width + i;
-            S::store(line, S::load(line) + S::load(h + std::size_t(k) * single_width + i) * f);
-        }
-    }
-    for (const Layout::Several& c : layout.several) {
-        const double* __restrict hc = c.history.data();
-        const double* __restrict f = force + c.force;
-        for (int i = 0; i < c.width; i += S::width)
-            for (int k = 0; k < n_left; ++k) {
-                const double* __restrict column = hc + std::size_t(k) * c.n_ports * c.width + i;
-                double* line = lines + std::size_t(k) * width + c.row + i;
-                S::V even = S::load(line), odd{};
-                int p = 0;
-                for (; p + 1 < c.n_ports; p += 2, column += 2 * c.width) {
-                    even += S::load(column) * f[p];
-                    odd += S::load(column + c.width) * f[p + 1];
-                }
-                if (p < c.n_ports) even += S::load(column) * f[p];
-                S::store(line, even + odd);
-            }
-    }
-}
-
-// Rows of a driven component over a whole block under known port forces. A row's history has kBlock zeros before it,
-// so that its response to the force of sample b is read from it at one place for all samples.
-inline void respond(const double* history, int n_ports, int n_rows, const double* forces, int stride, double* lines) {
-    using S = Simd<double>;
-    constexpr int n_vectors = kBlock / S::width;
-    for (int r = 0; r < n_rows; ++r) {
-        S::V sum[n_vectors] = {};
-        for (int p = 0; p < n_ports; ++p) {
-            const double* h = history + std::size_t(p * n_rows + r) * 2 * kBlock + kBlock;
-            for (int b = 0; b < kBlock; ++b)
-                for (int v = 0; v < n_vectors; ++v) sum[v] += S::load(h - b + v * S::width) * forces[b * stride + p];
-        }
-        for (int v = 0; v < n_vectors; ++v)
-            for (int lane = 0; lane < S::width; ++lane) lines[(v * S::width + lane + 1) * n_rows + r] += sum[v][lane];
-    }
-}
-
 template <class T>
-Fault run(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve, const Job<T>& job) {
+Fault run(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
+          const Nonlinear& nonlinear, Workspace& workspace, Statistics& statistics, const Job<T>& job) {
     const FlushDenormals guard;
     const int n_components = int(components.size()), m = solve.m, width = layout.width;
     const int force_width = layout.force_width, n_ports = int(layout.port_rows.size());
@@ -149,6 +80,7 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
     Array<double> y(2 * n_ports);  // port displacements: free at the step's end, then at its beginning
     std::vector<std::vector<Input<T>>> known(n_components);
     std::vector<Array<double>> known_values(job.n_injections);
+    NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known);
 
     for (std::int64_t start = 0; start < job.n; start += kBlock) {
         const int nb = int(job.n - start < kBlock ? job.n - start : kBlock);
@@ -160,13 +92,15 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             if (c.driven) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             // many rows are cheaper read from one turning motion
+            const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, &lines[layout.row[i]], width, 1};
             if (known[i].empty() && nb == kBlock && c.n_rows <= 2)
-                recur_read(c, x, y, &lines[layout.row[i]], width);
+                recur_read(c, x, y, rows);
             else
-                turn<T, true, false>(c, x, y, known[i].data(), int(known[i].size()), nb, &lines[layout.row[i]], width);
+                turn<T, true, false>(c, x, y, known[i].data(), int(known[i].size()), nb, rows);
             // looked at here too, before connections spread a fault to other components
             if (!finite(&lines[std::size_t(nb) * width + layout.row[i]], c.n_rows)) return {i, start};
         }
+        if (nonlinear.k) laws.begin_block(start, nb, lines.data(), force.data());
 
         // forces, sample by sample
         for (int b = 0; b < nb; ++b) {
@@ -177,11 +111,16 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             }
             std::copy(layout.constant.begin(), layout.constant.end(), f.begin());
             add_product(layout.pull.data(), layout.f_width, y.data(), 2 * n_ports, f.data());
-            std::copy(f.begin(), f.begin() + m, job.forces + (start + b) * m);
             double* now = &force[std::size_t(b) * force_width];
-            std::fill(now, now + force_width, 0.0);
-            add_product(layout.push.data(), force_width, f.data(), m, now);
+            if (nonlinear.k) {
+                if (!laws.forces(b, f.data(), now)) return {Fault::kUnsolved, start + b};
+            } else {
+                std::fill(now, now + force_width, 0.0);
+                add_product(layout.push.data(), force_width, f.data(), m, now);
+            }
+            std::copy(f.begin(), f.begin() + m, job.forces + (start + b) * m);
             spread(layout, now, nb - b, per_row.data(), &lines[std::size_t(b + 1) * width]);
+            if (nonlinear.k) laws.push_on(b, now);
         }
 
         for (int b = 0; b < nb; ++b)
@@ -191,6 +130,7 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
                 for (int j = 0; j < m; ++j) total += w[j] * fb[j];
                 job.out[(start + b) * job.n_channels + o] = total;
             }
+        laws.emit(start, nb);
 
         // the correction: inputs known by now move the state; what is driven one way is read on the way
         for (int i = 0; i < n_components; ++i) {
@@ -199,22 +139,26 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             auto& inputs = known[i];
             const double* forces = &force[layout.port[i]];
             const bool recurs = inputs.empty() && nb == kBlock && c.n_ports <= 2;
+            const Ports<T> ports{c.w.data(), c.w_slope.data(), c.n_ports, nullptr, forces, force_width, 1};
             for (int p = 0; p < c.n_ports; ++p)
                 inputs.push_back({&c.w[std::size_t(2 * p) * c.n], forces + p, force_width});
+            if (nb < kBlock) laws.add_inputs(i, inputs);
             if (!c.driven) {
                 if (recurs)
-                    recur_store(c, x, y, forces, force_width);
+                    recur_store<T, true>(c, x, y, ports);
                 else
-                    turn<T, false, true>(c, x, y, inputs.data(), int(inputs.size()), nb, nullptr, 0);
+                    turn<T, false, true>(c, x, y, inputs.data(), int(inputs.size()), nb, {});
+                if (nb == kBlock) laws.push_modes(i, x, y);
                 continue;
             }
             driven_lines.assign(std::size_t(kBlock + 1) * c.n_rows, 0.0);
+            const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, driven_lines.data(), c.n_rows, 1};
             if (recurs && c.n_rows <= c.n_ports + 1) {
-                recur_read(c, x, y, driven_lines.data(), c.n_rows);
+                recur_read(c, x, y, rows);
                 respond(layout.driven_history[i].data(), c.n_ports, c.n_rows, forces, force_width, driven_lines.data());
-                recur_store(c, x, y, forces, force_width);
+                recur_store<T, true>(c, x, y, ports);
             } else {
-                turn<T, true, true>(c, x, y, inputs.data(), int(inputs.size()), nb, driven_lines.data(), c.n_rows);
+                turn<T, true, true>(c, x, y, inputs.data(), int(inputs.size()), nb, rows);
             }
             if (!finite(&driven_lines[std::size_t(nb) * c.n_rows], c.n_rows)) return {i, start};
             emit(c, driven_lines.data(), c.n_rows, start, nb, job);
@@ -228,6 +172,7 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             if (!finite(rows + std::size_t(nb) * width, c.n_rows)) return {i, start};
         }
     }
+    laws.finish();
     // a component that nothing reads is looked at once per run
     for (int i = 0; i < n_components; ++i) {
         const Component<T>& c = components[i];

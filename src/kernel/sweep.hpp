@@ -18,6 +18,28 @@
 namespace tonewood {
 namespace {
 
+// Rows to read, and where to: the value of row i at a sample goes to value[sample * sample_stride + i * row_stride].
+template <class T>
+struct Rows {
+    const T *rows, *slopes;     // (all, 2, n)
+    int count;                  // the first ones,
+    const int* list;            // or those of a list
+    double* value;
+    int sample_stride, row_stride;
+    int operator[](int i) const { return list ? list[i] : i; }
+};
+
+// Ports to push, with the force forces[sample * sample_stride + i * port_stride] on port i.
+template <class T>
+struct Ports {
+    const T *w, *w_slope;       // (all, 2, n)
+    int count;
+    const int* list;
+    const double* forces;
+    int sample_stride, port_stride;
+    int operator[](int i) const { return list ? list[i] : i; }
+};
+
 // Accumulators of rows, one vector per row and sample.
 template <class T>
 T* accumulators(int n_rows) {
@@ -28,11 +50,12 @@ T* accumulators(int n_rows) {
     return memory.data();
 }
 
-// Row values at samples 0 .. nb go to value[sample * stride + row].
 template <class T>
-void reduce(const T* acc, int n_rows, int nb, double* value, int stride) {
-    for (int r = 0; r < n_rows; ++r)
-        for (int s = 0; s <= nb; ++s, acc += Simd<T>::width) value[s * stride + r] = Simd<T>::sum(acc);
+void reduce(const T* acc, const Rows<T>& rows, int nb) {
+    for (int r = 0; r < rows.count; ++r) {
+        double* to = rows.value + std::ptrdiff_t(rows[r]) * rows.row_stride;
+        for (int s = 0; s <= nb; ++s, acc += Simd<T>::width) to[s * rows.sample_stride] = Simd<T>::sum(acc);
+    }
 }
 
 // Goes through n modes in the widest packs first, then in smaller ones: calls visit(pack size tag, first mode).
@@ -44,14 +67,13 @@ void in_packs(std::size_t n, const Visit& visit, std::size_t k = 0) {
 
 // Turning. Read: row values at samples 0 .. nb. Store: the state moves on to sample nb.
 template <class T, bool Read, bool Store>
-void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inputs, int nb, double* value, int stride) {
+void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inputs, int nb, const Rows<T>& rows) {
     constexpr int N = kPadding / Simd<T>::width < 2 ? 1 : 2;
     using P = Pack<T, N>;
     constexpr int width = Simd<T>::width;
     static_assert(kPadding % P::size == 0);
     const std::size_t n = c.n;
-    const int n_rows = Read ? c.n_rows : 0;
-    T* const acc = Read ? accumulators<T>(n_rows) : nullptr;
+    T* const acc = Read ? accumulators<T>(rows.count) : nullptr;
     alignas(64) T path_x[(kBlock + 1) * P::size], path_y[(kBlock + 1) * P::size];
 
     for (std::size_t k = 0; k < n; k += P::size) {
@@ -71,8 +93,9 @@ void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inp
         }
         if constexpr (Read) {
             x.store(path_x + nb * P::size), y.store(path_y + nb * P::size);
-            for (int r = 0; r < n_rows; ++r) {
-                const P rx = P::load(&c.rows[2 * r * n + k]), ry = P::load(&c.rows[(2 * r + 1) * n + k]);
+            for (int r = 0; r < rows.count; ++r) {
+                const T* row = rows.rows + 2 * std::size_t(rows[r]) * n + k;
+                const P rx = P::load(row), ry = P::load(row + n);
                 T* to = acc + std::size_t(r) * (nb + 1) * width;
                 for (int s = 0; s <= nb; ++s, to += width) {
                     const P share = mul_add(rx, P::load(path_x + s * P::size), ry * P::load(path_y + s * P::size));
@@ -82,18 +105,18 @@ void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inp
         }
         if constexpr (Store) x.store(sx + k), y.store(sy + k);
     }
-    if constexpr (Read) reduce(acc, n_rows, nb, value, stride);
+    if constexpr (Read) reduce(acc, rows, nb);
 }
 
-// Recurring, a whole block: values of all rows, without inputs. The state stays.
+// Recurring, a whole block: values of rows, without inputs. The state stays.
 template <class T>
-void recur_read(const Component<T>& c, const T* sx, const T* sy, double* value, int stride) {
+void recur_read(const Component<T>& c, const T* sx, const T* sy, const Rows<T>& rows) {
     constexpr int width = Simd<T>::width;
     const std::size_t n = c.n;
-    T* const acc = accumulators<T>(c.n_rows);
-    for (int r = 0; r < c.n_rows; ++r) {
-        const T* row = &c.rows[2 * r * n];
-        const T* slope = &c.slopes[2 * r * n];
+    T* const acc = accumulators<T>(rows.count);
+    for (int r = 0; r < rows.count; ++r) {
+        const T* row = rows.rows + 2 * std::size_t(rows[r]) * n;
+        const T* slope = rows.slopes + 2 * std::size_t(rows[r]) * n;
         T* const to = acc + std::size_t(r) * (kBlock + 1) * width;
         in_packs<T, kPack>(n, [&]<int N>(std::size_t k) {
             using P = Pack<T, N>;
@@ -110,28 +133,32 @@ void recur_read(const Component<T>& c, const T* sx, const T* sy, double* value, 
             Simd<T>::store(to + kBlock * width, Simd<T>::load(to + kBlock * width) + s.folded());
         });
     }
-    reduce(acc, c.n_rows, kBlock, value, stride);
+    reduce(acc, rows, kBlock);
 }
 
-// Recurring, a whole block: the state moves on under the port forces, forces[b * stride + port].
-template <class T>
-void recur_store(const Component<T>& c, T* sx, T* sy, const double* forces, int stride) {
+// Recurring, a whole block: the state moves on under port forces; Advance: and by itself.
+template <class T, bool Advance>
+void recur_store(const Component<T>& c, T* sx, T* sy, const Ports<T>& ports) {
     const std::size_t n = c.n;
     in_packs<T, kPack>(n, [&]<int N>(std::size_t k) {
         using P = Pack<T, N>;
         const P x = P::load(sx + k), y = P::load(sy + k);
-        P nx = mul_add(P::load(&c.e_block[k]), x, P::load(&c.e_block[n + k]) * y);
-        P ny = mul_add(P::load(&c.e_block[3 * n + k]), y, P::load(&c.e_block[2 * n + k]) * x);
+        P nx = x, ny = y;
+        if constexpr (Advance) {
+            nx = mul_add(P::load(&c.e_block[k]), x, P::load(&c.e_block[n + k]) * y);
+            ny = mul_add(P::load(&c.e_block[3 * n + k]), y, P::load(&c.e_block[2 * n + k]) * x);
+        }
         const P turn = P::load(&c.turn[k]), kappa = P::load(&c.kappa[k]);
-        for (int p = 0; p < c.n_ports; ++p) {
-            const double* f = forces + p;
+        for (int i = 0; i < ports.count; ++i) {
+            const std::size_t p = ports[i];
+            const double* f = ports.forces + std::ptrdiff_t(p) * ports.port_stride;
             P d{}, u{};
             for (int b = 0; b < kBlock; ++b) {
-                const P push = neg_mul_plus(kappa, u, T(f[b * stride]));
+                const P push = neg_mul_plus(kappa, u, T(f[b * ports.sample_stride]));
                 u = u + d;
                 d = mul_add(turn, d, push);
             }
-            const T *w = &c.w[2 * p * n + k], *v = &c.w_slope[2 * p * n + k];
+            const T *w = ports.w + 2 * p * n + k, *v = ports.w_slope + 2 * p * n + k;
             nx = mul_add(P::load(w), d, mul_add(P::load(v), u, nx));
             ny = mul_add(P::load(w + n), d, mul_add(P::load(v + n), u, ny));
         }

@@ -31,13 +31,43 @@ class _Kernel:
         constant: NDArray[np.float64],
         weights: NDArray[np.float64],
     ) -> None: ...
+    def set_guarded(
+        self,
+        slot: int,
+        e: NDArray[np.float64],
+        rows: NDArray[np.float64],
+        w: NDArray[np.float64],
+        from_fixed: NDArray[np.float64],
+        from_guarded: NDArray[np.float64],
+        on_rows: NDArray[np.float64],
+    ) -> None: ...
+    def set_nonlinear(
+        self,
+        laws: Sequence[tuple[int, list[float], list[float], list[float], list[tuple[int, int, bool]]]],
+        terms: Sequence[tuple[int, int, int, bool, float]],
+        dt: float,
+        theta: float,
+        guarded: bool,
+        z: NDArray[np.float64],
+        from_linear: NDArray[np.float64],
+        answer: NDArray[np.float64],
+        residual: NDArray[np.float64],
+        weights: NDArray[np.float64],
+    ) -> None: ...
     def run(
         self,
         modes: NDArray[np.floating],
         out: NDArray[np.float64],
         forces: NDArray[np.float64],
         injections: Sequence[tuple[int, int, NDArray[np.floating], NDArray[np.float64]]],
+        law_forces: NDArray[np.float64],
+        controls: Sequence[tuple[int, NDArray[np.float64]]],
+        series: NDArray[np.float64],
+        slip: NDArray[np.float64],
+        last_force: NDArray[np.float64],
     ) -> tuple[int, int]: ...
+    def active(self) -> list[int]: ...
+    def statistics(self) -> list[int]: ...
 
 class KernelF64(_Kernel): ...
 class KernelF32(_Kernel): ...

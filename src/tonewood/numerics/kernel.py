@@ -8,16 +8,29 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tonewood import _kernel
 from tonewood.errors import NumericalError, TonewoodError
-from tonewood.numerics.connections import SpringDashpot
-from tonewood.numerics.system import Compiled, Injection, State, System
+from tonewood.numerics.connections import SERIES, SpringDashpot
+from tonewood.numerics.laws import (
+    CompiledPotential,
+    Contact,
+    Friction,
+    HardeningSpring,
+    NonlinearLaw,
+    SampledPotential,
+    Scalar,
+)
+from tonewood.numerics.stepper import Statistics
+from tonewood.numerics.system import Compiled, Control, Injection, State, System
 
 Floats = NDArray[np.float64]
+#: nonlinear connection, component, port among its fixed or its guarded ones, whether it is guarded, factor
+Term = tuple[int, int, int, bool, float]
 
 
 def instruction_set() -> str:
@@ -31,6 +44,19 @@ def instruction_set() -> str:
     return wanted
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Wires:
+    """How connections use a component: its ports that are always stepped, those only contacts act on, and where.
+
+    `incidence` (n_linear, n_fixed) is that of the linear connections; `key` tells whether any of it changed.
+    """
+
+    fixed: NDArray[np.intp]
+    guarded: NDArray[np.intp]
+    incidence: Floats
+    key: bytes
+
+
 class KernelStepper:
     """Steps a `System` in C++.
 
@@ -39,9 +65,10 @@ class KernelStepper:
     system : what to step.
     precision : ``f64`` or ``f32`` (states and coefficients; forces are solved for in double).
     isa : instruction set, by default `instruction_set()`.
+    guarded : leave contacts out while a bound says that they touch nothing; the results are the same bit for bit.
     """
 
-    def __init__(self, system: System, *, precision: str = "f64", isa: str | None = None):
+    def __init__(self, system: System, *, precision: str = "f64", isa: str | None = None, guarded: bool = True):
         if precision not in ("f64", "f32"):
             raise ValueError(f"precision is f64 or f32, not {precision!r}")
         make = _kernel.KernelF64 if precision == "f64" else _kernel.KernelF32
@@ -49,6 +76,8 @@ class KernelStepper:
         self._kernel = make(isa or instruction_set(), len(system.names), sum(system.capacities), len(system.readouts))
         self._packed: dict[int, tuple[Injection, NDArray[np.floating], Floats]] = {}
         self._loaded: list[tuple[Compiled, bytes] | None] = [None] * len(system.names)
+        self._wirings: dict[tuple[bytes, bytes, bytes], tuple[list[_Wires], list[Term]]] = {}
+        self._guarded, self._steps = guarded, 0
         self.system = system
         self._load(system)
 
@@ -57,35 +86,57 @@ class KernelStepper:
         self.system = system
         self._load(system)
 
+    @property
+    def statistics(self) -> Statistics:
+        """What the nonlinear solves took, since this stepper was made."""
+        solves, iterations, most, failures, tension, most_tension, *_ = self._kernel.statistics()
+        return Statistics(self._steps, solves, iterations, most, tension, most_tension, failures)
+
+    @property
+    def guard_statistics(self) -> dict[str, int]:
+        """Blocks stepped with nonlinear connections, rows of contacts read in them, contacts woken inside a block."""
+        blocks, rows, woken = self._kernel.statistics()[6:9]
+        return {"blocks": blocks, "rows_read": rows, "woken": woken}
+
     def _load(self, system: System) -> None:
+        nonlinear = system.nonlinear
+        self._nonlinear = np.zeros(0, dtype=np.intp) if nonlinear is None else nonlinear.index
         idle = np.array([_idle(c.law) for c in system.connections], dtype=bool)
+        idle[self._nonlinear] = True
         self._active = np.flatnonzero(~idle)
-        for slot, (compiled, one_way) in enumerate(zip(system.compiled, system.driven, strict=True)):
-            incidence = system.incidence(slot)[self._active]
-            wired = np.nonzero(incidence)
-            key = b"".join(part.tobytes() for part in (*wired, incidence[wired]))
-            if (known := self._loaded[slot]) and known[0] is compiled and known[1] == key:
+        wiring, terms = self._wired(system)
+        for slot, (compiled, one_way, wires) in enumerate(zip(system.compiled, system.driven, wiring, strict=True)):
+            if (known := self._loaded[slot]) and known[0] is compiled and known[1] == wires.key:
                 continue
-            self._loaded[slot] = (compiled, key)
-            p = len(compiled.ports)
-            used = np.any(incidence != 0.0, axis=0)
+            self._loaded[slot] = (compiled, wires.key)
             # nobody asks for the motion of a driven component's ports
-            ports_read = np.zeros(p, dtype=bool) if one_way else used
-            keep = np.concatenate([ports_read, np.ones(len(compiled.rows) - p, dtype=bool)])
-            rows = compiled.rows[keep]
-            E = compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)
+            readouts = np.arange(len(compiled.ports), len(compiled.rows))
+            fixed, guarded = wires.fixed, wires.guarded
+            rows = readouts if one_way else np.concatenate([fixed, readouts])
+            E = _pack((compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)).reshape(-1, 4)[None])[0]
+            history = compiled.history
             self._kernel.set_component(
                 slot,
                 system.offsets[slot],
                 one_way,
-                _pack(E.reshape(-1, 4)[None])[0],
-                _pack(rows),
-                _pack(compiled.W[used]),
-                np.ascontiguousarray(compiled.history[:, used][:, :, keep]),
-                np.ascontiguousarray(incidence[:, used]),
+                E,
+                _pack(compiled.rows[rows]),
+                _pack(compiled.W[fixed]),
+                np.ascontiguousarray(history[:, fixed][:, :, rows]),
+                wires.incidence,
                 compiled.readouts.tolist(),
                 compiled.difference.astype(int).tolist(),
             )
+            if guarded.size:
+                self._kernel.set_guarded(
+                    slot,
+                    E,
+                    _pack(compiled.rows[guarded]),
+                    _pack(compiled.W[guarded]),
+                    np.ascontiguousarray(history[:, fixed][:, :, guarded]),
+                    np.ascontiguousarray(history[:, guarded][:, :, guarded]),
+                    np.ascontiguousarray(history[:, guarded][:, :, rows]),
+                )
         s = system.solve
         on = self._active
         self._kernel.set_solve(
@@ -94,31 +145,93 @@ class KernelStepper:
             s.constant[on],
             np.ascontiguousarray(system.force_weights()[:, on]),
         )
+        no, none = np.zeros((0, len(on))), np.zeros((0, 0))
+        Z, from_linear, answer, residual = (
+            (none, no, no.T, none)
+            if nonlinear is None
+            else (nonlinear.Z, nonlinear.from_linear[:, on], nonlinear.answer[on], nonlinear.residual)
+        )
+        weights = system.force_weights()[:, self._nonlinear]
+        self._kernel.set_nonlinear(
+            [] if nonlinear is None else [_law(law) for law in nonlinear.laws],
+            terms,
+            system.dt,
+            SERIES,
+            self._guarded,
+            *(np.ascontiguousarray(a) for a in (Z, from_linear, answer, residual, weights)),
+        )
 
-    def run(self, state: State, n: int, injections: Sequence[Injection] = ()) -> tuple[Floats, Floats]:
+    def _wired(self, system: System) -> tuple[list[_Wires], list[Term]]:
+        """Ports of every component as the connections now use them; made once for each set of those in use."""
+        contact = np.array([isinstance(c.law, Contact) for c in system.connections], dtype=bool)
+        key = self._active.tobytes(), self._nonlinear.tobytes(), contact.tobytes()
+        if key not in self._wirings:
+            always = np.concatenate([self._active, self._nonlinear[~contact[self._nonlinear]]])
+            wiring: list[_Wires] = []
+            terms: list[Term] = []
+            for slot, one_way in enumerate(system.driven):
+                incidence = system.incidence(slot)
+                acts = incidence != 0.0
+                touched = np.any(acts[self._nonlinear], axis=0)
+                needed = np.any(acts[always], axis=0)
+                guarded = np.flatnonzero(touched & ~needed & (not one_way))
+                fixed = np.flatnonzero((touched | needed) & ~np.isin(np.arange(acts.shape[1]), guarded))
+                for j, port in zip(*np.nonzero(acts[self._nonlinear]), strict=True):
+                    among, factor = (guarded if port in guarded else fixed), incidence[self._nonlinear[j], port]
+                    k = int(np.searchsorted(among, port))
+                    terms.append((int(j), slot, k, among is guarded, float(factor)))
+                wires = np.ascontiguousarray(incidence[self._active][:, fixed])
+                wired = np.nonzero(wires)
+                parts = (*wired, wires[wired], fixed, guarded)
+                wiring.append(_Wires(fixed, guarded, wires, b"|".join(part.tobytes() for part in parts)))
+            self._wirings[key] = wiring, terms
+        return self._wirings[key]
+
+    def run(
+        self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
+    ) -> tuple[Floats, Floats]:
         """Advance `state` in place by n steps; see `NumpyStepper.run`."""
         if state.modes.dtype != self.dtype:
             raise ValueError(f"a state of {state.modes.dtype} does not fit a kernel of {np.dtype(self.dtype)}")
+        m, on = len(self.system.connections), self._nonlinear
+        if state.series.size != m or state.slip.size != m:
+            state.series, state.slip = np.zeros(m), np.zeros(m)
         out = np.empty((n, len(self.system.readouts)))
-        active_forces = np.empty((n, len(self._active)))
+        active_forces, law_forces = np.empty((n, len(self._active))), np.zeros((n, len(on)))
+        series, slip, last = state.series[on], state.slip[on], state.forces[on]
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
         slot, sample = self._kernel.run(
-            state.modes, out, active_forces, [self._pack_injection(i, state) for i in active]
+            state.modes,
+            out,
+            active_forces,
+            [self._pack_injection(i, state) for i in active],
+            law_forces,
+            list(self.system.controlled(controls, state.sample, n).items()),
+            series,
+            slip,
+            last,
         )
-        if slot >= 0:
+        if slot != -1:
             t = (state.sample + sample) * self.system.dt
-            raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
-        forces = np.zeros((n, len(self.system.connections)))
+            if slot >= 0:
+                raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
+            names = ", ".join(self.system.connections[on[j]].name for j in self._kernel.active())
+            raise NumericalError(f"the forces of {names} were not found at {t:.6f} s")
+        forces = np.zeros((n, m))
         forces[:, self._active] = active_forces
+        forces[:, on] = law_forces
         if n:
             state.forces[:] = forces[-1]
+            state.series[on], state.slip[on] = series, slip
         state.sample += n
+        self._steps += n
         return out, forces
 
     def start(self) -> State:
         """Return the state of rest in this kernel's precision."""
         rest = self.system.start()
-        return State(rest.modes.astype(self.dtype), rest.forces)
+        rest.modes = rest.modes.astype(self.dtype)
+        return rest
 
     def _pack_injection(self, injection: Injection, state: State) -> tuple[int, int, NDArray[np.floating], Floats]:
         known = self._packed.get(id(injection))
@@ -133,6 +246,29 @@ class KernelStepper:
 
 def _idle(law: object) -> bool:
     return isinstance(law, SpringDashpot) and law.stiffness == 0.0 and law.damping == 0.0
+
+
+def _law(law: NonlinearLaw) -> tuple[int, list[float], list[float], list[float], list[tuple[int, int, bool]]]:
+    """Kind, a[4] with loss, damping, offset and velocity, samples, and addresses, as module.cpp reads them."""
+    knots: list[float] = []
+    coefficients: list[float] = []
+    functions: list[tuple[int, int, bool]] = []
+    match law:
+        case Contact():
+            kind, numbers = 0, [law.stiffness, law.exponent, 0.0, 0.0, law.loss, 0.0]
+        case HardeningSpring():
+            kind, numbers = 1, [law.stiffness, law.cubic, law.quadratic_damping, 0.0, 0.0, law.damping]
+        case SampledPotential():
+            kind, numbers = 2, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
+            knots, coefficients = law.knots.tolist(), law.coefficients.reshape(-1).tolist()
+        case CompiledPotential():
+            kind, numbers = 3, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
+            scalars: tuple[Scalar, Scalar] = (law.potential, law.slope)
+            functions = [(f.address, f.data, f.takes_data) for f in scalars]
+        case Friction():
+            kind, numbers = 4, [law.normal_force, law.static, law.dynamic, law.speed, 0.0, 0.0]
+    velocity = law.velocity if isinstance(law, Friction) else 0.0
+    return kind, [*numbers, law.offset, velocity], knots, coefficients, functions
 
 
 def _pack(a: Floats) -> Floats:

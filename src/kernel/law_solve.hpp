@@ -1,0 +1,149 @@
+// Forces of the active nonlinear connections over one step; see tonewood.numerics.law_solve.
+#pragma once
+
+#include <cmath>
+
+#include "laws.hpp"
+
+namespace tonewood {
+namespace {
+
+constexpr double kTolerance = 1e-12, kRounding = 4e-16;
+constexpr int kMaxIterations = 100, kMaxSweeps = 200;
+
+// Cholesky of the lower triangle of a (n, n), in place, and solution of a x = b, in place; a has no pivot below 1.
+inline void solve_definite(double* a, int n, double* b) {
+    for (int j = 0; j < n; ++j) {
+        for (int i = j; i < n; ++i) {
+            double sum = a[i * n + j];
+            for (int k = 0; k < j; ++k) sum -= a[i * n + k] * a[j * n + k];
+            a[i * n + j] = i == j ? std::sqrt(std::max(sum, 1.0)) : sum / a[j * n + j];
+        }
+    }
+    for (int i = 0; i < n; ++i) {
+        for (int k = 0; k < i; ++k) b[i] -= a[i * n + k] * b[k];
+        b[i] /= a[i * n + i];
+    }
+    for (int i = n - 1; i >= 0; --i) {
+        for (int k = i + 1; k < n; ++k) b[i] -= a[k * n + i] * b[k];
+        b[i] /= a[i * n + i];
+    }
+}
+
+// Newton's method for the laws with a potential among the active: ws.stored, whose compliances stand in ws.matrix.
+// `free` (n): compressions without these forces. Moves `f` (n).
+inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, double* f, double noise, int& iterations) {
+    const int n = int(ws.stored.size()), *at = ws.stored.data();
+    const double* z = ws.matrix.data();
+    double *p = ws.x[0].data(), *r = ws.x[1].data(), *s = ws.x[2].data(), *zr = ws.x[3].data();
+    double *step = ws.x[4].data(), *moved = ws.x[5].data(), *law_force = ws.x[6].data(), *slope = ws.x[7].data();
+    double *tried = ws.x[8].data(), *inner = ws.inner.data();
+    const auto times_z = [&](const double* v, double* out) {
+        for (int i = 0; i < n; ++i) {
+            double sum = 0.0;
+            for (int j = 0; j < n; ++j) sum += z[i * n + j] * v[j];
+            out[i] = sum;
+        }
+    };
+    const auto evaluate = [&](const double* at_p) {
+        for (int i = 0; i < n; ++i) {
+            const int j = at[i];
+            const Push out = push(nl.laws[j], at_p[i], ws.old_p[j], nl.dt);
+            law_force[i] = out.force * ws.scale[j], slope[i] = out.slope * ws.scale[j];
+        }
+    };
+    times_z(f, p);
+    for (int i = 0; i < n; ++i) p[i] = free[i] - p[i];
+    evaluate(p);
+    for (int iteration = 0; iteration <= kMaxIterations; ++iteration) {
+        double wrong = 0.0, made = 0.0;
+        for (int i = 0; i < n; ++i) r[i] = law_force[i] - f[i];
+        times_z(r, zr);
+        for (int i = 0; i < n; ++i) {
+            wrong = std::max(wrong, std::abs(zr[i]));
+            made = std::max(made, std::abs(free[i] - p[i]));
+        }
+        if (wrong <= kTolerance * made + noise) {
+            iterations += iteration;
+            return true;
+        }
+        for (int i = 0; i < n; ++i) s[i] = std::sqrt(slope[i]);
+        for (int i = 0; i < n; ++i) {
+            for (int j = 0; j <= i; ++j) inner[i * n + j] = s[i] * z[i * n + j] * s[j] + (i == j ? 1.0 : 0.0);
+            step[i] = s[i] * zr[i];
+        }
+        solve_definite(inner, n, step);
+        for (int i = 0; i < n; ++i) step[i] = r[i] - s[i] * step[i];
+        times_z(step, moved);
+        double start = 0.0, t = 1.0;
+        for (int i = 0; i < n; ++i) start -= moved[i] * r[i];
+        // the slope of the convex function along the step must have shrunk, or not yet turned
+        for (int halved = 0;; ++halved) {
+            double along = 0.0;
+            for (int i = 0; i < n; ++i) tried[i] = p[i] - t * moved[i];
+            evaluate(tried);
+            for (int i = 0; i < n; ++i) along += moved[i] * (f[i] + t * step[i] - law_force[i]);
+            if (along < 0.0 || std::abs(along) <= 0.9 * std::abs(start) || halved == 60) break;
+            t *= 0.5;
+        }
+        for (int i = 0; i < n; ++i) f[i] += t * step[i], p[i] = tried[i];
+    }
+    iterations += kMaxIterations;
+    return false;
+}
+
+// Finds ws.law_force of the connections in ws.active; they start from what stands there.
+inline bool find_forces(const Nonlinear& nl, Workspace& ws, int& iterations) {
+    const int k = nl.k, n = int(ws.active.size());
+    double* f = ws.law_force.data();
+    ws.stored.clear(), ws.sliding.clear();
+    double noise = 0.0;
+    for (const int j : ws.active) {
+        (nl.laws[j].kind == Law::friction ? ws.sliding : ws.stored).push_back(j);
+        noise = std::max(noise, kRounding * ws.size[j]);
+    }
+    const int n_stored = int(ws.stored.size());
+    for (int i = 0; i < n_stored; ++i)
+        for (int j = 0; j < n_stored; ++j)
+            ws.matrix[std::size_t(i) * n_stored + j] = nl.z[std::size_t(ws.stored[i]) * k + ws.stored[j]];
+    double *free = ws.x[9].data(), *g = ws.x[10].data(), *before = ws.x[11].data();
+    for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
+        for (int i = 0; i < n; ++i) before[i] = f[ws.active[i]];
+        for (const int j : ws.sliding) {
+            const Law& law = nl.laws[j];
+            double p = ws.free_p[j];
+            for (const int i : ws.active)
+                if (i != j) p -= nl.z[std::size_t(j) * k + i] * f[i];
+            const double mobility = nl.z[std::size_t(j) * k + j] / nl.dt;
+            const double without = -(p - ws.old_p[j]) / nl.dt - ws.velocity[j];
+            const double v = velocity_after(law, without, mobility * law.a[0] * ws.scale[j], ws.slip[j]);
+            ws.slip_after[j] = v;
+            f[j] = mobility > 0.0 ? (v - without) / mobility : 0.0;
+        }
+        if (n_stored) {
+            for (int i = 0; i < n_stored; ++i) {
+                const int j = ws.stored[i];
+                free[i] = ws.free_p[j], g[i] = f[j];
+                for (const int q : ws.sliding) free[i] -= nl.z[std::size_t(j) * k + q] * f[q];
+            }
+            if (!newton(nl, ws, free, g, noise, iterations)) return false;
+            for (int i = 0; i < n_stored; ++i) f[ws.stored[i]] = g[i];
+        }
+        if (ws.sliding.empty() || n == 1) return true;
+        double moved = 0.0, made = 0.0;
+        for (const int j : ws.active) {
+            double change = 0.0, all = 0.0;
+            for (int i = 0; i < n; ++i) {
+                const int q = ws.active[i];
+                const double z = nl.z[std::size_t(j) * k + q];
+                change += z * (f[q] - before[i]), all += z * f[q];
+            }
+            moved = std::max(moved, std::abs(change)), made = std::max(made, std::abs(all));
+        }
+        if (moved <= kTolerance * made + noise) return true;
+    }
+    return false;
+}
+
+}  // namespace
+}  // namespace tonewood

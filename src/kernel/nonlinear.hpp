@@ -1,0 +1,510 @@
+// Nonlinear connections within a block: which contacts may be left out, and the forces of each sample.
+//
+// Rows and forces of guarded ports live here, apart from the lines of the other rows; the response of each to the
+// other is added sample by sample, in one order, so that a row has the same value whether it was read from the
+// beginning of the block or only when its contact woke.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include "guard.hpp"
+#include "law_solve.hpp"
+#include "lines.hpp"
+
+namespace tonewood {
+namespace {
+
+constexpr double kStillSeries = 1e-30;  // m: residual compliance below this is at rest
+
+template <class T>
+class NonlinearStep {
+    using Term = Nonlinear::Term;
+
+public:
+    NonlinearStep(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
+                  const Nonlinear& nonlinear, Workspace& workspace, Statistics& statistics, const Job<T>& job,
+                  const std::vector<std::vector<Input<T>>>& known)
+        : components_(components), layout_(layout), m_(solve.m), nl_(nonlinear), ws_(workspace),
+          statistics_(statistics), job_(job), known_(known) {
+        if (!nl_.k) return;
+        std::copy_n(job.series, nl_.k, ws_.series.data());
+        std::copy_n(job.slip, nl_.k, ws_.slip.data());
+        std::copy_n(job.last_force, nl_.k, ws_.last_force.data());
+        std::fill(ws_.touching.begin(), ws_.touching.end(), 0);
+        std::fill(ws_.series_alive.begin(), ws_.series_alive.end(), 0);
+        ws_.any_alive = false;
+        ws_.previous.clear();
+        for (int j = 0; j < nl_.k; ++j) {
+            if (ws_.last_force[j] != 0.0) ws_.previous.push_back(j);
+            if (nl_.series[j] >= 0 && ws_.series[j] != 0.0) ws_.series_alive[nl_.series[j]] = ws_.any_alive = true;
+        }
+    }
+
+    // Writes back what moved.
+    void finish() {
+        if (!nl_.k) return;
+        std::copy_n(ws_.series.data(), nl_.k, job_.series);
+        std::copy_n(ws_.slip.data(), nl_.k, job_.slip);
+        std::copy_n(ws_.last_force.data(), nl_.k, job_.last_force);
+    }
+
+    // A block of nb samples from `start` begins, the lines hold its free motion: which contacts sleep in it, and how
+    // far the forces may move them before they are looked at.
+    // `force` (kBlock, force_width) will hold the forces on fixed ports.
+    void begin_block(std::int64_t start, int nb, double* lines, const double* force) {
+        start_ = start, nb_ = nb, lines_ = lines, fixed_forces_ = force;
+        ++statistics_.blocks;
+        for (int i = 0; i < int(components_.size()); ++i) ws_.awake_rows[i].clear(), ws_.loaded[i].clear();
+        std::fill(ws_.row_awake.begin(), ws_.row_awake.end(), 0);
+        std::fill(ws_.is_loaded.begin(), ws_.is_loaded.end(), 0);
+        for (int j = 0; j < nl_.k; ++j) {
+            const Law& law = nl_.laws[j];
+            ws_.offset[j] = ws_.offset_after[j] = ws_.clearance[j] = law.offset;
+            ws_.velocity[j] = law.velocity, ws_.scale[j] = 1.0;
+            ws_.awake[j] = !nl_.guarded[j];
+        }
+        for (int q = 0; q < job_.n_controls; ++q) {
+            const Control& control = job_.controls[q];
+            const double* values = control.values + start_;
+            double highest = values[0];
+            for (int b = 0; b < nb_; ++b) highest = std::max({highest, values[b], values[job_.n + b]});
+            ws_.clearance[control.connection] = highest;
+        }
+        for (const Nonlinear::Group& group : nl_.groups) guard(group);
+        ws_.awake_list.clear();
+        for (int j = 0; j < nl_.k; ++j) {
+            if (!ws_.awake[j]) continue;
+            ws_.awake_list.push_back(j);
+            for (const Term& t : nl_.terms[j])
+                if (t.guarded) mark_row(t);
+        }
+        for (int i = 0; i < int(components_.size()); ++i)
+            if (!ws_.awake_rows[i].empty()) read(i, ws_.awake_rows[i].data(), int(ws_.awake_rows[i].size()));
+        for (int g = 0; g < int(nl_.groups.size()); ++g) weigh(g);
+    }
+
+    // All forces of sample b. `f` (f_width) holds those of the linear connections if there were no others; it takes
+    // what they are, and `now` the forces on all fixed ports. False if the nonlinear ones were not found.
+    bool forces(int b, double* f, double* now) {
+        for (int q = 0; q < job_.n_controls; ++q) {
+            const Control& control = job_.controls[q];
+            const int j = control.connection;
+            const double* values = control.values + start_ + b;
+            ws_.offset[j] = values[0], ws_.offset_after[j] = values[job_.n];
+            ws_.velocity[j] = values[2 * job_.n], ws_.scale[j] = values[3 * job_.n];
+        }
+        std::copy_n(f, layout_.f_width, ws_.f0.data());
+        ws_.active.clear();
+        for (const int j : ws_.awake_list) {
+            meet(j, b);
+            if (!is_contact(j) || (ws_.old_p[j] > 0.0 && ws_.scale[j] > 0.0)) activate(j);
+        }
+        for (;;) {
+            if (!ws_.active.empty() && !solve()) return false;
+            combine(b, f, now);
+            // a contact may be brought into touch by what has just been found: those that sleep are asked by their
+            // bound, those awake by their motion; the set only grows
+            wake_by(b, now);
+            if (!add_touching()) break;
+        }
+        commit(b, now);
+        return true;
+    }
+
+    // What the forces of sample b do to guarded rows, and guarded forces to all rows, in the rest of the block.
+    void push_on(int b, const double* now) {
+        for (int i = 0; i < int(components_.size()); ++i) {
+            const Component<T>& c = components_[i];
+            const Guarded<T>& g = c.guarded;
+            for (const int p : ws_.loaded[i]) {
+                const double force = ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b];
+                const double* h = &g.on_rows[std::size_t(p) * kBlock * c.n_rows];
+                for (int k = 0; k < nb_ - b; ++k, h += c.n_rows) {
+                    double* line = lines_ + std::size_t(b + 1 + k) * layout_.width + layout_.row[i];
+                    for (int r = 0; r < c.n_rows; ++r) line[r] += h[r] * force;
+                }
+            }
+            for (const int r : ws_.awake_rows[i]) {
+                double* later = value(i, r) + b + 1;
+                for (int p = 0; p < c.n_ports; ++p) respond_to_fixed(i, p, r, now[layout_.port[i] + p], later);
+                for (const int p : ws_.loaded[i]) respond_to_guarded(i, p, r, b, later);
+            }
+        }
+    }
+
+    // Inputs of guarded ports for a component that is turned sample by sample.
+    void add_inputs(int i, std::vector<Input<T>>& inputs) const {
+        if (!nl_.k) return;
+        const Component<T>& c = components_[i];
+        for (const int p : ws_.loaded[i])
+            inputs.push_back({&c.guarded.w[std::size_t(2 * p) * c.n],
+                              &ws_.force[std::size_t(nl_.first[i] + p) * kBlock], 1});
+    }
+
+    // The same for one that recurs through a whole block.
+    void push_modes(int i, T* x, T* y) const {
+        if (!nl_.k || ws_.loaded[i].empty()) return;
+        const Guarded<T>& g = components_[i].guarded;
+        recur_store<T, false>(components_[i], x, y,
+                              {g.w.data(), g.w_slope.data(), int(ws_.loaded[i].size()), ws_.loaded[i].data(),
+                               &ws_.force[std::size_t(nl_.first[i]) * kBlock], 1, kBlock});
+    }
+
+    // Adds the nonlinear forces that readouts hear.
+    void emit(std::int64_t start, int nb) const {
+        for (int b = 0; b < nb; ++b)
+            for (const int j : nl_.heard) {
+                const double f = job_.law_forces[(start + b) * nl_.k + j];
+                for (int o = 0; o < job_.n_channels; ++o)
+                    job_.out[(start + b) * job_.n_channels + o] += nl_.weights[std::size_t(o) * nl_.k + j] * f;
+            }
+    }
+
+private:
+    bool is_contact(int j) const { return nl_.laws[j].kind == Law::contact; }
+    const T* x(int i) const { return job_.modes[0] + components_[i].offset; }
+    const T* y(int i) const { return job_.modes[1] + components_[i].offset; }
+    double* value(int i, int port) const { return &ws_.value[std::size_t(nl_.first[i] + port) * kStride]; }
+    const double* line_of(const Term& t) const { return lines_ + layout_.row[t.component] + t.port; }
+
+    void mark_row(const Term& t) {
+        char& awake = ws_.row_awake[nl_.first[t.component] + t.port];
+        if (!awake) ws_.awake_rows[t.component].push_back(t.port);
+        awake = 1;
+    }
+
+    // Free motion of guarded rows over the block.
+    void read(int i, const int* list, int count) {
+        const Component<T>& c = components_[i];
+        const Guarded<T>& g = c.guarded;
+        statistics_.rows_read += count;
+        const Rows<T> rows{g.rows.data(), g.slopes.data(), count, list, value(i, 0), 1, kStride};
+        // neither reading moves the state
+        T *sx = job_.modes[0] + c.offset, *sy = job_.modes[1] + c.offset;
+        if (known_[i].empty() && nb_ == kBlock && g.n <= 2)
+            recur_read(c, sx, sy, rows);
+        else
+            turn<T, true, false>(c, sx, sy, known_[i].data(), int(known_[i].size()), nb_, rows);
+    }
+
+    void guard(const Nonlinear::Group& group) {
+        for (const int i : group.components) {
+            const Component<T>& c = components_[i];
+            std::fill(ws_.spent[i].begin(), ws_.spent[i].end(), 0.0);
+            if (!c.guarded.n) continue;
+            ws_.norm[i] = norm(c, x(i), y(i)), ws_.added[i] = 0.0, ws_.sized[i] = 0;
+            for (const Input<T>& input : known_[i]) {
+                double total = 0.0;
+                for (int b = 0; b < nb_; ++b) total += std::abs(input.values[b * input.stride]);
+                ws_.added[i] += total * norm(c, input.vector, input.vector + c.n);
+            }
+        }
+        for (const int j : group.contacts) {
+            double slack = -1.0;
+            if (nl_.asleep_allowed) {
+                slack = far_slack(j);
+                if (!(slack > 0.0)) slack = near_slack(j);
+            }
+            ws_.slack[j] = slack;
+            ws_.awake[j] = !(slack > 0.0);
+        }
+    }
+
+    // Clearance left by |row| <= peak norm.
+    double far_slack(int j) const {
+        double most = 0.0;
+        for (const Term& t : nl_.terms[j]) {
+            double bound = 0.0;
+            if (t.guarded)
+                bound = components_[t.component].guarded.peak[t.port] * (ws_.norm[t.component] + ws_.added[t.component]);
+            else
+                for (int b = 0; b <= nb_; ++b)
+                    bound = std::max(bound, std::abs(line_of(t)[std::size_t(b) * layout_.width]));
+            most += std::abs(t.factor) * bound;
+        }
+        return -ws_.clearance[j] - most * (1 + kMargin<T>);
+    }
+
+    // Clearance left by the gap's value in the middle of the block and what may happen around it.
+    double near_slack(int j) {
+        double low = 0.0, all = 0.0;
+        for (const Term& t : nl_.terms[j]) {
+            const double size = std::abs(t.factor);
+            if (t.guarded) {
+                const int i = t.component;
+                const double peak = components_[i].guarded.peak[t.port];
+                const Surroundings around = surroundings(components_[i], t.port, x(i), y(i), sizes_of(i));
+                const double far = around.spread + peak * ws_.added[i];
+                low += t.factor * around.middle - size * far;
+                all += size * (std::abs(around.middle) + far + peak * ws_.norm[i]);
+            } else {
+                double least = t.factor * line_of(t)[0];
+                for (int b = 1; b <= nb_; ++b)
+                    least = std::min(least, t.factor * line_of(t)[std::size_t(b) * layout_.width]);
+                low += least;
+                all += std::abs(least);
+            }
+        }
+        return low - ws_.clearance[j] - kMargin<T> * (all + std::abs(ws_.clearance[j]));
+    }
+
+    // Sizes of a component's modes at the beginning of the block, made once.
+    const T* sizes_of(int i) {
+        T* buffer = reinterpret_cast<T*>(ws_.sizes.data()) + components_[i].offset;
+        if (!ws_.sized[i]) sizes(components_[i], x(i), y(i), buffer);
+        ws_.sized[i] = 1;
+        return buffer;
+    }
+
+    // What a newton at each port takes of the tightest slack of a group's sleepers.
+    void weigh(int index) {
+        const Nonlinear::Group& group = nl_.groups[index];
+        for (const int i : group.components) std::fill(ws_.worth[i].begin(), ws_.worth[i].end(), 0.0);
+        ws_.asleep[index] = 0;
+        for (const int j : group.contacts) {
+            if (ws_.awake[j]) continue;
+            ++ws_.asleep[index];
+            for (const Term& t : nl_.terms[j]) {
+                const double share = std::abs(t.factor) / ws_.slack[j], *reach = reach_of(t);
+                auto& worth = ws_.worth[t.component];
+                for (std::size_t p = 0; p < worth.size(); ++p) worth[p] = std::max(worth[p], share * reach[p]);
+            }
+        }
+        ws_.level[index] = 0.0;
+        for (const int i : group.components)
+            for (std::size_t p = 0; p < ws_.worth[i].size(); ++p) ws_.level[index] += ws_.worth[i][p] * ws_.spent[i][p];
+    }
+
+    const double* reach_of(const Term& t) const {
+        const Component<T>& c = components_[t.component];
+        const std::size_t port = t.guarded ? c.n_ports + t.port : t.port;
+        return &nl_.reach[t.component][port * (c.n_ports + c.guarded.n)];
+    }
+
+    // Calls visit(port among all of the component, |force| in sample b) for every port that takes part in this block.
+    template <class Visit>
+    void each_force(int i, int b, const double* now, const Visit& visit) const {
+        const int n_ports = components_[i].n_ports;
+        for (int p = 0; p < n_ports; ++p) visit(p, std::abs(now[layout_.port[i] + p]));
+        for (const int p : ws_.loaded[i])
+            visit(n_ports + p, std::abs(ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b]));
+    }
+
+    // Wakes contacts that the forces tried in sample b could have brought into touch.
+    void wake_by(int b, const double* now) {
+        for (int index = 0; index < int(nl_.groups.size()); ++index) {
+            if (!ws_.asleep[index]) continue;
+            const Nonlinear::Group& group = nl_.groups[index];
+            double level = ws_.level[index];
+            for (const int i : group.components)
+                each_force(i, b, now, [&](int p, double force) { level += ws_.worth[i][p] * force; });
+            bool look = !(level < 1.0);
+            if (ws_.any_alive)
+                for (const int j : group.contacts)
+                    look = look || (!ws_.awake[j] && nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]]);
+            if (!look) continue;
+            bool woken = false;
+            for (const int j : group.contacts) {
+                if (ws_.awake[j] || used(j, b, now) < ws_.slack[j]) continue;
+                wake(j, b);
+                woken = true;
+            }
+            if (woken) weigh(index);
+        }
+    }
+
+    // How far the forces until now, those of sample b as tried, may have moved a sleeping contact.
+    double used(int j, int b, const double* now) const {
+        double total = 0.0;
+        for (const Term& t : nl_.terms[j]) {
+            const double *reach = reach_of(t), *spent = ws_.spent[t.component].data();
+            double sum = 0.0;
+            each_force(t.component, b, now, [&](int p, double force) { sum += reach[p] * (spent[p] + force); });
+            total += std::abs(t.factor) * sum;
+        }
+        if (nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]])
+            total += std::max(std::abs(ws_.series[j]), std::abs(series_after(j)));
+        return total * (1 + kMargin<T>);
+    }
+
+    // Reads a contact's rows from the beginning of the block up to sample b, as if they had been awake all along.
+    void wake(int j, int b) {
+        ++statistics_.woken;
+        ws_.awake[j] = 1;
+        ws_.awake_list.insert(std::upper_bound(ws_.awake_list.begin(), ws_.awake_list.end(), j), j);
+        for (const Term& t : nl_.terms[j]) {
+            if (!t.guarded || ws_.row_awake[nl_.first[t.component] + t.port]) continue;
+            mark_row(t);
+            const int i = t.component;
+            read(i, &t.port, 1);
+            for (int s = 0; s < b; ++s) {
+                double* later = value(i, t.port) + s + 1;
+                const double* then = fixed_forces_ + std::size_t(s) * layout_.force_width;
+                for (int p = 0; p < components_[i].n_ports; ++p)
+                    respond_to_fixed(i, p, t.port, then[layout_.port[i] + p], later);
+                for (const int p : ws_.loaded[i]) respond_to_guarded(i, p, t.port, s, later);
+            }
+        }
+        meet(j, b);
+    }
+
+    void respond_to_fixed(int i, int p, int row, double force, double* later) const {
+        const Guarded<T>& g = components_[i].guarded;
+        add_response(&g.from_fixed[(std::size_t(p) * g.n + row) * kBlock], force, later);
+    }
+    void respond_to_guarded(int i, int p, int row, int b, double* later) const {
+        const Guarded<T>& g = components_[i].guarded;
+        add_response(&g.from_guarded[(std::size_t(p) * g.n + row) * kBlock],
+                     ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b], later);
+    }
+    static void add_response(const double* h, double force, double* later) {
+        for (int k = 0; k < kBlock; ++k) later[k] += h[k] * force;
+    }
+
+    // Compressions of a connection before the step, and after it without nonlinear forces.
+    void meet(int j, int b) {
+        double gap = 0.0, free = 0.0;
+        for (const Term& t : nl_.terms[j]) {
+            const double* at = t.guarded ? value(t.component, t.port) + b : line_of(t) + std::size_t(b) * layout_.width;
+            gap += t.factor * at[0], free += t.factor * at[t.guarded ? 1 : layout_.width];
+        }
+        const double* row = &nl_.from_linear[std::size_t(j) * m_];
+        for (int q = 0; q < m_; ++q) free += row[q] * ws_.f0[q];
+        if (nl_.series[j] >= 0) {
+            gap += ws_.series[j];
+            free -= (1 - nl_.theta) / nl_.theta * ws_.series[j];
+        }
+        ws_.old_p[j] = ws_.offset[j] - gap, ws_.free_p[j] = ws_.offset_after[j] - free;
+        ws_.size[j] = std::max({std::abs(gap), std::abs(free), std::abs(ws_.offset_after[j])});
+    }
+
+    void activate(int j) {
+        ws_.touching[j] = 1;
+        ws_.active.push_back(j);
+        ws_.law_force[j] = ws_.last_force[j];
+    }
+
+    bool solve() {
+        int iterations = 0;
+        const bool found = find_forces(nl_, ws_, iterations);
+        ++statistics_.solves;
+        statistics_.iterations += iterations;
+        statistics_.most_iterations = std::max<std::int64_t>(statistics_.most_iterations, iterations);
+        statistics_.failures += !found;
+        for (const int j : ws_.active)
+            if (nl_.series[j] >= 0 && ws_.law_force[j] != 0.0) ws_.series_alive[nl_.series[j]] = ws_.any_alive = true;
+        return found;
+    }
+
+    // Contacts that the motion found brings into touch join the active ones; true if there are any.
+    bool add_touching() {
+        const std::size_t before = ws_.active.size();
+        for (const int j : ws_.awake_list) {
+            if (ws_.touching[j] || !is_contact(j) || !(ws_.scale[j] > 0.0)) continue;
+            double p = ws_.free_p[j];
+            for (std::size_t q = 0; q < before; ++q)
+                p -= nl_.z[std::size_t(j) * nl_.k + ws_.active[q]] * ws_.law_force[ws_.active[q]];
+            if (p > 0.0) activate(j);
+        }
+        if (ws_.active.size() == before) return false;
+        std::sort(ws_.active.begin(), ws_.active.end());
+        return true;
+    }
+
+    // Linear forces and port forces of sample b under the nonlinear forces tried.
+    void combine(int b, double* f, double* now) {
+        std::copy_n(ws_.f0.data(), layout_.f_width, f);
+        for (const int j : ws_.active) {
+            const double force = ws_.law_force[j], *answer = &nl_.answer[std::size_t(j) * layout_.f_width];
+            for (int k = 0; k < layout_.f_width; ++k) f[k] -= answer[k] * force;
+        }
+        std::fill_n(now, layout_.force_width, 0.0);
+        add_product(layout_.push.data(), layout_.force_width, f, m_, now);
+        for (std::size_t i = 0; i < components_.size(); ++i)
+            for (const int p : ws_.loaded[i]) ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b] = 0.0;
+        for (const int j : ws_.active) {
+            const double force = ws_.law_force[j];
+            for (const Term& t : nl_.driven[j]) now[layout_.port[t.component] + t.port] += t.factor * force;
+            for (const Term& t : nl_.terms[j]) {
+                if (!t.guarded) {
+                    now[layout_.port[t.component] + t.port] += t.factor * force;
+                } else if (force != 0.0) {
+                    load(t);
+                    ws_.force[std::size_t(nl_.first[t.component] + t.port) * kBlock + b] += t.factor * force;
+                }
+            }
+        }
+    }
+
+    // A guarded port takes part in this block from now on.
+    void load(const Term& t) {
+        const int port = nl_.first[t.component] + t.port;
+        if (ws_.is_loaded[port]) return;
+        ws_.is_loaded[port] = 1;
+        std::fill_n(&ws_.force[std::size_t(port) * kBlock], kBlock, 0.0);
+        auto& list = ws_.loaded[t.component];
+        list.insert(std::upper_bound(list.begin(), list.end(), t.port), t.port);
+    }
+
+    // The forces of sample b stand: what they leave behind for the next.
+    void commit(int b, const double* now) {
+        for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
+        double* forces = job_.law_forces + (start_ + b) * nl_.k;
+        for (const int j : ws_.active) {
+            forces[j] = ws_.last_force[j] = ws_.law_force[j];
+            if (nl_.laws[j].kind == Law::friction) ws_.slip[j] = ws_.slip_after[j];
+            ws_.touching[j] = 0;
+        }
+        if (ws_.any_alive) move_series();
+        std::swap(ws_.previous, ws_.active);
+        for (std::size_t index = 0; index < nl_.groups.size(); ++index) {
+            if (!ws_.asleep[index]) continue;
+            for (const int i : nl_.groups[index].components)
+                each_force(i, b, now, [&](int p, double force) {
+                    ws_.spent[i][p] += force;
+                    ws_.level[index] += ws_.worth[i][p] * force;
+                });
+        }
+    }
+
+    // Displacement of the residual compliance after the step, under the forces tried.
+    double series_after(int j) const {
+        double pushed = 0.0;
+        for (const int q : ws_.active) pushed += nl_.residual[std::size_t(j) * nl_.k + q] * ws_.law_force[q];
+        return pushed / nl_.theta - (1 - nl_.theta) / nl_.theta * ws_.series[j];
+    }
+
+    void move_series() {
+        for (int j = 0; j < nl_.k; ++j)
+            if (nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]]) ws_.series_after[j] = series_after(j);
+        ws_.any_alive = false;
+        for (int s = 0; s < nl_.n_series; ++s) {
+            if (!ws_.series_alive[s]) continue;
+            double most = 0.0;
+            for (int j = 0; j < nl_.k; ++j)
+                if (nl_.series[j] == s) most = std::max(most, std::abs(ws_.series_after[j]));
+            const bool still = most < kStillSeries;
+            for (int j = 0; j < nl_.k; ++j)
+                if (nl_.series[j] == s) ws_.series[j] = still ? 0.0 : ws_.series_after[j];
+            ws_.series_alive[s] = !still;
+            ws_.any_alive = ws_.any_alive || !still;
+        }
+    }
+
+    const std::vector<Component<T>>& components_;
+    const Layout& layout_;
+    const int m_;
+    const Nonlinear& nl_;
+    Workspace& ws_;
+    Statistics& statistics_;
+    const Job<T>& job_;
+    const std::vector<std::vector<Input<T>>>& known_;
+    std::int64_t start_ = 0;
+    int nb_ = 0;
+    double* lines_ = nullptr;
+    const double* fixed_forces_ = nullptr;
+};
+
+}  // namespace
+}  // namespace tonewood

@@ -1,0 +1,149 @@
+// What is made of nonlinear connections when they are loaded: bounds, groups, and the buffers of a run.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include "model.hpp"
+
+namespace tonewood {
+namespace {
+
+// Bounds on the rows of guarded ports throughout a block. A mode's numbers (u, v) are measured by its size
+// hypot(u, s v); s makes the size of a turning mode stand still, and that of a drifting one the way it drifts.
+template <class T>
+void derive_bounds(Component<T>& c, const double* e, const double* rows) {
+    Guarded<T>& guarded = c.guarded;
+    const std::size_t n = c.n, n_guarded = guarded.n;
+    guarded.norm.assign(2 * n, T(0)), guarded.size.assign(n, T(0));
+    guarded.middle.assign(2 * n_guarded * n, T(0)), guarded.spread.assign(n_guarded * n, T(0));
+    guarded.peak.assign(n_guarded, 0.0);
+    for (std::size_t k = 0; k < n; ++k) {
+        const double e00 = e[k], e01 = e[n + k], e10 = e[2 * n + k], e11 = e[3 * n + k];
+        const double still = std::abs(e10) > 0.0 ? std::sqrt(std::abs(e01 / e10)) : 1.0;
+        const double s = std::abs(e01) > 0.0 ? std::min(still, kBlock * std::abs(e01)) : 1.0;
+        const double stiffness = std::max((1 - e00) * (1 - e11) - e01 * e10, 1e-8);
+        guarded.size[k] = T(s), guarded.norm[k] = T(stiffness), guarded.norm[n + k] = T(stiffness * s * s);
+        for (std::size_t g = 0; g < n_guarded; ++g) {
+            double a[kBlock + 1], b[kBlock + 1], all = 0.0, far = 0.0;
+            a[0] = rows[2 * g * n + k], b[0] = rows[(2 * g + 1) * n + k];
+            for (int j = 0; j < kBlock; ++j) {
+                a[j + 1] = a[j] * e00 + b[j] * e10;
+                b[j + 1] = a[j] * e01 + b[j] * e11;
+            }
+            const double a_mid = a[kBlock / 2], b_mid = b[kBlock / 2];
+            for (int j = 0; j <= kBlock; ++j) {
+                const double da = a[j] - a_mid, db = (b[j] - b_mid) / s;
+                all = std::max(all, a[j] * a[j] + b[j] * b[j] / (s * s));
+                far = std::max(far, da * da + db * db);
+            }
+            guarded.peak[g] += all / stiffness;
+            if (far < all) {
+                guarded.middle[2 * g * n + k] = T(a_mid);
+                guarded.middle[(2 * g + 1) * n + k] = T(b_mid);
+            }
+            guarded.spread[g * n + k] = T(std::sqrt(std::min(far, all)));
+        }
+    }
+    for (double& peak : guarded.peak) peak = std::sqrt(peak);
+}
+
+// (all ports, all ports), fixed ones first: the farthest a port moves in a block per force on each.
+template <class T>
+Array<double> reach_of(const Component<T>& c) {
+    const Guarded<T>& g = c.guarded;
+    const std::size_t all = c.n_ports + g.n, fixed = c.n_ports, n_rows = c.n_rows, n = g.n;
+    Array<double> reach(all * all, 0.0);
+    const auto take = [&](std::size_t row, std::size_t port, double h) {
+        reach[row * all + port] = std::max(reach[row * all + port], std::abs(h));
+    };
+    for (std::size_t k = 0; k < kBlock; ++k) {
+        for (std::size_t p = 0; p < fixed; ++p) {
+            for (std::size_t r = 0; r < fixed; ++r) take(r, p, c.history[(k * fixed + p) * n_rows + r]);
+            for (std::size_t r = 0; r < n; ++r) take(fixed + r, p, g.from_fixed[(p * n + r) * kBlock + k]);
+        }
+        for (std::size_t p = 0; p < n; ++p) {
+            for (std::size_t r = 0; r < fixed; ++r) take(r, fixed + p, g.on_rows[(p * kBlock + k) * n_rows + r]);
+            for (std::size_t r = 0; r < n; ++r) take(fixed + r, fixed + p, g.from_guarded[(p * n + r) * kBlock + k]);
+        }
+    }
+    return reach;
+}
+
+// Sorts terms by connection, and joins the components of guarded contacts to groups: within one, forces use up one
+// another's slack.
+template <class T>
+void arrange(const std::vector<Component<T>>& components, Nonlinear& nl) {
+    const int n = int(components.size());
+    nl.terms.assign(nl.k, {}), nl.driven.assign(nl.k, {}), nl.guarded.assign(nl.k, 0);
+    nl.groups.clear(), nl.group_of.assign(n, -1), nl.first.clear(), nl.reach.assign(n, {});
+    nl.n_guarded = 0;
+    for (const Component<T>& c : components) nl.first.push_back(nl.n_guarded), nl.n_guarded += c.guarded.n;
+    for (const Nonlinear::Term& t : nl.all_terms) {
+        const Component<T>& c = components[t.component];
+        if (t.port >= (t.guarded ? c.guarded.n : c.n_ports) || (t.guarded && nl.laws[t.connection].kind != Law::contact))
+            throw std::invalid_argument("a nonlinear connection does not fit the ports");
+        (c.driven ? nl.driven : nl.terms)[t.connection].push_back(t);
+        nl.guarded[t.connection] |= t.guarded;
+    }
+    for (int j = 0; j < nl.k; ++j) {
+        if (!nl.guarded[j]) continue;
+        int to = int(nl.groups.size());
+        for (const Nonlinear::Term& t : nl.terms[j])
+            if (nl.group_of[t.component] >= 0) to = std::min(to, nl.group_of[t.component]);
+        if (to == int(nl.groups.size())) nl.groups.emplace_back();
+        for (const Nonlinear::Term& t : nl.terms[j]) {
+            const int from = nl.group_of[t.component];
+            if (from == to) continue;
+            if (from < 0) {
+                nl.group_of[t.component] = to;
+                nl.groups[to].components.push_back(t.component);
+                continue;
+            }
+            Nonlinear::Group &gone = nl.groups[from], &stays = nl.groups[to];
+            for (const int i : gone.components) nl.group_of[i] = to, stays.components.push_back(i);
+            stays.contacts.insert(stays.contacts.end(), gone.contacts.begin(), gone.contacts.end());
+            gone = {};
+        }
+        nl.groups[to].contacts.push_back(j);
+    }
+    std::erase_if(nl.groups, [](const Nonlinear::Group& g) { return g.contacts.empty(); });
+    for (std::size_t g = 0; g < nl.groups.size(); ++g) {
+        std::sort(nl.groups[g].contacts.begin(), nl.groups[g].contacts.end());
+        for (const int i : nl.groups[g].components) nl.group_of[i] = int(g), nl.reach[i] = reach_of(components[i]);
+    }
+}
+
+// Makes the buffers of a run.
+template <class T>
+void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, const Layout& layout,
+             std::size_t capacity, Workspace& ws) {
+    const std::size_t k = nl.k, n = components.size(), n_guarded = nl.n_guarded;
+    for (Array<double>* a :
+         {&ws.old_p, &ws.free_p, &ws.law_force, &ws.last_force, &ws.series, &ws.series_after, &ws.slip, &ws.slip_after,
+          &ws.offset, &ws.offset_after, &ws.velocity, &ws.scale, &ws.size, &ws.clearance, &ws.slack})
+        a->assign(k, 0.0);
+    ws.awake.assign(k, 0), ws.touching.assign(k, 0);
+    for (std::vector<int>* list : {&ws.awake_list, &ws.active, &ws.previous, &ws.stored, &ws.sliding})
+        list->clear(), list->reserve(k);
+    ws.series_alive.assign(nl.n_series, 0);
+    ws.norm.assign(n, 0.0), ws.added.assign(n, 0.0), ws.sized.assign(n, 0);
+    ws.sizes.assign(nl.groups.empty() ? 0 : capacity * sizeof(T), 0);
+    ws.value.assign(n_guarded * kStride, 0.0), ws.force.assign(n_guarded * kBlock, 0.0);
+    ws.row_awake.assign(n_guarded, 0), ws.is_loaded.assign(n_guarded, 0);
+    ws.level.assign(nl.groups.size(), 0.0), ws.asleep.assign(nl.groups.size(), 0);
+    ws.awake_rows.resize(n), ws.loaded.resize(n), ws.spent.resize(n), ws.worth.resize(n);
+    for (std::size_t i = 0; i < n; ++i) {
+        const Component<T>& c = components[i];
+        ws.awake_rows[i].clear(), ws.awake_rows[i].reserve(c.guarded.n);
+        ws.loaded[i].clear(), ws.loaded[i].reserve(c.guarded.n);
+        ws.spent[i].assign(nl.group_of[i] < 0 ? 0 : c.n_ports + c.guarded.n, 0.0);
+        ws.worth[i] = ws.spent[i];
+    }
+    for (Array<double>& a : ws.x) a.assign(k, 0.0);
+    ws.matrix.assign(k * k, 0.0), ws.inner.assign(k * k, 0.0), ws.f0.assign(layout.f_width, 0.0);
+}
+
+}  // namespace
+}  // namespace tonewood
