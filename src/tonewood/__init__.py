@@ -48,6 +48,9 @@ if TYPE_CHECKING:
     from tonewood.instrument.gestures import StringPlace as StringPlace
     from tonewood.instrument.gestures import metres as metres
     from tonewood.instrument.gestures import smooth_step as smooth_step
+    from tonewood.instrument.inspection import partials as partials
+    from tonewood.instrument.inspection import pitch as pitch
+    from tonewood.instrument.inspection import pitches as pitches
     from tonewood.instrument.losses import LossLaw as LossLaw
     from tonewood.instrument.registry import list_instruments as list_instruments
     from tonewood.instrument.registry import list_plugins as list_plugins
@@ -92,6 +95,7 @@ _MODULES = {
     ),
     "instrument.directions": ("Direction", "unit_vector"),
     "instrument.gestures": ("Fraction", "StringPlace", "metres", "smooth_step"),
+    "instrument.inspection": ("partials", "pitch", "pitches"),
     "instrument.losses": ("LossLaw",),
     "instrument.registry": ("list_instruments", "list_plugins"),
     "numerics.damping": ("with_damping_case",),

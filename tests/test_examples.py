@@ -1,0 +1,86 @@
+"""Every example runs, and one number of each is right."""
+
+from __future__ import annotations
+
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import soundfile as sf
+
+import tonewood as tw
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def example(name: str) -> ModuleType:
+    spec = spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_all_examples_are_tested_here() -> None:
+    here = Path(__file__).read_text()
+    assert [p.stem for p in EXAMPLES.glob("*.py") if f'"{p.stem}"' not in here] == []
+
+
+def test_render_score(tmp_path: Path) -> None:
+    """The first note is a C3, 130.81 Hz: the lowest partial of the first quarter of a second."""
+    audio = example("render_score").main(tmp_path)
+    x, fs = sf.read(str(tmp_path / "prelude.flac"), always_2d=True)
+    assert np.abs(x - audio.samples).max() <= 2.0**-23
+    spectrum = np.abs(np.fft.rfft(x[:8000, 0] * np.hanning(8000), 1 << 17))
+    freq = np.fft.rfftfreq(1 << 17, 1 / fs)
+    low = (freq > 115) & (freq < 150)
+    assert freq[low][np.argmax(spectrum[low])] == pytest.approx(130.81, rel=0.01)
+
+
+def test_another_guitar(tmp_path: Path) -> None:
+    """E2 and D2 of equal temperament at 440 Hz."""
+    pitch = example("another_guitar").main(tmp_path)
+    assert pitch["usual"] == pytest.approx(440.0 * 2 ** ((40 - 69) / 12), rel=6e-4)
+    assert pitch["changed"] == pytest.approx(440.0 * 2 ** ((38 - 69) / 12), rel=6e-4)
+    assert sf.info(str(tmp_path / "changed.wav")).frames == 48000
+
+
+def test_bridge_mobility() -> None:
+    """The lowest strong row of the guitar's own table: f, Q and its residue A = heave - 2 cross + rock at u = -1."""
+    freq, size = example("bridge_mobility").main()
+    folder = tw.list_instruments()["classical_guitar"]
+    lines = [r.split(",") for r in (folder / "body.csv").read_text().splitlines() if r and r[0] != "#"]
+    rows = [dict(zip(lines[0], map(float, values), strict=True)) for values in lines[1:]]
+    low = [r for r in rows if r["f_Hz"] < 150]
+    residue = [r["heave"] - 2 * r["cross"] + r["rock"] for r in low]
+    peak = [a * r["Q"] / (2 * np.pi * r["f_Hz"]) for a, r in zip(residue, low, strict=True)]
+    strongest = int(np.argmax(peak))
+    assert freq == pytest.approx(low[strongest]["f_Hz"], rel=0.01)
+    assert size == pytest.approx(peak[strongest], rel=0.1)
+
+
+def test_streaming() -> None:
+    assert example("streaming").main() == 0.0
+
+
+def test_play_live(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "sounddevice", None)
+    assert example("play_live").main() == 48000
+
+
+def test_scores_are_written_as_they_stand(tmp_path: Path) -> None:
+    module = example("scores/make_scores")
+    module.main(tmp_path)
+    for name in module.PIECES:
+        kept, written = ((folder / f"{name}.mid") for folder in (EXAMPLES / "scores", tmp_path))
+        assert kept.read_bytes() == written.read_bytes()
+        instrument = tw.load_instrument("african_harp" if name == "pentatonic" else "classical_guitar")
+        played = tw.Renderer(tw.read_midi(kept), instrument, 16000).summary()
+        assert played.notes == len(tw.read_midi(kept).notes)
+        assert not played.notes_dropped
+        assert not tw.read_midi(kept).warnings
