@@ -1,0 +1,153 @@
+"""Single precision, dying tails, runs of any length, and numbers that are not numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import displaced, energies, energy, guitar
+
+from assembled import held_force
+from tonewood import _kernel
+from tonewood.errors import NumericalError
+from tonewood.numerics.connections import Connection, SpringDashpot, Term
+from tonewood.numerics.kernel import KernelStepper
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.stepper import NumpyStepper
+from tonewood.numerics.system import Injection, Probe, Readout, System
+
+DT = 1 / 48000
+ISAS = _kernel.instruction_sets()
+
+
+def undamped(n=512, connected=True):
+    """Free modes from 20 Hz to 21 kHz; a finger that does not touch makes the component one with a port."""
+    omega = 2 * np.pi * np.linspace(20, 21_000, n)
+    basis = ModalBasis.real(omega, np.zeros(n), {"p": np.ones(n)})
+    finger = [Connection("finger", (Term("a", "p"),), SpringDashpot())] if connected else []
+    return System.build({"a": basis}, finger, [Readout("u", "displacement", (Probe("a", "p"),))], dt=DT)
+
+
+@pytest.mark.parametrize("isa", ISAS)
+@pytest.mark.parametrize("block", [16_000, 17])
+def test_single_precision_modes_never_grow(isa, block):
+    """Each undamped mode's energy after many steps is at most what it was: propagators are rounded inwards."""
+    system = undamped()
+    stepper = KernelStepper(system, precision="f32", isa=isa)
+    state = stepper.start()
+    state.modes[0, :512] = 1.0
+    for _ in range(10 if block > 100 else 1000):
+        stepper.run(state, block)
+    left = (state.modes[:, :512].astype(float) ** 2).sum(axis=0)
+    assert left.max() <= 1.0
+    assert left.min() > 0.9
+
+
+def test_single_precision_guitar_never_gains_energy():
+    """Undamped, coupled: energy seen every 1000 steps rises by less than the rounding of its sum, and drifts down."""
+    system = guitar(eta=0.0, zeta=0.0)
+    exact = displaced(system, velocities=True)
+    state = KernelStepper(system, precision="f32").start()
+    state.modes[:] = exact.modes
+    E = energies(system, state, 50, 1000, precision="f32")
+    assert np.all(np.diff(E) <= 1e-5 * E[0])
+    assert 0.99 < E[-1] / E[0] <= 1.0
+
+
+def test_single_precision_decays_as_double_does():
+    """Levels of a damped guitar after half a second agree to 0.01 dB."""
+    system = guitar()
+    exact = displaced(system)
+    state = KernelStepper(system, precision="f32").start()
+    state.modes[:] = exact.modes
+    KernelStepper(system, precision="f32").run(state, 24_000)
+    KernelStepper(system).run(exact, 24_000)
+    assert abs(10 * np.log10(energy(system, state) / energy(system, exact))) < 0.01
+
+
+@pytest.mark.parametrize("precision", ["f64", "f32"])
+def test_tails_do_not_end_in_denormals(precision):
+    """What decays below the smallest normal number is flushed: no slow numbers are left in the state.
+
+    Of a coupled instrument some numbers stay within a thousand of the smallest one, where forces flush what moves.
+    """
+    system = guitar(eta=0.05, zeta=0.5)
+    stepper = KernelStepper(system, precision=precision)
+    tiny = float(np.finfo(stepper.dtype).tiny)
+    state, quiet = stepper.start(), displaced(system).modes
+    # a tail that has come down to some orders above the smallest number already
+    state.modes[:] = quiet / np.abs(quiet).max() * tiny * 1e6
+    state.modes[np.abs(state.modes) < tiny] = 0.0
+    for _ in range(30):
+        stepper.run(state, 4800)
+        left = np.abs(state.modes[state.modes != 0])
+        assert np.all(left >= tiny)
+    assert left.max(initial=0.0) < 1e3 * tiny
+    # and without joints nothing stays
+    alone = undamped(64)
+    dying = alone.with_basis(
+        "a", ModalBasis.real(np.sqrt(alone.compiled[0].basis.stiffness), np.full(64, 200.0), {"p": np.ones(64)})
+    )
+    stepper = KernelStepper(dying, precision=precision)
+    state = stepper.start()
+    state.modes[0, :64] = tiny * 1e6
+    stepper.run(state, 24_000)
+    assert not state.modes.any()
+
+
+def test_flushing_is_left_at_the_kernels_door():
+    """Denormals of the rest of the process stay what they are, during and after."""
+    system = guitar(names=("E4",))
+    state = displaced(system)
+    KernelStepper(system).run(state, 1000)
+    smallest = np.float64(5e-324)
+    assert smallest * 1.0 == 5e-324
+    assert np.float64(1e-308) / 4 > 0
+
+
+@pytest.mark.parametrize("isa", ISAS)
+def test_runs_of_any_length_are_one_run(isa):
+    """A second at once, or 16 samples at a time: the same to the bit."""
+    system = guitar()
+    start = displaced(system)
+    stepper = KernelStepper(system, isa=isa)
+    whole, pieces = start.copy(), start.copy()
+    out, _ = stepper.run(whole, 16_000)
+    parts = [stepper.run(pieces, 16)[0] for _ in range(1000)]
+    assert np.array_equal(np.concatenate(parts), out)
+    assert np.array_equal(whole.modes, pieces.modes)
+
+
+@pytest.mark.parametrize("make", [KernelStepper, NumpyStepper])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("where", ["body", "E2", "G3", "E4"])
+def test_a_number_that_is_not_one_is_reported_where_and_when(make, bad, where):
+    """Put into one mode's state at 0.01 s: the next call says which component, at which time."""
+    system = guitar()
+    state = displaced(system)
+    stepper = make(system)
+    state.sample = 480
+    modes = system.modes_of(state, where)
+    modes[1, modes.shape[1] // 2] = bad
+    with pytest.raises(NumericalError, match=rf"^{where} is no longer finite at 0\.01"):
+        stepper.run(state, 64)
+
+
+@pytest.mark.parametrize("make", [KernelStepper, NumpyStepper])
+def test_an_input_that_is_not_a_number_is_reported_where_and_when(make):
+    """In the 32nd step of a known force: within the block of that step."""
+    system = guitar()
+    values = np.zeros((1, 64))
+    values[0, 32] = np.nan
+    basis = system.compiled[system.slot("G3")].basis
+    vectors = np.ones((1, basis.n_modes, 2))
+    with pytest.raises(NumericalError, match=r"^G3 is no longer finite at 0\.0006"):
+        make(system).run(system.start(), 128, [Injection("G3", 0, vectors, values)])
+
+
+def test_a_state_too_large_for_its_numbers_is_reported():
+    """Forces of 1e300 N overflow: an error and no sound."""
+    system = guitar()
+    basis = system.compiled[system.slot("E2")].basis
+    push = held_force(basis, "E2", "pluck", np.full(2000, 1e308), DT)
+    with pytest.raises(NumericalError, match="no longer finite"):
+        KernelStepper(system).run(system.start(), 4000, [push, push, push])
