@@ -18,7 +18,6 @@ Real modes are passive by construction. Complex ones are tested when they are lo
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -43,6 +42,11 @@ class Point(Parameters):
     direction: Direction = described("x, y, z or a unit vector: displacement is counted along it", default="z")
     u: float | None = quantity("1", default=None, doc="heave_rock: place along the line, -1 .. 1 between the feet")
     column: str | None = described("name of the point in the table; the point's own where left out", default=None)
+    driven: bool = described(
+        "whether forces act here; false for a point that is only heard, which the test of passivity leaves out",
+        default=True,
+        strict=True,
+    )
 
 
 class Truncation(Parameters):
@@ -82,7 +86,7 @@ class ModalTable(Body[ModalTableParameters]):
     def points(self) -> Mapping[str, BodyPoint]:
         """Every point with its direction; ``u`` among its coordinates where it was given."""
         return {
-            name: BodyPoint(unit_vector(p.direction), {} if p.u is None else {"u": p.u})
+            name: BodyPoint(unit_vector(p.direction), {} if p.u is None else {"u": p.u}, driven=p.driven)
             for name, p in self.parameters.points.items()
         }
 
@@ -113,9 +117,9 @@ class ModalTable(Body[ModalTableParameters]):
                 basis = with_damping_case(basis, p.damping_case)
             except ValueError as fault:
                 raise self.fault(str(fault), "damping_case") from None
-        if not basis.is_real:
-            basis = self._passive(basis)
-        return basis.select(np.flatnonzero(basis.natural_freq < freq_upper))
+        # a part of a passive list of complex modes need not be passive: what is tested is what is stepped
+        basis = basis.select(np.flatnonzero(basis.natural_freq < freq_upper))
+        return basis if basis.is_real else self._passive(basis)
 
     def _column(self, table: Mapping[str, Floats], name: str) -> Floats:
         if name not in table:
@@ -200,23 +204,20 @@ class ModalTable(Body[ModalTableParameters]):
         return out
 
     def _passive(self, basis: ModalBasis) -> ModalBasis:
-        from tonewood.numerics.passivity import check
+        from tonewood.numerics.basis_passivity import check_basis, repair_basis
 
         p = self.parameters
-        report = check(basis.poles, basis.right, basis.left)
+        driven = [name for name, point in p.points.items() if point.driven]
+        report = check_basis(basis, driven)
         if report.passive:
             return basis
         if p.repair == "refuse":
             reason = f"{p.table}: {report.summary()}; `repair: passive` mends it"
             raise PassivityError(reason, file=self.files.manifest, key=self.key)
-        from tonewood.numerics.passivity_repair import repair
-
         try:
-            mended = repair(basis.poles, basis.right, basis.left, max_change=p.max_change)
+            return repair_basis(basis, driven, max_change=p.max_change)
         except PassivityError as fault:
             raise PassivityError(f"{p.table}: {fault.reason}", file=self.files.manifest, key=self.key) from None
-        note = {**basis.metadata, "repair": mended.summary()}
-        return replace(basis, right=mended.right, left=mended.left, metadata=note)
 
 
 def _eigen_2x2(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:

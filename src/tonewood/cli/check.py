@@ -63,13 +63,13 @@ def check(
 
 def _body(model: Model) -> dict[str, Any]:
     """The body's modes and whether it is passive; real modes are by construction."""
-    basis = model.system.compiled[model.system.slot("body")].basis
-    summary, passive = "passive by construction (real modes)", True
-    if not basis.is_real:
-        from tonewood.numerics.passivity import check as check_passivity
+    from tonewood.numerics.basis_passivity import check_basis
 
-        verdict = check_passivity(basis.poles, basis.right, basis.left, dt=model.system.dt)
-        summary, passive = verdict.summary(), verdict.passive
+    basis = model.system.compiled[model.system.slot("body")].basis
+    verdict = check_basis(basis, [name for name, p in model.body_points.items() if p.driven], dt=model.system.dt)
+    summary, passive = verdict.summary(), verdict.passive
+    if passive and basis.is_real:
+        summary = "passive by construction (real modes)"
     freq = basis.natural_freq
     return {
         "n_modes": basis.n_modes,

@@ -14,6 +14,7 @@ from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import Effects, Playing, StringPart
 from tonewood.instrument.strings import Polarization, Stopping, StringModel
 from tonewood.instrument.tuning import body_ports
+from tonewood.numerics.basis_passivity import check_basis
 from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.system import Drive, Readout, System
@@ -92,6 +93,12 @@ class Model:
         """Modes of the open instrument."""
         return sum(c.basis.n_modes for c in self.system.compiled)
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was done to the bundle's figures to make them playable, one line each."""
+        note = self.system.compiled[self.system.slot("body")].basis.metadata.get("repair")
+        return () if note is None else (f"body: {note}",)
+
     def place(self, string: str, stop: float = 0) -> Place:
         """A string at a stop, as exciters want it."""
         return Place(string, self.strings[string].length(stop))
@@ -110,8 +117,8 @@ def assemble(
 
     Raises
     ------
-    BundleError, PassivityError : a table is missing or wrong, a body would create energy, a string has no mode
-        below the limit; one line.
+    BundleError, PassivityError : a table is missing or wrong, a body (a plugin's own too) would create energy where
+        strings end or exciters push, a string has no mode below the limit; one line.
     """
     limit = FREQ_LIMIT * fs if freq_limit is None else freq_limit
     spec, file = instrument.spec, instrument.folder / MANIFEST
@@ -122,6 +129,9 @@ def assemble(
         name: _string(instrument, name, body, body_points, limit, instrument.exciters[exciter])
         for name in instrument.string_names
     }
+    driven = {point for string in strings.values() for p in string.polarizations for point in p.ends}
+    driven |= {e.at.partition(".")[2] for e in instrument.exciters.values() if e.at is not None}
+    check_basis(body, sorted(driven), dt=1.0 / fs).require(file=str(file), key="body")
     components: dict[str, ModalBasis] = {"body": body}
     connections: list[Connection] = []
     for string in strings.values():

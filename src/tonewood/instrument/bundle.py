@@ -200,7 +200,7 @@ class Instrument:
 
     def _check(self) -> None:
         """What no single part can know."""
-        points = self.body.points()
+        points = {name: point for name, point in self.body.points().items() if point.driven}
         for name, part in self.spec.strings.items():
             for end in _ends(part):
                 component, _, point = end.partition(".")

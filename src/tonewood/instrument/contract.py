@@ -131,10 +131,12 @@ class BodyPoint:
     ----------
     direction : unit vector along which the point's displacement is counted (x nut to bridge, y to treble, z out).
     coordinates : where it lies, in coordinates the body's plugin names, e.g. ``u`` along the bridge.
+    driven : whether strings may end and exciters may push here; a point that is only heard may not.
     """
 
     direction: Vector
     coordinates: Mapping[str, float] = field(default_factory=dict)
+    driven: bool = True
 
 
 class Body(Plugin[P]):

@@ -191,7 +191,7 @@ class Renderer:
             notes_dropped=self.performance.dropped,
             peak_dbfs=decibels(self._loudest),
             end=self._end or "not ended",
-            warnings=self.performance.warnings,
+            warnings=[*self.model.warnings, *self.performance.warnings],
         )
 
     def snapshot(self) -> Checkpoint:
