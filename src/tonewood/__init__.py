@@ -54,9 +54,12 @@ if TYPE_CHECKING:
     from tonewood.instrument.losses import LossLaw as LossLaw
     from tonewood.instrument.registry import list_instruments as list_instruments
     from tonewood.instrument.registry import list_plugins as list_plugins
+    from tonewood.numerics.basis_passivity import check_basis as check_basis
+    from tonewood.numerics.basis_passivity import repair_basis as repair_basis
     from tonewood.numerics.damping import with_damping_case as with_damping_case
     from tonewood.numerics.modes import ModalBasis as ModalBasis
     from tonewood.numerics.string_modes import string_basis as string_basis
+    from tonewood.numerics.string_modes import wavenumber as wavenumber
     from tonewood.numerics.string_transfer import retuned as retuned
     from tonewood.numerics.string_transfer import string_transfer as string_transfer
     from tonewood.numerics.system import Drive as Drive
@@ -98,9 +101,10 @@ _MODULES = {
     "instrument.inspection": ("partials", "pitch", "pitches"),
     "instrument.losses": ("LossLaw",),
     "instrument.registry": ("list_instruments", "list_plugins"),
+    "numerics.basis_passivity": ("check_basis", "repair_basis"),
     "numerics.damping": ("with_damping_case",),
     "numerics.modes": ("ModalBasis",),
-    "numerics.string_modes": ("string_basis",),
+    "numerics.string_modes": ("string_basis", "wavenumber"),
     "numerics.string_transfer": ("retuned", "string_transfer"),
     "numerics.system": ("Drive", "Probe", "Readout"),
     "output.audio": ("Audio",),

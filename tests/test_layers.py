@@ -1,0 +1,130 @@
+"""Imports point down only, and built-in plugins go through the public door: read from the sources."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import tonewood
+
+ROOT = Path(__file__).parents[1]
+SOURCES = ROOT / "src" / "tonewood"
+
+#: bottom to top; what stands in one set may not import each other
+LAYERS = (
+    {"errors", "_kernel", "_methods"},
+    {"units", "params", "yaml_io"},
+    {"numerics"},
+    {"score"},
+    {"instrument"},
+    {"engine"},
+    {"output"},
+    {"lab", "batch"},
+    {"cli"},
+    {"__init__", "__main__"},
+)
+RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
+
+#: what numerics may stand on: arrays, no files, no formats
+ARRAYS_ONLY = {"numpy", "scipy", "matplotlib", "tonewood"}
+STANDARD_FORBIDDEN_IN_NUMERICS = {"json", "csv", "io", "tempfile", "shutil", "subprocess"}
+
+
+def imports(path):
+    """(module, name or None, line) of everything a file imports, wherever in it."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, None, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: write whole module names"
+            yield from ((node.module or "", alias.name, node.lineno) for alias in node.names)
+
+
+def layer_of(module, name=None):
+    """Name of the layer that ``from module import name`` reaches into."""
+    parts = module.split(".")
+    if len(parts) > 1:
+        return parts[1]
+    return name if name in RANK else "__init__"  # from tonewood import errors, or a public name
+
+
+FILES = sorted(SOURCES.rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=[str(p.relative_to(SOURCES)) for p in FILES])
+def test_imports_point_down(path):
+    own = path.relative_to(SOURCES).parts[0].removesuffix(".py")
+    for module, name, line in imports(path):
+        if module.split(".")[0] != "tonewood":
+            continue
+        other = layer_of(module, name)
+        assert other in RANK, f"{path}:{line}: {other} is in no layer"
+        if other == own or (module, name) == ("tonewood", "__version__"):
+            continue
+        assert RANK[other] < RANK[own], f"{path.relative_to(ROOT)}:{line}: {own} must not import {other}"
+
+
+def test_every_layer_is_there():
+    present = {p.name.removesuffix(".py").removesuffix(".pyi") for p in SOURCES.iterdir() if p.name != "__pycache__"}
+    wanted = set(RANK)
+    assert {name for name in wanted if not name.startswith("_")} - present == set()
+    extra = {name for name in present - wanted if (SOURCES / name).is_dir() or (SOURCES / f"{name}.py").exists()}
+    assert extra == set()
+
+
+def test_numerics_knows_arrays_only():
+    for path in (SOURCES / "numerics").glob("*.py"):
+        for module, _, line in imports(path):
+            root = module.split(".")[0]
+            where = f"{path.relative_to(ROOT)}:{line}"
+            assert root not in STANDARD_FORBIDDEN_IN_NUMERICS, f"{where}: numerics reads and writes nothing"
+            known = root in ARRAYS_ONLY or root in {"__future__", "collections", "dataclasses", "functools"}
+            allowed = {"ctypes", "itertools", "math", "os", "pathlib", "typing", "warnings"}
+            assert known or root in allowed, f"{where}: {module}"
+
+
+def test_score_is_plain_data():
+    """It knows no instrument classes: nothing above it (which the layers say), and no arrays of modes below it."""
+    for path in (SOURCES / "score").glob("*.py"):
+        for module, _, line in imports(path):
+            assert not module.startswith("tonewood.numerics"), f"{path.relative_to(ROOT)}:{line}"
+
+
+PLUGINS = sorted((ROOT / "plugins").glob("*.py")) + sorted((ROOT / "examples").rglob("*plugin*/**/*.py"))
+
+
+@pytest.mark.parametrize("path", PLUGINS, ids=[p.name for p in PLUGINS])
+def test_plugins_use_public_names_only(path):
+    """What a plugin takes from tonewood is offered by ``import tonewood`` under the same name."""
+    for module, name, line in imports(path):
+        if module.split(".")[0] != "tonewood" or name is None:
+            continue
+        assert hasattr(tonewood, name), f"{path.relative_to(ROOT)}:{line}: {module}.{name} is no public name"
+        public = getattr(tonewood, name)
+        offered = getattr(__import__(module, fromlist=[name]), name)
+        assert public is offered
+
+
+def test_nothing_but_the_package_is_imported_by_plugins():
+    """numpy, scipy, pydantic and the standard library, besides tonewood itself."""
+    import sys
+
+    for path in PLUGINS:
+        for module, _, line in imports(path):
+            root = module.split(".")[0]
+            allowed = root in sys.stdlib_module_names or root in {"numpy", "scipy", "pydantic", "tonewood", "pytest"}
+            own = any((p / root).exists() or (p / f"{root}.py").exists() for p in path.parents)
+            assert allowed or own, f"{path.relative_to(ROOT)}:{line}: {module}"
+
+
+def test_importing_the_package_is_light():
+    """Heavy parts of scipy and every drawing or audio library wait until they are used."""
+    import subprocess
+    import sys
+
+    script = "import sys, tonewood; print(' '.join(sorted(sys.modules)))"
+    loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
+    heavy = {"scipy.signal", "scipy.optimize", "matplotlib", "sounddevice", "dask", "pyloudnorm", "scipy.linalg"}
+    assert heavy & set(loaded) == set()
