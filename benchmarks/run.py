@@ -1,0 +1,290 @@
+"""What tonewood costs on this machine: one table.
+
+    python benchmarks/run.py            # some minutes
+    python benchmarks/run.py --quick    # shorter scores, fewer repeats
+
+One core; times are medians of repeats, with the fastest and the slowest beside them. `realtime_factor` is seconds of
+sound per second of computing. Nothing here decides a test.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+import tonewood as tw
+from tonewood import _kernel
+from tonewood.engine.engine import GRID, Engine
+from tonewood.numerics.connections import Connection, Rigid, Term
+from tonewood.numerics.energy import EnergyAccount
+from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.kernel import KernelStepper, instruction_set
+from tonewood.numerics.stepper import NumpyStepper
+from tonewood.numerics.system import Probe, Readout, System
+
+ROOT = Path(__file__).parents[1]
+FS = 48000
+Row = tuple[str, str, str]
+
+
+def machine() -> str:
+    """Processor, cores, instruction set, versions."""
+    name = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line]
+        name = names[0] if names else name
+    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    return (
+        f"{name}, {os.cpu_count()} cores{load}; {instruction_set()}; Python {platform.python_version()}, "
+        f"NumPy {np.__version__}, tonewood {tw.__version__}"
+    )
+
+
+def repeated(measure: Callable[[], float], times: int) -> tuple[float, str]:
+    """Median, and the spread in words."""
+    found = [measure() for _ in range(times)]
+    return statistics.median(found), f"{min(found):.3g} to {max(found):.3g} in {times} runs"
+
+
+def chord(instrument: tw.Instrument, outputs: list[str] | None = None) -> tw.Renderer:
+    """All six strings of a guitar, both polarizations, plucked at once."""
+    notes = [tw.Note(0.0, 600.0, string=name, stop=0, force=2.0) for name in instrument.string_names]
+    return tw.Renderer(tw.Score(notes), instrument, FS, outputs=outputs)
+
+
+def all_ringing(repeats: int) -> Iterator[Row]:
+    """The whole guitar while every string rings, and what the kernel alone takes of it."""
+    guitar = tw.load_instrument("classical_guitar")
+
+    def engine_factor(precision: str) -> float:
+        renderer = chord(guitar)
+        engine = Engine(renderer.model, renderer.performance.timeline, precision=precision)
+        engine.advance(100)  # the plucks
+        n_ticks = 3 * FS // GRID
+        began = time.perf_counter()
+        engine.advance(n_ticks)
+        return n_ticks * GRID / FS / (time.perf_counter() - began)
+
+    def render_factor() -> float:
+        renderer = chord(guitar)
+        renderer.max_duration = 3.0
+        for _ in renderer.blocks(4096):
+            pass
+        return renderer.summary().realtime_factor
+
+    model = chord(guitar).model
+    for precision in ("f64", "f32"):
+        value, spread = repeated(lambda p=precision: engine_factor(p), repeats)  # type: ignore[misc]  # bound now
+        what = f"guitar, {model.n_modes} modes ringing, 2 microphones, 48 kHz, {precision}"
+        yield what, f"{value:.1f} x real time", spread
+    value, spread = repeated(render_factor, repeats)
+    yield "  the same rendered, plucks and blocks included, f64", f"{value:.1f} x real time", spread
+
+
+def kernel_cost(repeats: int) -> Iterator[Row]:
+    """Nanoseconds per mode and sample, and the share of the multiply-adds this core can do."""
+    system = chord(tw.load_instrument("classical_guitar")).model.system
+    n_modes = sum(c.basis.n_modes for c in system.compiled)
+    rigid = {(t.component, t.point) for c in system.connections if isinstance(c.law, Rigid) for t in c.terms}
+    multiply_adds = 0
+    for name, compiled, one_way in zip(system.names, system.compiled, system.driven, strict=True):
+        ports = len(compiled.ports) if one_way else sum(part == name for part, _ in rigid)
+        rows = len(compiled.readouts) + (0 if one_way else ports)
+        multiply_adds += compiled.basis.n_modes * (4 + 2 * ports + 2 * rows)
+    stepper = KernelStepper(system)
+    state = stepper.start()
+    state.modes[:] = np.random.default_rng(1).standard_normal(state.modes.shape) * 1e-6
+
+    def seconds() -> float:
+        n = 24000
+        began = time.perf_counter()
+        stepper.run(state, n)
+        return (time.perf_counter() - began) / n
+
+    seconds()
+    value, spread = repeated(lambda: 1e9 * seconds() / n_modes, 2 * repeats)
+    yield "kernel, linear step, f64", f"{value:.3f} ns per mode and sample", spread
+    peak, spread = repeated(lambda: _kernel.fma_peak(instruction_set(), 0.2), repeats)
+    yield f"this core's peak, {instruction_set()}", f"{peak / 1e9:.1f} G multiply-adds/s", spread.replace("e+10", "e10")
+    share = multiply_adds / (value * 1e-9 * n_modes) / peak
+    yield (
+        "  share of it in the kernel",
+        f"{100 * share:.0f} %",
+        f"{multiply_adds / n_modes:.1f} multiply-adds per mode and sample that the equations need",
+    )
+
+
+def kernel_against_twin(repeats: int) -> Iterator[Row]:
+    """The C++ kernel and the NumPy stepper on the same guitar."""
+    system = chord(tw.load_instrument("classical_guitar")).model.system
+    kernel, twin = KernelStepper(system), NumpyStepper(system)
+    start = system.start()
+    start.modes[:] = np.random.default_rng(1).standard_normal(start.modes.shape) * 1e-6
+    n = 2000
+    runs: list[np.ndarray] = []
+    taken = []
+    for stepper in (kernel, twin):
+        times = []
+        for _ in range(repeats):
+            state = start.copy()
+            began = time.perf_counter()
+            out = stepper.run(state, n)[0]
+            times.append(time.perf_counter() - began)
+        runs.append(out)
+        taken.append(statistics.median(times))
+    worst = np.abs(runs[0] - runs[1]).max() / np.abs(runs[1]).max()
+    yield "kernel against NumPy twin, same guitar", f"{taken[1] / taken[0]:.0f} times faster", f"{n} steps"
+    yield "  difference of their outputs", f"{worst:.1e} of the peak", f"after {n} steps"
+
+
+def undamped_energy(steps: int) -> Iterator[Row]:
+    """A stiff string without losses on a body without losses, joined by a rigid constraint."""
+    string_class = tw.list_plugins()["stiff_string"]
+    values = {"length": 0.65, "tension": 71.6, "linear_density": 6.24e-3, "bending_stiffness": 57e-6}
+    string = string_class.from_values({**values, "loss": {"law": "sigma", "sigma0": 0.0}})
+    assert isinstance(string, tw.Resonator)
+    body = tw.ModalBasis.real(
+        2 * np.pi * np.array([102.0, 204.0, 415.0]), np.zeros(3), {"bridge": np.array([1.6, 3.0, 2.2])},
+        residual=np.array([[2e-8]]),
+    )  # fmt: skip
+    string_basis = string.basis(20000.0).with_places({"pluck": 0.105})
+    system = System.build(
+        {"string": string_basis, "body": body},
+        [Connection("joint", (Term("string", "bridge"), Term("body", "bridge", -1.0)), Rigid())],
+        [Readout("bridge", "velocity", (Probe("body", "bridge"),))],
+        dt=1 / FS,
+    )
+    stepper = KernelStepper(system)
+    state = stepper.start()
+    held = compile_force("string", string_basis, "pluck", [Piece(0.0, 0.02, 0.0, 50.0)], system.dt)
+    stepper.run(state, 1000, held)  # drawn with 1 N and let go
+    modes = system.modes_of(state, "string")
+    account = EnergyAccount(system, state)
+    first = sum(account.stored(state).values())
+    worst = 0.0
+    for _ in range(10):
+        stepper.run(state, steps // 10)
+        worst = max(worst, abs(sum(account.stored(state).values()) / first - 1))
+    yield f"energy drift over {steps:.0e} undamped steps", f"{worst:.1e}", f"{len(modes[0])} + 3 modes, one constraint"
+
+
+def long_score(seconds: float) -> tw.Score:
+    """Two voices, two notes a second each, over the range of the guitar."""
+    rng = np.random.default_rng(7)
+    notes = []
+    for i in range(int(2 * seconds)):
+        notes.append(tw.Note(0.5 * i, 0.45, note=int(rng.integers(40, 52)), velocity_midi=80))
+        notes.append(tw.Note(0.5 * i + 0.25, 0.45, note=int(rng.integers(59, 76)), velocity_midi=80))
+    return tw.Score(notes)
+
+
+def _child(score: Path, folder: str, *more: str) -> tuple[float, float]:
+    """Wall time (s) and peak memory (MB) of a render in a process of its own."""
+    program = (
+        "import resource, sys\nfrom tonewood.cli.main import run\n"
+        "try:\n    run(sys.argv[1:])\nexcept SystemExit as end:\n    assert not end.code\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
+    )
+    command = [sys.executable, "-c", program, "render", str(score), "-i", "classical_guitar"]
+    began = time.perf_counter()
+    done = subprocess.run([*command, "-o", f"{folder}/out.wav", *more], capture_output=True, text=True, check=True)
+    return time.perf_counter() - began, float(done.stdout.splitlines()[-1])
+
+
+def cold_start(repeats: int) -> Iterator[Row]:
+    """``tonewood render`` of one second, from the shell's return key to the file."""
+    with tempfile.TemporaryDirectory() as folder:
+        score = Path(folder) / "one.mid"
+        tw.write_midi(tw.Score([tw.Note(0.0, 0.5, note=64, velocity_midi=80)]), score)
+        _child(score, folder)
+        value, spread = repeated(lambda: _child(score, folder, "--max-duration", "1")[0], repeats)
+        yield "cold start: `tonewood render` of one second", f"{value:.2f} s", spread
+
+
+def memory(minutes: float) -> Iterator[Row]:
+    """Peak memory does not follow the length of the piece."""
+    with tempfile.TemporaryDirectory() as folder:
+        peaks = {}
+        for seconds in (20.0, 60.0 * minutes):
+            score = Path(folder) / f"{seconds:.0f}.mid"
+            tw.write_midi(long_score(seconds), score)
+            wall, peaks[seconds] = _child(score, folder)
+            factor = seconds / wall
+            yield f"peak memory of a {seconds:.0f} s score", f"{peaks[seconds]:.0f} MB", f"{factor:.1f} x real time"
+        short, long = peaks.values()
+        yield "  difference", f"{long - short:+.0f} MB", ""
+
+
+def pieces(repeats: int) -> Iterator[Row]:
+    """Whole pieces: what notes cost beside the ringing."""
+    guitar = tw.load_instrument("classical_guitar")
+    for name in ("greensleeves", "romance"):
+        score = tw.read_midi(ROOT / "examples" / "scores" / f"{name}.mid")
+        stepping: list[float] = []
+
+        def factor(score: tw.Score = score, stepping: list[float] = stepping) -> float:
+            renderer = tw.Renderer(score, guitar, FS)
+            stepper, spent = renderer.engine.stepper, 0.0
+            run = stepper.run
+
+            def timed(*arguments: object) -> object:
+                nonlocal spent
+                began = time.perf_counter()
+                result = run(*arguments)  # type: ignore[arg-type]  # passed on
+                spent += time.perf_counter() - began
+                return result
+
+            stepper.run = timed  # type: ignore[assignment,method-assign]  # to be timed
+            for _ in renderer.blocks(4096):
+                pass
+            summary = renderer.summary()
+            stepping.append(spent / summary.render_s)
+            return summary.realtime_factor
+
+        value, spread = repeated(factor, repeats)
+        share = 100 * statistics.median(stepping)
+        yield (
+            f"{name}.mid, {len(score.notes)} notes, {score.duration:.0f} s",
+            f"{value:.1f} x real time",
+            (f"{share:.0f} % of it stepping; {spread}"),
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="shorter scores, fewer repeats")
+    quick = parser.parse_args().quick
+    one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    if not one_thread.items() <= os.environ.items():  # read when NumPy is imported
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **one_thread})
+    repeats = 3 if quick else 7
+    print(machine())
+    print(f"\n| {'what':<66} | {'measured':<31} | {'how':<50} |")
+    print(f"| {'-' * 66} | {'-' * 31} | {'-' * 50} |")
+    rows: list[Callable[[], Iterator[Row]]] = [
+        lambda: all_ringing(repeats),
+        lambda: kernel_cost(repeats),
+        lambda: kernel_against_twin(3),
+        lambda: undamped_energy(1_000_000),
+        lambda: cold_start(repeats),
+        lambda: pieces(1 if quick else 3),
+        lambda: memory(2.0 if quick else 20.0),
+    ]
+    for measure in rows:
+        for what, value, how in measure():
+            print(f"| {what:<66} | {value:<31} | {how:<50} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
