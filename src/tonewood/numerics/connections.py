@@ -118,28 +118,56 @@ def linear_solve(laws: Sequence[Law], compliance: Floats, residual: Floats, dt: 
     heavy parts. Of redundant constraints the motion is unique; their shares of the force are least squares in that
     scaling. A connection without stiffness and damping carries no force.
     """
-    m = len(laws)
-    S, gamma, offset, active = np.zeros((m, m)), np.zeros(m), np.zeros(m), np.ones(m, dtype=bool)
-    rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)
-    S += 2 * residual * np.outer(rigid, rigid)
-    scale = np.maximum(np.diag(compliance), 0.0)
-    for j, law in enumerate(laws):
-        if not isinstance(law, (Rigid, SpringDashpot)):
-            active[j] = False
-            continue
-        if isinstance(law, SpringDashpot):
-            alpha, beta = law.stiffness / 2 + law.damping / dt, law.stiffness / 2 - law.damping / dt
-            active[j] = alpha > 0
-            if active[j]:
-                S[j, j], gamma[j] = 1 / alpha, beta / alpha
-        elif residual[j, j] > 1e-14 * scale[j]:
-            gamma[j] = 1.0
-        offset[j] = (1 + gamma[j]) * law.offset
-    G = np.zeros((m, m))
-    if active.any():
-        on = np.ix_(active, active)
-        G[on] = scaled_pinv((S + compliance)[on])
-    return LinearSolve(G, gamma, offset)
+    return LinearLaws.of(laws, dt).solve(compliance, residual)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLaws:
+    """Numbers of m laws that do not depend on the components.
+
+    Attributes
+    ----------
+    rigid, active : (m,) which laws are rigid, and which carry a force here: rigid ones, springs and dashpots.
+    softness, gamma : (m,) 1/alpha (m/N) and beta/alpha of springs and dashpots, 0 for others.
+    offset : (m,) m.
+    """
+
+    rigid: NDArray[np.bool_]
+    active: NDArray[np.bool_]
+    softness: Floats
+    gamma: Floats
+    offset: Floats
+
+    @classmethod
+    def of(cls, laws: Sequence[Law], dt: float) -> LinearLaws:
+        """Take the numbers of laws for a step of dt (s)."""
+        m = len(laws)
+        rigid, active = np.zeros(m, dtype=bool), np.zeros(m, dtype=bool)
+        softness, gamma, offset = np.zeros(m), np.zeros(m), np.zeros(m)
+        for j, law in enumerate(laws):
+            if isinstance(law, Rigid):
+                rigid[j] = active[j] = True
+                offset[j] = law.offset
+            elif isinstance(law, SpringDashpot):
+                offset[j] = law.offset
+                alpha, beta = law.stiffness / 2 + law.damping / dt, law.stiffness / 2 - law.damping / dt
+                if alpha > 0:
+                    active[j], softness[j], gamma[j] = True, 1 / alpha, beta / alpha
+        return cls(rigid, active, softness, gamma, offset)
+
+    def solve(self, compliance: Floats, residual: Floats) -> LinearSolve:
+        """Eliminate the forces; see `linear_solve`."""
+        yielding = self.rigid & (np.diag(residual) > 1e-14 * np.maximum(np.diag(compliance), 0.0))
+        gamma = np.where(yielding, 1.0, self.gamma)
+        on = np.flatnonzero(self.active)
+        G = np.zeros_like(compliance)
+        if on.size:
+            rigid = self.rigid[on].astype(np.float64)
+            at = (on[:, None], on)
+            S = 2 * residual[at] * rigid[:, None] * rigid
+            S.flat[:: on.size + 1] += self.softness[on]
+            G[at] = scaled_pinv(S + compliance[at])
+        return LinearSolve(G, gamma, (1 + gamma) * self.offset)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,8 +214,9 @@ def scaled_pinv(matrix: Floats, rtol: float = 1e-12) -> Floats:
     """Pseudo-inverse of a square matrix after scaling it to unit diagonal (zero rows stay zero)."""
     import scipy.linalg as sla
 
-    diagonal = np.abs(np.diag(matrix))
-    d = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    diagonal = np.abs(matrix.diagonal())
+    moves = diagonal > 0
+    d = moves / np.sqrt(np.where(moves, diagonal, 1.0))
     scaled = d[:, None] * matrix * d
     inverse = _inverse(scaled)
     if inverse is None:

@@ -31,32 +31,40 @@ def from_motion(basis: ModalBasis, q: Floats, velocity: Floats) -> Floats:
     return np.stack([np.where(pair, q / 2, q), np.where(pair, (lam.real * q - velocity) / (2 * turn), velocity)])
 
 
-def share_velocities(system: System, state: State) -> None:
+def share_velocities(system: System, state: State, joints: NDArray[np.bool_] | None = None) -> None:
     """Give rigidly joined points equal velocities by impulses at the joints: a plastic impact.
 
     v+ = v - Y A^T (A Y A^T)^+ A v with Y the velocity under a unit impulse, the projection in the mass norm: kinetic
     energy can only fall. Without it a struck body or a stopped string leaves the joint's velocities apart, and the
     constraint force then alternates from sample to sample for ever.
+
+    Parameters
+    ----------
+    joints : (m,) connections to look at, all where left out; only rigid ones take part.
     """
     rigid = np.array([isinstance(c.law, Rigid) for c in system.connections], dtype=bool)
+    if joints is not None:
+        rigid &= joints
     if not rigid.any():
         return
     m = len(system.connections)
     gap, mobility = np.zeros(m), np.zeros((m, m))
-    impulses: list[Floats | None] = []
-    for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True)):
-        if system.driven[slot]:
-            impulses.append(None)
-            continue
-        a, x = system.incidence(slot), system.modes_of(state, name).T
-        rows = compiled.form.rows("velocity", compiled.ports)
-        B = compiled.form.B[compiled.ports]
-        flat = rows.reshape(len(rows), -1)
-        gap += a @ (flat @ x.reshape(-1))
-        mobility += a @ (flat @ B.reshape(len(B), -1).T) @ a.T
-        impulses.append(B)
+    parts = [
+        (name, compiled, system.incidence(slot), np.flatnonzero(rigid[compiled.gaps]))
+        for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True))
+    ]
+    for name, compiled, incidence, joined in parts:
+        if joined.size:
+            on = compiled.gaps[joined]
+            a = incidence[on]
+            x = np.array(system.modes_of(state, name).T, dtype=np.float64)
+            gap[on] += a @ (compiled.velocity.reshape(len(compiled.ports), -1) @ x.reshape(-1))
+            mobility[on[:, None], on] += a @ compiled.mobility @ a.T
     kick = np.zeros(m)
     kick[rigid] = -scaled_pinv(mobility[np.ix_(rigid, rigid)]) @ gap[rigid]
-    for slot, (name, impulse) in enumerate(zip(system.names, impulses, strict=True)):
-        if impulse is not None:
-            system.modes_of(state, name)[:] += np.einsum("p,pmx->xm", system.incidence(slot).T @ kick, impulse)
+    for name, compiled, incidence, joined in parts:
+        if joined.size:
+            on = compiled.gaps[joined]
+            impulse = incidence[on].T @ kick[on]
+            B = compiled.form.B[compiled.ports]
+            system.modes_of(state, name)[:] += (impulse @ B.reshape(len(B), -1)).reshape(-1, 2).T

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.numerics.connections import Connection, LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
+from tonewood.numerics.connections import Connection, LinearLaws, LinearSolve, NonlinearSolve, nonlinear_solve
 from tonewood.numerics.laws import Friction
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.propagator import RealForm, apply, flow, real_form
@@ -102,6 +102,17 @@ class Compiled:
     compliance: Floats
     residual: Floats
     tension: TensionPart | None = None
+
+    @cached_property
+    def velocity(self) -> Floats:
+        """(n_ports, n_modes, 2) velocity rows of the ports."""
+        return self.form.rows("velocity", self.ports)
+
+    @cached_property
+    def mobility(self) -> Floats:
+        """(n_ports, n_ports) m/s of each port (first index) per impulse of 1 N s at another."""
+        p = len(self.ports)
+        return np.asarray(self.velocity.reshape(p, -1) @ self.form.B[self.ports].reshape(p, -1).T)
 
 
 @dataclass(eq=False)
@@ -218,6 +229,8 @@ class System:
     tensions: tuple[TensionModulation, ...] = ()
     tension_on: tuple[bool, ...] = ()
     wiring: tuple[Floats, ...] = ()
+    linear: LinearLaws | None = None
+    places: NDArray[np.intp] | None = None
 
     @classmethod
     def build(
@@ -308,13 +321,13 @@ class System:
             readouts.append(channel)
             difference.append(mean)
         all_rows = np.concatenate(rows)
-        history = np.empty((BLOCK_SIZE, len(ports), len(all_rows)))
         numbers = 2 * basis.n_modes
-        moved, flat = W, all_rows.reshape(len(all_rows), numbers).T
-        for k in range(BLOCK_SIZE):
-            history[k] = moved.reshape(len(ports), numbers) @ flat
-            moved = apply(E, moved)
-        a = np.zeros((0, len(ports))) if name in {d.component for d in self.drives} else self._incidence(name)
+        history = (
+            _responses(E, W).reshape(BLOCK_SIZE * len(ports), numbers) @ all_rows.reshape(len(all_rows), numbers).T
+        ).reshape(BLOCK_SIZE, len(ports), len(all_rows))
+        slot = self.slot(name)
+        wired = self.wiring[slot] if self.wiring else self._incidence(name)
+        a = np.zeros((0, len(ports))) if self.driven[slot] else wired
         gaps = np.flatnonzero(np.any(a != 0.0, axis=1))
         a = a[gaps]
         compliance = a @ history[0, :, : len(ports)].T @ a.T
@@ -344,7 +357,7 @@ class System:
         connections = tuple(laws.get(c.name, c) for c in self.connections)
         if any(new.terms != old.terms for new, old in zip(connections, self.connections, strict=True)):
             raise ValueError("a connection's terms cannot change, only its law")
-        return replace(self, connections=connections)._solved()
+        return replace(self, connections=connections, linear=None)._solved()
 
     def with_tensions(self, names: Collection[str]) -> System:
         """Switch on the tensions of these names, and off all others.
@@ -443,16 +456,36 @@ class System:
 
     def gap_matrix(self, which: str) -> Floats:
         """(m, m) m/N, ``compliance`` or ``residual`` of all components as the gaps see it."""
-        total = np.zeros((len(self.connections),) * 2)
-        for compiled in self.compiled:
-            total[compiled.gaps[:, None], compiled.gaps] += getattr(compiled, which)
-        return total
+        m = len(self.connections)
+        places = self._places() if self.places is None else self.places
+        shares = [getattr(c, which).ravel() for c in self.compiled]
+        total = np.bincount(places, np.concatenate([np.zeros(0), *shares]), m * m)
+        return np.asarray(total.reshape(m, m), dtype=np.float64)
+
+    def _places(self) -> NDArray[np.intp]:
+        """Where the entries of all components' gap matrices belong; the same whatever their bases."""
+        m = len(self.connections)
+        none = np.zeros(0, dtype=np.intp)
+        return np.concatenate([none, *((c.gaps[:, None] * m + c.gaps).ravel() for c in self.compiled)])
 
     def _solved(self) -> System:
         laws = [c.law for c in self.connections]
+        linear = self.linear or LinearLaws.of(laws, self.dt)
         compliance, residual = self.gap_matrix("compliance"), self.gap_matrix("residual")
-        solve = linear_solve(laws, compliance, residual, self.dt)
-        return replace(self, solve=solve, nonlinear=nonlinear_solve(laws, solve, compliance, residual))
+        solve = linear.solve(compliance, residual)
+        nonlinear = nonlinear_solve(laws, solve, compliance, residual)
+        places = self._places() if self.places is None else self.places
+        return replace(self, linear=linear, places=places, solve=solve, nonlinear=nonlinear)
+
+
+def _responses(E: Floats, W: Floats) -> Floats:
+    """(BLOCK_SIZE, n_ports, n_modes, 2) E^k W, k = 0 .. BLOCK_SIZE - 1, by doubling."""
+    out = np.empty((BLOCK_SIZE, *W.shape))
+    out[0], known, power = W, 1, E
+    while known < BLOCK_SIZE:
+        out[known : 2 * known] = apply(power, out[: min(known, BLOCK_SIZE - known)])
+        known, power = 2 * known, power @ power
+    return out
 
 
 def _padded(n: int) -> int:
