@@ -17,7 +17,7 @@ from tonewood.instrument.contract import Resonator
 from tonewood.instrument.losses import LossLaw
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.string_modes import string_basis, wavenumber
-from tonewood.numerics.string_transfer import retuned, string_transfer
+from tonewood.numerics.string_transfer import retuned, string_carry, string_transfer
 from tonewood.params import Parameters, described, quantity
 
 Floats = NDArray[np.float64]
@@ -87,6 +87,10 @@ class StiffString(Resonator[StiffStringParameters]):
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         """Projections of displacement and velocity; see `tonewood.numerics.string_transfer`."""
         return string_transfer(old, new)
+
+    def carried(self, old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+        """The same of one motion."""
+        return string_carry(old, new, q, velocity)
 
     def _eta(self, freq_rad: Floats, wavenumber: Floats, tension: float) -> Floats:
         p = self.parameters

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from tonewood.engine.timeline import Change, Play, Timeline
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.connections import SpringDashpot
+from tonewood.numerics.connections import Rigid, SpringDashpot, scaled_pinv
 from tonewood.numerics.forcing import Piece, compile_force
 from tonewood.numerics.kernel import KernelStepper
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.motion import from_motion, share_velocities, to_motion
+from tonewood.numerics.stored_energy import gaps
 from tonewood.numerics.system import Compiled, Injection, State, System
 
 Floats = NDArray[np.float64]
@@ -205,17 +206,22 @@ class Engine:
         changes: dict[str, Compiled] = {}
         restopped = False
         carried: list[tuple[str, Floats]] = []
+        pulls = self._pulls()
         for name, fretting in wanted.items():
+            before = self._whole(name, self.frettings[name])
+            after = self._whole(name, fretting)
             for component, compiled in self._bases(name, fretting).items():
                 old = self.system.compiled[self.system.slot(component)].basis
                 modes = np.array(self.system.modes_of(self.state, component), dtype=np.float64)
                 if fretting.stop != self.frettings[name].stop:
                     restopped = True
-                    q, v = to_motion(old, modes)
-                    displacement, velocity = self.model.strings[name].transfer(component, old, compiled.basis)
-                    modes = from_motion(compiled.basis, displacement @ q, velocity @ v)
+                    q, v = to_motion(before[component], _carried(old, before[component], modes, pulls[component]))
+                    transfer = self.model.strings[name].transfer(component, before[component], after[component])
+                    q, v = (matrix @ motion for matrix, motion in zip(transfer, (q, v), strict=True))
+                    n = compiled.basis.n_modes
+                    modes = from_motion(compiled.basis, q[:n], v[:n])
                 else:
-                    modes = _carried(old, compiled.basis, modes)
+                    modes = _carried(old, compiled.basis, modes, pulls[component])
                 changes[component] = compiled
                 carried.append((component, modes))
             self.frettings[name] = fretting
@@ -229,6 +235,22 @@ class Engine:
             share_velocities(self.system, self.state)
         self.ticker.exchanges += len(wanted)
         self.stepper.exchange(self.system)
+
+    def _pulls(self) -> dict[str, float]:
+        """Component -> force of its bridge on a string's end, as the residual compliance holds it (N)."""
+        rigid = np.array([isinstance(c.law, Rigid) for c in self.system.connections], dtype=bool)
+        R = self.system.gap_matrix("residual")[np.ix_(rigid, rigid)]
+        force = -scaled_pinv(R) @ gaps(self.system, self.state)[rigid]
+        held = [c.terms[0].component for c, on in zip(self.system.connections, rigid, strict=True) if on]
+        return dict(zip(held, force.tolist(), strict=True))
+
+    def _whole(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:
+        """Bases with the modes that lie above the limit at this tension."""
+        compiled = {c: part.basis for c, part in self._bases(name, fretting).items()}
+        string = self.model.strings[name]
+        if all(basis.n_modes == string.n_modes(fretting.stop) for basis in compiled.values()):
+            return compiled
+        return string.bases(fretting.stop, bend_cents=fretting.cents, whole=True)
 
     def _bases(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
         key = (name, fretting)
@@ -309,15 +331,24 @@ def _changed(fretting: Fretting, change: Change) -> Fretting:
     )
 
 
-def _carried(old: ModalBasis, new: ModalBasis, modes: Floats) -> Floats:
-    """Numbers of the same shapes at other frequencies or decay rates; modes that left the basis come back at rest."""
+def _carried(old: ModalBasis, new: ModalBasis, modes: Floats, pull: float) -> Floats:
+    """Numbers of the same shapes at other frequencies or decay rates.
+
+    Modes that leave the basis take their energy along and leave their compliance in the residual. Modes that come
+    back are bent as the residual was under the `pull` on the string's end (N), so that no energy comes with them.
+    """
     n = min(old.n_modes, new.n_modes)
-    same = old.n_modes == new.n_modes and np.array_equal(old.poles, new.poles)
-    if same:
+    if old.n_modes == new.n_modes and np.array_equal(old.poles, new.poles):
         return modes
     q, v = to_motion(old, modes)
     full_q, full_v = np.zeros(new.n_modes), np.zeros(new.n_modes)
     full_q[:n], full_v[:n] = q[:n], v[:n]
+    if new.n_modes > n:
+        end, old_end = new.index("bridge"), old.index("bridge")
+        shape = new.right[end, n:].real
+        static = shape / new.stiffness[n:]
+        softer = old.residual[old_end, old_end] - new.residual[end, end]
+        full_q[n:] = static * (pull * softer / (shape @ static))
     return from_motion(new, full_q, full_v)
 
 

@@ -122,6 +122,11 @@ class Resonator(Plugin[P]):
         modal coordinates q, y = sum phi q. Must keep the bridge's displacement and never raise the energy.
         """
 
+    def carried(self, old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+        """One motion, coordinates q and q', from one stop to another; to be given where it is quicker than matrices."""
+        displacement, moving = self.transfer(old, new)
+        return displacement @ q, moving @ velocity
+
 
 @dataclass(frozen=True, slots=True)
 class BodyPoint:

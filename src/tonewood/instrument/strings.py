@@ -151,6 +151,7 @@ class StringModel:
         bend_cents: float = 0.0,
         added_damping: float = 0.0,
         pluck_from_bridge: float | None = None,
+        whole: bool = False,
     ) -> dict[str, ModalBasis]:
         """Component -> basis, with the points ``bridge``, ``pluck`` and those named in the bundle.
 
@@ -160,6 +161,7 @@ class StringModel:
         bend_cents : by which the tension is changed.
         added_damping : 1/s, added to every mode's damping rate.
         pluck_from_bridge : m; the string's usual place where left out. Must lie on the speaking part.
+        whole : keep modes that tension has raised above the limit, too.
         """
         length = self.length(stop)
         pluck = min(self.pluck_from_bridge, 0.9 * length) if pluck_from_bridge is None else pluck_from_bridge
@@ -171,11 +173,16 @@ class StringModel:
         out: dict[str, ModalBasis] = {}
         for polarization in self.polarizations:
             basis = self.resonator.detuned(base, tension * polarization.detune**2)
-            basis = below(basis, self._freq_limit)
+            if not whole:
+                basis = below(basis, self._freq_limit)
             if added_damping:
                 basis = retuned(basis, np.sqrt(basis.stiffness), basis.damping_rate + added_damping)
             out[polarization.component] = basis.with_places({"pluck": pluck, **self.points})
         return out
+
+    def n_modes(self, stop: float = 0) -> int:
+        """Modes per polarization of a stop before tension raises any above the limit."""
+        return self._untuned(stop).n_modes
 
     def weights(self, angle_deg: float) -> dict[str, float]:
         """Share of each component in a force (or motion) at an angle from the first direction towards the second.
@@ -189,9 +196,19 @@ class StringModel:
 
     def transfer(self, component: str, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         """Matrices that carry modal displacement and velocity from one stop's basis to another's."""
+        self._own(component)
+        return self.resonator.transfer(old, new)
+
+    def carried(
+        self, component: str, old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats
+    ) -> tuple[Floats, Floats]:
+        """One motion, modal coordinates q and q', carried from one stop's basis to another's."""
+        self._own(component)
+        return self.resonator.carried(old, new, q, velocity)
+
+    def _own(self, component: str) -> None:
         if component not in self.components:
             raise ValueError(f"string {self.name} has the components {', '.join(self.components)}, not {component!r}")
-        return self.resonator.transfer(old, new)
 
     def _untuned(self, stop: float) -> ModalBasis:
         """Basis of a stop before the tuner's last turn, made once."""

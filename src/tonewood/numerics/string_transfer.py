@@ -25,7 +25,7 @@ a contraction by Bessel's inequality, because the sines are orthogonal in that n
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -55,28 +55,49 @@ def string_transfer(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
     down, and never when it is lengthened; kinetic energy is bounded by that of the old field up to the part of the
     bridge's ramp which the kept sines cannot follow.
     """
-    L, L_new = _number(old, "length"), _number(new, "length")
-    tension, stiffness = _number(new, "tension"), _number(new, "bending_stiffness")
-    vec, vec_new = _array(old, "vec"), _array(new, "vec")
-    k, k_new = _wavenumbers(len(vec) - 1, L), _wavenumbers(len(vec_new) - 1, L_new)
-    short = min(L, L_new)
-    sine = _overlap(k_new, k, short, -1.0)
-    displacement, velocity = np.zeros((len(vec_new), len(vec))), np.zeros((len(vec_new), len(vec)))
-    displacement[0, 0] = velocity[0, 0] = 1.0
-    velocity[1:, 1:] = 2 / L_new * sine
+    vec, sines = _array(old, "vec"), _Sines.of(old, new)
+    return _to_modes(new, _displaced(old, new, sines, vec)), _to_modes(new, _moving(old, new, sines, vec))
+
+
+def string_carry(old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+    """Carry one motion, modal coordinates q and q': what the matrices of `string_transfer` do, without making them."""
+    vec, sines = _array(old, "vec"), _Sines.of(old, new)
+    shape = _displaced(old, new, sines, (vec @ q)[:, None])
+    moving = _moving(old, new, sines, (vec @ velocity)[:, None])
+    return _to_modes(new, shape)[:, 0], _to_modes(new, moving)[:, 0]
+
+
+def _displaced(old: ModalBasis, new: ModalBasis, sines: _Sines, c: Floats) -> Floats:
+    """Coefficients (ramp, sines) on the new string of displacements c (1 + n_sines, n) of the old one."""
+    L, L_new, k, k_new = _number(old, "length"), _number(new, "length"), sines.b[:, None], sines.a[:, None]
     if L_new <= L:
-        displacement[1:, 1:] = 2 / L_new * sine * np.outer(1 / k_new**2, k**2)
-        # what is left of the old ramp once the new one is taken off: (1/L' - 1/L) x, by its sine coefficients
-        velocity[1:, 0] = -2 / L_new * (L_new / L - 1) * -np.cos(k_new * L_new) / k_new
+        shape = 2 / L_new / k_new**2 * sines.sine(k**2 * c[1:])
     else:
-        energy = L_new / 2 * (tension * k_new**2 + stiffness * k_new**4)
-        cosine = _overlap(k_new, k, short, 1.0)
-        broken = tension * np.outer(k_new, k) * cosine + stiffness * np.outer(k_new**2, k**2) * sine
-        displacement[1:, 1:] = broken / energy[:, None]
-        displacement[1:, 0] = -tension / L * np.sin(k_new * L) / energy
-        velocity[1:, 0] = -2 / (L_new * L) * np.sin(k_new * L) / k_new**2
-    modal = vec_new.T @ _mass(len(k_new), L_new, _number(new, "linear_density"))
-    return np.asarray(modal @ displacement @ vec), np.asarray(modal @ velocity @ vec)
+        tension, stiffness = _number(new, "tension"), _number(new, "bending_stiffness")
+        broken = tension * k_new * sines.cosine(k * c[1:]) + stiffness * k_new**2 * sines.sine(k**2 * c[1:])
+        broken -= tension / L * np.sin(k_new * L) * c[0]
+        shape = broken / (L_new / 2 * (tension * k_new**2 + stiffness * k_new**4))
+    return np.concatenate([c[:1], shape])
+
+
+def _moving(old: ModalBasis, new: ModalBasis, sines: _Sines, c: Floats) -> Floats:
+    """The same for velocities."""
+    L, L_new, k_new = _number(old, "length"), _number(new, "length"), sines.a[:, None]
+    if L_new <= L:
+        # what is left of the old ramp once the new one is taken off: (1/L' - 1/L) x, by its sine coefficients
+        ramp = 2 / L_new * (L_new / L - 1) * np.cos(k_new * L_new) / k_new
+    else:
+        ramp = -2 / (L_new * L) * np.sin(k_new * L) / k_new**2
+    return np.concatenate([c[:1], 2 / L_new * sines.sine(c[1:]) + ramp * c[0]])
+
+
+def _to_modes(basis: ModalBasis, c: Floats) -> Floats:
+    """Modal coordinates (n_modes, n) of coefficients in (ramp, sines): V^T M c."""
+    length, density = _number(basis, "length"), _number(basis, "linear_density")
+    coupling = length / (np.arange(1, len(c)) * np.pi)
+    with_mass = length / 2 * c + np.concatenate([[0.0], coupling])[:, None] * c[:1]
+    with_mass[0] = length / 3 * c[0] + coupling @ c[1:]
+    return np.asarray(density * (_array(basis, "vec").T @ with_mass))
 
 
 def retuned(
@@ -105,21 +126,64 @@ def retuned(
     )
 
 
-def _overlap(a: Floats, b: Floats, length: float, sign: float) -> Floats:
-    """(n_a, n_b) int_0^length of cos a x cos b x (sign 1) or sin a x sin b x (sign -1)."""
-    difference, total = np.subtract.outer(a, b) * length, np.add.outer(a, b) * length
-    return np.asarray(length / 2 * (np.sinc(difference / np.pi) + sign * np.sinc(total / np.pi)))
+@dataclass(frozen=True, eq=False)
+class _Sines:
+    """Integrals of products of two strings' sines over the shorter one, applied to coefficients.
+
+    int_0^l sin a x sin b x dx = (b sin al cos bl - a cos al sin bl) / (a^2 - b^2),
+    int_0^l cos a x cos b x dx = (a sin al cos bl - b cos al sin bl) / (a^2 - b^2),
+
+    so that only 1 / (a^2 - b^2) is a matrix. Pairs of nearly one wavenumber, where this cancels, are kept apart.
+    """
+
+    a: Floats
+    b: Floats
+    length: float
+    inverse: Floats
+    close: tuple[NDArray[np.intp], NDArray[np.intp]]
+
+    @classmethod
+    def of(cls, old: ModalBasis, new: ModalBasis) -> _Sines:
+        L, L_new = _number(old, "length"), _number(new, "length")
+        a = _wavenumbers(len(_array(new, "vec")) - 1, L_new)
+        b = _wavenumbers(len(_array(old, "vec")) - 1, L)
+        length = min(L, L_new)
+        nearest = np.clip(np.rint(a * L / np.pi).astype(np.intp) - 1, 0, max(len(b) - 1, 0))
+        i = np.flatnonzero(np.abs(a - b[nearest]) * length < 1e-3) if len(b) else np.zeros(0, dtype=np.intp)
+        j = nearest[i]
+        gap = np.subtract.outer(a**2, b**2)
+        gap[i, j] = np.inf
+        return cls(a, b, length, 1 / gap, (i, j))
+
+    def sine(self, c: Floats) -> Floats:
+        """Sums over the old sines b with coefficients c (n_b, n)."""
+        a, b, al, bl = *self._columns, *self._angles
+        out = np.sin(al) * (self.inverse @ (b * np.cos(bl) * c)) - a * np.cos(al) * (self.inverse @ (np.sin(bl) * c))
+        return self._with_close(out, c, -1.0)
+
+    def cosine(self, c: Floats) -> Floats:
+        """The same with cosines."""
+        a, b, al, bl = *self._columns, *self._angles
+        out = a * np.sin(al) * (self.inverse @ (np.cos(bl) * c)) - np.cos(al) * (self.inverse @ (b * np.sin(bl) * c))
+        return self._with_close(out, c, 1.0)
+
+    @property
+    def _columns(self) -> tuple[Floats, Floats]:
+        return self.a[:, None], self.b[:, None]
+
+    @property
+    def _angles(self) -> tuple[Floats, Floats]:
+        return self.a[:, None] * self.length, self.b[:, None] * self.length
+
+    def _with_close(self, out: Floats, c: Floats, sign: float) -> Floats:
+        i, j = self.close
+        difference, total = ((f(self.a[i], self.b[j])) * self.length / np.pi for f in (np.subtract, np.add))
+        out[i] += (self.length / 2 * (np.sinc(difference) + sign * np.sinc(total)))[:, None] * c[j]
+        return out
 
 
 def _wavenumbers(n_sines: int, length: float) -> Floats:
     return np.asarray(np.arange(1, n_sines + 1) * np.pi / length, dtype=np.float64)
-
-
-def _mass(n_sines: int, length: float, linear_density: float) -> Floats:
-    """(n + 1, n + 1) mass matrix in (ramp, sines)."""
-    mass = np.diag(np.concatenate([[length / 3], np.full(n_sines, length / 2)]))
-    mass[0, 1:] = mass[1:, 0] = length / (np.arange(1, n_sines + 1) * np.pi)
-    return linear_density * mass
 
 
 def _number(basis: ModalBasis, key: str) -> float:
