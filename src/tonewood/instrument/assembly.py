@@ -23,6 +23,8 @@ from tonewood.units import ratio_of_cents
 
 #: share of the sampling rate above which modes are not stepped: their static compliance stands in for them
 FREQ_LIMIT = 0.45
+#: strings' modes stay this far below it, so that tuning does not lose the highest, on which pitch depends
+TUNING_ROOM = 0.98
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +230,7 @@ def _string(
         open_note=note,
         stopping=stopping,
         body=body_ports(body, [p.ends for p in polarizations]),
-        freq_upper=min(part.freq_upper, limit),
+        freq_upper=min(part.freq_upper, TUNING_ROOM * limit),
         freq_limit=limit,
         end_compliance=part.end_compliance,
         points=points,
