@@ -1,0 +1,87 @@
+"""A wheel built from this checkout, installed elsewhere, renders; and what it holds."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import tonewood as tw
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_every_public_name_is_there_and_typed() -> None:
+    for name in tw.__all__:
+        assert getattr(tw, name) is not None
+    text = (ROOT / "src" / "tonewood" / "__init__.py").read_text()
+    typed = set(re.findall(r"import (\w+) as \1", text))
+    assert typed == set(tw.__all__) - {"__version__"}
+    with pytest.raises(AttributeError, match="no attribute 'rendre'"):
+        _ = tw.rendre
+
+
+def test_importing_costs_nothing() -> None:
+    program = "import sys, tonewood; print([m for m in ('numpy', 'scipy', 'pydantic', 'typer') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_versions_agree() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert tw.__version__ == project["version"]
+    assert f"version: {project['version']}" in (ROOT / "CITATION.cff").read_text()
+    assert f"## [{project['version']}]" in (ROOT / "CHANGELOG.md").read_text()
+    assert project["license"] == "MIT AND CC-BY-4.0"
+
+
+def test_every_bundled_folder_is_announced() -> None:
+    folders = {p.parent.name for p in (ROOT / "instruments").glob("*/instrument.yaml")}
+    assert folders <= set(tw.list_instruments())
+    modules = {p.stem for p in (ROOT / "plugins").glob("[a-z]*.py")}
+    announced = {plugin.__module__.rpartition(".")[2] for plugin in tw.list_plugins().values()}
+    assert modules <= announced
+
+
+@pytest.mark.validate
+def test_a_wheel_renders_in_a_fresh_environment(tmp_path: Path) -> None:
+    """Dependencies are borrowed from this environment, tonewood is not."""
+    dist, venv, home = tmp_path / "dist", tmp_path / "venv", tmp_path / "home"
+    home.mkdir()
+    build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", dist, str(ROOT)]
+    subprocess.run(build, check=True, cwd=home)
+    (wheel,) = dist.glob("tonewood-*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    for wanted in ("tonewood/py.typed", "tonewood/plugins/stiff_string.py", "tonewood/_kernel.pyi"):
+        assert wanted in names
+    for folder in (ROOT / "instruments").glob("*/instrument.yaml"):
+        for file in folder.parent.iterdir():
+            assert f"tonewood/instruments/{folder.parent.name}/{file.name}" in names
+    assert any(n.startswith("tonewood/_kernel.") and n.endswith((".so", ".pyd")) for n in names)
+    assert any(n.endswith("licenses/LICENSE") for n in names)
+    assert not [n for n in names if n.startswith(("tests", "docs", "examples"))]
+    here = tmp_path / "here"
+    install = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", here, wheel]
+    subprocess.run(install, check=True, cwd=home)
+    # a fresh environment runs no .pth files of this one, which might lead back to the checkout
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", venv], check=True)
+    python = venv / "bin" / "python"
+    packages = [str(here), *(p for p in sys.path if "site-packages" in p)]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(packages), "HOME": str(home)}
+    program = "import tonewood; print(tonewood.__file__)"
+    found = subprocess.run([python, "-c", program], env=env, cwd=home, capture_output=True, text=True, check=True)
+    assert found.stdout.startswith(str(here))
+    score = ROOT / "examples" / "scores" / "chords.mid"
+    command = [python, "-m", "tonewood", "render", score, "-i", "classical_guitar", "-o", "chords.wav", "--json"]
+    done = subprocess.run(command, env=env, cwd=home, capture_output=True, text=True, check=True)
+    report = json.loads(done.stdout)
+    assert report["notes"] == 24
+    assert -30 < report["peak_dbfs"] < -3
+    assert (home / "chords.wav").stat().st_size > 1e6
