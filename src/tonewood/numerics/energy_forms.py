@@ -82,9 +82,12 @@ class ComponentEnergy:
                 raise ValueError("the energy of complex modes needs a storage function")
             pair = basis.kind == PAIR
             q = np.stack([np.where(pair, 2.0, 1.0), np.zeros(n)], axis=-1) / unit
-            v = np.stack(
-                [np.where(pair, 2 * basis.poles.real, 0.0), np.where(pair, -2 * basis.poles.imag, 1.0)], axis=-1
-            ) / unit
+            v = (
+                np.stack(
+                    [np.where(pair, 2 * basis.poles.real, 0.0), np.where(pair, -2 * basis.poles.imag, 1.0)], axis=-1
+                )
+                / unit
+            )
             self._q, self._v, self._stiffness = q, v, basis.stiffness
             self._P: Floats | None = None
             self._A = A
@@ -133,18 +136,21 @@ class ComponentEnergy:
             self._known[duration] = forms
         return forms
 
-    def start(self, x: Floats, forces: Floats) -> Floats:
+    def start(self, x: Floats, forces: Floats, pulls: Floats | None = None) -> Floats:
         """States s of T intervals, (b, T, n_s).
 
         Parameters
         ----------
         x : (T, n_modes, 2).
         forces : (T, n_points, k) N, c0 .. c(k-1) over each interval, k = 1 or 3; fewer make s shorter.
+        pulls : (T, n_modes) modal forces that are constant over each interval, on real modes.
         """
         T, k = len(x), forces.shape[2]
         if self._P is None:
             states = (x * self._unit).transpose(1, 0, 2)
             inputs = np.einsum("pm,tpk->mtk", self._shapes, forces)[:, :, :, None]
+            if pulls is not None:
+                inputs[:, :, 0, 0] += pulls.T
         else:
             states = (x * self._unit).reshape(1, T, -1)
             inputs = forces.transpose(0, 2, 1)[None]
