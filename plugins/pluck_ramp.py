@@ -16,7 +16,7 @@ from tonewood.params import Parameters, described, quantity
 class PluckParameters(Parameters):
     """Of the pluck."""
 
-    force: float = quantity("N", low=0.0, high=200.0, default=2.0, doc="force at the moment of release")
+    force: float = quantity("N", low=0.0, high=1000.0, default=2.0, doc="force at the moment of release")
     from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.1)
     angle_deg: float = quantity(
         "deg", low=-360.0, high=360.0, default=0.0, doc="of the force, from the first polarization to the second"
