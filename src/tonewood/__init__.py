@@ -7,7 +7,7 @@
 (4800, 2)
 
 Every public name is imported when it is first used, so that ``import tonewood`` costs next to nothing. What a plugin
-needs stands here too: see `Resonator`, `Body`, `Exciter` and `Pickup`.
+needs stands here too: see `Resonator`, `Body`, `Exciter`, `Attachment` and `Pickup`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,13 @@ if TYPE_CHECKING:
     from tonewood.errors import TonewoodError as TonewoodError
     from tonewood.instrument.assembly import Model as Model
     from tonewood.instrument.assembly import assemble as assemble
+    from tonewood.instrument.attached import Attached as Attached
+    from tonewood.instrument.attached import Motion as Motion
+    from tonewood.instrument.attached import Site as Site
+    from tonewood.instrument.attached import loose_mass as loose_mass
     from tonewood.instrument.bundle import Instrument as Instrument
     from tonewood.instrument.bundle import load_instrument as load_instrument
+    from tonewood.instrument.contract import Attachment as Attachment
     from tonewood.instrument.contract import Body as Body
     from tonewood.instrument.contract import BodyPoint as BodyPoint
     from tonewood.instrument.contract import BridgeForce as BridgeForce
@@ -56,7 +61,15 @@ if TYPE_CHECKING:
     from tonewood.instrument.registry import list_plugins as list_plugins
     from tonewood.numerics.basis_passivity import check_basis as check_basis
     from tonewood.numerics.basis_passivity import repair_basis as repair_basis
+    from tonewood.numerics.connections import Connection as Connection
+    from tonewood.numerics.connections import SpringDashpot as SpringDashpot
+    from tonewood.numerics.connections import Term as Term
     from tonewood.numerics.damping import with_damping_case as with_damping_case
+    from tonewood.numerics.laws import CompiledPotential as CompiledPotential
+    from tonewood.numerics.laws import Contact as Contact
+    from tonewood.numerics.laws import Friction as Friction
+    from tonewood.numerics.laws import HardeningSpring as HardeningSpring
+    from tonewood.numerics.laws import SampledPotential as SampledPotential
     from tonewood.numerics.modes import ModalBasis as ModalBasis
     from tonewood.numerics.string_modes import string_basis as string_basis
     from tonewood.numerics.string_modes import wavenumber as wavenumber
@@ -91,10 +104,11 @@ _MODULES = {
         "BundleError", "NumericalError", "OutputError", "PassivityError", "PluginError", "ScoreError", "TonewoodError",
     ),
     "instrument.assembly": ("Model", "assemble"),
+    "instrument.attached": ("Attached", "Motion", "Site", "loose_mass"),
     "instrument.bundle": ("Instrument", "load_instrument"),
     "instrument.contract": (
-        "Body", "BodyPoint", "BridgeForce", "Event", "Exciter", "Gesture", "Hold", "Pickup", "PickupRows", "Place",
-        "Plugin", "Resonator", "Scene", "Segment", "dot",
+        "Attachment", "Body", "BodyPoint", "BridgeForce", "Event", "Exciter", "Gesture", "Hold", "Pickup", "PickupRows",
+        "Place", "Plugin", "Resonator", "Scene", "Segment", "dot",
     ),
     "instrument.directions": ("Direction", "unit_vector"),
     "instrument.gestures": ("Fraction", "StringPlace", "metres", "smooth_step"),
@@ -102,7 +116,9 @@ _MODULES = {
     "instrument.losses": ("LossLaw",),
     "instrument.registry": ("list_instruments", "list_plugins"),
     "numerics.basis_passivity": ("check_basis", "repair_basis"),
+    "numerics.connections": ("Connection", "SpringDashpot", "Term"),
     "numerics.damping": ("with_damping_case",),
+    "numerics.laws": ("CompiledPotential", "Contact", "Friction", "HardeningSpring", "SampledPotential"),
     "numerics.modes": ("ModalBasis",),
     "numerics.string_modes": ("string_basis", "wavenumber"),
     "numerics.string_transfer": ("retuned", "string_transfer"),

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tonewood.errors import PluginError
+from tonewood.instrument.attached import Site
 from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.contract import KINDS, Event, Exciter, Plugin, Resonator
+from tonewood.instrument.contract import KINDS, Attachment, Event, Exciter, Plugin, Resonator
 from tonewood.instrument.registry import check_plugin, list_instruments, list_plugins
 from tonewood.params import Parameters, quantity
 
@@ -28,6 +30,7 @@ def used() -> dict[str, list[Plugin[Any]]]:
         parts = [(i.spec.body, i.body)]
         parts += [(i.spec.strings[n], r) for n, r in i.resonators.items()]
         parts += [(i.spec.exciters[n], e) for n, e in i.exciters.items()]
+        parts += [(i.spec.connections[n], a) for n, a in i.attachments.items()]
         parts += [(o, i.pickups[o.name]) for o in i.spec.outputs]
         for spec, plugin in parts:
             found.setdefault(spec.plugin, []).append(plugin)
@@ -91,17 +94,51 @@ def test_gestures(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
     for exciter in used[name]:
         assert isinstance(exciter, Exciter)
         gesture = exciter.gesture(Event({}, 110.0), Place("A2", 0.65))
-        assert gesture.segments
-        for before, after in zip(gesture.segments, gesture.segments[1:], strict=False):
-            assert before.start < before.stop <= after.start + 1e-12
+        assert gesture.segments or gesture.motions
+        for pieces in (gesture.segments, *(m.segments for m in gesture.motions)):
+            for before, after in pairwise(pieces):
+                assert before.start < before.stop <= after.start + 1e-12
         assert np.isfinite(gesture.start)
         assert gesture.start < gesture.stop
         assert dataclasses.is_dataclass(gesture)
         # doubled when asked to
-        if "force" in type(exciter.parameters).model_fields:
+        if gesture.segments and "force" in type(exciter.parameters).model_fields:
             twice = exciter.gesture(Event({"force": 2 * exciter.parameters.force}, 110.0), Place("A2", 0.65))
             times = np.linspace(gesture.start, gesture.stop, 50)
             np.testing.assert_allclose([twice.force(t) for t in times], [2 * gesture.force(t) for t in times])
+
+
+SITE = Site("A2", 0.65, 0.52, (0.65, 0.6, 0.56, 0.52, 0.48), (("A2.z", (0.0, 0.0, 1.0)), ("A2.y", (0.0, 1.0, 0.0))))
+
+
+@pytest.mark.parametrize("name", [n for n, p in PLUGINS.items() if issubclass(p, (Exciter, Attachment))])
+def test_what_touches_strings(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
+    """Names of its own, laws that can only store or lose, and at every stop the same connections."""
+    for plugin in used[name]:
+        assert isinstance(plugin, Exciter | Attachment)
+        attached = plugin.attach("part", SITE)
+        if attached is None:
+            assert not issubclass(PLUGINS[name], Attachment)
+            continue
+        assert attached.connections
+        names = [c.name for c in attached.connections]
+        assert len(set(names)) == len(names)
+        assert all(n.startswith("A2.part.") for n in (*names, *attached.components, *attached.inputs))
+        assert all(p.startswith("part.") for p in attached.places)
+        assert set(attached.resting) <= set(names)
+        points = {("A2.z", p) for p in (*attached.places, "bridge", "pluck")}
+        points |= {("A2.y", p) for _, p in points}
+        points |= {(c, p) for c, basis in attached.components.items() for p in basis.points}
+        for connection in attached.connections:
+            assert {(t.component, t.point) for t in connection.terms} <= points
+        for basis in attached.components.values():
+            assert basis.is_real
+            assert (basis.damping_rate >= 0).all()
+        for entries in attached.inputs.values():
+            assert {(component, point) for component, point, _ in entries} <= points
+        open_string = plugin.attach("part", dataclasses.replace(SITE, length=0.65))
+        assert open_string is not None
+        assert [(c.name, c.terms) for c in open_string.connections] == [(c.name, c.terms) for c in attached.connections]
 
 
 @pytest.mark.parametrize("name", INSTRUMENTS)

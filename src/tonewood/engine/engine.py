@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from tonewood.engine.timeline import Change, Play, Timeline
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.connections import Rigid, SpringDashpot, scaled_pinv
+from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, scaled_pinv
 from tonewood.numerics.forcing import Piece, compile_force
 from tonewood.numerics.kernel import KernelStepper
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.motion import from_motion, share_velocities, to_motion
 from tonewood.numerics.stored_energy import gaps
-from tonewood.numerics.system import Compiled, Injection, State, System
+from tonewood.numerics.system import Compiled, Control, Injection, State, System
 
 Floats = NDArray[np.float64]
 
@@ -60,6 +60,7 @@ class Snapshot:
     frettings: dict[str, Fretting]
     active: list[Active]
     injections: list[Injection]
+    controls: list[Control]
     holds: dict[str, float]
     next_change: int
     next_play: int
@@ -92,6 +93,7 @@ class Engine:
         self.frettings = {name: Fretting() for name in model.strings}
         self.active: list[Active] = []
         self.injections: list[Injection] = []
+        self.controls: list[Control] = []
         self.holds: dict[str, float] = {}
         self.ticker = Ticker()
         self._next_change = self._next_play = 0
@@ -111,21 +113,23 @@ class Engine:
     def snapshot(self) -> Snapshot:
         """Copy of all that moves."""
         return Snapshot(
-            self.state.copy(), dict(self.frettings), list(self.active), list(self.injections), dict(self.holds),
-            self._next_change, self._next_play,
+            self.state.copy(), dict(self.frettings), list(self.active), list(self.injections), list(self.controls),
+            dict(self.holds), self._next_change, self._next_play,
         )  # fmt: skip
 
     def restore(self, snapshot: Snapshot) -> None:
         """Go back to a snapshot of this engine (or of one with the same model and timeline)."""
         s = copy.copy(snapshot)
         self.state = s.state.copy()
-        self.active, self.injections = list(s.active), list(s.injections)
+        self.active, self.injections, self.controls = list(s.active), list(s.injections), list(s.controls)
         self._next_change, self._next_play = s.next_change, s.next_play
         changes: dict[str, Compiled] = {}
+        laws: dict[str, Connection] = {}
         for name, fretting in s.frettings.items():
             changes |= self._bases(name, fretting)
+            laws |= self._laws(name, fretting)
         self.frettings, self.holds = dict(s.frettings), dict(s.holds)
-        self.system = self._held(self.system.with_compiled(changes))
+        self.system = self._held(self._woken(_with(self.system, changes, laws)))
         self.stepper.exchange(self.system)
 
     def advance(self, n_ticks: int) -> Floats:
@@ -134,8 +138,9 @@ class Engine:
         while self.state.sample < end:
             self._control()
             steps = min(self._next_event(), end) - self.state.sample
-            out.append(self.stepper.run(self.state, steps, self.injections)[0])
+            out.append(self.stepper.run(self.state, steps, self.injections, self.controls)[0])
             self.injections = [i for i in self.injections if i.stop > self.state.sample]
+            self.controls = [c for c in self.controls if c.stop > self.state.sample]
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
 
     def _next_event(self) -> int:
@@ -162,6 +167,7 @@ class Engine:
         now = self.state.sample
         if now % GRID == 0:
             self._take(now)
+            self._wake()
         self._hold(now)
 
     def _take(self, now: int) -> None:
@@ -187,11 +193,14 @@ class Engine:
         taken = {play.string for play in fresh if play.string is not None}
         again = [a.play for a in self.active if a.play.string in moved - taken]
         self.active = [a for a in self.active if a.play.string not in taken]
-        touched = {c for name in moved | taken for c in self.model.strings[name].components}
-        self.injections = [_cut(i, now) if i.component in touched else i for i in self.injections]
+        self.injections = [
+            _cut(i, now) if _string_of(i.component) in moved | taken else i for i in self.injections
+        ]  # fmt: skip
         self.injections = [i for i in self.injections if i.stop > max(now, i.start)]
+        self.controls = [c for c in self.controls if _string_of(c.connection) not in moved | taken]
         for play in again + fresh:
             self.injections += self._compile(play, now)
+            self.controls += self._moved(play, now)
         self.active += [Active(play, self._hold_steps(play)) for play in fresh]
         self.active = [a for a in self.active if self._samples(a.play.stop) > now]
 
@@ -204,6 +213,7 @@ class Engine:
     def _refret(self, wanted: dict[str, Fretting]) -> None:
         """Give strings other bases and carry their motion over."""
         changes: dict[str, Compiled] = {}
+        laws: dict[str, Connection] = {}
         restopped = False
         carried: list[tuple[str, Floats]] = []
         pulls = self._pulls()
@@ -224,8 +234,10 @@ class Engine:
                     modes = _carried(old, compiled.basis, modes, pulls[component])
                 changes[component] = compiled
                 carried.append((component, modes))
+            if fretting.stop != self.frettings[name].stop:
+                laws |= self._laws(name, fretting)
             self.frettings[name] = fretting
-        self.system = self.system.with_compiled(changes)
+        self.system = _with(self.system, changes, laws)
         for component, modes in carried:
             slot = self.system.slot(component)
             start = self.system.offsets[slot]
@@ -269,8 +281,8 @@ class Engine:
 
     def _compile(self, play: Play, now: int) -> list[Injection]:
         pieces = [Piece(s.start, s.stop, s.c0, s.c1, s.c2) for s in play.gesture.segments]
-        if play.string is None:
-            where = self.model.inputs[play.at or ""]
+        if play.string is None or play.gesture.on is not None:
+            where = self.model.inputs[play.gesture.on or play.at or ""]
         else:
             weights = self.model.strings[play.string].weights(play.gesture.angle_deg)
             where = tuple((component, "pluck", weight) for component, weight in weights.items())
@@ -280,6 +292,27 @@ class Engine:
             out += compile_force(
                 component, basis, point, pieces, self.system.dt, time=play.time, first=now, factor=factor
             )
+        return out
+
+    def _laws(self, name: str, fretting: Fretting) -> dict[str, Connection]:
+        """Laws of what always touches a string, at its stop."""
+        touching = self.model.strings[name].connections(fretting.stop)
+        return {c.name: c for c in touching if c.name not in self.model.resting}
+
+    def _moved(self, play: Play, now: int) -> list[Control]:
+        """The course of a gesture's partners, sample by sample from `now` until the gesture is looked at as over."""
+        dt, out = self.system.dt, []
+        for motion in play.gesture.motions:
+            if not motion.segments:
+                continue
+            n = max(math.ceil(self._samples(play.stop) / GRID) * GRID - now, 0)
+            # an offset is wanted at both ends of every step, the others as means: at its middle
+            if motion.quantity == "offset":
+                times = (now + np.arange(n + 1)) * dt - play.time
+            else:
+                times = (now + np.arange(n) + 0.5) * dt - play.time
+            values = motion.course(times)
+            out.append(Control(motion.connection, now, **{motion.quantity: values}))
         return out
 
     def _hold_steps(self, play: Play) -> tuple[tuple[int, float], ...]:
@@ -311,6 +344,25 @@ class Engine:
             self.system = self._held(self.system)
             self.stepper.exchange(self.system)
 
+    def _wake(self) -> None:
+        """Let connections that gestures move take effect, and those that no gesture moves any more rest."""
+        system = self._woken(self.system)
+        if system is not self.system:
+            self.system = system
+            self.stepper.exchange(system)
+
+    def _woken(self, system: System) -> System:
+        resting = self.model.resting
+        wanted = {m.connection for a in self.active for m in a.play.gesture.motions}
+        laws = {}
+        for connection in system.connections:
+            if connection.name in resting:
+                asleep = replace(connection, law=SpringDashpot())
+                law = resting[connection.name] if connection.name in wanted else asleep
+                if law.law != connection.law:
+                    laws[connection.name] = law
+        return system.with_laws(laws) if laws else system
+
     def _held(self, system: System) -> System:
         laws = {}
         for connection in system.connections:
@@ -320,6 +372,11 @@ class Engine:
                 if law != connection.law:
                     laws[connection.name] = replace(connection, law=law)
         return system.with_laws(laws) if laws else system
+
+
+def _with(system: System, bases: dict[str, Compiled], laws: dict[str, Connection]) -> System:
+    changed = system.with_compiled(bases)
+    return changed.with_laws(laws) if laws else changed
 
 
 def _changed(fretting: Fretting, change: Change) -> Fretting:
@@ -350,6 +407,11 @@ def _carried(old: ModalBasis, new: ModalBasis, modes: Floats, pull: float) -> Fl
         softer = old.residual[old_end, old_end] - new.residual[end, end]
         full_q[n:] = static * (pull * softer / (shape @ static))
     return from_motion(new, full_q, full_v)
+
+
+def _string_of(name: str) -> str:
+    """STRING of ``STRING.y`` and ``STRING.PART.NAME``."""
+    return name.partition(".")[0]
 
 
 def _cut(injection: Injection, sample: int) -> Injection:

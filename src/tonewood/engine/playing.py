@@ -150,14 +150,21 @@ def _gesture(assigned: Assigned, model: Model, controls: Sequence[Control]) -> P
         "from_bridge": note.from_bridge,
         "angle_deg": note.angle_deg,
     }
-    values |= {k: v for k, v in given.items() if v is not None}
-    event = Event(values, string.freq(assigned.stop))
+    # a hammer has no force for a velocity that means one, a bow's stroke no angle
+    known = type(model.exciters[name].parameters).model_fields
+    values |= {k: v for k, v in given.items() if v is not None and k in known}
+    event = Event(values, string.freq(assigned.stop), assigned.end - note.time)
     gesture = model.exciters[name].gesture(event, model.place(assigned.string, assigned.stop))
     return Play(note.time, gesture, string=assigned.string)
 
 
 def _hurried(gesture: Gesture, available: float) -> Gesture:
-    """The same gesture prepared within `available` s: the string's last pluck has to be over before it begins."""
+    """The same gesture prepared within `available` s: the string's last pluck has to be over before it begins.
+
+    What moves a mass or a bow is not hurried: its impulse would change. It takes over from what went before.
+    """
+    if gesture.on is not None or gesture.motions:
+        return gesture
     shorter = max(available, _SHORTEST_PREPARATION) / -gesture.start if gesture.start < 0 else 1.0
     if shorter >= 1.0:
         return gesture

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tonewood.errors import BundleError
@@ -18,6 +18,7 @@ from tonewood.numerics.basis_passivity import check_basis
 from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.system import Drive, Readout, System
+from tonewood.numerics.tension import TensionModulation
 from tonewood.params import Vector
 from tonewood.units import ratio_of_cents
 
@@ -60,12 +61,14 @@ class Model:
     fs : Hz.
     system : open strings, every polarization. Components ``body``, ``STRING.z``, ``STRING.y`` and those of pickups;
         connections ``COMPONENT.bridge`` (rigid) and ``COMPONENT.hold`` (a dashpot to ground at the point ``pluck``,
-        without effect until a gesture takes hold).
+        without effect until a gesture takes hold). What touches strings besides adds ``STRING.PART.NAME`` of both
+        kinds; a string with axial stiffness has a tension of its name.
     strings : name -> string, from bass to treble.
     outputs : groups that were asked for, the default first.
     body_points : name -> place and direction.
     inputs : ``body.POINT`` -> (component, point, factor), ...: where a known force on the body enters, microphones
-        driven by bridge forces included.
+        driven by bridge forces included; ``STRING.PART.NAME`` those of exciters that react.
+    resting : connections that a gesture wakes; in `system` they stand without effect.
     exciters : name -> what plays.
     default_exciter : name of the exciter of notes that name no technique.
     """
@@ -79,6 +82,7 @@ class Model:
     inputs: Mapping[str, tuple[tuple[str, str, float], ...]]
     exciters: Mapping[str, Exciter[Any]]
     default_exciter: str
+    resting: Mapping[str, Connection] = field(default_factory=dict)
 
     @property
     def playing(self) -> Playing:
@@ -103,7 +107,8 @@ class Model:
 
     def place(self, string: str, stop: float = 0) -> Place:
         """A string at a stop, as exciters want it."""
-        return Place(string, self.strings[string].length(stop))
+        held = self.strings[string]
+        return Place(string, held.length(stop), len(held.polarizations))
 
 
 def assemble(
@@ -144,6 +149,13 @@ def assemble(
     for string in strings.values():
         for p in string.polarizations:
             connections.append(Connection(f"{p.component}.hold", (Term(p.component, "pluck"),), SpringDashpot()))
+    attached = [a for string in strings.values() for a in string.attached()]
+    resting = {c.name: c for a in attached for c in a.connections if c.name in a.resting}
+    for a in attached:
+        components.update(a.components)
+        connections += [replace(c, law=SpringDashpot()) if c.name in resting else c for c in a.connections]
+    stretching = [s for s in strings.values() if s.resonator.axial_stiffness > 0]
+    tensions = [TensionModulation(s.name, s.components, s.resonator.axial_stiffness) for s in stretching]
     scene = _scene(strings, body_points, limit)
     names = list(instrument.pickups)
     wanted = names[:1] if outputs is None else list(outputs)
@@ -154,6 +166,7 @@ def assemble(
     drives: list[Drive] = []
     groups: list[OutputGroup] = []
     inputs = {f"body.{point}": [("body", point, 1.0)] for point in body_points}
+    inputs |= {name: list(entries) for a in attached for name, entries in a.inputs.items()}
     for part in spec.outputs:
         if part.name not in wanted:
             continue
@@ -177,7 +190,7 @@ def assemble(
             )
         )
     groups.sort(key=lambda g: wanted.index(g.name))
-    system = System.build(components, connections, readouts, dt=1.0 / fs, drives=drives)
+    system = System.build(components, connections, readouts, dt=1.0 / fs, drives=drives, tensions=tensions)
     return Model(
         instrument=instrument,
         fs=fs,
@@ -188,6 +201,7 @@ def assemble(
         inputs={name: tuple(entries) for name, entries in inputs.items()},
         exciters=instrument.exciters,
         default_exciter=exciter,
+        resting=resting,
     )
 
 
@@ -235,6 +249,10 @@ def _string(
         end_compliance=part.end_compliance,
         points=points,
         tilt_deg=part.tilt_deg,
+        touching={
+            **{n: a for n, a in instrument.attachments.items() if name in (spec.connections[n].strings or [name])},
+            **{n: e for n, e in instrument.exciters.items() if e.at is None},
+        },
         pluck_from_bridge=usual.fraction * resonator.length if isinstance(usual, Fraction) else float(usual),
     )
     shortest = string.length(count)

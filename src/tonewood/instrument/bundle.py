@@ -13,7 +13,7 @@ from typing import Any
 
 from tonewood.errors import BundleError, PluginError, ScoreError
 from tonewood.instrument import registry
-from tonewood.instrument.contract import Body, Exciter, Pickup, Plugin, Resonator
+from tonewood.instrument.contract import Attachment, Body, Exciter, Pickup, Plugin, Resonator
 from tonewood.instrument.directions import polarization_vectors
 from tonewood.instrument.files import Files
 from tonewood.instrument.overrides import apply_overrides
@@ -34,6 +34,7 @@ class Instrument:
     body : the plugin the strings are joined to.
     resonators : string -> its plugin.
     exciters : name -> plugin.
+    attachments : name -> plugin of what touches strings besides the body.
     pickups : output group -> plugin.
     resolved : the whole as plain values (JSON), plugins' defaults included; what `replace` works on.
     granted : files outside the folder that overrides have named.
@@ -44,6 +45,7 @@ class Instrument:
     body: Body[Any]
     resonators: Mapping[str, Resonator[Any]]
     exciters: Mapping[str, Exciter[Any]]
+    attachments: Mapping[str, Attachment[Any]]
     pickups: Mapping[str, Pickup[Any]]
     resolved: Mapping[str, Any]
     granted: frozenset[Path] = frozenset()
@@ -79,13 +81,18 @@ class Instrument:
         body = make(spec.body, "body", "body")
         strings = {name: make(part, "resonator", f"strings.{name}") for name, part in spec.strings.items()}
         exciters = {name: make(part, "exciter", f"exciters.{name}") for name, part in spec.exciters.items()}
+        attachments = {n: make(part, "connection", f"connections.{n}") for n, part in spec.connections.items()}
         pickups = {part.name: make(part, "pickup", f"outputs.{part.name}") for part in spec.outputs}
         resolved = spec.model_dump(mode="json", by_alias=True)
         resolved["body"] = _flat(spec.body, body)
         resolved["strings"] = {name: _flat(spec.strings[name], made) for name, made in strings.items()}
         resolved["exciters"] = {name: _flat(spec.exciters[name], made) for name, made in exciters.items()}
+        resolved["connections"] = {name: _flat(spec.connections[name], made) for name, made in attachments.items()}
         resolved["outputs"] = [_flat(part, pickups[part.name]) for part in spec.outputs]
-        instrument = cls(root, spec, body, strings, exciters, pickups, resolved, granted)  # type: ignore[arg-type]  # kinds were checked by the registry
+        made: dict[str, Any] = {  # kinds were checked by the registry
+            "body": body, "resonators": strings, "exciters": exciters, "attachments": attachments, "pickups": pickups
+        }  # fmt: skip
+        instrument = cls(folder=root, spec=spec, **made, resolved=resolved, granted=granted)
         instrument._check()
         return instrument
 
@@ -188,7 +195,9 @@ class Instrument:
     def plugin_names(self) -> tuple[str, ...]:
         """Plugins the bundle uses, each once."""
         spec = self.spec
-        parts: list[PluginPart] = [spec.body, *spec.strings.values(), *spec.exciters.values(), *spec.outputs]
+        parts: list[PluginPart] = [
+            spec.body, *spec.strings.values(), *spec.connections.values(), *spec.exciters.values(), *spec.outputs
+        ]  # fmt: skip
         return tuple(dict.fromkeys(part.plugin for part in parts))
 
     @property
@@ -209,6 +218,13 @@ class Instrument:
                     raise self._fault(f"there is no point {end!r}; there are {known}", f"strings.{name}.end")
             self.polarizations(name)
             self.open_note(name)
+        for name, attached in self.spec.connections.items():
+            for string in attached.strings or ():
+                if string not in self.spec.strings:
+                    known = ", ".join(self.spec.strings)
+                    raise self._fault(
+                        f"there is no string {string!r}; there are {known}", f"connections.{name}.strings"
+                    )
         playing = self.spec.playing
         self._parameter(playing.velocity.parameter, "playing.velocity.parameter")
         for control, entry in playing.controls.items():

@@ -6,7 +6,9 @@ before a render it is asked for arrays (modal bases, pieces of force, rows to re
 ====================  ==================================================================================
 `Resonator`           a string: modal bases for every stop and tension, and how motion passes between them
 `Body`                what strings are joined to: one modal basis with named points
-`Exciter`             a gesture: known forces in time, and how a finger holds the string meanwhile
+`Exciter`             a gesture: known forces in time, and how a finger holds the string meanwhile; one that reacts
+                      brings masses and contacts of its own
+`Attachment`          what touches strings besides the body: frets, a curved bridge, loose parts
 `Pickup`              channels of sound: what is read of which points, or a one-way modal bank
 ====================  ==================================================================================
 
@@ -26,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import BundleError
+from tonewood.instrument.attached import Attached, Motion, Site
 from tonewood.instrument.files import Files
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.system import Drive, Readout
@@ -70,6 +73,11 @@ class Plugin(ABC, Generic[P]):
         files = files or Files(None)
         return cls(validated(cls.Parameters, values, key=key, file=files.manifest), files, key)  # type: ignore[arg-type]  # Parameters of this very class
 
+    @property
+    def name(self) -> str:
+        """Of the part in the bundle: the last word of its key."""
+        return self.key.rpartition(".")[2]
+
     def fault(self, reason: str, key: str = "") -> BundleError:
         """Error that names the bundle's file and this plugin's place in it."""
         return BundleError(reason, file=self.files.manifest, key=".".join(k for k in (self.key, key) if k))
@@ -92,6 +100,15 @@ class Resonator(Plugin[P]):
     @abstractmethod
     def tension(self) -> float:
         """Tension of the open string before tuning, N."""
+
+    @property
+    def axial_stiffness(self) -> float:
+        """EA, N, by which the tension rises as the string stretches; 0 leaves the tension as it is.
+
+        Where it is not 0, the bases must carry ``length`` and ``tension_part`` in their metadata, as those of
+        `tw.string_basis` do.
+        """
+        return 0.0
 
     @abstractmethod
     def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ModalBasis:
@@ -200,18 +217,24 @@ class Event:
     ----------
     values : parameters of the exciter that this event changes, e.g. ``force`` or ``from_bridge``.
     freq : pitch that will sound, Hz; 0 where there is none.
+    duration : s, how long the note is held; infinite if nobody says.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
     freq: float = 0.0
+    duration: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a gesture acts: a string with its speaking length (m), or a point of the body (length 0)."""
+    """Where a gesture acts: a string with its speaking length (m), or a point of the body (length 0).
+
+    `planes` is the number of polarizations the string moves in.
+    """
 
     name: str
     length: float = 0.0
+    planes: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,24 +247,32 @@ class Gesture:
     from_bridge : place on the string, m; None on a body.
     angle_deg : of the force, from the first polarization towards the second.
     hold : the finger on the string meanwhile, or None.
+    on : name of the input among those the exciter has `attach`ed that the forces enter; None is the string itself.
+    motions : of the partners of the exciter's own connections.
     """
 
     segments: tuple[Segment, ...]
     from_bridge: float | None = None
     angle_deg: float = 0.0
     hold: Hold | None = None
+    on: str | None = None
+    motions: tuple[Motion, ...] = ()
 
     @property
     def start(self) -> float:
         """Begin of the gesture, s relative to the event."""
-        begins = [s.start for s in self.segments] + ([self.hold.start] if self.hold else [])
+        begins = [s.start for s in self._pieces] + ([self.hold.start] if self.hold else [])
         return min(begins, default=0.0)
 
     @property
     def stop(self) -> float:
         """End of the gesture, s relative to the event."""
-        ends = [s.stop for s in self.segments] + ([self.hold.stop] if self.hold else [])
+        ends = [s.stop for s in self._pieces] + ([self.hold.stop] if self.hold else [])
         return max(ends, default=0.0)
+
+    @property
+    def _pieces(self) -> tuple[Segment, ...]:
+        return self.segments + tuple(s for motion in self.motions for s in motion.segments)
 
     def force(self, time: float) -> float:
         """Force at a time, N."""
@@ -275,9 +306,26 @@ class Exciter(Plugin[P]):
         checked = validated(type(self.parameters), merged, key=self.key, file=self.files.manifest)
         return checked
 
+    def attach(self, name: str, site: Site) -> Attached | None:
+        """What an exciter that reacts brings to a string: a hammer's mass and felt, a bow's hair.
+
+        It acts on the string's point ``pluck``, which follows the place of the gesture. None for known forces alone.
+        """
+        return None
+
     @abstractmethod
     def gesture(self, event: Event, place: Place) -> Gesture:
         """Forces of one event at `place`."""
+
+
+class Attachment(Plugin[P]):
+    """What touches strings all the time: frets, a curved bridge, loose parts."""
+
+    kind = "connection"
+
+    @abstractmethod
+    def attach(self, name: str, site: Site) -> Attached:
+        """What it adds to a string, at a stop; `name` is the part's key in the bundle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,7 +403,7 @@ class Pickup(Plugin[P]):
 
 
 #: kind -> base class; a plugin derives from exactly one of them
-KINDS: dict[str, type[Plugin[Any]]] = {c.kind: c for c in (Resonator, Body, Exciter, Pickup)}
+KINDS: dict[str, type[Plugin[Any]]] = {c.kind: c for c in (Resonator, Body, Exciter, Attachment, Pickup)}
 
 
 def dot(a: Sequence[float], b: Sequence[float]) -> float:

@@ -8,10 +8,15 @@ from typing import Any
 from pydantic.json_schema import models_json_schema
 
 from tonewood.instrument import registry
-from tonewood.instrument.schema import SCHEMA, Bundle, OutputPart, PluginPart, StringPart
+from tonewood.instrument.schema import SCHEMA, Bundle, ConnectionPart, OutputPart, PluginPart, StringPart
 
-_KIND_OF = {"BodyPart": "body", "ExciterPart": "exciter", "StringPart": "resonator", "OutputPart": "pickup"}
-_COMMON = {"BodyPart": PluginPart, "ExciterPart": PluginPart, "StringPart": StringPart, "OutputPart": OutputPart}
+_PARTS: dict[str, tuple[str, type[PluginPart]]] = {
+    "BodyPart": ("body", PluginPart),
+    "ConnectionPart": ("connection", ConnectionPart),
+    "ExciterPart": ("exciter", PluginPart),
+    "StringPart": ("resonator", StringPart),
+    "OutputPart": ("pickup", OutputPart),
+}
 
 
 def bundle_schema() -> dict[str, Any]:
@@ -22,17 +27,18 @@ def bundle_schema() -> dict[str, Any]:
     """
     schema = Bundle.model_json_schema(by_alias=True, mode="validation")
     definitions = schema.setdefault("$defs", {})
-    for name, kind in _KIND_OF.items():
-        definitions[name] = {"anyOf": _branches(kind, _COMMON[name], definitions, required=name != "StringPart")}
+    for name, (kind, common) in _PARTS.items():
+        definitions[name] = {"anyOf": _branches(kind, common, definitions, required=name != "StringPart")}
     properties = schema["properties"]
     properties["body"] = {**_described(properties["body"]), "$ref": "#/$defs/BodyPart"}
     properties["exciters"]["additionalProperties"] = {"$ref": "#/$defs/ExciterPart"}
-    for keyed in ("exciters", "strings", "sources"):
+    for keyed in ("connections", "exciters", "strings", "sources"):
         # names are checked by the loader; patternProperties would hide the entries from editors
         entry = properties[keyed].pop("patternProperties", None)
         if entry:
             properties[keyed]["additionalProperties"] = next(iter(entry.values()))
         properties[keyed].pop("propertyNames", None)
+    properties["connections"]["additionalProperties"] = {"$ref": "#/$defs/ConnectionPart"}
     properties["exciters"]["additionalProperties"] = {"$ref": "#/$defs/ExciterPart"}
     properties["strings"]["additionalProperties"] = {"$ref": "#/$defs/StringPart"}
     definitions.pop("PluginPart", None)

@@ -91,6 +91,12 @@ class StringPart(PluginPart):
         return self
 
 
+class ConnectionPart(PluginPart):
+    """What touches strings besides the body: frets, a curved bridge, a loose part."""
+
+    strings: list[Name] | None = described("those it touches; all where left out", default=None)
+
+
 class Stops(Parameters):
     """How strings are stopped."""
 
@@ -206,6 +212,7 @@ class Bundle(Parameters):
     playing: Playing = described("from notes to gestures", default=Playing())
     outputs: list[OutputPart] = described("groups of channels; the first is the default", min_length=1)
     effects: Effects = described("what may be left out", default=Effects())
+    connections: dict[Name, ConnectionPart] = described("name -> what touches strings besides the body", default={})
 
     @model_validator(mode="after")
     def _names(self) -> Bundle:
@@ -216,4 +223,7 @@ class Bundle(Parameters):
                 raise ValueError(f"the output name {name!r} is taken")
         if "body" in self.strings or "defaults" in self.strings:
             raise ValueError("a string cannot be called body or defaults")
+        for part in (*self.connections, *self.exciters):
+            if part in self.connections and part in self.exciters:
+                raise ValueError(f"the name {part!r} is both a connection's and an exciter's")
         return self

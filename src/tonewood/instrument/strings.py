@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.instrument.contract import Resonator
+from tonewood.instrument.attached import Attached, Site
+from tonewood.instrument.contract import Attachment, Exciter, Resonator
 from tonewood.instrument.tuning import StringOnBody, TunedStop, tune
+from tonewood.numerics.connections import Connection
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.receptance import Joint, Ports
 from tonewood.numerics.string_transfer import retuned
@@ -87,12 +89,15 @@ class StringModel:
         points: Mapping[str, float],
         tilt_deg: float,
         pluck_from_bridge: float,
+        touching: Mapping[str, Attachment[Any] | Exciter[Any]] | None = None,
     ):
         self.name, self.resonator, self.polarizations = name, resonator, polarizations
         self.open_note, self.stopping, self.points = open_note, stopping, dict(points)
         self.pluck_from_bridge = pluck_from_bridge
         self._body, self._freq_upper, self._freq_limit = body, freq_upper, freq_limit
         self._end_compliance, self._tilt_deg = end_compliance, tilt_deg
+        self._touching = dict(touching or {})
+        self._attached: dict[float, tuple[Attached, ...]] = {}
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._bases: dict[float, ModalBasis] = {}
         self._gains: dict[float, float] = {}
@@ -126,6 +131,25 @@ class StringModel:
     def length(self, stop: float = 0) -> float:
         """Speaking length at a stop, m."""
         return self.resonator.length - self.position(stop)
+
+    def site(self, stop: float = 0) -> Site:
+        """The string at a stop, as what touches it sees it."""
+        open_length = self.resonator.length
+        stops = tuple(self.length(i) for i in range(self.n_stops + 1))
+        polarizations = tuple((p.component, p.direction) for p in self.polarizations)
+        return Site(self.name, open_length, self.length(stop), stops, polarizations)
+
+    def attached(self, stop: float = 0) -> tuple[Attached, ...]:
+        """What touches the string at a stop besides the body: connections and exciters that react."""
+        if stop not in self._attached:
+            site = self.site(stop)
+            found = (part.attach(name, site) for name, part in self._touching.items())
+            self._attached[stop] = tuple(a for a in found if a is not None)
+        return self._attached[stop]
+
+    def connections(self, stop: float = 0) -> tuple[Connection, ...]:
+        """Connections of what touches it; at every stop the same, but for their laws."""
+        return tuple(c for a in self.attached(stop) for c in a.connections)
 
     def tuned(self, stop: float = 0) -> TunedStop | None:
         """Tension and coupled modes of a stop; None where the bundle asks for no compensation."""
@@ -167,6 +191,9 @@ class StringModel:
         pluck = min(self.pluck_from_bridge, 0.9 * length) if pluck_from_bridge is None else pluck_from_bridge
         if not 0 <= pluck <= length:
             raise ValueError(f"string {self.name} is {length:g} m long at stop {stop:g}; {pluck:g} m is not on it")
+        places = {name: x for a in self.attached(stop) for name, x in a.places.items()}
+        beyond = [name for name, x in places.items() if not 0 <= x < length]
+        here = {"pluck": pluck, **self.points, **{n: x for n, x in places.items() if n not in beyond}}
         base, tension = self._untuned(stop), self.tension(stop)
         if bend_cents:
             tension *= ratio_of_cents(bend_cents * self._bend_gain(stop)) ** 2
@@ -177,7 +204,7 @@ class StringModel:
                 basis = below(basis, self._freq_limit)
             if added_damping:
                 basis = retuned(basis, np.sqrt(basis.stiffness), basis.damping_rate + added_damping)
-            out[polarization.component] = basis.with_places({"pluck": pluck, **self.points})
+            out[polarization.component] = with_still_points(basis.with_places(here), beyond)
         return out
 
     def n_modes(self, stop: float = 0) -> int:
@@ -275,6 +302,20 @@ def held_freq(basis: ModalBasis) -> float | None:
     octave = 2 * math.sqrt(float(basis.stiffness.min()))
     zero = Joint([ports]).newton(octave * complex(-1e-5, 1.0), steps=80)
     return None if zero is None else zero.imag / (2 * math.pi)
+
+
+def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:
+    """Add points that do not move: places behind the stop, which connections at other stops act on."""
+    if not names:
+        return basis
+    rows = np.zeros((len(names), basis.n_modes), dtype=np.complex128)
+    return replace(
+        basis,
+        points=(*basis.points, *names),
+        right=np.vstack([basis.right, rows]),
+        left=np.vstack([basis.left, rows]),
+        residual=np.pad(basis.residual, (0, len(names))),
+    )
 
 
 def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:

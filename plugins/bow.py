@@ -1,0 +1,73 @@
+"""A bow: dry friction between its hair and one point of the string.
+
+|f| <= N mu_s while they stick; sliding, f = N [mu_d + (mu_s - mu_d) / (1 + |v| / v0)] against the slip v, the
+hyperbola of Smith & Woodhouse (2000, J. Mech. Phys. Solids 48, 1633). Between Schelleng's least and greatest bow force
+(1973, J. Acoust. Soc. Am. 53, 26),
+
+    N_max = 2 Z v_b / (beta (mu_s - mu_d)),      N_min = Z^2 v_b / (2 beta^2 r (mu_s - mu_d)),
+
+the string moves as Helmholtz saw it: one slip in each period. Z = sqrt(T mu), beta the bow's place as a share of the
+length, r the resistance of the bridge. The bow's work is f v_b h in each step, what it heats is |f v| h
+(`tonewood.numerics.laws.Friction`). The hair itself is stiff and light here.
+"""
+
+from __future__ import annotations
+
+import math
+
+from tonewood.instrument.attached import Attached, Motion, Site
+from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
+from tonewood.instrument.directions import Direction, unit_vector
+from tonewood.instrument.gestures import StringPlace, metres, smooth_step
+from tonewood.numerics.connections import Connection
+from tonewood.numerics.laws import Friction
+from tonewood.params import Parameters, described, quantity
+
+
+class BowParameters(Parameters):
+    """Of the bow and its stroke."""
+
+    from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.05)
+    force: float = quantity("N", low=0.0, high=50.0, default=1.0, doc="with which it is pressed on the string")
+    velocity: float = quantity("m/s", low=-5.0, high=5.0, default=0.2, doc="of the hair; its sign is the stroke's")
+    static: float = quantity("1", low=0.0, high=5.0, default=0.8, doc="coefficient of friction at rest")
+    dynamic: float = quantity("1", low=0.0, high=5.0, default=0.3, doc="coefficient of friction at great speed")
+    speed: float = quantity("m/s", low=1e-4, high=10.0, default=0.1, doc="of half of the difference")
+    attack_time: float = quantity("s", low=1e-4, high=5.0, default=0.03, doc="in which force and velocity grow")
+    release_time: float = quantity("s", low=1e-4, high=5.0, default=0.05, doc="in which they vanish")
+    sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a note that nobody ends")
+    direction: Direction = described("of the stroke", default="y")
+
+
+class Bow(Exciter[BowParameters]):
+    """The bow; see the module."""
+
+    api = 1
+    Parameters = BowParameters
+
+    def attach(self, name: str, site: Site) -> Attached:
+        """The hair on the string, without force until a stroke begins."""
+        p, hair = self.parameters, f"{site.string}.{name}.hair"
+        if p.static < p.dynamic:
+            raise self.fault(f"must not be less than dynamic, {p.dynamic:g}", "static")
+        terms = site.motion("pluck", unit_vector(p.direction))
+        if not terms:
+            raise self.fault(f"string {site.string} does not move in this direction", "direction")
+        # a normal force of 1 N, so that the scale of its motion is the bow force in N
+        law = Friction(1.0, p.static, p.dynamic, p.speed)
+        return Attached(connections=(Connection(hair, terms, law),), resting=(hair,))
+
+    def gesture(self, event: Event, place: Place) -> Gesture:
+        """A stroke that begins at time 0."""
+        p = self.adjusted(event.values)
+        hair = f"{place.name}.{self.name}.hair"
+        held = event.duration if math.isfinite(event.duration) else p.sustain
+        end = max(held, p.attack_time)
+
+        def course(value: float) -> tuple[Segment, ...]:
+            steady = (Segment(p.attack_time, end, value),) if end > p.attack_time else ()
+            grow = smooth_step(0.0, p.attack_time, 0.0, value)
+            return grow + steady + smooth_step(end, end + p.release_time, value, 0.0)
+
+        motions = (Motion(hair, "scale", course(p.force)), Motion(hair, "velocity", course(p.velocity)))
+        return Gesture((), metres(p.from_bridge, place), motions=motions)

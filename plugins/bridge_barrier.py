@@ -1,0 +1,91 @@
+"""A bridge that the string wraps onto: the curved bone of a sitar, or a tanpura's bridge and its cotton thread.
+
+The barrier's height over its width is a parabola, -(x - top)^2 / (2 radius), or level where no radius is given, and
+lies at most at the resting string. It is carried by the bridge: what counts is the string's motion against its own
+end. K is that of the whole width; every point has its share (van Walstijn, Bridges & Mehes 2016, "A real-time
+synthesis oriented tanpura model", DAFx-16). The thread is a two-sided spring and dashpot over a width of its own, as
+in the same paper. Points closer than half the shortest wavelength are told apart by the string's residual compliance.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tonewood.instrument.attached import Attached, Site
+from tonewood.instrument.contract import Attachment
+from tonewood.instrument.directions import Direction, unit_vector
+from tonewood.numerics.connections import Connection, SpringDashpot, Term
+from tonewood.numerics.laws import Contact
+from tonewood.params import Parameters, described, quantity
+
+
+class Thread(Parameters):
+    """A soft thread between string and bridge."""
+
+    from_bridge: float = quantity("m", low=0.0, high=0.5, doc="its middle")
+    width: float = quantity("m", low=0.0, high=0.1, default=0.0, doc="over which it is spread")
+    points: int = described("number of points", default=2, ge=1, le=20, strict=True)
+    stiffness: float = quantity("N/m", low=0.0, high=1e9, doc="of the whole thread")
+    damping: float = quantity("N s/m", low=0.0, high=1e3, doc="of the whole thread")
+
+
+class BarrierParameters(Parameters):
+    """Of the barrier."""
+
+    start: float = quantity("m", low=0.0, high=1.0, doc="edge next to the string's end, from the bridge point")
+    stop: float = quantity("m", low=1e-5, high=1.0, doc="edge towards the string")
+    top: float = quantity("m", low=0.0, high=1.0, default=0.0, doc="where it is highest")
+    radius: float | None = quantity("m", low=1e-3, high=1e3, default=None, doc="of curvature; level where left out")
+    below: float = quantity("m", low=0.0, high=0.05, default=0.0, doc="depth of the top under the resting string")
+    points: int = described("number of contact points", default=12, ge=1, le=100, strict=True)
+    stiffness: float = quantity("N/m^exponent", low=0.0, high=1e16, doc="K of the whole width")
+    exponent: float = quantity("1", low=1.0, high=4.0, default=1.0, doc="alpha of the contact")
+    loss: float = quantity("s/m", low=0.0, high=100.0, default=0.0, doc="of Hunt and Crossley")
+    thread: Thread | None = described("between string and bridge", default=None)
+    direction: Direction = described("from the barrier to the string", default="z")
+
+
+class BridgeBarrier(Attachment[BarrierParameters]):
+    """The barrier; see the module."""
+
+    api = 1
+    Parameters = BarrierParameters
+
+    def height(self, x: float) -> float:
+        """Height over the resting string's line x metres from the bridge, m; not above 0."""
+        p = self.parameters
+        return -p.below - (0.0 if p.radius is None else (x - p.top) ** 2 / (2 * p.radius))
+
+    def attach(self, name: str, site: Site) -> Attached:
+        """Points in the middles of equal parts of the widths."""
+        p = self.parameters
+        if not p.start < p.stop < site.length:
+            raise self.fault(f"start {p.start:g} < stop {p.stop:g} < {site.length:g} m is wanted", "stop")
+        direction = unit_vector(p.direction)
+        places: dict[str, float] = {}
+        connections = []
+
+        def against_bridge(point: str) -> tuple[Term, ...]:
+            return (*site.motion(point, direction), *site.motion("bridge", direction, -1.0))
+
+        for i, x in enumerate(_middles(p.start, p.stop, p.points)):
+            point = f"{name}.{i}"
+            places[point] = x
+            law = Contact(p.stiffness / p.points, p.exponent, p.loss, offset=self.height(x))
+            connections.append(Connection(f"{site.string}.{point}", against_bridge(point), law))
+        if p.thread is not None:
+            t, half = p.thread, p.thread.width / 2
+            for i, x in enumerate(_middles(t.from_bridge - half, t.from_bridge + half, t.points)):
+                point = f"{name}.thread{i}"
+                places[point] = x
+                spring = SpringDashpot(t.stiffness / t.points, t.damping / t.points)
+                connections.append(Connection(f"{site.string}.{point}", against_bridge(point), spring))
+        if not all(math.isfinite(x) and x > 0 for x in places.values()):
+            raise self.fault("lies beyond the string's end", "thread.from_bridge")
+        return Attached(places, connections=tuple(connections))
+
+
+def _middles(start: float, stop: float, n: int) -> list[float]:
+    return [float(start + (stop - start) * (i + 0.5) / n) for i in np.arange(n)]

@@ -1,0 +1,70 @@
+"""Frets under a string, each a one-sided contact: with a low action, a crooked neck or a hard pluck the string buzzes.
+
+The clearance under the open string goes in a straight line through its values at the first and the twelfth fret, plus
+a relief (a hollow of the neck, deepest midway between nut and last fret), minus what single frets stand out. A stopped
+string runs straight from the crown of its fret to the bridge; frets behind the stop are out of play. Contact law:
+K p^alpha (1 + loss p'), p the penetration.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from tonewood.instrument.attached import Attached, Site
+from tonewood.instrument.contract import Attachment
+from tonewood.instrument.directions import Direction, unit_vector
+from tonewood.numerics.connections import Connection
+from tonewood.numerics.laws import Contact
+from tonewood.params import Number, Parameters, described, quantity
+
+FretNumber = Annotated[str, Field(pattern=r"^[1-9][0-9]?$")]
+
+
+class FretsParameters(Parameters):
+    """Of the frets."""
+
+    action_first: float = quantity("m", low=0.0, high=0.05, doc="clearance of the open string at the first fret")
+    action_twelfth: float = quantity("m", low=0.0, high=0.05, doc="clearance of the open string at half its length")
+    relief: float = quantity("m", low=0.0, high=0.01, default=0.0, doc="hollow of the neck, midway nut to last fret")
+    heights: dict[FretNumber, Number] = described("number of a fret -> m by which it stands out", default={})
+    stiffness: float = quantity("N/m^exponent", low=0.0, high=1e16, default=1e9, doc="K of the contact")
+    exponent: float = quantity("1", low=1.0, high=4.0, default=1.5, doc="alpha of the contact")
+    loss: float = quantity("s/m", low=0.0, high=100.0, default=0.5, doc="of Hunt and Crossley")
+    direction: Direction = described("from the frets to the string", default="z")
+
+
+class Frets(Attachment[FretsParameters]):
+    """The frets; see the module."""
+
+    api = 1
+    Parameters = FretsParameters
+
+    def clearance(self, x: float, site: Site) -> float:
+        """Room under the open string x metres from the bridge, without single frets' heights, m."""
+        p = self.parameters
+        first, twelfth, last = site.stops[1], site.open_length / 2, site.stops[-1]
+        line = p.action_first + (p.action_twelfth - p.action_first) * (first - x) / (first - twelfth)
+        share = (site.open_length - x) / (site.open_length - last)
+        return line + 4 * p.relief * share * (1 - share)
+
+    def attach(self, name: str, site: Site) -> Attached:
+        """One contact for every stop of the string."""
+        if len(site.stops) < 2:
+            raise self.fault(f"string {site.string} has no stops, so it has no frets")
+        p = self.parameters
+        direction = unit_vector(p.direction)
+
+        def crown(x: float) -> float:
+            number = min(range(1, len(site.stops)), key=lambda i: abs(site.stops[i] - x))
+            return self.clearance(x, site) - p.heights.get(str(number), 0.0)
+
+        places, connections = {}, []
+        for number, x in enumerate(site.stops[1:], 1):
+            point = f"{name}.{number}"
+            # behind the stop, and under the stop itself, which holds the string anyway
+            places[point] = x if x < 0.999 * site.length else site.open_length
+            law = Contact(p.stiffness, p.exponent, p.loss, offset=-max(site.lowered(x, crown), 0.0))
+            connections.append(Connection(f"{site.string}.{point}", site.motion(point, direction), law))
+        return Attached(places, connections=tuple(connections))

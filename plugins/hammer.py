@@ -1,0 +1,80 @@
+"""A hammer: a mass with a felt that is thrown at the string and jumps back; or a tangent that stays on it.
+
+The mass rests `clearance` away on a soft, damped spring. A short push gives it its `velocity`, so that it meets the
+resting string at the note's time; then felt and string decide: f = K p^alpha (1 + loss p'), p the compression
+(Hunt & Crossley; for piano felt alpha is 2 to 3.5). With `press` a force holds it against the string for as long as
+the note lasts, as a clavichord's key holds its tangent; it then divides the string. The driver's work is that of the
+push and the pressing force on the mass; the contact itself can only store energy or lose it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from tonewood.instrument.attached import Attached, Site, loose_mass
+from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
+from tonewood.instrument.directions import Direction, unit_vector
+from tonewood.instrument.gestures import StringPlace, metres, smooth_step
+from tonewood.numerics.connections import Connection, Term
+from tonewood.numerics.laws import Contact
+from tonewood.params import Parameters, described, quantity
+
+
+class HammerParameters(Parameters):
+    """Of the hammer."""
+
+    from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.1)
+    velocity: float = quantity("m/s", low=0.0, high=20.0, default=2.0, doc="with which it meets the string")
+    mass: float = quantity("kg", low=1e-6, high=1.0, doc="of the hammer's head, or of tangent and key")
+    stiffness: float = quantity("N/m^exponent", low=0.0, high=1e16, doc="K of the felt")
+    exponent: float = quantity("1", low=1.0, high=6.0, default=2.5, doc="alpha of the felt")
+    loss: float = quantity("s/m", low=0.0, high=100.0, default=0.0, doc="of Hunt and Crossley")
+    clearance: float = quantity("m", low=1e-5, high=0.1, default=2e-3, doc="from its rest to the string")
+    throw_time: float = quantity("s", low=1e-4, high=0.1, default=1.5e-3, doc="of the push; shorter if it must be")
+    return_freq: float = quantity("Hz", low=0.1, high=100.0, default=4.0, doc="of the spring that brings it back")
+    return_damping: float = quantity("1", low=0.0, high=5.0, default=0.7, doc="damping ratio of that spring")
+    press: float = quantity("N", low=0.0, high=50.0, default=0.0, doc="with which it is held against the string")
+    press_time: float = quantity("s", low=1e-4, high=1.0, default=3e-3, doc="in which that force grows and vanishes")
+    sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a press that nobody ends")
+    direction: Direction = described("in which it strikes", default="z")
+
+
+class Hammer(Exciter[HammerParameters]):
+    """The hammer; see the module."""
+
+    api = 1
+    Parameters = HammerParameters
+
+    def attach(self, name: str, site: Site) -> Attached:
+        """Its mass and its felt."""
+        p, own = self.parameters, f"{site.string}.{name}"
+        terms = (*site.motion("pluck", unit_vector(p.direction)), Term(f"{own}.head", "mass", -1.0))
+        if len(terms) < 2:
+            raise self.fault(f"string {site.string} does not move in this direction", "direction")
+        omega = 2 * math.pi * p.return_freq
+        return Attached(
+            components={f"{own}.head": loose_mass(p.mass, omega, p.return_damping * omega)},
+            connections=(
+                Connection(f"{own}.felt", terms, Contact(p.stiffness, p.exponent, p.loss, offset=-p.clearance)),
+            ),
+            inputs={f"{own}.push": ((f"{own}.head", "mass", 1.0),)},
+        )
+
+    def gesture(self, event: Event, place: Place) -> Gesture:
+        """Push, flight, and the force that keeps it there; it arrives at time 0."""
+        p = self.adjusted(event.values)
+        on, at = f"{place.name}.{self.name}.push", metres(p.from_bridge, place)
+        if p.velocity == 0.0:
+            return Gesture((Segment(0.0, 1e-3, 0.0),), at, on=on)
+        throw = min(p.throw_time, p.clearance / p.velocity)
+        # the way made during a push that grows and vanishes alike is half of throw x velocity
+        start = -(throw + (p.clearance - throw * p.velocity / 2) / p.velocity)
+        peak = 2 * p.mass * p.velocity / throw
+        half = start + throw / 2
+        segments = smooth_step(start, half, 0.0, peak) + smooth_step(half, start + throw, peak, 0.0)
+        if p.press > 0.0:
+            held = max(event.duration if math.isfinite(event.duration) else p.sustain, 2 * p.press_time)
+            segments += smooth_step(0.0, p.press_time, 0.0, p.press)
+            segments += (Segment(p.press_time, held, p.press),)
+            segments += smooth_step(held, held + p.press_time, p.press, 0.0)
+        return Gesture(segments, at, on=on)

@@ -1,0 +1,77 @@
+"""A pluck while a finger lies on the string: harmonics by a light touch at a node, palm damping, a soft stop.
+
+The finger is a mass on the spring and dashpot of the hand, and its skin a spring and dashpot between that mass and the
+string, all at `touch`. It lies there from before the pluck until `lift` after it: light and lifted it leaves the
+partials that have a node there; heavy and lasting it damps them all; stiff and heavy it stops the string softly. Its
+weight goes from 0 to `weight` and back in `ease`; a growing weight puts in the little work of pressing a skin that is
+not yet deflected.
+"""
+
+from __future__ import annotations
+
+import math
+
+from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
+from tonewood.instrument.contract import Event, Exciter, Gesture, Hold, Place, Segment
+from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
+from tonewood.numerics.connections import Connection, Term
+from tonewood.numerics.laws import HardeningSpring
+from tonewood.params import Parameters, described, quantity
+
+
+class FingerParameters(Parameters):
+    """Of the finger, and of the pluck beside it."""
+
+    touch: StringPlace = described(
+        "of the finger: m, or {fraction: of the speaking length}", default=Fraction(fraction=0.5)
+    )
+    weight: float = quantity("1", low=0.0, high=100.0, default=1.0, doc="factor on the skin's stiffness and damping")
+    mass: float = quantity("kg", low=1e-5, high=1.0, default=2e-3, doc="of the fingertip")
+    skin_stiffness: float = quantity("N/m", low=0.0, high=1e6, default=300.0, doc="between string and fingertip")
+    skin_damping: float = quantity("N s/m", low=0.0, high=100.0, default=0.3, doc="between string and fingertip")
+    hand_freq: float = quantity("Hz", low=0.1, high=1000.0, default=15.0, doc="of the fingertip on the hand")
+    hand_damping: float = quantity("1", low=0.0, high=10.0, default=1.0, doc="damping ratio of the same")
+    lift: float = quantity("s", low=0.0, high=60.0, default=0.04, doc="how long after the pluck the finger leaves")
+    ease: float = quantity("s", low=1e-4, high=1.0, default=5e-3, doc="in which it comes and goes")
+    force: float = quantity("N", low=0.0, high=200.0, default=2.0, doc="of the pluck, at the moment of release")
+    from_bridge: StringPlace = described("of the pluck: m, or {fraction: of the speaking length}", default=0.1)
+    angle_deg: float = quantity(
+        "deg", low=-360.0, high=360.0, default=0.0, doc="of the pluck, from the first polarization to the second"
+    )
+    ramp_time: float = quantity("s", low=1e-3, high=5.0, default=0.02, doc="time in which the plucking force grows")
+    release_time: float = quantity("s", low=0.0, high=0.05, default=2e-4, doc="time in which it vanishes")
+    hold_dashpot: float = quantity("N s/m", low=0.0, high=100.0, default=0.5, doc="damping of the plucking finger")
+
+
+class StoppingFinger(Exciter[FingerParameters]):
+    """The finger and the pluck; see the module."""
+
+    api = 1
+    Parameters = FingerParameters
+
+    def attach(self, name: str, site: Site) -> Attached:
+        """Fingertip and skin in every direction the string moves in."""
+        p, own, point = self.parameters, f"{site.string}.{name}", f"{name}.touch"
+        omega = 2 * math.pi * p.hand_freq
+        components, connections = {}, []
+        for i, (component, _) in enumerate(site.polarizations, 1):
+            tip, skin = f"{own}.tip{i}", f"{own}.skin{i}"
+            components[tip] = loose_mass(p.mass, omega, p.hand_damping * omega)
+            law = HardeningSpring(p.skin_stiffness, damping=p.skin_damping)
+            connections.append(Connection(skin, (Term(component, point), Term(tip, "mass", -1.0)), law))
+        place = metres(p.touch, Place(site.string, site.length))
+        return Attached({point: place}, components, tuple(connections), resting=tuple(c.name for c in connections))
+
+    def gesture(self, event: Event, place: Place) -> Gesture:
+        """The finger comes before the pluck's force grows; the pluck's release begins at time 0."""
+        p = self.adjusted(event.values)
+        ramp = max(p.ramp_time, 1.0 / event.freq if event.freq > 0 else 0.0)
+        segments = smooth_step(-ramp, 0.0, 0.0, p.force) + smooth_step(0.0, p.release_time, p.force, 0.0)
+        lies = (
+            *smooth_step(-ramp - p.ease, -ramp, 0.0, p.weight),
+            Segment(-ramp, p.lift, p.weight),
+            *smooth_step(p.lift, p.lift + p.ease, p.weight, 0.0),
+        )
+        motions = tuple(Motion(f"{place.name}.{self.name}.skin{i}", "scale", lies) for i in range(1, place.planes + 1))
+        hold = Hold(-ramp, -ramp / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
+        return Gesture(segments, metres(p.from_bridge, place), p.angle_deg, hold, motions=motions)

@@ -1,0 +1,115 @@
+"""What touches strings besides the body: places on them, partners with masses of their own, and laws between them.
+
+Plain data, returned by the `attach` of connections and of exciters that react. Every name in it begins with the name
+of the string and of the part, ``STRING.PART.``, so that nothing clashes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tonewood.numerics.connections import Connection, Term
+from tonewood.numerics.modes import ModalBasis
+from tonewood.params import Vector
+
+if TYPE_CHECKING:
+    from tonewood.instrument.contract import Segment
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """A string as it is seen by what touches it, at one stop.
+
+    Attributes
+    ----------
+    string : its name.
+    open_length : m, nut to bridge.
+    length : m, of the speaking part at this stop.
+    stops : m from the bridge, place of every whole stop; the first is the nut.
+    polarizations : component and unit vector of each plane of motion, tilt included.
+    """
+
+    string: str
+    open_length: float
+    length: float
+    stops: tuple[float, ...]
+    polarizations: tuple[tuple[str, Vector], ...]
+
+    def motion(self, point: str, direction: Vector, factor: float = 1.0) -> tuple[Term, ...]:
+        """Displacement of a point of the string along a direction, times `factor`."""
+        shares = ((c, sum(a * b for a, b in zip(p, direction, strict=True))) for c, p in self.polarizations)
+        return tuple(Term(c, point, factor * share) for c, share in shares if abs(share) > 1e-12)
+
+    def lowered(self, x: float, clearance: Callable[[float], float]) -> float:
+        """Room under the string x metres from the bridge when it is pressed down at its stop, m.
+
+        `clearance` is that under the open string. The stopped string is straight from the bridge to where its stop
+        lies: c(x) - c(l) x / l.
+        """
+        if self.length >= self.open_length:
+            return clearance(x)
+        return clearance(x) - clearance(self.length) * x / self.length
+
+
+@dataclass(frozen=True)
+class Attached:
+    """What a part adds to one string.
+
+    Attributes
+    ----------
+    places : point on the string -> m from the bridge. Points beyond the speaking part do not move: a fret behind the
+        stop is out of play.
+    components : masses of its own.
+    connections : between points of the string, of these components, and the ground. At every stop a part must return
+        the same ones, in name and terms; their laws may differ.
+    inputs : name -> (component, point, factor), ...: where forces of a gesture enter that names it.
+    resting : connections that have no effect, and cost nothing, but while a gesture moves them.
+    """
+
+    places: Mapping[str, float] = field(default_factory=dict)
+    components: Mapping[str, ModalBasis] = field(default_factory=dict)
+    connections: tuple[Connection, ...] = ()
+    inputs: Mapping[str, tuple[tuple[str, str, float], ...]] = field(default_factory=dict)
+    resting: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How a gesture moves the partner of a nonlinear connection.
+
+    Attributes
+    ----------
+    connection : as `Attached` names it.
+    quantity : ``offset`` (m, gap of zero compression), ``velocity`` (m/s, of a friction's partner) or ``scale``
+        (factor on the force, not negative).
+    segments : its course, s relative to the event, like pieces of force; before and after them it is 0.
+    """
+
+    connection: str
+    quantity: Literal["offset", "velocity", "scale"]
+    segments: tuple[Segment, ...]
+
+    def course(self, times: ArrayLike) -> Floats:
+        """Values at times (n,); 0 outside the segments."""
+        t = np.asarray(times, dtype=np.float64)
+        out = np.zeros_like(t)
+        for s in self.segments:
+            here = (t >= s.start) & (t < s.stop)
+            u = t[here] - s.start
+            out[here] = s.c0 + u * (s.c1 + u * s.c2)
+        return out
+
+
+def loose_mass(mass: float, freq_rad: float = 0.0, damping_rate: float = 0.0) -> ModalBasis:
+    """A lump of `mass` kg that moves along one line, with the point ``mass``; on a spring if `freq_rad` > 0 (rad/s)."""
+    return ModalBasis.real([freq_rad], [damping_rate], {"mass": [1.0]}, modal_mass=mass)
+
+
+__all__ = ["Attached", "Motion", "Site", "loose_mass"]
