@@ -34,6 +34,11 @@ Floats = NDArray[np.float64]
 
 #: an eigenvalue of a residue matrix below this share of the larger one is rounding
 RANK_TOLERANCE = 1e-6
+#: rows of a table; complex modes are tested by eigenproblems of four times their number
+MOST_MODES, MOST_COMPLEX_MODES = 20_000, 1000
+MOST_POINTS = 256
+#: largest mass-normalised shape, 1/sqrt(kg)
+MOST_SHAPE = 1e6
 
 
 class Point(Parameters):
@@ -62,7 +67,7 @@ class ModalTableParameters(Parameters):
 
     table: str = described("CSV file in the bundle")
     shapes: Literal["points", "residues", "heave_rock", "complex"] = described("how the table gives shapes")
-    points: dict[str, Point] = described("name -> place and direction", min_length=1)
+    points: dict[str, Point] = described("name -> place and direction", min_length=1, max_length=MOST_POINTS)
     reference: str | None = described("residues: the point at which the table's responses were driven", default=None)
     truncation: Truncation = described("compliance of modes that are not in the table", default=Truncation())
     damping_case: Literal["complex", "proportional", "block"] = described(
@@ -101,16 +106,24 @@ class ModalTable(Body[ModalTableParameters]):
         p = self.parameters
         table = self.files.table(p.table, f"{self.key}.table")
         freq_rad = 2 * np.pi * self._column(table, "f_Hz")
+        most = MOST_COMPLEX_MODES if p.shapes == "complex" else MOST_MODES
+        if freq_rad.size > most:
+            raise self.fault(f"{p.table}: {freq_rad.size} modes; {most} are allowed", "table")
         if ("Q" in table) == ("zeta" in table):
             raise self.fault(f"{p.table}: one column Q or zeta is wanted", "table")
         zeta = 0.5 / self._column(table, "Q") if "Q" in table else table["zeta"]
         if np.any(freq_rad <= 0) or np.any(zeta <= 0):
             raise self.fault(f"{p.table}: frequencies and Q or zeta must be above 0", "table")
+        if freq_rad.min() < 1e-3 or freq_rad.max() > 1e8 or zeta.min() < 1e-12 or zeta.max() > 1e4:
+            raise self.fault(
+                f"{p.table}: frequencies from 1 mHz to 10 MHz, zeta from 1e-12 to 1e4 are allowed", "table"
+            )
         if p.shapes == "complex":
             basis = self._complex(table, freq_rad, zeta)
         else:
             maker = {"points": self._points, "residues": self._residues, "heave_rock": self._heave_rock}[p.shapes]
             which, shapes = maker(table)
+            self._sane(*shapes.values())
             basis = ModalBasis.real(freq_rad[which], (zeta * freq_rad)[which], shapes, residual=self._residual())
         if p.damping_case != "complex":
             try:
@@ -176,8 +189,16 @@ class ModalTable(Body[ModalTableParameters]):
                 out[name] = self._column(table, f"{stem}_re") + 1j * self._column(table, f"{stem}_im")
             return out
 
+        right, left = shapes("right"), shapes("left")
+        self._sane(*right.values())
+        self._sane(*left.values())
         poles = freq_rad * (-zeta + 1j * np.sqrt(1 - zeta**2))
-        return ModalBasis.complex(poles, shapes("right"), shapes("left"), residual=self._residual())
+        return ModalBasis.complex(poles, right, left, residual=self._residual())
+
+    def _sane(self, *shapes: NDArray[np.inexact]) -> None:
+        """Shapes of modes lighter than a millionth of a milligram overflow sooner or later."""
+        if not all(np.all(np.abs(shape) <= MOST_SHAPE) for shape in shapes):
+            raise self.fault(f"{self.parameters.table}: shapes up to {MOST_SHAPE:g} 1/sqrt(kg) are allowed", "table")
 
     def _residual(self) -> Floats:
         points = self.parameters.points

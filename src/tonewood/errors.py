@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import os
 
+#: characters of a reason; what a damaged file holds may be quoted, but not at length
+_LONGEST = 800
+
 
 class TonewoodError(Exception):
     """A fault the user can mend, told in one line.
@@ -20,7 +23,8 @@ class TonewoodError(Exception):
     """
 
     def __init__(self, reason: str, *, file: str | os.PathLike[str] | None = None, key: str | None = None):
-        self.reason = " ".join(reason.split())
+        line = " ".join(reason.split())
+        self.reason = line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} [...] {line[-_LONGEST // 2 :]}"
         self.file = None if file is None else os.fspath(file)
         self.key = key
         super().__init__(": ".join(part for part in (self.file, self.key, self.reason) if part))

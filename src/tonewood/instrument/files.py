@@ -15,6 +15,8 @@ Floats = NDArray[np.float64]
 
 #: longest table that is read, bytes
 MAX_TABLE = 64_000_000
+#: most rows of numbers in a table
+MAX_ROWS = 200_000
 
 
 class Files:
@@ -45,7 +47,10 @@ class Files:
             raise BundleError(f"table {name!r} needs a bundle's folder", key=key)
         pure = PurePosixPath(name)
         inside = not (pure.is_absolute() or ".." in pure.parts or "\\" in name or ":" in name or not pure.parts)
-        path = (self.root / pure).resolve() if inside else self.root
+        try:
+            path = (self.root / pure).resolve() if inside else self.root
+        except (OSError, RuntimeError, ValueError) as fault:  # links in a circle, a name with a zero byte
+            raise BundleError(f"{name!r} cannot be followed: {fault}", file=self.manifest, key=key) from None
         if not inside or not path.is_relative_to(self.root.resolve()):
             raise BundleError(
                 f"{name!r} leads out of the bundle; only relative paths inside its folder are allowed",
@@ -75,6 +80,8 @@ class Files:
             text = path.read_text(encoding="utf-8-sig")
         except UnicodeDecodeError as fault:
             raise BundleError(f"byte {fault.start} is not UTF-8", file=shown) from None
+        except OSError as fault:
+            raise BundleError(f"cannot be read: {fault.strerror}", file=shown) from None
         header: list[str] = []
         rows: list[list[float]] = []
         for number, line in enumerate(text.splitlines(), 1):
@@ -86,6 +93,8 @@ class Files:
                 if len(set(header)) != len(header) or "" in header:
                     raise BundleError(f"line {number}: a column has no name or the name of another", file=shown)
                 continue
+            if len(rows) >= MAX_ROWS:
+                raise BundleError(f"line {number}: more than the {MAX_ROWS} rows allowed", file=shown)
             if len(cells) != len(header):
                 raise BundleError(f"line {number}: {len(cells)} numbers under {len(header)} columns", file=shown)
             rows.append([_number(cell, column, number, shown) for cell, column in zip(cells, header, strict=True)])

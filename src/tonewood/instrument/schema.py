@@ -16,6 +16,9 @@ from tonewood.params import Number, Parameters, Vector, described, quantity
 
 SCHEMA = "tonewood-instrument/1"
 
+#: parts of one kind that an instrument may have; a piano has 230 strings
+MOST_STRINGS, MOST_PARTS = 256, 100
+
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
@@ -82,7 +85,7 @@ class StringPart(PluginPart):
     stops: int | None = described(
         "number of stops of this string, if not that of `stops`", default=None, ge=0, le=200, strict=True
     )
-    points: dict[Name, StringPoint] = described("further places on the string", default={})
+    points: dict[Name, StringPoint] = described("further places on the string", default={}, max_length=MOST_PARTS)
 
     @model_validator(mode="after")
     def _pitch(self) -> StringPart:
@@ -205,12 +208,16 @@ class Bundle(Parameters):
     sources: dict[Name, Source] = described("key -> where figures come from")
     provenance: dict[str, Provenance] = described("dotted path, * for one level -> what kind of figures", default={})
     body: PluginPart = described("what the strings are joined to")
-    strings: dict[Name, StringPart] = described("name -> string, from bass to treble", min_length=1)
+    strings: dict[Name, StringPart] = described(
+        "name -> string, from bass to treble", min_length=1, max_length=MOST_STRINGS
+    )
     stops: Stops = described("frets", default=Stops())
     tuning: TuningPart = described("pitch", default=TuningPart())
-    exciters: dict[Name, PluginPart] = described("name -> what plays", min_length=1)
+    exciters: dict[Name, PluginPart] = described("name -> what plays", min_length=1, max_length=MOST_PARTS)
     playing: Playing = described("from notes to gestures", default=Playing())
-    outputs: list[OutputPart] = described("groups of channels; the first is the default", min_length=1)
+    outputs: list[OutputPart] = described(
+        "groups of channels; the first is the default", min_length=1, max_length=MOST_PARTS
+    )
     effects: Effects = described("what may be left out", default=Effects())
     connections: dict[Name, ConnectionPart] = described("name -> what touches strings besides the body", default={})
 
