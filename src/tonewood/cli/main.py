@@ -17,7 +17,7 @@ _UsageError = typer.BadParameter.__bases__[0]
 _ClickError: type[Exception] = _UsageError.__bases__[0]
 
 #: command -> module and function
-_COMMANDS = {
+COMMANDS = {
     "render": "render:render",
     "play": "play:play",
     "list": "listing:list_installed",
@@ -38,8 +38,8 @@ def _app(first: str | None) -> typer.Typer:
         pretty_exceptions_enable=False,
         help="Physical sound synthesis: render and play scores on modelled instruments, and look into them.",
     )
-    for name in [first] if first in _COMMANDS else _COMMANDS:
-        module, _, function = _COMMANDS[name].partition(":")
+    for name in [first] if first in COMMANDS else COMMANDS:
+        module, _, function = COMMANDS[name].partition(":")
         app.command(name)(_interruptible(getattr(import_module(f"tonewood.cli.{module}"), function)))
     # with a single command typer would leave its name out
     app.callback()(_options)

@@ -1,0 +1,56 @@
+"""What the README says is so: its Python runs, its links lead somewhere, its commands are there."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import soundfile as sf
+
+from tonewood.cli.main import COMMANDS
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+
+
+def test_the_python_in_it_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    (block,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(block, "README.md", "exec"), names)
+    info = sf.info("two_notes.wav")
+    assert (info.frames, info.channels) == (96000, 2)
+    assert getattr(names["block"], "shape", (0, 0))[1] == 2
+
+
+@pytest.mark.parametrize("document", ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"])
+def test_links_lead_somewhere(document: str) -> None:
+    for target in re.findall(r"\]\(([^)#]+)\)", (ROOT / document).read_text()):
+        assert target.startswith("https://") or (ROOT / target).exists(), target
+
+
+def test_every_command_is_named() -> None:
+    assert set(re.findall(r"`tonewood ([a-z]+)[ `]", README)) == set(COMMANDS)
+
+
+def test_files_named_by_the_architecture_exist() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text()
+    for name in re.findall(r"\b([a-z_]+\.py)\b", text):
+        assert list(ROOT.glob(f"src/tonewood/**/{name}")) or list(ROOT.glob(f"tests/**/{name}")), name
+    for folder in re.findall(r"`(tests/[a-z/]+)`", text):
+        assert (ROOT / folder).is_dir(), folder
+
+
+def test_the_first_commands_are_those_of_continuous_integration() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert 'pip install -e ".[test]" && python -m pytest -n 2' in README
+    assert {"pytest>=8", "pytest-xdist>=3"} <= set(extras["test"])
+    ci = (ROOT / ".ci" / "run").read_text()
+    assert "[test,dev]" in ci
+    assert re.search(r"python -m pytest .*-n 2", ci)
+    score = re.search(r"tonewood render (\S+) -i classical_guitar", README)
+    assert score is not None
+    assert (ROOT / score[1]).is_file()
