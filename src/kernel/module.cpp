@@ -218,6 +218,7 @@ public:
             ++nl.n_series;
         }
         nonlinear_ = std::move(nl);
+        nonlinear_m_ = m;
         laid_out_ = false;
     }
 
@@ -253,6 +254,8 @@ public:
             forces.shape(1) != std::size_t(solve_.m) || out.shape(0) != forces.shape(0))
             throw std::invalid_argument("the outputs have the wrong shape");
         const std::size_t k = nonlinear_.k;
+        if (k > 0 && nonlinear_m_ != std::size_t(solve_.m))
+            throw std::invalid_argument("set_nonlinear was made for another number of connections");
         if (law_forces.ndim() != 2 || law_forces.shape(0) != out.shape(0) || law_forces.shape(1) != k ||
             series.size() != k || slip.size() != k || last_force.size() != k)
             throw std::invalid_argument("the state of nonlinear connections has the wrong shape");
@@ -427,6 +430,7 @@ private:
     bool laid_out_ = false;
     Solve solve_;
     Nonlinear nonlinear_;
+    std::size_t nonlinear_m_ = 0;  // linear connections that it was made for
     Workspace workspace_;
     Statistics statistics_;
 };
@@ -440,7 +444,9 @@ void bind(nb::module_& m, const char* name) {
         .def("set_solve", &K::set_solve)
         .def("set_guarded", &K::set_guarded)
         .def("set_nonlinear", &K::set_nonlinear)
-        .def("run", &K::run)
+        // what is written to must be the caller's own array, never a converted copy of it
+        .def("run", &K::run, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(),
+             nb::arg().noconvert(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert())
         .def("active", &K::active)
         .def("statistics", &K::statistics);
 }
