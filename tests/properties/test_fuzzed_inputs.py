@@ -134,6 +134,7 @@ def test_damaged_manifests(tmp_path_factory: pytest.TempPathFactory, data: st.Da
         (MANIFEST.replace("table: body.csv", "table: /etc/hostname"), "leads out of the bundle"),
         (MANIFEST.replace("table: body.csv", "table: link.csv"), "leads out of the bundle"),
         (MANIFEST.replace("table: body.csv", "table: loop.csv"), "'loop.csv' cannot be followed"),
+        (MANIFEST.replace("table: body.csv", "table: " + "n" * 5000), "cannot be followed to a file"),
         (MANIFEST.replace("table: body.csv", "table: ./"), "leads out of the bundle"),
         (MANIFEST + "tuning: {scale: ../x.scl}\n", "leads out of the bundle"),
         (MANIFEST.replace("sources: {}", "sources: &a {}"), "anchor &a is not allowed"),
@@ -145,7 +146,7 @@ def test_damaged_manifests(tmp_path_factory: pytest.TempPathFactory, data: st.Da
         (MANIFEST.replace("end: body.bridge", "end: body.bridge\n    freq_upper: 1.0e5\n    length: 5.0"), ""),
     ],
     ids=[
-        "up", "absolute", "link", "loop", "folder", "scale", "anchor", "tag", "twice", "deep", "long", "digits", "many",
+        "up", "absolute", "link", "loop", "name", "folder", "scale", "anchor", "tag", "twice", "deep", "long", "digits", "many",
     ],
 )  # fmt: skip
 def test_known_attacks_are_one_line(tmp_path: Path, manifest: str, said: str) -> None:

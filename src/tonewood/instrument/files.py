@@ -49,15 +49,16 @@ class Files:
         inside = not (pure.is_absolute() or ".." in pure.parts or "\\" in name or ":" in name or not pure.parts)
         try:
             path = (self.root / pure).resolve() if inside else self.root
-        except (OSError, RuntimeError, ValueError) as fault:  # links in a circle, a name with a zero byte
-            raise BundleError(f"{name!r} cannot be followed: {fault}", file=self.manifest, key=key) from None
+            there = path.is_file()
+        except (OSError, RuntimeError, ValueError):  # links in a circle, a name too long or with a zero byte
+            raise BundleError(f"{name!r} cannot be followed to a file", file=self.manifest, key=key) from None
         if not inside or not path.is_relative_to(self.root.resolve()):
             raise BundleError(
                 f"{name!r} leads out of the bundle; only relative paths inside its folder are allowed",
                 file=self.manifest,
                 key=key,
             )
-        if not path.is_file():
+        if not there:
             raise BundleError(f"there is no file {name!r} in the bundle", file=self.manifest, key=key)
         return path
 
