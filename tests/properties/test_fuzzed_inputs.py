@@ -146,7 +146,8 @@ def test_damaged_manifests(tmp_path_factory: pytest.TempPathFactory, data: st.Da
         (MANIFEST.replace("end: body.bridge", "end: body.bridge\n    freq_upper: 1.0e5\n    length: 5.0"), ""),
     ],
     ids=[
-        "up", "absolute", "link", "loop", "name", "folder", "scale", "anchor", "tag", "twice", "deep", "long", "digits", "many",
+        "up", "absolute", "link", "loop", "name", "folder", "scale", "anchor", "tag", "twice", "deep", "long", "digits",
+        "many",
     ],
 )  # fmt: skip
 def test_known_attacks_are_one_line(tmp_path: Path, manifest: str, said: str) -> None:
