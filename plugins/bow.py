@@ -54,7 +54,7 @@ class Bow(Exciter[BowParameters]):
         if not terms:
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
         # a normal force of 1 N, so that the scale of its motion is the bow force in N
-        law = Friction(1.0, p.static, p.dynamic, p.speed)
+        law = Friction(1.0, p.static, p.dynamic, p.speed, residual=True)
         return Attached(connections=(Connection(hair, terms, law),), resting=(hair,))
 
     def gesture(self, event: Event, place: Place) -> Gesture:
