@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -49,7 +50,7 @@ class Audio:
         return decibels(float(np.max(np.abs(self.samples), initial=0.0)))
 
     def save(self, path: str | os.PathLike[str], subtype: str | None = None) -> int:
-        """Write a sound file; returns how many samples were clipped.
+        """Write a sound file; returns how many samples lay beyond full scale, and warns if there were any.
 
         Raises
         ------
@@ -57,6 +58,10 @@ class Audio:
         """
         with SoundWriter(path, self.fs, self.samples.shape[1], subtype, frames=len(self.samples)) as writer:
             writer.write(self.samples)
+        if writer.clipped:
+            fate = "lie beyond full scale" if writer.keeps_peaks else "were clipped"
+            peak = f"the peak is {self.peak_dbfs:+.1f} dBFS"
+            warnings.warn(f"{os.fspath(path)}: {writer.clipped} samples {fate}, {peak}", stacklevel=2)
         return writer.clipped
 
 
@@ -124,6 +129,11 @@ class SoundWriter:
             self._part.unlink(missing_ok=True)
             raise OutputError(f"cannot be written: {error}", file=path) from None
 
+    @property
+    def keeps_peaks(self) -> bool:
+        """Whether the file holds numbers beyond full scale as they are; integers are cut there."""
+        return self.subtype.startswith(("FLOAT", "DOUBLE"))
+
     def __enter__(self) -> SoundWriter:
         return self
 
@@ -139,7 +149,7 @@ class SoundWriter:
         over = np.abs(block) > 1.0
         self.clipped += int(np.count_nonzero(over))
         self.peak = max(self.peak, float(np.max(np.abs(block), initial=0.0)))
-        if not self.subtype.startswith(("FLOAT", "DOUBLE")):
+        if not self.keeps_peaks:
             block = np.clip(block, -1.0, 1.0)
         try:
             self._file.write(block)

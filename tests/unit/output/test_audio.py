@@ -63,10 +63,12 @@ def test_blocks_are_joined(tmp_path: Path) -> None:
 def test_clipped_samples_are_counted_and_cut(tmp_path: Path) -> None:
     x = tone(amplitude=0.5)
     x[[10, 20, 30], 0] = (1.5, -2.0, 1.0)
-    assert tw.Audio(x, 48000).save(tmp_path / "a.wav", "PCM_16") == 2
+    with pytest.warns(UserWarning, match=r"a\.wav: 2 samples were clipped, the peak is \+6\.0 dBFS"):
+        assert tw.Audio(x, 48000).save(tmp_path / "a.wav", "PCM_16") == 2
     back, _ = sf.read(str(tmp_path / "a.wav"))
     assert np.abs(back[[10, 20, 30], 0] - [1, -1, 1]).max() < 1e-4
-    assert tw.Audio(x, 48000).save(tmp_path / "b.wav", "FLOAT") == 2
+    with pytest.warns(UserWarning, match=r"b\.wav: 2 samples lie beyond full scale, the peak is \+6\.0 dBFS"):
+        assert tw.Audio(x, 48000).save(tmp_path / "b.wav", "FLOAT") == 2
     assert sf.read(str(tmp_path / "b.wav"))[0][20, 0] == -2.0
 
 
