@@ -56,13 +56,15 @@ inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, doubl
     for (int i = 0; i < n; ++i) p[i] = free[i] - p[i];
     evaluate(p);
     for (int iteration = 0; iteration <= kMaxIterations; ++iteration) {
-        double wrong = 0.0, made = 0.0;
+        double wrong = 0.0, made = 0.0, check = 0.0;
         for (int i = 0; i < n; ++i) r[i] = law_force[i] - f[i];
         times_z(r, zr);
         for (int i = 0; i < n; ++i) {
             wrong = std::max(wrong, std::abs(zr[i]));
             made = std::max(made, std::abs(free[i] - p[i]));
+            check += zr[i];
         }
+        if (!std::isfinite(check)) break;
         if (wrong <= kTolerance * made + noise) {
             iterations += iteration;
             return true;
@@ -88,7 +90,6 @@ inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, doubl
         }
         for (int i = 0; i < n; ++i) f[i] += t * step[i], p[i] = tried[i];
     }
-    iterations += kMaxIterations;
     return false;
 }
 

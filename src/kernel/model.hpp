@@ -52,6 +52,19 @@ struct Guarded {
     std::vector<double> peak;    // (n): |row| <= peak sqrt(norm)
 };
 
+// A string's polarization whose tension rises with amplitude, in mass-normalised coordinates y.
+constexpr int kMaxStretchedPorts = 32;
+
+template <class T>
+struct Stretched {
+    bool on = false;
+    double most_half = 0;    // largest of half
+    Array<T> a, half;        // (n): weights of S; w a / 2, w the displacement per modal force held over a step
+    Array<T> reading;        // (n): y = reading * first number
+    Array<T> kick;           // (2, n): state per modal force held over a step
+    Array<T> phi, c;         // (n_ports, n): port displacement per y, y per port force
+};
+
 // A share of a port in a gap: port force += factor * force[connection], gap += factor * port displacement.
 struct Share {
     int connection;
@@ -78,6 +91,7 @@ struct Component {
     std::vector<int> channels;               // by readout row
     std::vector<char> difference;            // by readout row: (y+ - y) instead of y
     Guarded<T> guarded;
+    Stretched<T> stretched;
 };
 
 // f = constant - G (g_free + gamma g), the forces of the connections from their gaps.
@@ -198,6 +212,37 @@ struct Statistics {
     std::int64_t tension_iterations = 0, most_tension_iterations = 0;
 };
 
+// The strings whose tension rises, and what they need of the linear connections.
+struct Tensions {
+    struct String {
+        int index;  // of its tension in the state
+        double kappa;
+        std::vector<int> components;
+    };
+    struct Term {
+        int connection, component, port;
+        double factor;
+    };
+    struct Pair {  // a share of a stretched component's port compliance in the matrix
+        int component, place, row, column;
+        double factor, rest;  // rest: the compliance without additional tension
+    };
+    std::vector<String> strings;
+    std::vector<int> components;
+    Array<double> matrix;    // (m, m): M of f = -M^-1 (g_free + gamma g - offset), without additional tension
+    Array<double> offset;    // (m)
+    std::vector<Term> terms; // of linear connections, two-way
+    std::vector<Pair> pairs;
+};
+
+struct TensionSpace {
+    Array<char> u, y, yields;  // of modes, as T
+    Array<double> kept_at;   // by component: tension that yields are of
+    std::vector<Array<double>> sums, guess;  // by component
+    Array<double> stretch, old_stretch, tension, used, fixed, matrix, inverse, right, scale, solution, wrong;
+    std::vector<char> done;
+};
+
 // What stands in for a law's constants during a run: offset before and after each step, velocity, scale.
 struct Control {
     int connection;        // among the nonlinear ones
@@ -229,6 +274,7 @@ struct Job {
     double *series, *slip, *last_force;  // (k), moved
     const Control* controls;
     int n_controls;
+    double* tension;  // (n_tensions, 3), moved
 };
 
 // Where a run had to stop: a component that is no longer finite, or connections whose forces were not found.
@@ -239,8 +285,8 @@ struct Fault {
 };
 
 template <class T>
-using Run = Fault (*)(const std::vector<Component<T>>&, const Layout&, const Solve&, const Nonlinear&, Workspace&,
-                      Statistics&, const Job<T>&);
+using Run = Fault (*)(const std::vector<Component<T>>&, const Layout&, const Solve&, const Nonlinear&, const Tensions&,
+                      Workspace&, TensionSpace&, Statistics&, const Job<T>&);
 
 // Entry points of one instruction set's translation unit.
 struct Table {

@@ -222,6 +222,48 @@ public:
         laid_out_ = false;
     }
 
+    // Weights and responses of a string's modes, of a component just set: a, half, reading (n), kick (2, n).
+    void set_stretched(std::size_t slot, In a, In half, In reading, In kick) {
+        if (slot >= components_.size()) throw std::invalid_argument("no such component slot");
+        Component<T>& c = components_[slot];
+        const std::size_t n = c.n, p = c.n_ports;
+        expect("a", a, {n});
+        expect("half", half, {n});
+        expect("reading", reading, {n});
+        expect("kick", kick, {2, n});
+        if (c.driven || p > kMaxStretchedPorts) throw std::invalid_argument("a stretched string has too many ports");
+        Stretched<T>& s = c.stretched;
+        s.a.assign(a.data(), a.data() + n), s.half.assign(half.data(), half.data() + n);
+        s.reading.assign(reading.data(), reading.data() + n), s.kick.assign(kick.data(), kick.data() + 2 * n);
+        s.most_half = *std::max_element(half.data(), half.data() + n);
+        s.phi.assign(p * n, T(0)), s.c.assign(p * n, T(0));
+        for (std::size_t q = 0; q < p; ++q)
+            for (std::size_t k = 0; k < n; ++k) {
+                if (reading.data()[k] == 0.0) continue;
+                s.phi[q * n + k] = T(c.rows[2 * q * n + k] / reading.data()[k]);
+                s.c[q * n + k] = T(reading.data()[k] * c.w[2 * q * n + k]);
+            }
+        laid_out_ = false;
+    }
+
+    // Strings whose tension is on: (index in the state, kappa, components); matrix (m, m) and offset (m) of the linear
+    // connections, f = -matrix^-1 (g_free + gamma g - offset). Call after set_solve.
+    void set_tensions(const std::vector<std::tuple<int, double, std::vector<int>>>& strings, In matrix, In offset) {
+        const std::size_t m = solve_.m;
+        expect("matrix", matrix, {m, m});
+        expect("offset", offset, {m});
+        tensions_ = Tensions{};
+        for (const auto& [index, kappa, parts] : strings) {
+            for (const int i : parts)
+                if (i < 0 || std::size_t(i) >= components_.size()) throw std::invalid_argument("no such component slot");
+            if (index < 0) throw std::invalid_argument("no such tension");
+            tensions_.strings.push_back({index, kappa, parts});
+        }
+        tensions_.matrix.assign(matrix.data(), matrix.data() + matrix.size());
+        tensions_.offset.assign(offset.data(), offset.data() + offset.size());
+        laid_out_ = false;
+    }
+
     void set_solve(In g, In gamma, In constant, In weights) {
         const std::size_t m = gamma.size();
         expect("g", g, {m, m});
@@ -243,7 +285,7 @@ public:
                                      Out out, Out forces,
                                      const std::vector<std::tuple<int, std::int64_t, InT<T>, In>>& injections,
                                      Out law_forces, const std::vector<std::pair<int, In>>& controls, Out series,
-                                     Out slip, Out last_force) {
+                                     Out slip, Out last_force, Out tension) {
         for (const auto& c : components_)
             for (const auto& shares : c.shares)
                 for (const Share& s : shares)
@@ -259,6 +301,9 @@ public:
         if (law_forces.ndim() != 2 || law_forces.shape(0) != out.shape(0) || law_forces.shape(1) != k ||
             series.size() != k || slip.size() != k || last_force.size() != k)
             throw std::invalid_argument("the state of nonlinear connections has the wrong shape");
+        for (const auto& string : tensions_.strings)
+            if (tension.ndim() != 2 || tension.shape(1) != 3 || std::size_t(string.index) >= tension.shape(0))
+                throw std::invalid_argument("the state of the tensions has the wrong shape");
         std::vector<Control> moved;
         for (const auto& [connection, values] : controls) {
             expect("control", values, {4, out.shape(0)});
@@ -279,14 +324,16 @@ public:
         job.n = std::int64_t(out.shape(0)), job.out = out.data(), job.forces = forces.data();
         job.n_channels = n_channels_, job.injections = known.data(), job.n_injections = int(known.size());
         job.law_forces = law_forces.data(), job.series = series.data(), job.slip = slip.data();
+        job.tension = tension.data();
         job.last_force = last_force.data(), job.controls = moved.data(), job.n_controls = int(moved.size());
         if (!laid_out_) {
             lay_out();
+            arrange(components_, solve_, tensions_, capacity_, space_);
             arrange(components_, nonlinear_);
             prepare(components_, nonlinear_, layout_, capacity_, workspace_);
         }
         nb::gil_scoped_release release;
-        const Fault fault = run_(components_, layout_, solve_, nonlinear_, workspace_, statistics_, job);
+        const Fault fault = run_(components_, layout_, solve_, nonlinear_, tensions_, workspace_, space_, statistics_, job);
         return {fault.slot, fault.sample};
     }
 
@@ -431,7 +478,9 @@ private:
     Solve solve_;
     Nonlinear nonlinear_;
     std::size_t nonlinear_m_ = 0;  // linear connections that it was made for
+    Tensions tensions_;
     Workspace workspace_;
+    TensionSpace space_;
     Statistics statistics_;
 };
 
@@ -443,10 +492,13 @@ void bind(nb::module_& m, const char* name) {
         .def("set_component", &K::set_component)
         .def("set_solve", &K::set_solve)
         .def("set_guarded", &K::set_guarded)
+        .def("set_stretched", &K::set_stretched)
+        .def("set_tensions", &K::set_tensions)
         .def("set_nonlinear", &K::set_nonlinear)
         // what is written to must be the caller's own array, never a converted copy of it
         .def("run", &K::run, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(),
-             nb::arg().noconvert(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert())
+             nb::arg().noconvert(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(),
+             nb::arg().noconvert())
         .def("active", &K::active)
         .def("statistics", &K::statistics);
 }

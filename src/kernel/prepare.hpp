@@ -115,6 +115,51 @@ void arrange(const std::vector<Component<T>>& components, Nonlinear& nl) {
     }
 }
 
+// Which linear connections see stretched strings, and how.
+template <class T>
+void arrange(std::vector<Component<T>>& components, const Solve& solve, Tensions& tensions, std::size_t capacity,
+             TensionSpace& ws) {
+    const std::size_t m = solve.m, n = components.size();
+    tensions.components.clear(), tensions.terms.clear(), tensions.pairs.clear();
+    for (Component<T>& c : components) c.stretched.on = false;
+    for (const auto& string : tensions.strings)
+        for (const int i : string.components) {
+            if (components[i].stretched.a.empty()) throw std::invalid_argument("a string has no weights for its tension");
+            components[i].stretched.on = true;
+            tensions.components.push_back(i);
+        }
+    if (tensions.strings.empty()) return;
+    if (tensions.matrix.size() != m * m || tensions.offset.size() != m)
+        throw std::invalid_argument("the matrix of the connections has the wrong shape");
+    for (std::size_t i = 0; i < n; ++i) {
+        const Component<T>& c = components[i];
+        if (c.driven) continue;
+        const std::size_t first = tensions.terms.size();
+        for (int p = 0; p < c.n_ports; ++p)
+            for (const Share& s : c.shares[p]) tensions.terms.push_back({s.connection, int(i), p, s.factor});
+        if (!c.stretched.on) continue;
+        for (std::size_t s = first; s < tensions.terms.size(); ++s)
+            for (std::size_t t = first; t < tensions.terms.size(); ++t) {
+                const auto &to = tensions.terms[s], &from = tensions.terms[t];
+                const int p = std::min(to.port, from.port), q = std::max(to.port, from.port);
+                tensions.pairs.push_back({int(i), p * c.n_ports - p * (p - 1) / 2 + q - p, to.connection,
+                                          from.connection, to.factor * from.factor,
+                                          c.history[std::size_t(q) * c.n_rows + p]});
+            }
+    }
+    for (Array<char>* a : {&ws.u, &ws.y, &ws.yields}) a->assign(capacity * sizeof(T), 0);
+    ws.kept_at.assign(n, 0.0);
+    ws.sums.assign(n, {}), ws.guess.assign(n, {});
+    for (std::size_t i = 0; i < n; ++i) {
+        const std::size_t p = components[i].n_ports;
+        ws.sums[i].assign(2 + 2 * p + p * (p + 1), 0.0), ws.guess[i].assign(std::max<std::size_t>(p, 1), 0.0);
+    }
+    ws.stretch.assign(n, 0.0);
+    for (Array<double>* a : {&ws.old_stretch, &ws.tension, &ws.used}) a->assign(tensions.strings.size(), 0.0);
+    for (Array<double>* a : {&ws.fixed, &ws.right, &ws.scale, &ws.solution, &ws.wrong}) a->assign(m, 0.0);
+    ws.matrix.assign(m * m, 0.0), ws.inverse.assign(m * m, 0.0), ws.done.assign(m, 0);
+}
+
 // Makes the buffers of a run.
 template <class T>
 void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, const Layout& layout,

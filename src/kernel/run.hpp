@@ -14,6 +14,7 @@
 #include "lines.hpp"
 #include "nonlinear.hpp"
 #include "sweep.hpp"
+#include "tension.hpp"
 
 namespace tonewood {
 namespace {
@@ -68,7 +69,8 @@ void emit(const Component<T>& c, const double* rows, int stride, std::int64_t st
 
 template <class T>
 Fault run(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
-          const Nonlinear& nonlinear, Workspace& workspace, Statistics& statistics, const Job<T>& job) {
+          const Nonlinear& nonlinear, const Tensions& tensions, Workspace& workspace, TensionSpace& space,
+          Statistics& statistics, const Job<T>& job) {
     const FlushDenormals guard;
     const int n_components = int(components.size()), m = solve.m, width = layout.width;
     const int force_width = layout.force_width, n_ports = int(layout.port_rows.size());
@@ -81,6 +83,8 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
     std::vector<std::vector<Input<T>>> known(n_components);
     std::vector<Array<double>> known_values(job.n_injections);
     NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known);
+    TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job);
+    const bool tense = !tensions.strings.empty();
 
     for (std::int64_t start = 0; start < job.n; start += kBlock) {
         const int nb = int(job.n - start < kBlock ? job.n - start : kBlock);
@@ -89,7 +93,7 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
 
         for (int i = 0; i < n_components; ++i) {
             const Component<T>& c = components[i];
-            if (c.driven) continue;
+            if (c.driven || c.stretched.on) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             // many rows are cheaper read from one turning motion
             const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, &lines[layout.row[i]], width, 1};
@@ -104,15 +108,20 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
 
         // forces, sample by sample
         for (int b = 0; b < nb; ++b) {
-            const double* line = &lines[std::size_t(b) * width];
-            for (int p = 0; p < n_ports; ++p) {
-                y[p] = line[width + layout.port_rows[p]];
-                y[n_ports + p] = line[layout.port_rows[p]];
-            }
-            std::copy(layout.constant.begin(), layout.constant.end(), f.begin());
-            add_product(layout.pull.data(), layout.f_width, y.data(), 2 * n_ports, f.data());
             double* now = &force[std::size_t(b) * force_width];
-            if (nonlinear.k) {
+            if (tense) {
+                if (!stretched.step(b, lines.data(), known, f.data(), now)) return {Fault::kUnsolved, start + b};
+            } else {
+                const double* line = &lines[std::size_t(b) * width];
+                for (int p = 0; p < n_ports; ++p) {
+                    y[p] = line[width + layout.port_rows[p]];
+                    y[n_ports + p] = line[layout.port_rows[p]];
+                }
+                std::copy(layout.constant.begin(), layout.constant.end(), f.begin());
+                add_product(layout.pull.data(), layout.f_width, y.data(), 2 * n_ports, f.data());
+            }
+            if (tense) {
+            } else if (nonlinear.k) {
                 if (!laws.forces(b, f.data(), now)) return {Fault::kUnsolved, start + b};
             } else {
                 std::fill(now, now + force_width, 0.0);
@@ -131,10 +140,12 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
                 job.out[(start + b) * job.n_channels + o] = total;
             }
         laws.emit(start, nb);
+        if (tense) stretched.finish_block(nb, lines.data());
 
         // the correction: inputs known by now move the state; what is driven one way is read on the way
         for (int i = 0; i < n_components; ++i) {
             const Component<T>& c = components[i];
+            if (c.stretched.on) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             auto& inputs = known[i];
             const double* forces = &force[layout.port[i]];

@@ -41,6 +41,20 @@ class _Kernel:
         from_guarded: NDArray[np.float64],
         on_rows: NDArray[np.float64],
     ) -> None: ...
+    def set_stretched(
+        self,
+        slot: int,
+        a: NDArray[np.float64],
+        half: NDArray[np.float64],
+        reading: NDArray[np.float64],
+        kick: NDArray[np.float64],
+    ) -> None: ...
+    def set_tensions(
+        self,
+        strings: Sequence[tuple[int, float, list[int]]],
+        matrix: NDArray[np.float64],
+        offset: NDArray[np.float64],
+    ) -> None: ...
     def set_nonlinear(
         self,
         laws: Sequence[tuple[int, list[float], list[float], list[float], list[tuple[int, int, bool]]]],
@@ -65,6 +79,7 @@ class _Kernel:
         series: NDArray[np.float64],
         slip: NDArray[np.float64],
         last_force: NDArray[np.float64],
+        tension: NDArray[np.float64],
     ) -> tuple[int, int]: ...
     def active(self) -> list[int]: ...
     def statistics(self) -> list[int]: ...

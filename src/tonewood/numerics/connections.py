@@ -90,11 +90,13 @@ class LinearSolve:
     G : (m, m) N/m.
     gamma : (m,) share of the old gap.
     offset : (m,) (1 + gamma) b, m.
+    matrix : (m, m) m/N, S + Z, of which G is the inverse over the connections that can carry force.
     """
 
     G: Floats
     gamma: Floats
     offset: Floats
+    matrix: Floats
 
     @property
     def constant(self) -> Floats:
@@ -160,14 +162,15 @@ class LinearLaws:
         yielding = self.rigid & (np.diag(residual) > 1e-14 * np.maximum(np.diag(compliance), 0.0))
         gamma = np.where(yielding, 1.0, self.gamma)
         on = np.flatnonzero(self.active)
-        G = np.zeros_like(compliance)
+        G, matrix = np.zeros_like(compliance), compliance.copy()
         if on.size:
             rigid = self.rigid[on].astype(np.float64)
             at = (on[:, None], on)
             S = 2 * residual[at] * rigid[:, None] * rigid
             S.flat[:: on.size + 1] += self.softness[on]
-            G[at] = scaled_pinv(S + compliance[at])
-        return LinearSolve(G, gamma, (1 + gamma) * self.offset)
+            matrix[at] += S
+            G[at] = scaled_pinv(matrix[at])
+        return LinearSolve(G, gamma, (1 + gamma) * self.offset, matrix)
 
 
 @dataclass(frozen=True, eq=False)

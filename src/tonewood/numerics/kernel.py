@@ -137,6 +137,10 @@ class KernelStepper:
                     np.ascontiguousarray(history[:, guarded][:, :, guarded]),
                     np.ascontiguousarray(history[:, guarded][:, :, rows]),
                 )
+            if (part := compiled.tension) is not None:
+                half = 0.5 * part.reading * part.kick[:, 0] * part.weights
+                alone = [_pack(a[None, :, None])[0, 0] for a in (part.weights, half, part.reading)]
+                self._kernel.set_stretched(slot, alone[0], alone[1], alone[2], _pack(part.kick[None])[0])
         s = system.solve
         on = self._active
         self._kernel.set_solve(
@@ -159,6 +163,16 @@ class KernelStepper:
             SERIES,
             self._guarded,
             *(np.ascontiguousarray(a) for a in (Z, from_linear, answer, residual, weights)),
+        )
+
+        self._kernel.set_tensions(
+            [
+                (t, part.kappa, [system.slot(name) for name in string.components])
+                for t, string in enumerate(system.tensions)
+                if system.tension_on[t] and (part := system.compiled[system.slot(string.components[0])].tension)
+            ],
+            np.ascontiguousarray(s.matrix[np.ix_(on, on)]),
+            s.offset[on],
         )
 
     def _wired(self, system: System) -> tuple[list[_Wires], list[Term]]:
@@ -200,6 +214,8 @@ class KernelStepper:
         active_forces, law_forces = np.empty((n, len(self._active))), np.zeros((n, len(on)))
         series, slip, last = state.series[on], state.slip[on], state.forces[on]
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
+        if len(state.tension) != len(self.system.tensions):
+            state.tension = np.zeros((len(self.system.tensions), 3))
         slot, sample = self._kernel.run(
             state.modes,
             out,
@@ -210,12 +226,14 @@ class KernelStepper:
             series,
             slip,
             last,
+            state.tension,
         )
         if slot != -1:
             t = (state.sample + sample) * self.system.dt
             if slot >= 0:
                 raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
             names = ", ".join(self.system.connections[on[j]].name for j in self._kernel.active())
+            names = names or ", ".join(t.name for t in self.system.tensions)
             raise NumericalError(f"the forces of {names} were not found at {t:.6f} s")
         forces = np.zeros((n, m))
         forces[:, self._active] = active_forces

@@ -117,6 +117,8 @@ def newton(
     law_force, slope = evaluate(p)
     for iteration in range(MAX_ITERATIONS + 1):
         r = law_force - f
+        if not np.all(np.isfinite(r)):
+            return f, iteration, False
         if np.abs(Z @ r).max(initial=0.0) <= TOLERANCE * np.abs(free - p).max(initial=0.0) + noise:
             return f, iteration, True
         s = np.sqrt(slope)

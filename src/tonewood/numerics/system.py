@@ -288,7 +288,7 @@ class System:
             readouts=tuple(readouts),
             drives=tuple(drives),
             capacities=tuple(_padded(max(components[n].n_modes, (capacities or {}).get(n, 0))) for n in names),
-            solve=LinearSolve(np.zeros((0, 0)), np.zeros(0), np.zeros(0)),
+            solve=LinearSolve(np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros((0, 0))),
             tensions=tuple(tensions),
             tension_on=(True,) * len(tensions),
         )
