@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from tonewood.errors import PassivityError
 from tonewood.instrument.contract import Body, BodyPoint
 from tonewood.instrument.directions import Direction, unit_vector
+from tonewood.instrument.effects import BODY_MODES
 from tonewood.numerics.damping import with_damping_case
 from tonewood.numerics.modes import ModalBasis
 from tonewood.params import Number, Parameters, described, quantity
@@ -39,6 +40,8 @@ MOST_MODES, MOST_COMPLEX_MODES = 20_000, 1000
 MOST_POINTS = 256
 #: largest mass-normalised shape, 1/sqrt(kg)
 MOST_SHAPE = 1e6
+#: m/N, of what is left out of a body
+MOST_COMPLIANCE = 1.0
 
 
 class Point(Parameters):
@@ -87,6 +90,7 @@ class ModalTable(Body[ModalTableParameters]):
 
     api = 1
     Parameters = ModalTableParameters
+    effects = (BODY_MODES,)
 
     def points(self) -> Mapping[str, BodyPoint]:
         """Every point with its direction; ``u`` among its coordinates where it was given."""
@@ -217,6 +221,8 @@ class ModalTable(Body[ModalTableParameters]):
                 f"a number, [heave, cross, rock] with heave_rock, or a symmetric {n} x {n} matrix is wanted",
                 "truncation.residual_compliance",
             )
+        if np.abs(out).max(initial=0.0) > MOST_COMPLIANCE:
+            raise self.fault(f"up to {MOST_COMPLIANCE:g} m/N is allowed", "truncation.residual_compliance")
         import scipy.linalg as sla
 
         smallest = sla.eigvalsh(out)[0]

@@ -136,6 +136,8 @@ def test_damaged_manifests(tmp_path_factory: pytest.TempPathFactory, data: st.Da
         (MANIFEST.replace("table: body.csv", "table: loop.csv"), "'loop.csv' cannot be followed"),
         (MANIFEST.replace("table: body.csv", "table: " + "n" * 5000), "cannot be followed to a file"),
         (MANIFEST.replace("table: body.csv", "table: ./"), "leads out of the bundle"),
+        (MANIFEST.replace("from_bridge: 0.15", "from_bridge: -1"), "greater than or equal to 0"),
+        (MANIFEST.replace("shapes: points", "shapes: points\n  truncation: {residual_compliance: 1e300}"), "1 m/N is"),
         (MANIFEST + "tuning: {scale: ../x.scl}\n", "leads out of the bundle"),
         (MANIFEST.replace("sources: {}", "sources: &a {}"), "anchor &a is not allowed"),
         (MANIFEST.replace("sources: {}", "sources: !!python/object/apply:os.system [ls]"), "tag "),
@@ -146,7 +148,8 @@ def test_damaged_manifests(tmp_path_factory: pytest.TempPathFactory, data: st.Da
         (MANIFEST.replace("end: body.bridge", "end: body.bridge\n    freq_upper: 1.0e5\n    length: 5.0"), ""),
     ],
     ids=[
-        "up", "absolute", "link", "loop", "name", "folder", "scale", "anchor", "tag", "twice", "deep", "long", "digits",
+        "up", "absolute", "link", "loop", "name", "folder", "place", "soft", "scale",
+        "anchor", "tag", "twice", "deep", "long", "digits",
         "many",
     ],
 )  # fmt: skip

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+from pydantic import Field
+
 from tonewood.errors import BundleError
 from tonewood.instrument.contract import Place, Segment
 from tonewood.params import Number, Parameters, quantity
@@ -14,7 +18,7 @@ class Fraction(Parameters):
 
 
 #: metres from the bridge, or ``{fraction: share of the speaking length}``
-StringPlace = Number | Fraction
+StringPlace = Annotated[Number, Field(ge=0.0)] | Fraction
 
 
 def metres(place: StringPlace, on: Place) -> float:
