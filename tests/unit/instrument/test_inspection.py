@@ -1,0 +1,88 @@
+"""What `check` and `modes` tell, against the eigenproblem of the whole system and closed forms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tonewood as tw
+from tonewood.instrument.inspection import bridge_mobility, partials, pitch, pitches
+from tonewood.numerics.coupled_modes import coupled_modes
+
+
+@pytest.fixture(scope="module")
+def monochord() -> tw.Model:
+    return tw.assemble(tw.load_instrument("monochord"), 48000)
+
+
+def on_a_box(folder: Path, body: str) -> tw.Model:
+    """The monochord with modes `body`: lines of f_Hz, Q, modal_mass, bridge."""
+    original = tw.list_instruments()["monochord"]
+    (folder / "instrument.yaml").write_text((original / "instrument.yaml").read_text())
+    (folder / "body.csv").write_text("f_Hz,Q,modal_mass,bridge\n" + body)
+    return tw.assemble(tw.load_instrument(folder), 48000)
+
+
+@pytest.mark.parametrize("stop", [12])
+def test_partials_are_modes_of_the_whole_system(monochord: tw.Model, stop: int) -> None:
+    string = monochord.strings["A2"]
+    components = {"body": monochord.system.compiled[monochord.system.slot("body")].basis, **string.bases(stop)}
+    joints = [c for c in monochord.system.connections if c.name.endswith(".bridge")]
+    whole = coupled_modes(components, joints)
+    found = partials(monochord, "A2", stop, count=10)
+    assert [p.number for p in found] == list(range(1, 11))
+    of_string = whole.dominated_by("A2.z")  # the other polarization has modes near by
+    for p in found:
+        nearest = of_string[np.argmin(np.abs(whole.freq[of_string] - p.freq))]
+        assert p.freq == pytest.approx(whole.freq[nearest], rel=1e-6)
+        assert p.t60 == pytest.approx(np.log(1000) / whole.damping_rate[nearest], rel=1e-4)
+        body = whole.shares[nearest, whole.components.index("body")]
+        assert p.shares[-1] == pytest.approx(body, abs=1e-4)
+        assert sum(p.shares) == pytest.approx(1.0)
+
+
+def test_pitches_are_those_of_equal_temperament(monochord: tw.Model) -> None:
+    found = pitches(monochord)
+    assert [p.stop for p in found] == list(range(25))
+    for p in found:
+        assert p.wanted_freq == pytest.approx(110.0 * 2 ** (p.stop / 12))
+        assert abs(p.error_cents) < 1e-2 or p.wolf is not None
+        assert p.note == 45 + p.stop
+
+
+def test_untuned_strings_are_told_as_they_are() -> None:
+    loose = tw.load_instrument("monochord").replace({"tuning.compensate": "none", "strings.A2.tension": 60.0})
+    found = pitch(tw.assemble(loose, 48000), "A2")
+    assert found.tension == 60.0
+    ideal = np.sqrt(60.0 / 1.5e-3) / 1.8
+    assert found.freq == pytest.approx(ideal, rel=5e-3)
+    assert found.error_cents == pytest.approx(1200 * np.log2(found.freq / 110.0))
+
+
+def test_a_strong_mode_of_the_body_near_a_note_is_a_wolf(tmp_path: Path) -> None:
+    light = on_a_box(tmp_path, "226.0,60,0.02,1\n")
+    wolves = {p.stop: p for p in pitches(light) if p.wolf is not None}
+    assert 12 in wolves  # A3, 220 Hz
+    assert wolves[12].wolf is not None
+    assert abs(1200 * np.log2(wolves[12].wolf.freq / wolves[12].freq)) <= 60 or abs(wolves[12].error_cents) > 1
+    assert not {0, 1, 2, 19, 20, 21, 22, 23, 24} & set(wolves)
+
+
+def test_a_heavy_body_has_no_wolves(tmp_path: Path) -> None:
+    heavy = on_a_box(tmp_path, "226.0,60,50.0,1\n")
+    assert [p for p in pitches(heavy) if p.wolf is not None] == []
+    assert max(abs(p.error_cents) for p in pitches(heavy)) < 1e-2
+
+
+def test_bridge_mobility_is_the_sum_over_the_table(tmp_path: Path) -> None:
+    """Y = sum i w (1/m) / (w_k^2 + i w w_k / Q - w^2)."""
+    model = on_a_box(tmp_path, "150,30,0.4,1\n410,25,0.2,0.7\n")
+    freq = np.array([80.0, 150.0, 300.0, 411.0, 1000.0])
+    w = 2 * np.pi * freq
+    wanted = np.zeros(5, dtype=complex)
+    for f, q, m, phi in ((150.0, 30.0, 0.4, 1.0), (410.0, 25.0, 0.2, 0.7)):
+        wk = 2 * np.pi * f
+        wanted += 1j * w * phi**2 / m / (wk**2 + 1j * w * wk / q - w**2)
+    assert np.allclose(bridge_mobility(model, freq)["A2"], wanted, rtol=1e-10, atol=0)
