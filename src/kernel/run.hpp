@@ -121,6 +121,7 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
                 add_product(layout.pull.data(), layout.f_width, y.data(), 2 * n_ports, f.data());
             }
             if (tense) {
+                // the strings' step has found all forces
             } else if (nonlinear.k) {
                 if (!laws.forces(b, f.data(), now)) return {Fault::kUnsolved, start + b};
             } else {

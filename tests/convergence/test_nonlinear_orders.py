@@ -1,0 +1,54 @@
+"""Order of nonlinear steps: error against a 16 times finer step falls with the square of the step."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tonewood.numerics.connections import Connection, Term
+from tonewood.numerics.kernel import KernelStepper
+from tonewood.numerics.laws import Contact, HardeningSpring, SampledPotential
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.system import Probe, Readout, System
+from tonewood.numerics.tension import TensionModulation
+
+LENGTH, TENSION, DENSITY = 0.65, 70.0, 3.6e-3
+N_MODES, DURATION, COARSE = 12, 0.01, 24000
+LAWS = {
+    "soft contact": Contact(1e5, 1.0, offset=-1e-4),
+    "contact": Contact(3e7, 2.3, offset=-1e-4),
+    "lossy contact": Contact(3e7, 2.3, loss=0.3, offset=-1e-4),
+    "hardening spring": HardeningSpring(1e3, 1e9, 0.3, 2.0),
+    "sampled": SampledPotential.from_potential(x := np.linspace(-3e-3, 3e-3, 41), 2e3 * x**2 + 3e8 * x**4, damping=0.1),
+    "tension": None,
+}
+
+
+def motion(law, rate):
+    """Displacement at the quarter of a plucked string, at the samples of the coarsest step."""
+    n = np.arange(1, N_MODES + 1)
+    omega = n * np.pi / LENGTH * np.sqrt(TENSION / DENSITY)
+    basis = ModalBasis.real(
+        omega, 1.0 + 0 * omega, {"p": 0.25 * LENGTH, "q": 0.4 * LENGTH}, modal_mass=DENSITY * LENGTH / 2,
+        shape=lambda x: np.sin(n * np.pi * x / LENGTH),
+        metadata={"length": LENGTH, "tension_part": (n * np.pi / LENGTH) ** 2 / DENSITY},
+    )  # fmt: skip
+    readouts = [Readout("u", "displacement", (Probe("string", "p"),))]
+    connections = [Connection("law", (Term("string", "q"),), law)] if law is not None else []
+    tensions = [TensionModulation("t", ("string",), 3e4)] if law is None else []
+    system = System.build({"string": basis}, connections, readouts, dt=1 / rate, tensions=tensions)
+    state = system.start()
+    state.modes[0, :N_MODES] = 1e-3 * np.sin(0.3 * n) / n**3 * np.sqrt(DENSITY * LENGTH / 2)
+    out, _ = KernelStepper(system).run(state, int(DURATION * rate) + 1)
+    return out[:: rate // COARSE, 0]
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_smooth_laws_are_of_second_order(name):
+    exact = motion(LAWS[name], 16 * 4 * COARSE)
+    errors = [np.abs(motion(LAWS[name], k * COARSE) - exact).max() for k in (1, 2, 4)]
+    assert errors[0] < 0.05 * np.abs(exact).max()
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    # where a contact's stiffness jumps the error of one rate depends on where in a step it is met
+    assert orders[-1] > 1.7, errors
+    assert orders.mean() > 1.5, errors
