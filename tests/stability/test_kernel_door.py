@@ -46,7 +46,7 @@ def job(n: int = 40) -> list[Any]:
     injection = (0, 3, np.ones((1, 2, PAD)), np.ones((1, 5)))
     return [
         np.zeros((2, CAPACITY)), np.zeros((n, CHANNELS)), np.zeros((n, CONNECTIONS)), [injection], np.zeros((n, 0)), [],
-        none, none.copy(), none.copy(),
+        none, none.copy(), none.copy(), np.zeros((0, 3)),
     ]  # fmt: skip
 
 
@@ -155,7 +155,7 @@ def contact(port: int, slot: int = 0) -> list[tuple[str, list[Any]]]:
         np.zeros((m, 1)), np.zeros((1, 1)), np.zeros((CHANNELS, 1)),
     ]  # fmt: skip
     made[5][1][4] = np.zeros((40, 1))
-    made[5][1][6:] = [np.zeros(1), np.zeros(1), np.zeros(1)]
+    made[5][1][6:9] = [np.zeros(1), np.zeros(1), np.zeros(1)]
     return made
 
 

@@ -83,7 +83,7 @@ def replucked(instrument: tw.Instrument, count: int, every: float) -> tuple[Floa
 
 
 def assert_replucks(instrument: tw.Instrument, count: int) -> None:
-    every = 0.0437
+    every = 0.04375  # 700 samples
     left, last = replucked(instrument, count, every)
     assert left[10:].max() < 1.5 * left[:10].max()
     # no trend: the last plucks leave what the first ones left
@@ -252,7 +252,7 @@ def silence(instrument: tw.Instrument, seconds: float) -> tuple[Floats, Floats, 
     out, cost = [], []
     for block in renderer.blocks(FS):
         out.append(block[:, 0])
-        began = time.perf_counter()
+        began = time.process_time()
         cost.append(began)
         if len(out) == round(seconds) - 1:
             state = renderer.engine.state.modes.copy()
