@@ -6,10 +6,21 @@ so that a hard pluck begins sharp and glides down, and its plane of motion turns
 discrete gradient of EA/(8 L) S^2 (`tonewood.numerics.tension`): energy cannot rise. Valid while longitudinal waves
 are quick against the partials of interest: the tension is one number for the whole speaking length. The part of the
 string behind a stop or the nut, which would share the stretch, is left out.
+
+S = int u_x^2 is a sum of squares of modal coordinates, sum a y^2, but for a coupling that bending stiffness makes. The
+weights a are scaled so that S of the string's fundamental between fixed ends is exact; unscaled it would be too small
+by some 1.5 sqrt(EI/T) / L, 0.8 % for a plain steel string of .7 mm.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.numerics.modes import ModalBasis
 from tonewood.params import quantity
 from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
@@ -31,3 +42,16 @@ class TensionModulatedString(StiffString):
     def axial_stiffness(self) -> float:
         """E A, N."""
         return self.parameters.axial_stiffness
+
+    def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ModalBasis:
+        """As `StiffString.basis`, with the weights of the stretch, ``stretch_part``, in its metadata."""
+        basis = super().basis(freq_upper, stop=stop, tension=tension)
+        known = basis.metadata
+        vec, weights = (cast(NDArray[np.float64], known[key]) for key in ("vec", "tension_part"))
+        if len(vec) < 2:
+            return basis
+        length, density = cast(float, known["length"]), cast(float, known["linear_density"])
+        # modal coordinates of sin(pi x / L): y = vec^T M e_1, with the mass matrix of `string_modes`
+        y = density * length * (vec[0] / np.pi + vec[1] / 2)
+        scale = np.pi**2 / (2 * length) / float(weights @ y**2)
+        return replace(basis, metadata={**known, "stretch_part": scale * weights})

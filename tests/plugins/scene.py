@@ -52,7 +52,7 @@ def instrument(folder: Path, string: Mapping[str, Any] | None = None, **parts: A
         "tuning": {"compensate": "none"},
         "exciters": {"pluck": PLUCK},
         "playing": {"exciter": next(iter(parts.get("exciters", {"pluck": None})))},
-        "outputs": [{"name": "end", "plugin": "point_pickup", "quantity": "force", "at": "S.bridge", "full_scale": 100}],
+        "outputs": [{"name": "end", "plugin": "point_pickup", "quantity": "force", "at": "S.bridge", "full_scale": 9}],
         **parts,
     }  # fmt: skip
     if "pluck" not in values["exciters"]:
@@ -94,7 +94,7 @@ def play(
     if awake:
         system = system.with_laws(awake)
     dt, first = system.dt, int(np.floor(min(gesture.start, 0.0) / model.system.dt))
-    n = int(round(duration / dt)) - first
+    n = round(duration / dt) - first
     if gesture.on is not None:
         where = model.inputs[gesture.on]
     else:

@@ -42,8 +42,8 @@ class TensionModulation:
     components : its polarizations: components of real modes.
     axial_stiffness : EA, N.
     length : L, m; None takes ``length`` of the first component's `metadata` (the speaking length).
-    weights : component -> (n_modes,) a, 1 / (kg m); None takes ``tension_part`` of the components' `metadata`, and
-        follows them when a basis is exchanged.
+    weights : component -> (n_modes,) a, 1 / (kg m); None takes ``stretch_part`` of the components' `metadata`, or
+        else ``tension_part``, and follows them when a basis is exchanged.
     correction : with c > 0 each weight is multiplied by x / sin x, x = min(omega h, c). The discrete gradient tunes
         partials by sin x / x of what the tension should; this undoes it for weak partials on strong low ones, at the
         price of a larger error of S in bright tones. A higher rate is the exact cure.
@@ -75,7 +75,8 @@ class TensionModulation:
         """
         if not basis.is_real:
             raise ValueError(f"{self.name}: the modes of {component} must be real")
-        known = basis.metadata.get("tension_part") if self.weights is None else self.weights.get(component)
+        own = basis.metadata.get("stretch_part", basis.metadata.get("tension_part"))
+        known = own if self.weights is None else self.weights.get(component)
         if known is None:
             raise ValueError(f"{self.name}: no weights for {component}")
         weights = np.array(known, dtype=np.float64)
