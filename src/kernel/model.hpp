@@ -197,9 +197,8 @@ struct Workspace {
     Array<double> force;             // (n_guarded, kBlock)
     std::vector<char> row_awake, is_loaded;
     // by component, over all its ports, fixed ones first
-    std::vector<Array<double>> spent;  // sum |F| in this block
     std::vector<Array<double>> worth;  // share of the tightest slack per newton
-    Array<double> level;             // by group: sum of worth |F|; nothing touches below 1
+    Array<double> level, level_after;  // by group: sum of worth |F| before and after a sample; nothing touches below 1
     std::vector<int> asleep;         // by group
     // of the solve
     std::vector<int> stored, sliding;

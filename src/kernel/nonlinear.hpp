@@ -36,6 +36,10 @@ public:
         ws_.any_alive = false;
         ws_.previous.clear();
         for (int j = 0; j < nl_.k; ++j) {
+            const Law& law = nl_.laws[j];
+            ws_.offset[j] = ws_.offset_after[j] = ws_.clearance[j] = law.offset;
+            ws_.velocity[j] = law.velocity, ws_.scale[j] = 1.0;
+            ws_.awake[j] = !nl_.guarded[j];
             if (ws_.last_force[j] != 0.0) ws_.previous.push_back(j);
             if (nl_.series[j] >= 0 && ws_.series[j] != 0.0) ws_.series_alive[nl_.series[j]] = ws_.any_alive = true;
         }
@@ -58,12 +62,7 @@ public:
         for (int i = 0; i < int(components_.size()); ++i) ws_.awake_rows[i].clear(), ws_.loaded[i].clear();
         std::fill(ws_.row_awake.begin(), ws_.row_awake.end(), 0);
         std::fill(ws_.is_loaded.begin(), ws_.is_loaded.end(), 0);
-        for (int j = 0; j < nl_.k; ++j) {
-            const Law& law = nl_.laws[j];
-            ws_.offset[j] = ws_.offset_after[j] = ws_.clearance[j] = law.offset;
-            ws_.velocity[j] = law.velocity, ws_.scale[j] = 1.0;
-            ws_.awake[j] = !nl_.guarded[j];
-        }
+        sample_ = 0;
         for (int q = 0; q < job_.n_controls; ++q) {
             const Control& control = job_.controls[q];
             const double* values = control.values + start_;
@@ -94,6 +93,7 @@ public:
             ws_.offset[j] = values[0], ws_.offset_after[j] = values[job_.n];
             ws_.velocity[j] = values[2 * job_.n], ws_.scale[j] = values[3 * job_.n];
         }
+        sample_ = b;
         std::copy_n(f, layout_.f_width, ws_.f0.data());
         ws_.active.clear();
         for (const int j : ws_.awake_list) {
@@ -105,10 +105,10 @@ public:
             combine(b, f, now);
             // a contact may be brought into touch by what has just been found: those that sleep are asked by their
             // bound, those awake by their motion; the set only grows
-            wake_by(b, now);
+            wake_by(b);
             if (!add_touching()) break;
         }
-        commit(b, now);
+        commit(b);
         return true;
     }
 
@@ -191,7 +191,6 @@ private:
     void guard(const Nonlinear::Group& group) {
         for (const int i : group.components) {
             const Component<T>& c = components_[i];
-            std::fill(ws_.spent[i].begin(), ws_.spent[i].end(), 0.0);
             if (!c.guarded.n) continue;
             ws_.norm[i] = norm(c, x(i), y(i)), ws_.added[i] = 0.0, ws_.sized[i] = 0;
             for (const Input<T>& input : known_[i]) {
@@ -257,7 +256,8 @@ private:
         return buffer;
     }
 
-    // What a newton at each port takes of the tightest slack of a group's sleepers.
+    // What a newton at each port takes of the tightest slack of a group's sleepers, and what the forces before this
+    // sample have taken. Ports that are not pushed in this block take nothing.
     void weigh(int index) {
         const Nonlinear::Group& group = nl_.groups[index];
         for (const int i : group.components) std::fill(ws_.worth[i].begin(), ws_.worth[i].end(), 0.0);
@@ -267,13 +267,12 @@ private:
             ++ws_.asleep[index];
             for (const Term& t : nl_.terms[j]) {
                 const double share = std::abs(t.factor) / ws_.slack[j], *reach = reach_of(t);
-                auto& worth = ws_.worth[t.component];
-                for (std::size_t p = 0; p < worth.size(); ++p) worth[p] = std::max(worth[p], share * reach[p]);
+                double* worth = ws_.worth[t.component].data();
+                each_port(t.component, [&](int p) { worth[p] = std::max(worth[p], share * reach[p]); });
             }
         }
         ws_.level[index] = 0.0;
-        for (const int i : group.components)
-            for (std::size_t p = 0; p < ws_.worth[i].size(); ++p) ws_.level[index] += ws_.worth[i][p] * ws_.spent[i][p];
+        for (int b = 0; b < sample_; ++b) ws_.level[index] += taken(index, b);
     }
 
     const double* reach_of(const Term& t) const {
@@ -282,45 +281,64 @@ private:
         return &nl_.reach[t.component][port * (c.n_ports + c.guarded.n)];
     }
 
-    // Calls visit(port among all of the component, |force| in sample b) for every port that takes part in this block.
+    // Calls visit(port among all of the component) for every port that takes part in this block.
     template <class Visit>
-    void each_force(int i, int b, const double* now, const Visit& visit) const {
+    void each_port(int i, const Visit& visit) const {
         const int n_ports = components_[i].n_ports;
-        for (int p = 0; p < n_ports; ++p) visit(p, std::abs(now[layout_.port[i] + p]));
-        for (const int p : ws_.loaded[i])
-            visit(n_ports + p, std::abs(ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b]));
+        for (int p = 0; p < n_ports; ++p) visit(p);
+        for (const int p : ws_.loaded[i]) visit(n_ports + p);
+    }
+
+    // |force| in sample b on a port among all of a component.
+    double pushed(int i, int p, int b) const {
+        const int n_ports = components_[i].n_ports;
+        return std::abs(p < n_ports
+                            ? fixed_forces_[std::size_t(b) * layout_.force_width + layout_.port[i] + p]
+                            : ws_.force[std::size_t(nl_.first[i] + p - n_ports) * kBlock + b]);
+    }
+
+    // Share of the tightest slack of a group that the forces of sample b take.
+    double taken(int index, int b) const {
+        double sum = 0.0;
+        for (const int i : nl_.groups[index].components)
+            each_port(i, [&](int p) { sum += ws_.worth[i][p] * pushed(i, p, b); });
+        return sum;
     }
 
     // Wakes contacts that the forces tried in sample b could have brought into touch.
-    void wake_by(int b, const double* now) {
+    void wake_by(int b) {
         for (int index = 0; index < int(nl_.groups.size()); ++index) {
             if (!ws_.asleep[index]) continue;
             const Nonlinear::Group& group = nl_.groups[index];
-            double level = ws_.level[index];
-            for (const int i : group.components)
-                each_force(i, b, now, [&](int p, double force) { level += ws_.worth[i][p] * force; });
-            bool look = !(level < 1.0);
+            ws_.level_after[index] = ws_.level[index] + taken(index, b);
+            bool look = !(ws_.level_after[index] < 1.0);
             if (ws_.any_alive)
                 for (const int j : group.contacts)
                     look = look || (!ws_.awake[j] && nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]]);
             if (!look) continue;
             bool woken = false;
             for (const int j : group.contacts) {
-                if (ws_.awake[j] || used(j, b, now) < ws_.slack[j]) continue;
+                if (ws_.awake[j] || used(j, b) < ws_.slack[j]) continue;
                 wake(j, b);
                 woken = true;
             }
-            if (woken) weigh(index);
+            if (!woken) continue;
+            weigh(index);
+            ws_.level_after[index] = ws_.level[index] + taken(index, b);
         }
     }
 
     // How far the forces until now, those of sample b as tried, may have moved a sleeping contact.
-    double used(int j, int b, const double* now) const {
+    double used(int j, int b) const {
         double total = 0.0;
         for (const Term& t : nl_.terms[j]) {
-            const double *reach = reach_of(t), *spent = ws_.spent[t.component].data();
+            const double* reach = reach_of(t);
             double sum = 0.0;
-            each_force(t.component, b, now, [&](int p, double force) { sum += reach[p] * (spent[p] + force); });
+            each_port(t.component, [&](int p) {
+                double force = 0.0;
+                for (int s = 0; s <= b; ++s) force += pushed(t.component, p, s);
+                sum += reach[p] * force;
+            });
             total += std::abs(t.factor) * sum;
         }
         if (nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]])
@@ -445,10 +463,11 @@ private:
         std::fill_n(&ws_.force[std::size_t(port) * kBlock], kBlock, 0.0);
         auto& list = ws_.loaded[t.component];
         list.insert(std::upper_bound(list.begin(), list.end(), t.port), t.port);
+        if (nl_.group_of[t.component] >= 0) weigh(nl_.group_of[t.component]);
     }
 
     // The forces of sample b stand: what they leave behind for the next.
-    void commit(int b, const double* now) {
+    void commit(int b) {
         for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
         double* forces = job_.law_forces + (start_ + b) * nl_.k;
         for (const int j : ws_.active) {
@@ -458,14 +477,7 @@ private:
         }
         if (ws_.any_alive) move_series();
         std::swap(ws_.previous, ws_.active);
-        for (std::size_t index = 0; index < nl_.groups.size(); ++index) {
-            if (!ws_.asleep[index]) continue;
-            for (const int i : nl_.groups[index].components)
-                each_force(i, b, now, [&](int p, double force) {
-                    ws_.spent[i][p] += force;
-                    ws_.level[index] += ws_.worth[i][p] * force;
-                });
-        }
+        for (std::size_t index = 0; index < nl_.groups.size(); ++index) ws_.level[index] = ws_.level_after[index];
     }
 
     // Displacement of the residual compliance after the step, under the forces tried.
@@ -501,7 +513,7 @@ private:
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
     std::int64_t start_ = 0;
-    int nb_ = 0;
+    int nb_ = 0, sample_ = 0;
     double* lines_ = nullptr;
     const double* fixed_forces_ = nullptr;
 };

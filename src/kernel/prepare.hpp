@@ -177,14 +177,14 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, c
     ws.sizes.assign(nl.groups.empty() ? 0 : capacity * sizeof(T), 0);
     ws.value.assign(n_guarded * kStride, 0.0), ws.force.assign(n_guarded * kBlock, 0.0);
     ws.row_awake.assign(n_guarded, 0), ws.is_loaded.assign(n_guarded, 0);
-    ws.level.assign(nl.groups.size(), 0.0), ws.asleep.assign(nl.groups.size(), 0);
-    ws.awake_rows.resize(n), ws.loaded.resize(n), ws.spent.resize(n), ws.worth.resize(n);
+    ws.level.assign(nl.groups.size(), 0.0), ws.level_after.assign(nl.groups.size(), 0.0);
+    ws.asleep.assign(nl.groups.size(), 0);
+    ws.awake_rows.resize(n), ws.loaded.resize(n), ws.worth.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
         const Component<T>& c = components[i];
         ws.awake_rows[i].clear(), ws.awake_rows[i].reserve(c.guarded.n);
         ws.loaded[i].clear(), ws.loaded[i].reserve(c.guarded.n);
-        ws.spent[i].assign(nl.group_of[i] < 0 ? 0 : c.n_ports + c.guarded.n, 0.0);
-        ws.worth[i] = ws.spent[i];
+        ws.worth[i].assign(nl.group_of[i] < 0 ? 0 : c.n_ports + c.guarded.n, 0.0);
     }
     for (Array<double>& a : ws.x) a.assign(k, 0.0);
     ws.matrix.assign(k * k, 0.0), ws.inner.assign(k * k, 0.0), ws.f0.assign(layout.f_width, 0.0);

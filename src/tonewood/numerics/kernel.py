@@ -82,6 +82,7 @@ class KernelStepper:
         self._loaded: list[tuple[Compiled, bytes] | None] = [None] * len(system.names)
         self._wirings: dict[tuple[bytes, bytes, bytes], tuple[list[_Wires], list[Term]]] = {}
         self._guarded, self._steps = guarded, 0
+        self._law_forces = np.zeros((0, 0))  # kept at zero between runs
         self.system = system
         self._load(system)
 
@@ -220,7 +221,10 @@ class KernelStepper:
         if state.series.size != m or state.slip.size != m:
             state.series, state.slip = np.zeros(m), np.zeros(m)
         out = np.empty((n, len(self.system.readouts)))
-        active_forces, law_forces = np.empty((n, len(self._active))), np.zeros((n, len(on)))
+        active_forces = np.empty((n, len(self._active)))
+        if self._law_forces.shape != (n, len(on)):
+            self._law_forces = np.zeros((n, len(on)))
+        law_forces, solves = self._law_forces, self._kernel.statistics()[0]
         series, slip, last = state.series[on], state.slip[on], state.forces[on]
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
         if len(state.tension) != len(self.system.tensions):
@@ -238,6 +242,7 @@ class KernelStepper:
             state.tension,
         )
         if slot != -1:
+            self._law_forces = np.zeros((0, 0))
             t = (state.sample + sample) * self.system.dt
             if slot >= 0:
                 raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
@@ -246,7 +251,9 @@ class KernelStepper:
             raise NumericalError(f"the forces of {names} were not found at {t:.6f} s")
         forces = np.zeros((n, m))
         forces[:, self._active] = active_forces
-        forces[:, on] = law_forces
+        if self._kernel.statistics()[0] > solves:
+            forces[:, on] = law_forces
+            law_forces[:] = 0.0
         if n:
             state.forces[:] = forces[-1]
             state.series[on], state.slip[on] = series, slip
