@@ -231,7 +231,7 @@ public:
         expect("half", half, {n});
         expect("reading", reading, {n});
         expect("kick", kick, {2, n});
-        if (c.driven || p > kMaxStretchedPorts) throw std::invalid_argument("a stretched string has too many ports");
+        if (c.driven || n == 0 || p > kMaxStretchedPorts) throw std::invalid_argument("a stretched string has too many ports");
         Stretched<T>& s = c.stretched;
         s.a.assign(a.data(), a.data() + n), s.half.assign(half.data(), half.data() + n);
         s.reading.assign(reading.data(), reading.data() + n), s.kick.assign(kick.data(), kick.data() + 2 * n);
@@ -301,6 +301,12 @@ public:
         if (law_forces.ndim() != 2 || law_forces.shape(0) != out.shape(0) || law_forces.shape(1) != k ||
             series.size() != k || slip.size() != k || last_force.size() != k)
             throw std::invalid_argument("the state of nonlinear connections has the wrong shape");
+        for (const auto& string : tensions_.strings)
+            for (const int i : string.components)
+                if (components_[i].stretched.a.size() != std::size_t(components_[i].n))
+                    throw std::invalid_argument("a string under tension was not told how it is stretched");
+        if (!tensions_.strings.empty() && tensions_.offset.size() != std::size_t(solve_.m))
+            throw std::invalid_argument("set_tensions was made for another number of connections");
         for (const auto& string : tensions_.strings)
             if (tension.ndim() != 2 || tension.shape(1) != 3 || std::size_t(string.index) >= tension.shape(0))
                 throw std::invalid_argument("the state of the tensions has the wrong shape");

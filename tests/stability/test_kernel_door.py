@@ -177,6 +177,44 @@ def test_a_solve_that_no_longer_fits_is_refused() -> None:
             through(made)
 
 
+def stretched() -> list[tuple[str, list[Any]]]:
+    """The first component is a string whose tension rises."""
+    made = calls()
+    one = np.zeros(PAD)
+    one[0] = 1.0
+    m = CONNECTIONS
+    made.insert(5, ("set_stretched", [0, one, 1e-3 * one, one, np.stack([1e-3 * one, 1e-3 * one])]))
+    made.insert(6, ("set_tensions", [[(0, 10.0, [0])], np.eye(m), np.zeros(m)]))
+    made[-1][1][9] = np.zeros((1, 3))
+    return made
+
+
+def test_tensions_that_do_not_fit_are_refused() -> None:
+    """Strings that were not told how they are stretched, connections of another number, states too small."""
+    assert np.isfinite(through(stretched())[1]).all()
+    untold = stretched()
+    del untold[5]
+    smaller = stretched()
+    smaller.insert(7, ("set_solve", [np.eye(1), np.ones(1), np.zeros(1), np.ones((CHANNELS, 1))]))
+    smaller[-1][1][2] = np.zeros((40, 1))
+    states = []
+    for wrong in (np.zeros((0, 3)), np.zeros((1, 2)), np.zeros(3), np.zeros((1, 3), dtype=np.float32)):
+        states.append(stretched())
+        states[-1][-1][1][9] = wrong
+    parts = []
+    for name, argument, wrong in (
+        ("set_stretched", 0, 3), ("set_stretched", 0, 2), ("set_stretched", 1, np.ones(PAD + 1)),
+        ("set_stretched", 4, np.ones((1, PAD))), ("set_tensions", 0, [(0, 1.0, [3])]),
+        ("set_tensions", 0, [(0, 1.0, [-1])]),
+        ("set_tensions", 0, [(-1, 1.0, [0])]), ("set_tensions", 1, np.eye(3)), ("set_tensions", 2, np.zeros(3)),
+    ):  # fmt: skip
+        parts.append(stretched())
+        dict(parts[-1])[name][argument] = wrong
+    for made in (untold, smaller, *states, *parts):
+        with pytest.raises((TypeError, ValueError, RuntimeError)):
+            through(made)
+
+
 @given(st.lists(st.integers(0, 3 * PAD), min_size=2, max_size=2), st.integers(0, 200), st.integers(-300, 300))
 def test_any_lengths_that_fit_each_other_run(offsets: list[int], n: int, first: int) -> None:
     """Offsets that overlap or are not padded, injections before, in and after the run: refused, or finite."""
