@@ -1,0 +1,111 @@
+"""Cost ladder: what each nonlinear part of an instrument costs, over the same scene, in one run.
+
+    python benchmarks/ladder.py [--seconds 2] [--fs 48000]
+
+Six steel strings on the body of `steel_guitar`, plucked together by ramps of 2 N; one core. Only stepping is timed, not
+the making of the model. Each rung is stepped in turn, best of three rounds, so that all see the same machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+import tonewood as tw
+from tonewood.instrument.assembly import Model, assemble
+from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.kernel import KernelStepper, instruction_set
+
+BLOCK = 256
+#: clearances at which no fret is reached by this pluck, and at which the strings buzz
+HIGH = {"action_first": 3e-3, "action_twelfth": 6e-3}
+LOW = {"action_first": 2.5e-4, "action_twelfth": 1.2e-3}
+FINGER = {"plugin": "stopping_finger", "from_bridge": 0.1}
+
+
+def rung(planes: list[str], tension: bool, action: dict[str, float] | None, finger: bool) -> tw.Instrument:
+    """The steel-string guitar with more or less of what is not linear."""
+    changes: dict[str, object] = {"strings.*.polarizations": planes, "tuning.compensate": "none"}
+    if not tension:
+        changes["strings.*.axial_stiffness"] = 0.0
+    guitar = tw.load_instrument("steel_guitar").replace(changes)
+    values = dict(guitar.resolved)
+    values["connections"] = {"frets": {"plugin": "frets", **action}} if action else {}
+    if finger:
+        values["exciters"] = {**values["exciters"], "finger": FINGER}
+    return tw.Instrument.from_values(values, guitar.folder)
+
+
+class Scene:
+    """An assembled rung, its strings pulled and let go at 20 ms."""
+
+    def __init__(self, instrument: tw.Instrument, fs: float, finger: bool):
+        self.model: Model = assemble(instrument, fs)
+        system = self.model.system.with_laws(self.model.resting) if finger else self.model.system
+        gesture = self.model.exciters["pluck"].gesture(tw.Event({"force": 2.0}, 82.4), self.model.place("E2"))
+        pieces = [Piece(s.start, s.stop, s.c0, s.c1, s.c2) for s in gesture.segments]
+        self.injections = []
+        for string in self.model.strings.values():
+            for component, weight in string.weights(gesture.angle_deg).items():
+                basis = system.compiled[system.slot(component)].basis
+                self.injections += compile_force(
+                    component, basis, "pluck", pieces, system.dt, time=0.02, factor=weight
+                )  # fmt: skip
+        self.stepper = KernelStepper(system)
+
+    def run(self, seconds: float) -> float:
+        state = self.stepper.start()
+        begin = time.perf_counter()
+        for _ in range(int(seconds / self.stepper.system.dt) // BLOCK):
+            self.stepper.run(state, BLOCK, self.injections)
+        return time.perf_counter() - begin
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=2.0)
+    parser.add_argument("--fs", type=float, default=48000.0)
+    parser.add_argument("--rounds", type=int, default=3)
+    args = parser.parse_args()
+    both = ["z", "y"]
+    rungs = {
+        "linear, one polarization": (["z"], False, None, False),
+        "+ second polarization": (both, False, None, False),
+        "+ tension modulation": (both, True, None, False),
+        "second polarization + 20 frets, not touched": (both, False, HIGH, False),
+        "second polarization + 20 frets, buzzing": (both, False, LOW, False),
+        "second polarization + a finger on each string": (both, False, None, True),
+        "everything, frets not touched": (both, True, HIGH, True),
+        "everything, frets buzzing": (both, True, LOW, True),
+    }
+    scenes: dict[str, Scene] = {}
+    left_out: dict[str, str] = {}
+    for name, what in rungs.items():
+        try:
+            scenes[name] = Scene(rung(*what), args.fs, what[3])
+        except (ValueError, tw.TonewoodError) as fault:  # a combination that the kernel does not step
+            left_out[name] = str(fault)
+    best = dict.fromkeys(scenes, np.inf)
+    for _ in range(args.rounds):
+        for name, scene in scenes.items():
+            best[name] = min(best[name], scene.run(args.seconds))
+    base, plain = best["linear, one polarization"], best["+ second polarization"]
+    print(f"six strings on the body, {args.fs:g} Hz, one core, {instruction_set()}, {args.seconds:g} s of sound\n")
+    print("| scene | modes | connections | x real time | cost / one plane | cost / two planes | iterations | failures |")
+    print("|---|---|---|---|---|---|---|---|")
+    for name, scene in scenes.items():
+        s = scene.stepper.statistics
+        per = s.iterations / max(s.solves, 1)
+        print(
+            f"| {name} | {scene.model.n_modes} | {len(scene.model.system.connections)} "
+            f"| {args.seconds / best[name]:.2f} | {best[name] / base:.2f} | {best[name] / plain:.2f} "
+            f"| {per:.1f} | {s.failures} |"
+        )
+    for name, fault in left_out.items():
+        print(f"\n{name}: {fault}")
+
+
+if __name__ == "__main__":
+    main()
