@@ -226,7 +226,11 @@ def memory(minutes: float) -> Iterator[Row]:
             tw.write_midi(long_score(seconds), score)
             _, processor, peaks[seconds] = _child(score, folder)
             factor = seconds / processor
-            yield f"peak memory of a {seconds:.0f} s score", f"{peaks[seconds]:.0f} MB", f"{factor:.1f} x real time, load included"
+            yield (
+                f"peak memory of a {seconds:.0f} s score",
+                f"{peaks[seconds]:.0f} MB",
+                f"{factor:.1f} x real time, load included",
+            )
         short, long = peaks.values()
         yield "  difference", f"{long - short:+.0f} MB", ""
 
