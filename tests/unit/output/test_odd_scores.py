@@ -89,10 +89,23 @@ def out_of_range() -> list[Event]:
 
 
 ODDITIES: list[Callable[[], list[Event]]] = [
-    zero_length, scale_faster_than_a_finger, cluster, one_key_on_all_channels, pedal_chatter,
-    bends_of_two_octaves_at_once, bend_chatter, all_notes_off, never_released, released_twice_and_before,
-    trill_faster_than_a_finger, same_key_again_and_again, everything_at_once_and_loud, silent_volume, plucking_place_to_and_fro, out_of_range,
-]  # fmt: skip
+    zero_length,
+    scale_faster_than_a_finger,
+    cluster,
+    one_key_on_all_channels,
+    pedal_chatter,
+    bends_of_two_octaves_at_once,
+    bend_chatter,
+    all_notes_off,
+    never_released,
+    released_twice_and_before,
+    trill_faster_than_a_finger,
+    same_key_again_and_again,
+    everything_at_once_and_loud,
+    silent_volume,
+    plucking_place_to_and_fro,
+    out_of_range,
+]
 
 
 @pytest.fixture(scope="module")
