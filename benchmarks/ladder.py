@@ -93,7 +93,7 @@ def main() -> None:
             best[name] = min(best[name], scene.run(args.seconds))
     base, plain = best["linear, one polarization"], best["+ second polarization"]
     print(f"six strings on the body, {args.fs:g} Hz, one core, {instruction_set()}, {args.seconds:g} s of sound\n")
-    print("| scene | modes | connections | x real time | cost / one plane | cost / two planes | iterations | failures |")
+    print("| scene | modes | connections | x real time | cost / one plane | cost / two planes | Newton | failed |")
     print("|---|---|---|---|---|---|---|---|")
     for name, scene in scenes.items():
         s = scene.stepper.statistics

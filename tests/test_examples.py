@@ -84,3 +84,12 @@ def test_scores_are_written_as_they_stand(tmp_path: Path) -> None:
         assert played.notes == len(tw.read_midi(kept).notes)
         assert not played.notes_dropped
         assert not tw.read_midi(kept).warnings
+
+
+def test_user_law() -> None:
+    """A law without loss loses nothing; as a table it lets go at the same sample."""
+    user_law = example("user_law")
+    contact, kept = user_law.main()
+    assert kept == pytest.approx(1.0, abs=1e-9)
+    user_law.compiled = lambda folder: None
+    assert user_law.main()[0] == pytest.approx(contact, abs=1.5 / 48000)
