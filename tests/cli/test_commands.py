@@ -262,6 +262,8 @@ def test_modes_lists_partials_and_draws_the_mobility(tonewood: Run, tmp_path: Pa
     assert rows[0]["freq"] == pytest.approx(g4, rel=1e-5)
     assert all(r["freq"] == pytest.approx(r["number"] * g4, rel=0.02) for r in rows)
     assert all(0 < r["t60"] < 20 for r in rows)
+    air, top = report["strings"]["E4"]["bridge_mobility_peaks"][:2]
+    assert 90 < air["freq"] < 115 < 190 < top["freq"] < 240
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert "partial" in tonewood("modes", "monochord")[1]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import pty
 import resource
 import signal
 import subprocess
@@ -68,6 +69,27 @@ def test_from_another_folder_with_relative_paths_and_a_pipe(tmp_path: Path, scor
     assert result.stderr == ""  # no progress bar, no escapes
     assert sf.info(str(tmp_path / "out.flac")).frames == 9600
     assert score.exists()
+
+
+def test_a_terminal_gets_a_progress_bar(tmp_path: Path, score: Path) -> None:
+    ours, theirs = pty.openpty()
+    subprocess.run(
+        [*TONEWOOD, "render", score, "-i", "monochord", "-o", tmp_path / "out.wav", "--max-duration", "0.5"],
+        check=True, stdout=subprocess.PIPE, stderr=theirs, env={**os.environ, "TERM": "xterm"},
+    )  # fmt: skip
+    os.close(theirs)
+    shown = b""
+    while True:
+        try:
+            part = os.read(ours, 4096)
+        except OSError:  # the other end is closed
+            break
+        if not part:
+            break
+        shown += part
+    os.close(ours)
+    assert b"rendering" in shown
+    assert b"%" in shown
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:

@@ -11,6 +11,7 @@ import typer
 
 from tonewood.cli.common import Json, Overrides, load
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.units import decibel
 
 if TYPE_CHECKING:
     from tonewood.instrument.assembly import Model
@@ -31,7 +32,7 @@ def modes(
     """List the coupled modes of INSTRUMENT's strings: frequency, cents from the harmonic, T60, wolf notes."""
     from tonewood.cli.check import pitch_row, wolf_line
     from tonewood.instrument.assembly import assemble
-    from tonewood.instrument.inspection import partials, pitches
+    from tonewood.instrument.inspection import mobility_peaks, partials, pitches
 
     bundle = load(instrument, settings)
     model = assemble(bundle, fs)
@@ -47,6 +48,7 @@ def modes(
             raise TonewoodError(f"is {stop}; string {name} has 0 to {model.strings[name].n_stops}", key="--stop")
     listed = {name: partials(model, name, stop, count=count) for name in names}
     wolves = [pitch_row(p) for p in pitches(model, names) if p.wolf is not None]
+    peaks = {name: mobility_peaks(model, name) for name in names}
     if plot is not None:
         _plot(model, names, plot)
     if as_json:
@@ -63,6 +65,7 @@ def modes(
                          "string_share": sum(p.shares[:-1]), "body_share": p.shares[-1]}
                         for p in rows
                     ],
+                    "bridge_mobility_peaks": [{"freq": f, "mobility": y} for f, y in peaks[name]],
                 }
                 for name, rows in listed.items()
             },
@@ -78,6 +81,9 @@ def modes(
         print("  partial     freq/Hz    cents    T60/s  share of the body")
         for p in rows:
             print(f"  {p.number:>7} {p.freq:>11.2f} {p.cents:>+8.2f} {p.t60:>8.2f} {100 * p.shares[-1]:>9.1f} %")
+        if peaks[name]:
+            shown = ", ".join(f"{f:.0f} Hz {decibel(y):.0f} dB" for f, y in peaks[name])
+            print(f"  bridge mobility peaks, re 1 (m/s)/N: {shown}")
     for row in wolves:
         print(f"wolf note: {wolf_line(row)}")
     if plot is not None:

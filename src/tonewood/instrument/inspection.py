@@ -159,3 +159,15 @@ def bridge_mobility(model: Model, freq: Sequence[float] | Floats) -> dict[str, C
             point = max(ends, key=lambda p: abs(ends[p]))
             out[name] = compiled.basis.frf(freq, point, point)
     return out
+
+
+def mobility_peaks(model: Model, string: str, *, count: int = 6) -> list[tuple[float, float]]:
+    """The strongest resonances of the body where a string ends: (Hz, (m/s)/N), by frequency; strings away."""
+    freq = np.geomspace(20.0, 0.45 * model.fs, 20000)
+    found = bridge_mobility(model, freq)
+    if string not in found:
+        return []
+    size = np.abs(found[string])
+    peaks = 1 + np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]))
+    strongest = peaks[np.argsort(-size[peaks])[:count]]
+    return [(float(freq[i]), float(size[i])) for i in np.sort(strongest)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tonewood as tw
-from tonewood.instrument.inspection import bridge_mobility, partials, pitch, pitches
+from tonewood.instrument.inspection import bridge_mobility, mobility_peaks, partials, pitch, pitches
 from tonewood.numerics.coupled_modes import coupled_modes
 
 
@@ -86,3 +86,7 @@ def test_bridge_mobility_is_the_sum_over_the_table(tmp_path: Path) -> None:
         wk = 2 * np.pi * f
         wanted += 1j * w * phi**2 / m / (wk**2 + 1j * w * wk / q - w**2)
     assert np.allclose(bridge_mobility(model, freq)["A2"], wanted, rtol=1e-10, atol=0)
+
+    peaks = mobility_peaks(model, "A2")
+    assert [f for f, _ in peaks] == pytest.approx([150.0, 410.0], rel=5e-3)
+    assert peaks[0][1] == pytest.approx(30.0 / (2 * np.pi * 150.0 * 0.4), rel=5e-3)  # Q / (w m)
