@@ -106,7 +106,7 @@ class KernelStepper:
     def _load(self, system: System) -> None:
         nonlinear = system.nonlinear
         if nonlinear is not None and any(system.tension_on):
-            raise ValueError(
+            raise TonewoodError(
                 "the kernel steps nonlinear connections or rising tensions, not both at once:"
                 " switch one of them off, or take NumpyStepper"
             )
