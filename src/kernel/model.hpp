@@ -153,6 +153,11 @@ struct Nonlinear {
     };
     struct Group {  // of components that contacts on guarded ports join
         std::vector<int> components, contacts;
+        // of one component whose contacts all have one term and room below: its norm times `tightest` is the largest
+        // share of a clearance that free motion can take; `worth` of its fixed ports when every slack is half of it
+        bool simple = false;
+        double tightest = 0;
+        Array<double> worth;
     };
     int k = 0;
     double dt = 0;
@@ -200,6 +205,7 @@ struct Workspace {
     std::vector<Array<double>> worth;  // share of the tightest slack per newton
     Array<double> level, level_after;  // by group: sum of worth |F| before and after a sample; nothing touches below 1
     std::vector<int> asleep;         // by group
+    std::vector<char> quiet;         // by group: all asleep by one bound
     // of the solve
     std::vector<int> stored, sliding;
     Array<double> x[12], matrix, inner, f0;

@@ -70,7 +70,7 @@ public:
             for (int b = 0; b < nb_; ++b) highest = std::max({highest, values[b], values[job_.n + b]});
             ws_.clearance[control.connection] = highest;
         }
-        for (const Nonlinear::Group& group : nl_.groups) guard(group);
+        for (int g = 0; g < int(nl_.groups.size()); ++g) guard(g);
         ws_.awake_list.clear();
         for (int j = 0; j < nl_.k; ++j) {
             if (!ws_.awake[j]) continue;
@@ -80,7 +80,8 @@ public:
         }
         for (int i = 0; i < int(components_.size()); ++i)
             if (!ws_.awake_rows[i].empty()) read(i, ws_.awake_rows[i].data(), int(ws_.awake_rows[i].size()));
-        for (int g = 0; g < int(nl_.groups.size()); ++g) weigh(g);
+        for (int g = 0; g < int(nl_.groups.size()); ++g)
+            if (!ws_.quiet[g]) weigh(g);
     }
 
     // All forces of sample b. `f` (f_width) holds those of the linear connections if there were no others; it takes
@@ -188,7 +189,8 @@ private:
             turn<T, true, false>(c, sx, sy, known_[i].data(), int(known_[i].size()), nb_, rows);
     }
 
-    void guard(const Nonlinear::Group& group) {
+    void guard(int index) {
+        const Nonlinear::Group& group = nl_.groups[index];
         for (const int i : group.components) {
             const Component<T>& c = components_[i];
             if (!c.guarded.n) continue;
@@ -198,6 +200,16 @@ private:
                 for (int b = 0; b < nb_; ++b) total += std::abs(input.values[b * input.stride]);
                 ws_.added[i] += total * norm(c, input.vector, input.vector + c.n);
             }
+        }
+        const int only = group.components[0];
+        ws_.quiet[index] = group.simple && nl_.asleep_allowed && !job_.n_controls &&
+                           (ws_.norm[only] + ws_.added[only]) * group.tightest * (1 + kMargin<T>) < 0.5;
+        if (ws_.quiet[index]) {  // no contact need be looked at by itself
+            for (const int j : group.contacts) ws_.awake[j] = 0, ws_.slack[j] = -0.5 * nl_.laws[j].offset;
+            std::copy(group.worth.begin(), group.worth.end(), ws_.worth[only].begin());
+            ws_.asleep[index] = int(group.contacts.size());
+            ws_.level[index] = 0.0;
+            return;
         }
         for (const int j : group.contacts) {
             double slack = -1.0;

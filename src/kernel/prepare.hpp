@@ -112,6 +112,22 @@ void arrange(const std::vector<Component<T>>& components, Nonlinear& nl) {
     for (std::size_t g = 0; g < nl.groups.size(); ++g) {
         std::sort(nl.groups[g].contacts.begin(), nl.groups[g].contacts.end());
         for (const int i : nl.groups[g].components) nl.group_of[i] = int(g), nl.reach[i] = reach_of(components[i]);
+        Nonlinear::Group& group = nl.groups[g];
+        const Component<T>& c = components[group.components[0]];
+        group.simple = group.components.size() == 1;
+        group.worth.assign(c.n_ports, 0.0);
+        for (const int j : group.contacts) {
+            const double room = -nl.laws[j].offset;
+            group.simple = group.simple && nl.terms[j].size() == 1 && room > 0.0;
+            if (!group.simple) break;
+            const Nonlinear::Term& t = nl.terms[j][0];
+            const double size = std::abs(t.factor);
+            group.tightest = std::max(group.tightest, size * c.guarded.peak[t.port] / room);
+            const double* reach =
+                &nl.reach[group.components[0]][std::size_t(c.n_ports + t.port) * (c.n_ports + c.guarded.n)];
+            for (int p = 0; p < c.n_ports; ++p)
+                group.worth[p] = std::max(group.worth[p], size * reach[p] / (0.5 * room));
+        }
     }
 }
 
@@ -177,6 +193,7 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, c
     ws.sizes.assign(nl.groups.empty() ? 0 : capacity * sizeof(T), 0);
     ws.value.assign(n_guarded * kStride, 0.0), ws.force.assign(n_guarded * kBlock, 0.0);
     ws.row_awake.assign(n_guarded, 0), ws.is_loaded.assign(n_guarded, 0);
+    ws.quiet.assign(nl.groups.size(), 0);
     ws.level.assign(nl.groups.size(), 0.0), ws.level_after.assign(nl.groups.size(), 0.0);
     ws.asleep.assign(nl.groups.size(), 0);
     ws.awake_rows.resize(n), ws.loaded.resize(n), ws.worth.resize(n);
