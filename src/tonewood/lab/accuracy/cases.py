@@ -1,0 +1,299 @@
+"""Linear systems that methods are compared on: how to build them from modes, and their true poles.
+
+Every case is plucked alike: a constant force holds it at rest and lets go at time 0. Nothing but the method's own
+stepping then makes an error; known forces, which each method takes in its own way, have no part in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import NDArray
+
+from tonewood.lab.accuracy.flat import Flat
+from tonewood.lab.accuracy.pole_search import continuous_matrix, nearest_zero
+from tonewood.lab.methods.problem import Problem
+from tonewood.lab.string_end import ExactString, coupled_pole
+from tonewood.lab.systems import fabre_guitar, harp, string_and_body
+from tonewood.lab.systems.harp_body import harp_body, harp_body_matrices
+from tonewood.numerics.connections import Connection, Rigid, Term
+from tonewood.numerics.damping import with_damping_case
+from tonewood.numerics.modes import PAIR, ModalBasis
+from tonewood.numerics.receptance import Joint, Ports
+from tonewood.numerics.string_modes import held_string_compliance, string_basis
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+#: Hz, modes of strings that every method steps unless its dial says otherwise
+FREQ_UPPER = 20000.0
+PARTIALS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One linear system.
+
+    Attributes
+    ----------
+    name, title : short, and as a heading.
+    build : highest string mode in Hz -> problem, one driven and one read point.
+    true_poles : poles of partials 1, 2, ..., 1/s, by a way that knows no modes of strings.
+    damped_as : in words, what its bodies' damping is.
+    string : its only string, if there is but one.
+    """
+
+    name: str
+    title: str
+    build: Callable[[float], Problem]
+    true_poles: Callable[[], Complexes]
+    damped_as: str = ""
+    string: ExactString | None = None
+
+    @cached_property
+    def poles(self) -> Complexes:
+        """(n,) true poles of the partials, 1/s."""
+        return self.true_poles()
+
+
+def real_modes_of(problem: Problem) -> Problem:
+    """The problem with proportional damping, every component in real modes: all that second-order methods can take.
+
+    A component of complex modes is given as real ones at the points the problem uses, phi_i phi_j = 2 j omega_d r_i l_j
+    of its proportional approximation (Fabre et al. 2024, section 3, case 2).
+    """
+    used: dict[str, list[str]] = {name: [] for name in problem.components}
+    terms = [t for c in problem.constraints for t in c.terms] + [*problem.inputs, *problem.outputs]
+    for t in terms:
+        if t.point not in used[t.component]:
+            used[t.component].append(t.point)
+    parts: dict[str, ModalBasis] = {}
+    for name, basis in problem.components.items():
+        if basis.is_real:
+            parts[name] = basis
+            continue
+        case_2 = with_damping_case(basis, "proportional")
+        if np.any(case_2.kind != PAIR):
+            raise ValueError(f"{name!r} has modes that are not under-damped")
+        rows = [case_2.index(point) for point in used[name]]
+        right, left = case_2.right[rows], case_2.left[rows]
+        first = np.argmax(np.abs(right), axis=0), np.arange(case_2.n_modes)
+        size = np.sqrt((right[first] * left[first] * 2j * case_2.poles.imag).real)
+        shapes = (right / right[first]).real * size
+        parts[name] = ModalBasis.real(
+            np.sqrt(case_2.stiffness),
+            case_2.damping_rate,
+            dict(zip(used[name], shapes, strict=True)),
+            residual=basis.residual[np.ix_(rows, rows)],
+        )
+    return replace(problem, components=parts)
+
+
+def undamped(problem: Problem) -> Problem:
+    """The same real modes without damping."""
+    parts = {}
+    for name, basis in problem.components.items():
+        if not basis.is_real:
+            raise ValueError(f"the modes of {name!r} are not real")
+        parts[name] = ModalBasis.real(
+            np.sqrt(basis.stiffness),
+            np.zeros(basis.n_modes),
+            dict(zip(basis.points, basis.right.real, strict=True)),
+            residual=basis.residual,
+        )
+    return replace(problem, components=parts)
+
+
+def continuous_poles(problem: Problem, starts: Complexes, joints: Sequence[int] | None = None) -> Complexes:
+    """Poles of a problem in continuous time nearest to given ones; see `pole_search.nearest_zero`."""
+    matrix = continuous_matrix(Flat(problem))
+    which = [None] * len(starts) if joints is None else [int(j) for j in joints]
+    return np.array([nearest_zero(matrix, s, j) for s, j in zip(starts, which, strict=True)])
+
+
+def sliding_string(string: ExactString, freq_upper: float, *, residual: bool) -> ModalBasis:
+    """The string in modes cos((2 n - 1) pi x / 2 L), free to slide at the bridge (Antunes & Debut 2017; Fabre 2024).
+
+    Their slope at the bridge is zero, so the static ramp is found only as a sum that converges like 1 / N; `residual`
+    puts what the kept modes leave of it, and of all other static compliance, into the residual compliance.
+    """
+    s = string
+    mu, T, EI, L = s.linear_density, s.tension, s.bending_stiffness, s.length
+    n = np.arange(1, 1 + int(4 * L * freq_upper / s.fundamental / (2 * L)) + 2)
+    k = (2 * n - 1) * np.pi / (2 * L)
+    omega = np.sqrt((T * k**2 + EI * k**4) / mu)
+    k, omega = k[omega < 2 * np.pi * freq_upper], omega[omega < 2 * np.pi * freq_upper]
+    scale = np.sqrt(2 / (mu * L))
+
+    def shape(x: float) -> Floats:
+        return np.asarray(scale * np.cos(k * x))
+
+    def static(x: float, y: float) -> float:
+        # ramp of the free end under a force at y, and the held string's own deflection
+        return (1 - x / L) * (1 - y / L) * L / T + held_string_compliance(x, y, L, T, EI)
+
+    return ModalBasis.real(
+        omega,
+        np.full(k.size, s.sigma0),
+        {"bridge": 0.0},
+        shape=shape,
+        static_compliance=static if residual else None,
+    )
+
+
+def _string_modes(string: ExactString, freq_upper: float, pluck: float) -> ModalBasis:
+    basis = string_basis(
+        string.length,
+        string.tension,
+        string.linear_density,
+        string.bending_stiffness,
+        lambda omega, k: 2 * string.sigma0 / omega,
+        freq_upper=freq_upper,
+    )
+    return basis.with_places({"pluck": pluck * string.length})
+
+
+def fabre_case() -> Case:
+    """String on plate and air (Fabre et al. 2024, section 3.2.1)."""
+
+    def poles() -> Complexes:
+        string = fabre_guitar.exact_string()
+        return np.array([coupled_pole(string, fabre_guitar.body_receptance, n) for n in range(1, PARTIALS + 1)])
+
+    return Case(
+        "fabre_guitar",
+        "Guitar of Fabre et al. (2024): stiff string, plate and air",
+        lambda freq_upper: fabre_guitar.problem(fabre_guitar.string(freq_upper)),
+        poles,
+        "complex modes",
+        fabre_guitar.exact_string(),
+    )
+
+
+def harp_case(case: str = "complex") -> Case:
+    """String 4 on the stand-in for the Central African harp."""
+    string = harp.exact_string()
+    board = harp.COSINE**2
+
+    def receptance(s: complex) -> complex:
+        if case != "complex":
+            body = with_damping_case(harp_body(), case)
+            row = np.zeros((1, len(body.points)))
+            row[0, body.index("s4")] = 1.0
+            return board * complex(Joint([Ports.of(body, row)]).receptance(s)[0][0, 0])
+        matrices, points = harp_body_matrices()
+        tie = points["s4"]
+        stiffness = matrices.M * s * s + matrices.C * s + matrices.K
+        return board * complex(tie @ sla.solve(stiffness, tie))
+
+    def poles() -> Complexes:
+        return np.array([coupled_pole(string, receptance, n) for n in range(1, PARTIALS + 1)])
+
+    def build(freq_upper: float) -> Problem:
+        components = {
+            "string": _string_modes(string, freq_upper, fabre_guitar.PLUCK),
+            "body": with_damping_case(harp_body(), case),
+        }
+        return Problem(components, (harp.STRING_4,), (Term("string", "pluck"),), (Term("body", "s4"),))
+
+    name, label = ("harp", "") if case == "complex" else (f"harp_{case}", f", {case} damping")
+    title = f"Central African harp, stand-in body of 32 complex modes{label}: string 4"
+    return Case(name, title, build, poles, f"{case} modes", string)
+
+
+def a2_case() -> Case:
+    """An ideal A2 on sixteen guitar modes (Antunes & Debut 2017)."""
+    string = replace(string_and_body.A2, sigma0=0.2)
+
+    def poles() -> Complexes:
+        return np.array(
+            [coupled_pole(string, string_and_body.sixteen_mode_receptance, n) for n in range(1, PARTIALS + 1)]
+        )
+
+    def build(freq_upper: float) -> Problem:
+        bridge = Connection("bridge", (Term("string", "bridge"), Term("body", "bridge", -1.0)))
+        components = {"string": _string_modes(string, freq_upper, 0.2), "body": string_and_body.sixteen_modes()}
+        return Problem(components, (bridge,), (Term("string", "pluck"),), (Term("body", "bridge"),))
+
+    title = "Ideal A2 on the 16 modes of Antunes & Debut (2017)"
+    return Case("a2_on_16_modes", title, build, poles, "real modes", string)
+
+
+@dataclass(frozen=True, eq=False)
+class GuitarCase(Case):
+    """A case of many strings: `joints` tells, for each true pole, the connection of its string."""
+
+    joints: Callable[[], Sequence[int]] = lambda: ()
+
+
+def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None) -> GuitarCase:
+    """The shipped classical guitar: six strings in two polarizations on its measured body, all plucked at once.
+
+    Its joints are made rigid (the seat of a string on the saddle gives way by 2e-8 m/N, for which methods that
+    constrain accelerations have no place), and it is heard at one point of the bridge.
+
+    Parameters
+    ----------
+    n_partials : of each string, whose true poles are wanted.
+    strings : whose; all.
+    """
+
+    @lru_cache(maxsize=4)
+    def build(freq_upper: float) -> Problem:
+        from tonewood.instrument.assembly import assemble
+        from tonewood.instrument.bundle import Instrument
+
+        instrument = Instrument.load("classical_guitar").replace(
+            {"strings.*.end_compliance": 0.0, "strings.*.freq_upper": freq_upper}
+        )
+        model = assemble(instrument, 4 * freq_upper, freq_limit=1.5 * freq_upper)
+        one_way = {d.component for d in model.system.drives}
+        components = {
+            name: compiled.basis
+            for name, compiled in zip(model.system.names, model.system.compiled, strict=True)
+            if name not in one_way
+        }
+        plucks = []
+        for string in model.strings.values():
+            plucks += [Term(name, "pluck", factor) for name, factor in string.weights(30.0).items()]
+        joints = tuple(c for c in model.system.connections if isinstance(c.law, Rigid))
+        return Problem(components, joints, tuple(plucks), (Term("body", "bridge_G3"),))
+
+    def partials() -> list[tuple[int, complex]]:
+        """Connection of every string's first polarization, and the partials of that string on a rigid bridge."""
+        problem = build(FREQ_UPPER)
+        out = []
+        first: set[str] = set()
+        for index, joint in enumerate(problem.constraints):
+            component = joint.name.removesuffix(".bridge")
+            string = component.partition(".")[0]
+            if string in first or (strings is not None and string not in strings):
+                continue
+            first.add(string)
+            known = problem.components[component].metadata
+            length, tension, mu, EI = (
+                float(np.asarray(known[key])) for key in ("length", "tension", "linear_density", "bending_stiffness")
+            )
+            alone = ExactString(length, tension, mu, EI)
+            held = [alone.held_freq(n) for n in range(1, n_partials + 1)]
+            out += [(index, 2 * np.pi * f * complex(-1e-4, 1.0)) for f in held if f < 0.9 * FREQ_UPPER]
+        return out
+
+    def poles() -> Complexes:
+        found = partials()
+        # twice the modes: what the highest partials lack of them is then far below a thousandth of a cent
+        return continuous_poles(build(2 * FREQ_UPPER), np.array([s for _, s in found]), [j for j, _ in found])
+
+    return GuitarCase(
+        "classical_guitar",
+        "Classical guitar: six strings, two polarizations, measured body",
+        build,
+        poles,
+        "real modes",
+        None,
+        lambda: [j for j, _ in partials()],
+    )

@@ -1,0 +1,118 @@
+"""Which methods are run on the linear systems, at which rates, and which dials of this project are turned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from tonewood.lab.accuracy.cases import FREQ_UPPER, Case, GuitarCase, sliding_string
+from tonewood.lab.accuracy.flat import Flat
+from tonewood.lab.accuracy.study import (
+    SECOND_ORDER,
+    Attempt,
+    Point,
+    Subject,
+    own_point,
+    scheme_point,
+    superposition_point,
+    timed,
+)
+from tonewood.lab.systems import fabre_guitar
+from tonewood.numerics.modes import ModalBasis
+
+#: largest stable |s| h of Adams-Bashforth 3 on the imaginary axis, and of velocity Verlet
+AB3_LIMIT, VERLET_LIMIT = float((5 + np.sqrt(5)) / 10), 2.0
+#: rates that divide that of a reference which has to be computed, Hz
+GRID = tuple(1e3 * k for k in (24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768))
+
+Make = Callable[[], Attempt]
+
+
+def lowest_rate(flat: Flat, limit: float) -> float:
+    """Sampling rate, Hz, at which the highest mode stands at a limit of |s| h.
+
+    Rigid connections lower frequencies (interlacing), so the highest mode of the parts is a safe bound, and near it.
+    """
+    return max(float(np.sqrt(b.stiffness.max())) for b in flat.problem.components.values()) / limit
+
+
+def study(case: Case, *, quick: bool = False) -> Iterator[Point]:
+    """All points of one linear system."""
+    subject = Subject(case)
+    real = subject if case.damped_as == "real modes" else Subject(case, real=True)
+    makes = [*_own(subject, quick), *_others(subject, real, quick), *_dials(subject, quick)]
+    return timed((make() for make in makes), 5 if quick else 9)
+
+
+def _own(subject: Subject, quick: bool) -> Iterator[Make]:
+    for fs in (24e3, 48e3, 96e3) if quick else (24e3, 32e3, 48e3, 96e3, 192e3):
+        yield partial(own_point, subject, fs)
+    if not isinstance(subject.case, GuitarCase):
+        yield partial(superposition_point, subject)
+
+
+def _others(subject: Subject, real: Subject, quick: bool) -> Iterator[Make]:
+    ab3, verlet = lowest_rate(subject.flat(), AB3_LIMIT), lowest_rate(real.flat(), VERLET_LIMIT)
+    if isinstance(subject.case, GuitarCase):
+        rates = {
+            "ab3": [fs for fs in GRID if fs > ab3][: 2 if quick else 4],
+            "verlet": [fs for fs in GRID if fs > verlet][: 2 if quick else 6],
+        }
+        usual = [48e3, 192e3] if quick else [48e3, 96e3, 192e3, 384e3]
+    else:
+        rates = {
+            "ab3": [1.02 * ab3, 800e3] if quick else [0.9 * ab3, 1.02 * ab3, 400e3, 800e3, 1200e3],
+            "verlet": [1.05 * verlet, 400e3] if quick else [0.9 * verlet, 1.05 * verlet, 100e3, 200e3, 400e3, 800e3],
+        }
+        usual = [48e3, 192e3] if quick else [48e3, 96e3, 192e3, 384e3, 768e3]
+    few = ("p1", "newmark") if quick and isinstance(subject.case, GuitarCase) else None
+    for method in ("p0", "p1", "p2", "trapezoidal", "simpson", "newmark", "hht", "held_velocity"):
+        if few is None or method in few:
+            rates[method] = usual
+    rates |= {"held_position": usual[:3], "linear_position": [48e3]}
+    for method, values in rates.items():
+        for fs in values:
+            yield partial(scheme_point, real if method in SECOND_ORDER else subject, method, fs)
+    if subject.case.name == "fabre_guitar":
+        # as in the paper: 150 string modes, at the limit and at the paper's rate
+        top = float(fabre_guitar.string(n_modes=150).natural_freq[-1]) * 1.0001
+        least = lowest_rate(subject.flat(top), AB3_LIMIT)
+        for fs in (1.02 * least, 1200e3) if quick else (0.9 * least, 1.02 * least, 800e3, 1200e3):
+            yield partial(scheme_point, subject, "ab3", fs, label="ab3_paper", freq_upper=top)
+
+
+def _dials(subject: Subject, quick: bool) -> Iterator[Make]:
+    """Dials of this project at 48 kHz, one turned at a time."""
+    own = partial(own_point, subject, 48e3)
+    flat = subject.flat()
+    for freq in (5e3, 10e3) if quick else (2.5e3, 5e3, 10e3, 15e3):
+        value = f"strings solved to {freq / 1e3:.4g} kHz"
+        yield partial(own, flat=subject.flat(freq), dial="modes", value=value)
+    for fold, named in ((True, "with"), (False, "without")):
+        value = f"string modes above 10 kHz dropped, {named} their compliance"
+        yield partial(own, flat=_cut(flat, 10e3, fold), dial="residual", value=value)
+    if subject.case.string is not None:
+        pluck = {"pluck": flat.problem.components["string"].places["pluck"]}
+        for fold, named in ((True, "with"), (False, "without")):
+            basis = sliding_string(subject.case.string, FREQ_UPPER, residual=fold).with_places(pluck)
+            value = f"sliding cosines, {named} residual compliance"
+            yield partial(own, flat=_exchanged(flat, "string", basis), dial="basis", value=value)
+    for fs in (48e3,) if quick else (48e3, 96e3):
+        value = f"f32, {fs / 1e3:.4g} kHz"
+        yield partial(own_point, subject, fs, precision="f32", dial="precision", value=value)
+
+
+def _exchanged(flat: Flat, name: str, basis: ModalBasis) -> Flat:
+    return Flat(replace(flat.problem, components={**flat.problem.components, name: basis}))
+
+
+def _cut(flat: Flat, freq: float, fold: bool) -> Flat:
+    """String modes above a frequency dropped from the solved basis, their compliance kept or not."""
+    parts = {
+        name: basis if name == "body" else basis.select(basis.natural_freq < freq, fold=fold)
+        for name, basis in flat.problem.components.items()
+    }
+    return Flat(replace(flat.problem, components=parts))

@@ -1,0 +1,237 @@
+"""One method on one problem at one step length, as arrays for the compiled loop, and what is read off them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood import _methods
+from tonewood.lab.accuracy.flat import Flat, product, through
+from tonewood.lab.accuracy.pole_search import Products, Transfer, nearest_zero
+from tonewood.numerics.kernel import instruction_set
+from tonewood.numerics.propagator import apply
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Scheme:
+    """One method on one problem at one step length.
+
+    Attributes
+    ----------
+    flat : the problem.  dt : s.
+    rule : of the compiled loop: flow, adams_bashforth, verlet or newmark.
+    coef : (n_coef, n) of every mode.
+    push : (phases, m, lags, n, n_in) what forces do to a mode.
+    reads : (m, n, n_row).  outs : (n_outputs, n, n_out).
+    G, K : (phases, m, m).
+    out_memory : (phases, n_outputs, m) of the forces just used, in the readouts.
+    constants : of the rule.
+    begin : state x (n, 2) -> numbers of every mode (n_state, n) and forces (lags, m).
+    motion : numbers of every mode (n_state, n) -> x (n, 2).
+    """
+
+    flat: Flat
+    dt: float
+    rule: str
+    coef: Floats
+    push: Floats
+    reads: Floats
+    outs: Floats
+    G: Floats
+    K: Floats
+    out_memory: Floats
+    constants: tuple[float, ...]
+    begin: Callable[[Floats], tuple[Floats, Floats]]
+    motion: Callable[[Floats], Floats]
+
+    @property
+    def phases(self) -> int:
+        """Samples until the arrays repeat."""
+        return len(self.push)
+
+    @property
+    def lags(self) -> int:
+        """Forces that act in a step."""
+        return int(self.push.shape[2])
+
+    @cached_property
+    def characteristic(self) -> Callable[[complex], Complexes]:
+        """Map s -> (phases m, phases m) whose determinant is zero where exp(s t) is a motion of the method."""
+        return _CHARACTERISTIC[self.rule](self)
+
+    def poles(self, starts: Complexes, joints: Sequence[int] | None = None) -> Complexes:
+        """(k,) poles nearest to given ones, nan where Newton's method does not settle; see `pole_search.nearest_zero`.
+
+        Parameters
+        ----------
+        joints : for each pole, the connection whose force is large in it.
+        """
+        # a step of several samples has the unknown forces of each
+        which = [None] * len(starts) if joints is None else [int(j) for j in joints]
+        return np.array([nearest_zero(self.characteristic, s, j) for s, j in zip(starts, which, strict=True)])
+
+
+@dataclass(eq=False)
+class Runner:
+    """A scheme, compiled: steps its own copy of a state.
+
+    Parameters
+    ----------
+    isa : instruction set, by default the kernel's.
+    """
+
+    scheme: Scheme
+    isa: str = field(default_factory=instruction_set)
+
+    def __post_init__(self) -> None:
+        s, flat = self.scheme, self.scheme.flat
+        m, pad = len(flat.B), _methods.PADDING
+        self._places: dict[str, slice] = {}
+        capacity = 0
+        for name, modes in flat.starts.items():
+            size = -(-(modes.stop - modes.start) // pad) * pad
+            self._places[name] = slice(capacity, capacity + size)
+            capacity += size
+        channels = len(flat.out)
+        self._method = _methods.Method(s.rule, self.isa, capacity, m, channels, s.phases, s.lags, list(s.constants))
+        self._capacity = capacity
+        for name, modes in flat.starts.items():
+            size = self._places[name].stop - self._places[name].start
+            links = np.flatnonzero(s.reads[:, modes].any(axis=(1, 2)) | s.push[:, :, :, modes].any(axis=(0, 2, 3, 4)))
+            outs = np.flatnonzero(s.outs[:, modes].any(axis=(1, 2)))
+            self._method.add_part(
+                self._places[name].start,
+                padded(s.coef[:, modes], size),
+                padded(s.push[:, links][:, :, :, modes].swapaxes(-1, -2), size),
+                padded(s.reads[links][:, modes].swapaxes(-1, -2), size),
+                padded(s.outs[outs][:, modes].swapaxes(-1, -2), size),
+                links.tolist(),
+                outs.tolist(),
+            )
+        self._method.set_solve(*(np.ascontiguousarray(a) for a in (s.G, s.K, s.out_memory)))
+        self.state, self.forces = np.zeros((0, capacity)), np.zeros((s.lags, m))
+
+    def start(self, x: Floats) -> None:
+        """Put a state (n, 2) in."""
+        numbers, forces = self.scheme.begin(x)
+        self.state = np.zeros((len(numbers), self._capacity))
+        for name, modes in self.scheme.flat.starts.items():
+            first = self._places[name].start
+            self.state[:, first : first + modes.stop - modes.start] = numbers[:, modes]
+        self.forces = np.ascontiguousarray(forces, dtype=np.float64)
+
+    def run(self, n: int, every: int = 1) -> tuple[Floats, int]:
+        """Advance by n steps.
+
+        Returns
+        -------
+        (n // every + 1, n_outputs) displacements at every `every`-th step from the present one on, and the step at
+        which they stopped being finite, -1 if they did not.
+        """
+        out = np.zeros((n // every + 1, len(self.scheme.flat.out)))
+        return out, self._method.run(self.state, self.forces, n, every, out)
+
+    @property
+    def x(self) -> Floats:
+        """(n, 2) the state."""
+        numbers = np.concatenate([
+            self.state[:, place.start : place.start + modes.stop - modes.start]
+            for place, modes in zip(self._places.values(), self.scheme.flat.starts.values(), strict=True)
+        ], axis=1)  # fmt: skip
+        return self.scheme.motion(numbers)
+
+
+def padded(a: Floats, size: int) -> Floats:
+    """With zeros to `size` in the last direction."""
+    out = np.zeros((*a.shape[:-1], size))
+    out[..., : a.shape[-1]] = a
+    return out
+
+
+# ---- characteristic matrices: det = 0 where exp(s t) is a motion ----
+
+
+Matrix = Callable[[complex], Complexes]
+
+
+def _flow_characteristic(scheme: Scheme) -> Matrix:
+    reads, E, h = scheme.reads, scheme.coef.T.reshape(-1, 2, 2), scheme.dt
+    G, K, m = scheme.G, scheme.K, len(scheme.reads)
+    if scheme.phases == 1:
+        seen = [Transfer.of(reads, scheme.push[0, :, lag], E - np.eye(2)) for lag in range(scheme.lags)]
+
+        def matrix(s: complex) -> Complexes:
+            z = np.exp(s * h)
+            total = sum((transfer(np.expm1(s * h)) * z**-lag for lag, transfer in enumerate(seen)), np.zeros((m, m)))
+            return np.asarray(np.eye(m) + K[0] / z + G[0] @ total)
+
+        return matrix
+    # two samples to a step: x(2) = E (E x + P0 f0) + P1 f1
+    first, second, twice = scheme.push[0, :, 0], scheme.push[1, :, 0], E @ E - np.eye(2)
+    begun, late = apply(E, first), through(reads, E)
+    of = [[Transfer.of(rows, columns, twice) for columns in (begun, second)] for rows in (reads, late)]
+    at_once = product(reads, first)
+
+    def matrix_of_two(s: complex) -> Complexes:
+        u = np.expm1(2 * s * h)
+        out = np.eye(2 * m, dtype=np.complex128)
+        out[:m, :m] += G[0] @ of[0][0](u)
+        out[:m, m:] += G[0] @ of[0][1](u) + K[0] / (1 + u)
+        out[m:, :m] += G[1] @ (of[1][0](u) + at_once) + K[1]
+        out[m:, m:] += G[1] @ of[1][1](u)
+        return out
+
+    return matrix_of_two
+
+
+def _adams_characteristic(scheme: Scheme) -> Matrix:
+    c0, c1, c2 = scheme.constants
+    transfer = Transfer.of(scheme.reads, scheme.push[0, :, 0], scheme.coef.T.reshape(-1, 2, 2))
+    G, eye = scheme.G[0], np.eye(len(scheme.reads))
+
+    def matrix(s: complex) -> Complexes:
+        z = np.exp(s * scheme.dt)
+        return np.asarray(eye + G @ transfer(np.expm1(s * scheme.dt) * z * z / (c0 * z * z + c1 * z + c2)))
+
+    return matrix
+
+
+def _verlet_characteristic(scheme: Scheme) -> Matrix:
+    h, (w2, loss) = scheme.dt, scheme.coef
+    seen, G, eye = Products.of(scheme.reads, scheme.push[0, :, 0]), scheme.G[0], np.eye(len(scheme.reads))
+
+    def matrix(s: complex) -> Complexes:
+        z, u = np.exp(s * h), np.expm1(s * h)
+        D = w2 * (h * h * z / u**2) + loss * (h * (1 / u + 0.5 / z))
+        return np.asarray(eye + G @ seen(-D / (1 + D)))
+
+    return matrix
+
+
+def _newmark_characteristic(scheme: Scheme) -> Matrix:
+    c0, c1, c2, c3 = scheme.constants
+    cu, cv, ca = scheme.coef
+    seen, G, eye = Products.of(scheme.reads, scheme.push[0, :, 0]), scheme.G[0], np.eye(len(scheme.reads))
+
+    def matrix(s: complex) -> Complexes:
+        z, u = np.exp(s * scheme.dt), np.expm1(s * scheme.dt)
+        v = (c2 + c3 * z) / u
+        known = ca + cu * ((v + c0 + c1 * z) / u) + cv * v
+        return np.asarray(eye + G @ seen(known / (z - known)))
+
+    return matrix
+
+
+_CHARACTERISTIC: Mapping[str, Callable[[Scheme], Matrix]] = {
+    "flow": _flow_characteristic,
+    "adams_bashforth": _adams_characteristic,
+    "verlet": _verlet_characteristic,
+    "newmark": _newmark_characteristic,
+}

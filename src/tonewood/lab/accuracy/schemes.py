@@ -1,0 +1,284 @@
+"""Methods of the literature as arrays for one compiled loop: what an integrator reads, keeps and pushes.
+
+    f_n = -(G r_n + K f_(n-1)),   every mode moves on under f_n, f_(n-1), ...,   r_(n+1) is read from the new state
+
+The rules of the loop (``src/kernel/methods.hpp``) are the exact flow of a mode, Adams-Bashforth 3, velocity Verlet and
+Newmark's family. What distinguishes methods of one rule is in the arrays: the level at which the constraint is asked
+for (position, velocity, acceleration), and how a force is continued within and across steps. Forces that come from
+accelerations are known at t_n only; the interpolatory updates of Chinnakonda (2007) then take the last one, two or
+three of them (P0, P1, P2), and the quadrature rules evaluate them at their nodes, explicitly.
+
+`Scheme.poles` gives the poles that a method puts in place of the true ones, from its m x m characteristic matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import NDArray
+
+from tonewood.lab.accuracy.flat import Flat, RealModes, product, through
+from tonewood.lab.accuracy.scheme import Scheme
+from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT, Newmark
+from tonewood.numerics.connections import scaled_pinv
+from tonewood.numerics.propagator import apply
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+
+# ---- methods on the exact flow ----
+
+
+def _flow_scheme(
+    flat: Flat, dt: float, push: list[list[Floats]], reads: Floats, G: list[Floats], K: list[Floats] | None = None,
+    *, begin: Callable[[Floats], tuple[Floats, Floats]] | None = None, ahead: Floats | None = None,
+    shift: Floats | None = None,
+) -> Scheme:  # fmt: skip
+    """push: by phase and lag (m, n, 2).  ahead: (m, n, 2) that forces add to what the readouts see, first phase."""
+    m, phases, lags = len(G[0]), len(push), len(push[0])
+    out_memory = np.zeros((phases, len(flat.out), m))
+    if ahead is not None:
+        out_memory[0] = product(flat.out, ahead)
+
+    def motion(numbers: Floats) -> Floats:
+        x = numbers.T
+        if shift is None:
+            return x.copy()
+        # the state lacks the kick of the force it leads to
+        return np.asarray(x + np.einsum("m,mnx->nx", -G[0] @ np.einsum("mnx,nx->m", reads, x), shift))
+
+    return Scheme(
+        flat=flat,
+        dt=dt,
+        rule="flow",
+        coef=np.ascontiguousarray(flat.flow(dt, 0)[0].reshape(-1, 4).T),
+        push=np.array(push).swapaxes(1, 2),
+        reads=reads,
+        outs=flat.out,
+        G=np.array(G),
+        K=np.zeros((phases, m, m)) if K is None else np.array(K),
+        out_memory=out_memory,
+        constants=(),
+        begin=begin or (lambda x: (x.T.copy(), np.zeros((lags, m)))),
+        motion=motion,
+    )
+
+
+def held_position(flat: Flat, dt: float) -> Scheme:
+    """The scheme of this project, a sweep per sample: force held over the step, gap zero at its end."""
+    E, phi1 = flat.flow(dt)
+    solve = flat.problem.system(dt).solve
+    reads = through(flat.C, E) + solve.gamma[:, None, None] * flat.C
+    return _flow_scheme(flat, dt, [[dt * apply(phi1, flat.B)]], reads, [solve.G])
+
+
+def held_velocity(flat: Flat, dt: float) -> Scheme:
+    """Force held over the step, gap at rest at its end."""
+    E, phi1 = flat.flow(dt)
+    CA, W = through(flat.C, flat.A), dt * apply(phi1, flat.B)
+    return _flow_scheme(flat, dt, [[W]], through(CA, E), [scaled_pinv(product(CA, W))])
+
+
+def linear_position(flat: Flat, dt: float) -> Scheme:
+    """Force linear in time over the step, gap zero at its end. Unstable at any step: one of the traps."""
+    E, phi1, phi2 = flat.flow(dt, 2)
+    new, old = dt * apply(phi2, flat.B), dt * apply(phi1 - phi2, flat.B)
+    G = scaled_pinv(product(flat.C, new))
+    return _flow_scheme(flat, dt, [[new, old]], through(flat.C, E), [G], [G @ product(flat.C, old)])
+
+
+def _past_forces(flat: Flat, x: Floats, dt: float, lags: int) -> Floats:
+    """(lags, m) forces one, two, ... steps ago of a free motion, by its Taylor series to second order."""
+    first = flat.rate(x)
+    second = flat.rate(first)
+    ago = [x - k * dt * first + (k * dt) ** 2 / 2 * second for k in range(1, lags + 1)]
+    return -np.array([flat.S @ np.einsum("mnx,nx->m", flat.CA2, y) for y in ago]).reshape(lags, len(flat.S))
+
+
+def interpolated(flat: Flat, dt: float, degree: int) -> Scheme:
+    """Force from the acceleration constraint at t_n and `degree` steps before it, continued over the step: P0, P1, P2.
+
+    Newton's backward differences: f(t_n + s h) = f_n + s df_n + s (s + 1)/2 ddf_n, carried exactly by phi-functions.
+    """
+    _, phi1, phi2, phi3 = flat.flow(dt, 3)
+    terms = [phi1, phi2, phi3 + 0.5 * phi2]
+    weights = [
+        sum((terms[k] * (-1.0) ** lag * _BINOMIAL[k][lag] for k in range(lag, degree + 1)), np.zeros_like(phi1))
+        for lag in range(degree + 1)
+    ]
+    push = [dt * apply(w, flat.B) for w in weights]
+
+    def begin(x: Floats) -> tuple[Floats, Floats]:
+        # the latest comes first: at the first step it is shifted by one
+        return x.T.copy(), _past_forces(flat, x, dt, degree + 1)
+
+    return _flow_scheme(flat, dt, [push], flat.CA2, [flat.S], begin=begin)
+
+
+_BINOMIAL = ((1.0,), (1.0, 1.0), (1.0, 2.0, 1.0))
+
+
+def _through_kick(flat: Flat, kick: Floats) -> Floats:
+    """(m, m) G of a force that is right after its own kick: f = -S C A^2 (s + kick f)  =>  f = -G C A^2 s."""
+    return np.asarray(sla.solve(np.eye(len(flat.S)) + flat.S @ product(flat.CA2, kick), flat.S))
+
+
+def _before_kick(flat: Flat, kick: Floats) -> Callable[[Floats], tuple[Floats, Floats]]:
+    """State x -> numbers of x without the kick of its force."""
+
+    def begin(x: Floats) -> tuple[Floats, Floats]:
+        f = -flat.S @ np.einsum("mnx,nx->m", flat.CA2, x)
+        return (x - np.einsum("m,mnx->nx", f, kick)).T.copy(), np.zeros((1, len(f)))
+
+    return begin
+
+
+def trapezoidal(flat: Flat, dt: float) -> Scheme:
+    """Trapezoidal rule for the integral of exp(A (h - t)) B f(t); the state is kept just before the kick of f_n."""
+    E = flat.flow(dt, 0)[0]
+    kick = 0.5 * dt * flat.B
+    G = _through_kick(flat, kick)
+    return _flow_scheme(
+        flat, dt, [[dt * apply(E, flat.B)]], flat.CA2, [G], begin=_before_kick(flat, kick), shift=kick
+    )
+
+
+def simpson(flat: Flat, dt: float) -> Scheme:
+    """Simpson's rule over two steps; its middle state, where the force is asked for, by the trapezoidal rule."""
+    E = flat.flow(dt, 0)[0]
+    kick, turned = dt / 3 * flat.B, apply(E, flat.B)
+    # what the middle state has more than is kept of the force before: 1/2 instead of 1/3
+    missing = dt / 6 * turned
+    G = [_through_kick(flat, kick), _through_kick(flat, 0.5 * dt * flat.B)]
+    K = G[1] @ product(flat.CA2, missing)
+    return _flow_scheme(
+        flat, dt, [[2 * dt / 3 * turned], [4 * dt / 3 * turned]], flat.CA2, G, [np.zeros_like(K), K],
+        begin=_before_kick(flat, kick), ahead=missing, shift=kick,
+    )  # fmt: skip
+
+
+# ---- other rules ----
+
+
+def adams_bashforth(flat: Flat, dt: float) -> Scheme:
+    """Adams-Bashforth 3 on Udwadia and Kalaba's equation in complex modes (Fabre et al. 2024, Eq. 26)."""
+    m = len(flat.S)
+
+    def begin(x: Floats) -> tuple[Floats, Floats]:
+        rate = flat.rate(x)
+        second, third = flat.rate(rate), flat.rate(flat.rate(rate))
+        past = [rate - ago * second + ago**2 / 2 * third for ago in (dt, 2 * dt)]
+        return np.concatenate([x.T, past[0].T, past[1].T]), np.zeros((1, m))
+
+    return Scheme(
+        flat=flat,
+        dt=dt,
+        rule="adams_bashforth",
+        coef=np.ascontiguousarray(flat.A.reshape(-1, 4).T),
+        push=flat.B[None, :, None],
+        reads=flat.CA2,
+        outs=flat.out,
+        G=flat.S[None],
+        K=np.zeros((1, m, m)),
+        out_memory=np.zeros((1, len(flat.out), m)),
+        constants=(23 * dt / 12, -16 * dt / 12, 5 * dt / 12),
+        begin=begin,
+        motion=lambda numbers: numbers[:2].T.copy(),
+    )
+
+
+def verlet(flat: Flat, dt: float) -> Scheme:
+    """Velocity Verlet with the constraint on accelerations, real modes (Antunes & Debut 2017)."""
+    r = RealModes.of(flat)
+    m = len(r.gaps)
+    G = scaled_pinv(r.gaps @ r.gaps.T)
+    back = sla.inv(r.read)
+
+    def begin(x: Floats) -> tuple[Floats, Floats]:
+        q, v = apply(r.read, x).T
+        g = -r.omega2 * q - 2 * r.sigma * v
+        a = g - r.gaps.T @ (G @ (r.gaps @ g))
+        return np.stack([q, v - 0.5 * dt * a, g]), np.zeros((1, m))
+
+    def motion(numbers: Floats) -> Floats:
+        q, w, g = numbers
+        a = g - r.gaps.T @ (G @ (r.gaps @ g))
+        return apply(back, np.stack([q, w + 0.5 * dt * a], axis=-1))
+
+    return Scheme(
+        flat=flat,
+        dt=dt,
+        rule="verlet",
+        coef=np.stack([r.omega2, 2 * r.sigma]),
+        push=r.gaps[None, :, None, :, None],
+        reads=r.gaps[..., None],
+        outs=r.outs[..., None],
+        G=G[None],
+        K=np.zeros((1, m, m)),
+        out_memory=np.zeros((1, len(r.outs), m)),
+        constants=(dt, 0.5 * dt),
+        begin=begin,
+        motion=motion,
+    )
+
+
+def newmark(flat: Flat, dt: float, method: Newmark) -> Scheme:
+    """Newmark's family and HHT-alpha (Hilber, Hughes & Taylor 1977), real modes, gaps without acceleration."""
+    r = RealModes.of(flat)
+    m, w, b, g = len(r.gaps), 1 + method.alpha, method.beta, method.gamma
+    loss, stiff = 2 * r.sigma * dt, r.omega2 * dt**2
+    lead = 1 + w * g * loss + w * b * stiff
+    p = dt**2 * r.gaps / lead
+    G = scaled_pinv(r.gaps @ p.T)
+    back = sla.inv(r.read)
+
+    def begin(x: Floats) -> tuple[Floats, Floats]:
+        q, v = apply(r.read, x).T
+        a = -r.omega2 * q - 2 * r.sigma * v
+        a -= r.gaps.T @ (scaled_pinv(r.gaps @ r.gaps.T) @ (r.gaps @ a))
+        return np.stack([q, dt * v, dt**2 * a]), np.zeros((1, m))
+
+    return Scheme(
+        flat=flat,
+        dt=dt,
+        rule="newmark",
+        coef=np.stack([-stiff, -loss - w * stiff, -w * (1 - g) * loss - w * (0.5 - b) * stiff]) / lead,
+        push=p[None, :, None, :, None],
+        reads=r.gaps[..., None],
+        outs=r.outs[..., None],
+        G=G[None],
+        K=np.zeros((1, m, m)),
+        out_memory=np.zeros((1, len(r.outs), m)),
+        constants=(0.5 - b, b, 1 - g, g),
+        begin=begin,
+        motion=lambda numbers: apply(back, np.stack([numbers[0], numbers[1] / dt], axis=-1)),
+    )
+
+
+def build(name: str, flat: Flat, dt: float) -> Scheme:
+    """A method by its name in `SCHEMES`.
+
+    Raises
+    ------
+    ValueError : it has no place for what the problem has (modes that are not real).
+    """
+    return SCHEMES[name](flat, dt)
+
+
+SCHEMES: Mapping[str, Callable[[Flat, float], Scheme]] = {
+    "held_position": held_position,
+    "held_velocity": held_velocity,
+    "p0": lambda flat, dt: interpolated(flat, dt, 0),
+    "p1": lambda flat, dt: interpolated(flat, dt, 1),
+    "p2": lambda flat, dt: interpolated(flat, dt, 2),
+    "trapezoidal": trapezoidal,
+    "simpson": simpson,
+    "linear_position": linear_position,
+    "ab3": adams_bashforth,
+    "verlet": verlet,
+    "newmark": lambda flat, dt: newmark(flat, dt, AVERAGE_ACCELERATION),
+    "hht": lambda flat, dt: newmark(flat, dt, HHT),
+}
