@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from tonewood.errors import PassivityError
 from tonewood.instrument.contract import Body, BodyPoint
 from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import BODY_MODES
 from tonewood.numerics.damping import with_damping_case
 from tonewood.numerics.modes import ModalBasis
 from tonewood.params import Number, Parameters, described, quantity
@@ -90,7 +89,6 @@ class ModalTable(Body[ModalTableParameters]):
 
     api = 1
     Parameters = ModalTableParameters
-    effects = (BODY_MODES,)
 
     def points(self) -> Mapping[str, BodyPoint]:
         """Every point with its direction; ``u`` among its coordinates where it was given."""
