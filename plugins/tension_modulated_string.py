@@ -19,10 +19,10 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
 from tonewood.numerics.modes import ModalBasis
 from tonewood.params import quantity
-from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
 
 class TensionModulatedParameters(StiffStringParameters):

@@ -131,9 +131,7 @@ def _refused(problem: str, place: Any) -> MarkedYAMLError:
     return MarkedYAMLError(problem=problem, problem_mark=place.start_mark)
 
 
-def _check_finite(
-    value: Any, key: str, file: str | os.PathLike[str] | None, error: type[TonewoodError]
-) -> None:
+def _check_finite(value: Any, key: str, file: str | os.PathLike[str] | None, error: type[TonewoodError]) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise error(f"{value} is not a finite number", file=file, key=key)
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()

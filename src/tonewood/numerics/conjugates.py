@@ -40,9 +40,7 @@ def full_state(poles: Complexes, z: Complexes) -> Complexes:
     return np.concatenate([z, np.conj(z[poles.imag != 0.0])])
 
 
-def halve(
-    poles: Complexes, right: Complexes, left: Complexes
-) -> tuple[Complexes, Complexes, Complexes, float]:
+def halve(poles: Complexes, right: Complexes, left: Complexes) -> tuple[Complexes, Complexes, Complexes, float]:
     """Half list of a list that may hold both poles of each pair, and how far it is from being closed.
 
     A list without poles below the real axis is taken as a half list. Shapes are compared as residues r l^T, so a

@@ -107,8 +107,8 @@ class LawEnergies:
             if spring.damping > 0:
                 flows.lost[self._names[j]] = spring.damping * np.diff(gaps[:, j]) ** 2 / self._dt
         bent = gaps[:, self._yielding] - self._offset[self._yielding]
-        for j, share in zip(self._yielding, (0.5 * bent * (bent @ self._bend)).T, strict=True):
-            flows.stored[self._names[j]] = share
+        for row, share in zip(self._yielding, (0.5 * bent * (bent @ self._bend)).T, strict=True):
+            flows.stored[self._names[row]] = share
         held = series[:, self._in_series]
         bend, jump = 0.5 * held * (held @ self._series_stiffness), np.diff(held, axis=0)
         heat = (SERIES - 0.5) * jump * (jump @ self._series_stiffness)
@@ -146,7 +146,7 @@ class LawEnergies:
         for t in busy:
             a, b = float(old[t]), float(new[t])
             before[t], after[t] = scale[t] * (law.energy(a) - rest), scale[t] * (law.energy(b) - rest)
-            extra = law.force(b, a, dt)[0] - self._elastic[k].force(b, a, dt)[0]
+            extra = law.force(b, a, dt)[0] - self._elastic[k].force(b, a, dt)[0]  # type: ignore[union-attr]  # friction stores nothing and does not come here
             lost[t] = scale[t] * extra * (b - a)
         flows.stored[name] = np.concatenate([before[:1], after])
         flows.lost[name] = lost
@@ -158,7 +158,7 @@ class LawEnergies:
 
 def _without_losses(law: NonlinearLaw) -> NonlinearLaw:
     there = {f.name for f in fields(law)}
-    return replace(law, **{name: 0.0 for name in _LOSSES if name in there})
+    return replace(law, **{name: 0.0 for name in _LOSSES if name in there})  # type: ignore[arg-type]  # only fields it has
 
 
 def _inverse(compliance: Floats, among: NDArray[np.intp]) -> Floats:

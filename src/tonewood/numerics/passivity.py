@@ -182,9 +182,7 @@ def check(
     right_rank, left_rank = _rank(r, floor), _rank(l_, floor)
     agree = right_rank == left_rank == amounts.size
     if not agree:
-        faults.append(
-            f"right shapes (rank {right_rank}) and left shapes (rank {left_rank}) span different port spaces"
-        )
+        faults.append(f"right shapes (rank {right_rank}) and left shapes (rank {left_rank}) span different port spaces")
     growing = np.flatnonzero(lam.real > UNDAMPED * np.abs(lam))
     unstable = tuple((float(lam[k].imag / (2 * np.pi)), float(lam[k].real)) for k in growing)
     if unstable:
@@ -265,14 +263,10 @@ def _rank(shapes: Complexes, floor: float) -> int:
     return int(np.sum(linalg.svdvals(np.concatenate([shapes.real, shapes.imag], axis=1)) > floor))
 
 
-def _undamped_residues(
-    poles: Complexes, right: Complexes, left: Complexes, tolerance: float
-) -> tuple[Violation, ...]:
+def _undamped_residues(poles: Complexes, right: Complexes, left: Complexes, tolerance: float) -> tuple[Violation, ...]:
     """Undamped poles whose residue of the mobility, lambda sum r l^T, is not Hermitian positive semidefinite."""
     found = []
-    left_over = [
-        int(k) for k in np.flatnonzero((np.abs(poles.real) <= UNDAMPED * np.abs(poles)) & (poles.imag > 0))
-    ]
+    left_over = [int(k) for k in np.flatnonzero((np.abs(poles.real) <= UNDAMPED * np.abs(poles)) & (poles.imag > 0))]
     while left_over:
         first = poles[left_over[0]]
         group = [k for k in left_over if abs(poles[k] - first) <= 10 * UNDAMPED * abs(first)]

@@ -121,9 +121,7 @@ def repair(
     if not active.any():
         raise PassivityError("cannot be repaired: no mode is both driven and seen at the ports")
 
-    attempts = [
-        _Nearest(lam[active], right_scaled[:, active], left_scaled[:, active], mu) for mu in _FLATTENINGS
-    ]
+    attempts = [_Nearest(lam[active], right_scaled[:, active], left_scaled[:, active], mu) for mu in _FLATTENINGS]
     limit = max_iterations or max(300, min(3000, 2_500_000 // lam.size**2))
     for share in (5, 3):
         for attempt in attempts:
@@ -155,9 +153,7 @@ def repair(
             f"making it passive would change its mobility by {change:.3g} (H2), more than the {max_change:.3g} allowed"
         )
     weight = conjugate_weights(lam)
-    old, new = (
-        np.einsum("ik,jk->kij", a, b) for a, b in ((right_scaled, left_scaled), (new_right, new_left))
-    )
+    old, new = (np.einsum("ik,jk->kij", a, b) for a, b in ((right_scaled, left_scaled), (new_right, new_left)))
     residue_change = math.sqrt(_squares(new - old, weight) / _squares(old, weight))
     peaks = np.abs(lam.imag)
     old_y = mobility(lam, right_scaled, left_scaled, peaks)
@@ -243,6 +239,7 @@ class _Nearest:
         self._start = np.diag(np.concatenate([evened[:pairs], evened[:pairs], evened[pairs:]]) ** -2)
         self._Q = self._project(self._start)
         self._ahead, self._momentum = self._Q, 1.0
+
     def _lyap(self, G: Floats, *, adjoint: bool = False) -> Floats:
         """X with A X + X A^T = -G; adjoint: with A^T X + X A = -G. Element by element in complex states."""
         p = self._pairs

@@ -84,9 +84,7 @@ def storage_matrix(poles: Complexes, right: Complexes, left: Complexes) -> Stora
     return _of_complex_modes(poles, right, left)
 
 
-def mechanical_storage(
-    poles: Complexes, right: Complexes, left: Complexes, M: Floats, C: Floats, K: Floats
-) -> Storage:
+def mechanical_storage(poles: Complexes, right: Complexes, left: Complexes, M: Floats, C: Floats, K: Floats) -> Storage:
     """Mechanical energy of a structure from a complete list of its complex modes.
 
     E = (v^T M v + u^T K u) / 2 and d = v^T C v with u = sum 2 Re(r z), v = sum 2 Re(lambda r z).

@@ -25,7 +25,7 @@ def exact(part, row, pieces, dt, steps, time=0.0):
     A, B = part.state_matrices([row])
     n = len(A)
     big = np.zeros((n + 3, n + 3))
-    big[:n, :n], big[:n, n:n+1] = A, B
+    big[:n, :n], big[:n, n : n + 1] = A, B
     big[n, n + 1] = big[n + 1, n + 2] = 1.0
     ends = {time + t for p in pieces for t in (p.start, p.stop)}
     times = sorted({*(k * dt for k in range(steps)), *(t for t in ends if 0 < t < (steps - 1) * dt)})
@@ -62,9 +62,7 @@ def test_force_is_exact_whatever_its_breakpoints(pieces, time, make):
     part = chain(4, seed=3) if make == "real" else uneven(4, seed=3, zeta=0.2)
     basis = part.real_basis() if make == "real" else part.complex_basis()
     expected = exact(part, np.eye(4)[0], pieces, DT, STEPS, time)
-    np.testing.assert_allclose(
-        compiled(basis, pieces, time=time), expected, atol=1e-11 * np.abs(expected).max()
-    )
+    np.testing.assert_allclose(compiled(basis, pieces, time=time), expected, atol=1e-11 * np.abs(expected).max())
 
 
 @given(

@@ -31,9 +31,7 @@ def test_alone_a_component_follows_its_matrices(rng, dt):
     basis = part.complex_basis()
     system = System.build({"a": basis}, [], displacements({"a": part}), dt=dt)
     force = rng.normal(size=(STEPS, 1))
-    out, forces = NumpyStepper(system).run(
-        system.start(), STEPS, [held_force(basis, "a", "n2", force[:, 0], dt)]
-    )
+    out, forces = NumpyStepper(system).run(system.start(), STEPS, [held_force(basis, "a", "n2", force[:, 0], dt)])
     exact = run_exact(part, part.rows(["n2"]), force, dt)[:-1, : part.n]
     np.testing.assert_allclose(out, exact, atol=1e-11 * np.abs(exact).max())
     assert forces.shape == (STEPS, 0)
@@ -61,9 +59,7 @@ def test_connected_components_follow_the_assembled_matrices(rng, laws, dt):
     links = [connect(f"c{j}", PARTS, row, law) for j, (row, law) in enumerate(zip(gaps, laws, strict=True))]
     system = System.build(BASES, links, displacements(PARTS), dt=dt)
     force = rng.normal(size=(STEPS, 1))
-    out, forces = NumpyStepper(system).run(
-        system.start(), STEPS, [held_force(BASES["a"], "a", "n0", force[:, 0], dt)]
-    )
+    out, forces = NumpyStepper(system).run(system.start(), STEPS, [held_force(BASES["a"], "a", "n0", force[:, 0], dt)])
     whole = merged(*PARTS.values())
     states, expected = run_held(whole, gaps, laws, np.eye(7)[:1], force, dt)
     np.testing.assert_allclose(out, states[:-1, :7], atol=1e-9 * np.abs(states[:, :7]).max())
@@ -160,8 +156,6 @@ def test_starting_state_moves_on_as_the_matrices_say():
     for _ in range(STEPS - 1):
         expected.append(E @ expected[-1])
     np.testing.assert_allclose(out, np.array(expected)[:, :4], atol=1e-12)
-
-
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

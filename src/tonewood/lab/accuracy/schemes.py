@@ -141,9 +141,7 @@ def trapezoidal(flat: Flat, dt: float) -> Scheme:
     E = flat.flow(dt, 0)[0]
     kick = 0.5 * dt * flat.B
     G = _through_kick(flat, kick)
-    return _flow_scheme(
-        flat, dt, [[dt * apply(E, flat.B)]], flat.CA2, [G], begin=_before_kick(flat, kick), shift=kick
-    )
+    return _flow_scheme(flat, dt, [[dt * apply(E, flat.B)]], flat.CA2, [G], begin=_before_kick(flat, kick), shift=kick)
 
 
 def simpson(flat: Flat, dt: float) -> Scheme:
