@@ -74,6 +74,7 @@ if TYPE_CHECKING:
     from tonewood.numerics.string_modes import string_basis as string_basis
     from tonewood.numerics.string_modes import wavenumber as wavenumber
     from tonewood.numerics.string_transfer import retuned as retuned
+    from tonewood.numerics.string_transfer import string_carry as string_carry
     from tonewood.numerics.string_transfer import string_transfer as string_transfer
     from tonewood.numerics.system import Drive as Drive
     from tonewood.numerics.system import Probe as Probe
@@ -121,7 +122,7 @@ _MODULES = {
     "numerics.laws": ("CompiledPotential", "Contact", "Friction", "HardeningSpring", "SampledPotential"),
     "numerics.modes": ("ModalBasis",),
     "numerics.string_modes": ("string_basis", "wavenumber"),
-    "numerics.string_transfer": ("retuned", "string_transfer"),
+    "numerics.string_transfer": ("retuned", "string_carry", "string_transfer"),
     "numerics.system": ("Drive", "Probe", "Readout"),
     "output.audio": ("Audio",),
     "output.play": ("Playback", "play"),
