@@ -108,7 +108,7 @@ class Model:
     def place(self, string: str, stop: float = 0) -> Place:
         """A string at a stop, as exciters want it."""
         held = self.strings[string]
-        return Place(string, held.length(stop), len(held.polarizations))
+        return Place(string, held.length(stop), len(held.polarizations), held.tension(stop))
 
 
 def assemble(
@@ -231,6 +231,7 @@ def _string(
         continuous=stops.kind == "continuous",
         freq=lambda stop: tuning.freq(note + stop),
         compensate=spec.tuning.at if spec.tuning.compensate == "coupled" else "none",
+        finger=stops.finger if stops.model == "finger" else None,
     )
     points = {
         point: at.from_bridge.fraction * resonator.length if isinstance(at.from_bridge, Fraction) else at.from_bridge
