@@ -7,9 +7,8 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from tonewood.engine.engine import GRID
 from tonewood.engine.techniques import stop_course, with_techniques
-from tonewood.engine.timeline import Change, Play, Timeline
+from tonewood.engine.timeline import GRID, Change, Play, Timeline
 from tonewood.errors import ScoreError
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Event, Gesture, Place, Segment

@@ -8,6 +8,9 @@ from functools import cached_property
 
 from tonewood.instrument.contract import Gesture
 
+#: samples between two points of the control grid
+GRID = 64
+
 
 @dataclass(frozen=True, slots=True)
 class Change:

@@ -1,0 +1,141 @@
+"""How strings are held, the bases that go with it, and how motion carries over when it changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.engine.timeline import Change
+from tonewood.instrument.assembly import Model
+from tonewood.numerics.connections import Connection, Rigid, scaled_pinv
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.motion import from_motion, to_motion
+from tonewood.numerics.stored_energy import gaps
+from tonewood.numerics.system import Compiled, State, System
+
+Floats = NDArray[np.float64]
+
+#: compiled stops that are kept for use again
+_CACHE = 96
+
+
+@dataclass(frozen=True, slots=True)
+class Fretting:
+    """How a string is held now: stop, bend in cents, added damping (1/s), place of the plucking finger (m)."""
+
+    stop: float = 0.0
+    cents: float = 0.0
+    added_damping: float = 0.0
+    place: float | None = None
+
+    def changed(self, change: Change) -> Fretting:
+        """What a change of the left hand makes of it."""
+        return replace(
+            self,
+            stop=self.stop if change.stop is None else change.stop,
+            cents=self.cents if change.cents is None else change.cents,
+            added_damping=self.added_damping if change.added_damping is None else change.added_damping,
+        )
+
+
+class Fingerboard:
+    """A model's strings as they can be held; compiled when they are wanted and kept for a while."""
+
+    def __init__(self, model: Model):
+        self.model = model
+        self._compiled: dict[tuple[str, Fretting], dict[str, Compiled]] = {}
+
+    def playable(self, name: str, fretting: Fretting) -> Fretting:
+        """The finger's place only where it lies on the string's speaking part."""
+        if fretting.place is not None and fretting.place > self.model.strings[name].length(fretting.stop):
+            return replace(fretting, place=None)
+        return fretting
+
+    def bases(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
+        """Component -> what is stepped of a string."""
+        key = (name, fretting)
+        if key not in self._compiled:
+            bases = self.model.strings[name].bases(
+                fretting.stop,
+                bend_cents=fretting.cents,
+                added_damping=fretting.added_damping,
+                pluck_from_bridge=fretting.place,
+            )
+            if len(self._compiled) >= _CACHE:
+                self._compiled.pop(next(iter(self._compiled)))
+            self._compiled[key] = {c: self.model.system.compile(c, basis) for c, basis in bases.items()}
+        return self._compiled[key]
+
+    def laws(self, name: str, fretting: Fretting) -> dict[str, Connection]:
+        """Laws of what always touches a string, at its stop."""
+        touching = self.model.strings[name].connections(fretting.stop)
+        return {c.name: c for c in touching if c.name not in self.model.resting}
+
+    def carried(
+        self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], pull: Mapping[str, float]
+    ) -> dict[str, Floats]:
+        """The motion of a string when it is held otherwise.
+
+        Parameters
+        ----------
+        modes : component -> (2, n_modes) as it is stepped before.
+        pull : component -> N, of the bridge on its end, see `pulls`.
+
+        Returns
+        -------
+        Component -> (2, n_modes) as it is stepped after.
+        """
+        old, new = self.bases(name, before), self.bases(name, after)
+        if before.stop == after.stop:
+            return {c: _resized(old[c].basis, new[c].basis, modes[c], pull[c]) for c in new}
+        string, out = self.model.strings[name], {}
+        old_whole, new_whole = self._whole(name, before), self._whole(name, after)
+        for component, compiled in new.items():
+            basis = old_whole[component]
+            q, v = to_motion(basis, _resized(old[component].basis, basis, modes[component], pull[component]))
+            transfer = string.transfer(component, basis, new_whole[component])
+            q, v = (matrix @ motion for matrix, motion in zip(transfer, (q, v), strict=True))
+            n = compiled.basis.n_modes
+            out[component] = from_motion(compiled.basis, q[:n], v[:n])
+        return out
+
+    def _whole(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:
+        """Bases with the modes that lie above the limit at this tension."""
+        compiled = {c: part.basis for c, part in self.bases(name, fretting).items()}
+        string = self.model.strings[name]
+        if all(basis.n_modes == string.n_modes(fretting.stop) for basis in compiled.values()):
+            return compiled
+        return string.bases(fretting.stop, bend_cents=fretting.cents, whole=True)
+
+
+def pulls(system: System, state: State) -> dict[str, float]:
+    """Component -> force of its bridge on a string's end, as the residual compliance holds it (N)."""
+    rigid = np.array([isinstance(c.law, Rigid) for c in system.connections], dtype=bool)
+    R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
+    force = -scaled_pinv(R) @ gaps(system, state)[rigid]
+    held = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
+    return dict(zip(held, force.tolist(), strict=True))
+
+
+def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, pull: float) -> Floats:
+    """Numbers of the same shapes at other frequencies or decay rates.
+
+    Modes that leave the basis take their energy along and leave their compliance in the residual. Modes that come
+    back are bent as the residual was under the `pull` on the string's end (N), so that no energy comes with them.
+    """
+    n = min(old.n_modes, new.n_modes)
+    if old.n_modes == new.n_modes and np.array_equal(old.poles, new.poles):
+        return modes
+    q, v = to_motion(old, modes)
+    full_q, full_v = np.zeros(new.n_modes), np.zeros(new.n_modes)
+    full_q[:n], full_v[:n] = q[:n], v[:n]
+    if new.n_modes > n:
+        end, old_end = new.index("bridge"), old.index("bridge")
+        shape = new.right[end, n:].real
+        static = shape / new.stiffness[n:]
+        softer = old.residual[old_end, old_end] - new.residual[end, end]
+        full_q[n:] = static * (pull * softer / (shape @ static))
+    return from_motion(new, full_q, full_v)

@@ -1,0 +1,86 @@
+"""Gestures made ready to be stepped: forces as injections, courses of partners as controls, fingers as dashpots."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tonewood.engine.timeline import GRID, Play
+from tonewood.instrument.assembly import Model
+from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.system import Control, Injection, System
+
+#: a finger's growing dashpot is followed in this many steps
+_HOLD_LEVELS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Active:
+    """A gesture in progress, and from which sample on its finger damps the string how much (N s/m)."""
+
+    play: Play
+    holds: tuple[tuple[int, float], ...] = ()
+
+
+def samples(time: float, dt: float) -> float:
+    """Time in samples, rid of the rounding that would put it on the wrong side of a grid point."""
+    return round(time / dt, 6)
+
+
+def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
+    """Component, point and factor of each place where a gesture's forces enter."""
+    if play.string is None or play.gesture.on is not None:
+        return model.inputs[play.gesture.on or play.at or ""]
+    weights = model.strings[play.string].weights(play.gesture.angle_deg)
+    return tuple((component, "pluck", weight) for component, weight in weights.items())
+
+
+def forces(play: Play, model: Model, system: System, first: int) -> list[Injection]:
+    """Injections of a gesture's known forces from sample `first` on."""
+    pieces = [Piece(s.start, s.stop, s.c0, s.c1, s.c2) for s in play.gesture.segments]
+    out: list[Injection] = []
+    for component, point, factor in places(play, model):
+        basis = system.compiled[system.slot(component)].basis
+        out += compile_force(component, basis, point, pieces, system.dt, time=play.time, first=first, factor=factor)
+    return out
+
+
+def courses(play: Play, dt: float, first: int) -> list[Control]:
+    """The course of a gesture's partners, sample by sample from `first` until the gesture is looked at as over."""
+    out = []
+    for motion in play.gesture.motions:
+        if not motion.segments:
+            continue
+        n = max(math.ceil(samples(play.stop, dt) / GRID) * GRID - first, 0)
+        # an offset is wanted at both ends of every step, the others as means: at its middle
+        if motion.quantity == "offset":
+            times = (first + np.arange(n + 1)) * dt - play.time
+        else:
+            times = (first + np.arange(n) + 0.5) * dt - play.time
+        values = motion.course(times)
+        out.append(Control(motion.connection, first, **{motion.quantity: values}))
+    return out
+
+
+def hold_steps(play: Play, dt: float) -> tuple[tuple[int, float], ...]:
+    """The finger's growing dashpot in a few steps, each at the sample where the smooth one passes between them.
+
+    A finger that drags a string along pushes it; steps on the control grid would make the sound depend on the phase of
+    the grid by -31 dB.
+    """
+    hold = play.gesture.hold
+    if hold is None or play.string is None:
+        return ()
+    shares = (np.arange(_HOLD_LEVELS) + 0.5) / _HOLD_LEVELS
+    rise = 0.5 - np.sin(np.arcsin(1 - 2 * shares) / 3)  # of the smooth step 3 s^2 - 2 s^3
+    times = [*(hold.start + rise * (hold.grown - hold.start)), hold.stop]
+    sizes = [*(np.arange(1, _HOLD_LEVELS + 1) / _HOLD_LEVELS * hold.damping), 0.0]
+    return tuple((math.floor(samples(play.time + t, dt)), float(size)) for t, size in zip(times, sizes, strict=True))
+
+
+def cut(injection: Injection, sample: int) -> Injection:
+    """The same injection until a sample."""
+    keep = max(0, min(sample - injection.start, injection.values.shape[1]))
+    return replace(injection, values=injection.values[:, :keep])
