@@ -7,10 +7,11 @@ the hand presses on the board, a spring m w^2 and a dashpot 2 d m w. Seen from t
 
 by which a string of tension T speaks as if it were T C longer: the finger is laid so much nearer to the bridge. The
 part behind the finger goes on moving, and the finger damps both. What is pressed down counts from its pressed place:
-when the finger comes, the displacement it meets is taken away as a string held there would lose it, by the static
-shape under forces at finger and bridge, the projection in the energy norm that leaves the bridge where it is. A finger
-that slides only moves the place of its connection; what its skin then stores more is work of the hand, at most
-k_s u dx u_x for a step dx along the string.
+when the finger comes, the displacement it meets is taken away by the static shape under forces at finger and bridge,
+the projection in the energy norm that leaves the bridge where it is, so that energy can only fall. A finger that slides
+takes its deflection along: the same shape carries the u it held to its new place, so that the skin's energy stays and
+the string's changes by (u^2 - u_new^2) / 2 C_x, C_x the string's own compliance there: work of the hand, no more than
+that of the deflection it carries. Moved without this, its spring would jump from step to step and be heard.
 """
 
 from __future__ import annotations
@@ -61,9 +62,9 @@ def laid_down(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
     """
     here, before = new.right[new.index(POINT)].real, old.right[old.index(POINT)].real
     same = np.eye(new.n_modes, old.n_modes)
-    if before.any() or not here.any():
+    if not here.any():
         return same, same
     held = np.stack([here, new.right[new.index("bridge")].real])
     softened = held / new.stiffness
-    taken = sla.solve(held @ softened.T, np.stack([here, np.zeros(new.n_modes)]), assume_a="sym")
+    taken = sla.solve(held @ softened.T, np.stack([here - before, np.zeros(new.n_modes)]), assume_a="sym")
     return same - softened.T @ taken @ same, same

@@ -191,9 +191,7 @@ class Playing(Parameters):
     exciter: str | None = described("of notes that name no technique; the velocity's where left out", default=None)
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
-    controls: dict[Annotated[str, Field(pattern=_CC)], Control] = described(
-        "ccN -> parameter", default={}
-    )
+    controls: dict[Annotated[str, Field(pattern=_CC)], Control] = described("ccN -> parameter", default={})
     keyswitches: dict[str, Name] = described("key -> exciter that notes after it ask for, on its channel", default={})
     switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(
         "ccN -> exciter that notes ask for while it is at 64 or more", default={}
