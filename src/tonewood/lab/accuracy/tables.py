@@ -24,11 +24,11 @@ def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]], *, left: int =
     cells = [list(heads), *(list(row) for row in rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(heads))]
     rule = ["-" * w if i < left else "-" * (w - 1) + ":" for i, w in enumerate(widths)]
-    lines = [cells[0], rule, *cells[1:]]
-    return "\n".join(
-        f"| {' | '.join(c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))} |"
-        for row in lines
-    )
+    padded = [
+        [c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))]
+        for row in [cells[0], rule, *cells[1:]]
+    ]
+    return "\n".join(f"| {' | '.join(row)} |" for row in padded)
 
 
 def headline_table(outcomes: Sequence[Outcome]) -> str:
@@ -46,7 +46,9 @@ def headline_table(outcomes: Sequence[Outcome]) -> str:
 
 def method_table(outcome: Outcome) -> str:
     """One system: time ratio at equal error by every measure, and what each method reaches at best."""
-    names = list(outcome.headlines)
+    names = [name for name, found in outcome.headlines.items() if found]
+    if not names:
+        return "Nothing to compare with in a quick run."
     methods = dict.fromkeys(h.method for name in names for h in outcome.headlines[name])
     rows = []
     for method in methods:
@@ -83,8 +85,8 @@ def headline(outcome: Outcome) -> str:
             f"not stable: {', '.join(unstable)}" * bool(unstable),
         ]
         lines.append(
-            f"- **{name}**: tonewood at {ours.value} has {number(MEASURES[name].of(ours))} ({MEASURES[name].title}) for "
-            f"{number(ours.seconds)} s per second of sound. At that error, {'; '.join(filter(None, said))}."
+            f"- **{name}**: tonewood at {ours.value} has {number(MEASURES[name].of(ours))} ({MEASURES[name].title}) "
+            f"for {number(ours.seconds)} s per second of sound. At that error, {'; '.join(filter(None, said))}."
         )
     return "\n".join(lines)
 
