@@ -27,6 +27,7 @@ COMMANDS = {
     "batch": "batch:batch",
     "results": "results:results",
     "validate": "validate:validate",
+    "accuracy": "accuracy:accuracy",
 }
 
 

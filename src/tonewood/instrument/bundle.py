@@ -134,6 +134,12 @@ class Instrument:
         """Strings from bass to treble."""
         return tuple(self.spec.strings)
 
+    @property
+    def plugins(self) -> tuple[Plugin[Any], ...]:
+        """All its parts."""
+        parts = (self.resonators, self.exciters, self.attachments, self.pickups)
+        return (self.body, *(plugin for group in parts for plugin in group.values()))
+
     @cached_property
     def tuning(self) -> Tuning:
         """Frequencies of notes."""

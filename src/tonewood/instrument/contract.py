@@ -29,6 +29,14 @@ from numpy.typing import NDArray
 
 from tonewood.errors import BundleError
 from tonewood.instrument.attached import Attached, Motion, Site
+from tonewood.instrument.effects import (
+    BODY_MODES,
+    HIGH_MODES,
+    OUTPUTS,
+    SECOND_POLARIZATION,
+    SYMPATHETIC_STRINGS,
+    Effect,
+)
 from tonewood.instrument.files import Files
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.system import Drive, Readout
@@ -54,6 +62,8 @@ class Plugin(ABC, Generic[P]):
     api: ClassVar[int] = API
     #: the kind's name, set by the base classes here
     kind: ClassVar[str]
+    #: what a render may leave out of what the plugin adds
+    effects: ClassVar[tuple[Effect, ...]] = ()
     #: pydantic model of the keys the plugin takes in a bundle
     Parameters: ClassVar[type[Parameters]]
 
@@ -90,6 +100,7 @@ class Resonator(Plugin[P]):
     """
 
     kind = "resonator"
+    effects = (HIGH_MODES, SECOND_POLARIZATION, SYMPATHETIC_STRINGS)
 
     @property
     @abstractmethod
@@ -165,6 +176,7 @@ class Body(Plugin[P]):
     """What strings are joined to."""
 
     kind = "body"
+    effects = (BODY_MODES,)
 
     @abstractmethod
     def basis(self, freq_upper: float) -> ModalBasis:
@@ -395,6 +407,7 @@ class Pickup(Plugin[P]):
     """A group of output channels."""
 
     kind = "pickup"
+    effects = (OUTPUTS,)
 
     @property
     @abstractmethod

@@ -7,7 +7,7 @@ and a quick study takes the project's own scheme at 32 times 48 kHz instead, wit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -20,7 +20,7 @@ from tonewood.errors import NumericalError
 from tonewood.lab.accuracy.flat import Flat, RealModes
 from tonewood.lab.accuracy.measures import energy_drift, wave_errors
 from tonewood.lab.accuracy.scheme import padded
-from tonewood.lab.accuracy.study import Attempt, Point, timed
+from tonewood.lab.accuracy.study import Attempt, Point, Tell, silent, timed
 from tonewood.lab.accuracy.timing import Task
 from tonewood.lab.methods.problem import Problem
 from tonewood.numerics.connections import Connection, scaled_pinv
@@ -394,7 +394,7 @@ def attempt(case: NonlinearCase, truth: Truth | None, run: OwnRun | ExplicitRun,
     return Attempt(point, None if grown else Task(lambda: run.run(steps, every), steps / run.fs, run.start))
 
 
-def study(case: NonlinearCase, *, quick: bool = False) -> Iterator[Point]:
+def study(case: NonlinearCase, *, quick: bool = False, tell: Tell = silent) -> list[Point]:
     """All points of one nonlinear system."""
     truth = None if case.pitch else case.stepped() if quick and case.slow else case.integrated()
     source = "closed form of the pitch" if truth is None else truth.source
@@ -413,4 +413,4 @@ def study(case: NonlinearCase, *, quick: bool = False) -> Iterator[Point]:
         for fs in case.rates[:2] if quick else case.rates:
             value = f"with that of the contact, {fs / 1e3:.4g} kHz"
             add(partial(OwnRun, residual=True), "tonewood", fs, dial="residual", value=value)
-    return timed((make() for make in makes), 3 if quick else 7)
+    return timed(makes, 3 if quick else 7, tell)
