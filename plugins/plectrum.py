@@ -22,6 +22,7 @@ import math
 from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
 from tonewood.instrument.directions import Direction, unit_vector
+from tonewood.instrument.effects import contact
 from tonewood.instrument.gestures import StringPlace, metres, smooth_step
 from tonewood.numerics.connections import Connection, Term
 from tonewood.numerics.laws import Friction
@@ -47,6 +48,7 @@ class Plectrum(Exciter[PlectrumParameters]):
     """The plectrum; see the module."""
 
     api = 1
+    effects = (contact("plectrum", "an edge that sticks and slips, while a gesture moves it", basic=True),)
     Parameters = PlectrumParameters
 
     def attach(self, name: str, site: Site) -> Attached:

@@ -38,7 +38,7 @@ def test_it_slips_at_its_force_and_on_time(tmp_path: Path) -> None:
 
 
 def test_force_on_the_way_follows_the_springs_in_series(tmp_path: Path) -> None:
-    """Half the way's time before the slip, the force is what X(t) / (1 / k + C) says; on the bridge its share 1 - x / L."""
+    """On its way the force is what X(t) / (1 / k + C) says; on the bridge its share 1 - x / L."""
     played = plucked(tmp_path)
     drawn = 2.0 * (1 / 2e3 + COMPLIANCE) / 0.03
     force = played.forces["S.plectrum.edge"]
@@ -69,7 +69,7 @@ def test_a_slow_one_is_a_known_force(tmp_path: Path) -> None:
 
 
 def test_the_hand_pays(tmp_path: Path) -> None:
-    """String and tip hold what the hand's spring has done less what edge, tip and string lose; friction gives nothing."""
+    """String and tip hold what the hand's spring has done less what is lost; friction gives nothing."""
     trace = plucked(tmp_path, energy=True).energy
     assert trace is not None
     assert trace.worst_residual < 1e-12
@@ -92,6 +92,6 @@ def test_from_a_bundle(tmp_path: Path) -> None:
     freq = np.fft.rfftfreq(1 << 18, 1 / 48000)
     near = (freq > 140) & (freq < 155)
     assert freq[near][spectrum[near].argmax()] == pytest.approx(146.83, abs=0.5)
+    made = instrument(tmp_path, exciters={"plectrum": {**PLECTRUM, "direction": "y"}})
     with pytest.raises(BundleError, match="does not move in this direction"):
-        made = instrument(tmp_path, exciters={"plectrum": {**PLECTRUM, "direction": "y"}})
         play(made, duration=0.01)
