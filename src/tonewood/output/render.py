@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.engine.engine import GRID, Engine, Snapshot
+from tonewood.engine.ledger import EffectReport
 from tonewood.engine.playing import Performance, perform
 from tonewood.errors import TonewoodError
 from tonewood.instrument.assembly import assemble
@@ -58,6 +59,7 @@ class Summary:
     peak_dbfs : largest sample re full scale.
     end : why it ended: decayed, tail cap or maximum duration.
     warnings : one line each.
+    effects : what ran and what was left out, one per effect and component.
     """
 
     frames: int
@@ -71,6 +73,7 @@ class Summary:
     peak_dbfs: float
     end: str
     warnings: Sequence[str]
+    effects: Sequence[EffectReport] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +105,8 @@ class Renderer:
     max_duration : s, hard end.
     gain_db : on all channels.
     channel_per_string : MIDI channel 1 plays the first string, and so on.
+    effects : ``auto``, ``all``, ``none`` or names of effects that run; the bundle's choice where left out.
+    budget_db, budget_cents : what leaving an effect out may cost; the bundle's where left out.
 
     Raises
     ------
@@ -120,6 +125,9 @@ class Renderer:
         max_duration: float | None = None,
         gain_db: float = 0.0,
         channel_per_string: bool = False,
+        effects: str | Sequence[str] | None = None,
+        budget_db: float | None = None,
+        budget_cents: float | None = None,
     ):
         low, high = _FS_RANGE
         if not low <= fs <= high:
@@ -129,7 +137,8 @@ class Renderer:
         if max_duration is not None and not max_duration > 0:
             raise TonewoodError(f"is {max_duration} s; more than 0 is allowed", key="max_duration")
         self.fs, self.tail, self.max_duration = int(fs), tail, max_duration
-        self.model = assemble(instrument, self.fs, outputs=outputs)
+        chosen = with_effects(instrument, effects, budget_db, budget_cents)
+        self.model = assemble(chosen, self.fs, outputs=outputs)
         self.performance: Performance = perform(score, self.model, channel_per_string=channel_per_string)
         self.engine = Engine(self.model, self.performance.timeline, precision=precision)
         groups = self.model.outputs
@@ -192,6 +201,7 @@ class Renderer:
             peak_dbfs=decibels(self._loudest),
             end=self._end or "not ended",
             warnings=[*self.model.warnings, *self.performance.warnings],
+            effects=self.engine.ledger.reports(self._seconds),
         )
 
     def snapshot(self) -> Checkpoint:
@@ -235,6 +245,29 @@ class Renderer:
             self._end = "tail cap"
 
 
+def with_effects(
+    instrument: Instrument,
+    effects: str | Sequence[str] | None,
+    budget_db: float | None,
+    budget_cents: float | None,
+) -> Instrument:
+    """Return the instrument with another choice of effects; None leaves a thing to the bundle.
+
+    Raises
+    ------
+    TonewoodError : a name or a budget is not allowed; one line.
+    """
+    if isinstance(effects, str) and effects not in ("auto", "all", "none"):
+        effects = [effects]
+    given = {"mode": effects, "budget_db": budget_db, "budget_cents": budget_cents}
+    changes = {
+        f"effects.{key}": value if isinstance(value, (str, float, int)) else list(value)
+        for key, value in given.items()
+        if value is not None
+    }
+    return instrument.replace(changes)
+
+
 def render(
     score: Score,
     instrument: Instrument,
@@ -246,6 +279,9 @@ def render(
     max_duration: float | None = None,
     gain_db: float = 0.0,
     channel_per_string: bool = False,
+    effects: str | Sequence[str] | None = None,
+    budget_db: float | None = None,
+    budget_cents: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Audio:
     """Render a whole score in memory; see `Renderer` for the parameters.
@@ -264,6 +300,9 @@ def render(
         max_duration=max_duration,
         gain_db=gain_db,
         channel_per_string=channel_per_string,
+        effects=effects,
+        budget_db=budget_db,
+        budget_cents=budget_cents,
     )
     blocks = []
     for block in renderer.blocks(_TICKS * GRID):
