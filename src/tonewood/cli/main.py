@@ -21,6 +21,7 @@ COMMANDS = {
     "render": "render:render",
     "play": "play:play",
     "list": "listing:list_installed",
+    "plan": "plan:plan",
     "check": "check:check",
     "modes": "modes:modes",
     "schema": "schema:schema",

@@ -81,6 +81,8 @@ class Engine:
         self.injections: list[Injection] = []
         self.controls: list[Control] = []
         self.holds: dict[str, float] = {}
+        #: look only: no tension rises, but the ledger tells when it would
+        self.watching = False
         self.ticker, self.ledger = Ticker(), Ledger(model)
         self._next_change = self._next_play = 0
         self._dampers = all(model.choice.keeps(e, "dampers") for e in model.exciters.values())
@@ -121,7 +123,9 @@ class Engine:
             steps = min(self._next_event(), end) - self.state.sample
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
             out.append(sound)
-            self.ledger.count(pushes, self.tense, self.holds, self.system.nonlinear is not None)
+            self.ledger.count(
+                self.state.sample - steps, pushes, self.tense, self.holds, self.system.nonlinear is not None
+            )
             self.injections = [i for i in self.injections if i.stop > self.state.sample]
             self.controls = [c for c in self.controls if c.stop > self.state.sample]
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
@@ -173,8 +177,13 @@ class Engine:
             self.ledger.rises(rises, wanted)
         for play in fresh:
             name = play.string or ""
-            if self.switch.called_for(play, self.frettings[name], energies[name]):
+            cents = self.switch.foreseen(play, self.frettings[name], energies[name])
+            self.ledger.foreseen(name, cents)
+            if cents > self.switch.budget:
                 wanted |= {name}
+        if self.watching:
+            self.tense = wanted
+            return
         admitted = {name for name in wanted - self.tense if affordable(self.system, self.state, name)}
         tense = (wanted & self.tense) | admitted
         self.awaited = wanted - tense

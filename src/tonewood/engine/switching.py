@@ -123,10 +123,6 @@ class TensionSwitch:
         keeps = {n for n in on if n in busy or rises.get(n, math.inf) > _LEAVE * self.budget}
         return frozenset(keeps | {n for n, cents in rises.items() if cents > self.budget})
 
-    def called_for(self, play: Play, fretting: Fretting, energy: float) -> bool:
-        """Whether a gesture calls for a rising tension on a string of `energy` (J)."""
-        return self.foreseen(play, fretting, energy) > self.budget
-
     def foreseen(self, play: Play, fretting: Fretting, energy: float) -> float:
         """Rise of tension after a gesture on a string of `energy` (J), in cents; unknown, it is infinite."""
         gesture = play.gesture
