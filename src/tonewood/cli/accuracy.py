@@ -47,14 +47,16 @@ def accuracy(
     if drawing:
         _require_matplotlib()
 
-    from tonewood.lab.accuracy import tables, timing
+    from tonewood.lab.accuracy import dial, tables, timing
     from tonewood.lab.accuracy.report import Study, write
 
-    outcomes = []
-    with progress("comparing", 1.0) as advance:
-        for outcome in catalogue.run(system, quick=quick, tell=advance):
-            outcomes.append(outcome)
-    study = Study(outcomes, timing.machine(), quick)
+    more: dict[str, tuple[str, object]] = {}
+    with progress("comparing", 1.05) as advance:
+        outcomes = list(catalogue.run(system, quick=quick, tell=advance))
+        if system is None:
+            points = dial.run(quick=quick, tell=lambda share: advance(1 + 0.05 * share))
+            more["dial"] = (dial.section(points), [p.to_dict() for p in points])
+    study = Study(outcomes, timing.machine(), quick, more)
     png = b""
     if drawing:
         from tonewood.lab.accuracy.picture import pareto_png
@@ -78,6 +80,8 @@ def accuracy(
         print(f"\n{tables.section(outcome)}", end="")
     if len(outcomes) > 1:
         print(f"\n## Time ratio at equal error\n\n{tables.headline_table(outcomes)}")
+    for text, _ in more.values():
+        print(f"\n{text}")
     for path, _ in contents:
         print(path)
 
