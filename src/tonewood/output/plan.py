@@ -15,6 +15,7 @@ from typing import Any
 from tonewood.engine.engine import Engine
 from tonewood.engine.ledger import Ledger, Spans
 from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.contract import Plugin
 from tonewood.output.render import DEFAULT_TAIL, Renderer, Tail, with_effects
 from tonewood.score.note import Score
 
@@ -140,6 +141,7 @@ def _tension_cost(engine: Engine) -> float:
 def _planned(ledger: Ledger, engine: Engine, per_string: Mapping[str, float], seconds: float) -> list[PlannedEffect]:
     model, whole = engine.model, ((0.0, seconds),)
     choice, out = model.choice, []
+    parts: dict[str, Plugin[Any]] = {**model.instrument.attachments, **model.exciters}
 
     def spans(of: Spans) -> tuple[tuple[float, float], ...]:
         return tuple((max(a / model.fs, 0.0), b / model.fs) for a, b in of.all if b > 0)
@@ -162,12 +164,11 @@ def _planned(ledger: Ledger, engine: Engine, per_string: Mapping[str, float], se
                 out.append(PlannedEffect(effect.name, name, whole, effect.before, None))
     for (name, part), _ in ledger.contacts.items():
         when = spans(ledger.touched[name, part])
-        plugin = model.instrument.attachments.get(part) or model.exciters[part]
         why = "the string reaches it" if when else "watched; the string does not reach it"
-        out += [PlannedEffect(e.name, name, when, why, None) for e in plugin.effects if e.name != "dampers"]
+        out += [PlannedEffect(e.name, name, when, why, None) for e in parts[part].effects if e.name != "dampers"]
     for name, held in ledger.held.items():
         out.append(PlannedEffect("dampers", name, spans(held), "fingers touch the string to pluck it", None))
-    for part, plugin in {**model.instrument.attachments, **model.exciters}.items():
+    for part, plugin in parts.items():
         out += [
             PlannedEffect(e.name, part, (), f"left out: effects are {_mode(choice.mode)}", None)
             for e in plugin.effects
