@@ -48,7 +48,7 @@ def accuracy(
         _require_matplotlib()
 
     from tonewood.lab.accuracy import dial, tables, timing
-    from tonewood.lab.accuracy.report import Study, write
+    from tonewood.lab.accuracy.report import HEADLINE, Study, write
 
     more: dict[str, tuple[str, object]] = {}
     with progress("comparing", 1.05) as advance:
@@ -79,7 +79,7 @@ def accuracy(
     for outcome in outcomes:
         print(f"\n{tables.section(outcome)}", end="")
     if len(outcomes) > 1:
-        print(f"\n## Time ratio at equal error\n\n{tables.headline_table(outcomes)}")
+        print(f"\n{HEADLINE}\n\n{tables.headline_tables(outcomes)}")
     for text, _ in more.values():
         print(f"\n{text}")
     for path, _ in contents:

@@ -117,13 +117,14 @@ def _dials(subject: Subject, quick: bool) -> Iterator[Make]:
         for fold, named in ((True, "with"), (False, "without")):
             basis = sliding_string(subject.case.string, FREQ_UPPER, residual=fold).with_places(pluck)
             value = f"sliding cosines, {named} residual compliance"
-            yield partial(own, flat=_exchanged(flat, "string", basis), dial="basis", value=value)
+            yield partial(own, flat=exchanged(flat, "string", basis), dial="basis", value=value)
     for fs in (48e3,) if quick else (48e3, 96e3):
         value = f"f32, {fs / 1e3:.4g} kHz"
         yield partial(own_point, subject, fs, precision="f32", dial="precision", value=value)
 
 
-def _exchanged(flat: Flat, name: str, basis: ModalBasis) -> Flat:
+def exchanged(flat: Flat, name: str, basis: ModalBasis) -> Flat:
+    """The same with another basis for one component."""
     return Flat(replace(flat.problem, components={**flat.problem.components, name: basis}))
 
 

@@ -99,7 +99,7 @@ class NonlinearCase:
         """Motion by an integrator of order 8, and how far the project's scheme at a high rate is from it."""
         y = integrate(self.arrays, self.x, self.duration, self.reference_rate)
         far = float(sla.norm(self._fine(1)[: len(y)] - y) / sla.norm(y))
-        return Truth(y, f"DOP853, rtol 1e-11; tonewood at {self.fine_rate / 1e3:g} kHz differs by {far:.1e}")
+        return Truth(y, f"DOP853, rtol 1e-11 (tonewood at {self.fine_rate / 1e3:g} kHz: {far:.1e} from it)")
 
     def stepped(self) -> Truth:
         """Motion by the project's scheme at a high rate, and its distance from its limit: it is of order 2."""

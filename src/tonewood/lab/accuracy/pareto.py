@@ -87,9 +87,10 @@ class Headline:
     method, measure : names.
     error : of ours at 48 kHz.
     ratio : time of the method at that error / time of ours; None: not reached.
-    best : smallest error of the method; None where no point of it is stable.
+    best : smallest error of the method; None where no point of it is stable, or all of them have lost partials.
     ratio_at_best : time of the method at its smallest error / time of ours at the same error; None where ours does not
         reach it.
+    stable : whether any point of the method is.
     """
 
     method: str
@@ -98,12 +99,13 @@ class Headline:
     ratio: float | None
     best: float | None
     ratio_at_best: float | None
+    stable: bool = True
 
     @property
     def told(self) -> str:
         """For a table."""
         if self.best is None:
-            return "not stable"
+            return "partials lost" if self.stable else "not stable"
         return "not reached" if self.ratio is None else f"{self.ratio:.3g}"
 
 
@@ -136,6 +138,7 @@ def headlines(points: Sequence[Point], measure: Measure) -> list[Headline]:
                 None if reached is None else reached / ours.seconds,
                 theirs[-1][1] if theirs else None,
                 None if at_best is None else theirs[-1][0] / at_best,
+                any(p.stable == "stable" for p in points if p.method == method),
             )
         )
     return out

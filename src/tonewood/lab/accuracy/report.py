@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tonewood.errors import OutputError
 from tonewood.lab.accuracy.catalogue import Outcome
-from tonewood.lab.accuracy.tables import SCHEMA, headline_table, section, to_json
+from tonewood.lab.accuracy.tables import SCHEMA, headline_tables, section, to_json
 
 INTRODUCTION = """\
 Every method steps the same modes of the same system with the same compiler flags, so that their times can be compared:
@@ -31,6 +31,12 @@ a constant force and let go; nothing but the method's own stepping then makes an
 
 A time ratio at equal error is read from the Pareto line of each method, straight in the logarithms of time and error
 between measured points. *Not reached*: no measured point of the method is that good. *Not stable*: none is stable."""
+
+HEADLINE = """\
+## Time ratio at equal error
+
+How many times as long as tonewood each method computes for the error that tonewood has at 48 kHz (or at the rate of the
+study nearest to it)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +80,8 @@ class Study:
         parts += [f"Machine: {self.machine_line}."]
         if self.outcomes:
             parts += [
-                "## Time ratio at equal error\n\nAt the error that tonewood has at 48 kHz (or the rate nearest to it):",
-                headline_table(self.outcomes),
+                HEADLINE,
+                headline_tables(self.outcomes),
             ]
         if picture is not None:
             parts.append(f"![Error against time, a chart per system]({picture})")

@@ -261,7 +261,7 @@ def attempt(
     point = replace(point, stable=stable)
     every = max(1, round(fs / 48000))
     true = subject.motion.displacement(fs / every, len(y))
-    errors = wave_errors(y[:, 0], true[:, 0], fs / every, subject.lines)
+    errors = wave_errors(y[: len(true), 0], true[:, 0], fs / every, subject.lines)
     point = replace(point, waveform=errors.waveform, spectral_db=errors.spectral_db, spurious_db=errors.spurious_db)
     if poles is not None:
         p = pole_errors(poles(), subject.poles, subject.numbers)

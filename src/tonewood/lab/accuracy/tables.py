@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from tonewood.lab.accuracy.catalogue import Outcome
-from tonewood.lab.accuracy.pareto import MEASURES, usual
+from tonewood.lab.accuracy.pareto import MEASURES, Measure, usual
 from tonewood.lab.accuracy.study import LABELS, Point
 
 SCHEMA = "tonewood-accuracy/1"
@@ -31,17 +31,23 @@ def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]], *, left: int =
     return "\n".join(f"| {' | '.join(row)} |" for row in padded)
 
 
-def headline_table(outcomes: Sequence[Outcome]) -> str:
-    """Time of every method at our error at 48 kHz, over our time: a row per method, a column per system and measure."""
-    columns = [(o, name) for o in outcomes for name in o.headlines]
-    methods = dict.fromkeys(h.method for o, name in columns for h in o.headlines[name])
-    rows = []
-    for method in methods:
-        row = [LABELS[method]]
-        for o, name in columns:
-            row.append(next((h.told for h in o.headlines[name] if h.method == method), ""))
-        rows.append(row)
-    return markdown(["times as long as tonewood", *(f"{o.name}: {name}" for o, name in columns)], rows)
+def headline_tables(outcomes: Sequence[Outcome]) -> str:
+    """Time of every method at our error at 48 kHz, over our time: a table per measure, a column per system."""
+    return "\n\n".join(
+        headline_table(outcomes, m)
+        for m in MEASURES.values()
+        if any(o.headlines.get(m.name) for o in outcomes)
+    )  # fmt: skip
+
+
+def headline_table(outcomes: Sequence[Outcome], measure: Measure) -> str:
+    """One of them."""
+    columns = [o for o in outcomes if o.headlines.get(measure.name)]
+    found = [{h.method: h.told for h in o.headlines[measure.name]} for o in columns]
+    methods = dict.fromkeys(method for told in found for method in told)
+    rows = [[LABELS[method], *(told.get(method, "") for told in found)] for method in methods]
+    rows.append(["error there", *(number(o.headlines[measure.name][0].error) for o in columns)])
+    return f"By the {measure.title}:\n\n" + markdown(["method", *(o.name for o in columns)], rows)
 
 
 def method_table(outcome: Outcome) -> str:
@@ -78,10 +84,12 @@ def headline(outcome: Outcome) -> str:
         others = [h for h in found if h.method != "held_position"]
         reached = [f"{LABELS[h.method]} {h.ratio:.3g}" for h in others if h.ratio is not None]
         never = [LABELS[h.method] for h in others if h.ratio is None and h.best is not None]
-        unstable = [LABELS[h.method] for h in others if h.best is None]
+        lost = [LABELS[h.method] for h in others if h.best is None and h.stable]
+        unstable = [LABELS[h.method] for h in others if h.best is None and not h.stable]
         said = [
             f"times as long: {', '.join(reached)}" * bool(reached),
             f"not reached: {', '.join(never)}" * bool(never),
+            f"partials lost: {', '.join(lost)}" * bool(lost),
             f"not stable: {', '.join(unstable)}" * bool(unstable),
         ]
         lines.append(
