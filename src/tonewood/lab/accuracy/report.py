@@ -35,8 +35,8 @@ between measured points. *Not reached*: no measured point of the method is that 
 HEADLINE = """\
 ## Time ratio at equal error
 
-How many times as long as tonewood each method computes for the error that tonewood has at 48 kHz (or at the rate of the
-study nearest to it)."""
+How many times as long as tonewood each method computes for the error that tonewood has at 48 kHz (problem D, whose
+frequencies are low: at the middle one of its rates)."""
 
 
 @dataclass(frozen=True, eq=False)
