@@ -18,6 +18,7 @@ import math
 from tonewood.instrument.attached import Attached, Motion, Site
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
 from tonewood.instrument.directions import Direction, unit_vector
+from tonewood.instrument.effects import contact
 from tonewood.instrument.gestures import StringPlace, metres, smooth_step
 from tonewood.numerics.connections import Connection
 from tonewood.numerics.laws import Friction
@@ -43,6 +44,7 @@ class Bow(Exciter[BowParameters]):
     """The bow; see the module."""
 
     api = 1
+    effects = (contact("bow", "hair that sticks and slips, while a gesture moves it", basic=True),)
     Parameters = BowParameters
 
     def attach(self, name: str, site: Site) -> Attached:

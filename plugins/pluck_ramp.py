@@ -9,6 +9,7 @@ continuous. While it draws, the finger damps what the string did before by a das
 from __future__ import annotations
 
 from tonewood.instrument.contract import Event, Exciter, Gesture, Hold, Place
+from tonewood.instrument.effects import DAMPERS
 from tonewood.instrument.gestures import StringPlace, metres, smooth_step
 from tonewood.params import Parameters, described, quantity
 
@@ -30,6 +31,7 @@ class PluckRamp(Exciter[PluckParameters]):
     """The pluck; see the module."""
 
     api = 1
+    effects = (DAMPERS,)
     Parameters = PluckParameters
 
     def gesture(self, event: Event, place: Place) -> Gesture:

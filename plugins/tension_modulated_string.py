@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
+from tonewood.instrument.effects import TENSION_MODULATION
 from tonewood.numerics.modes import ModalBasis
 from tonewood.params import quantity
 
@@ -35,6 +36,7 @@ class TensionModulatedString(StiffString):
     """The string; see the module."""
 
     api = 1
+    effects = (*StiffString.effects, TENSION_MODULATION)
     Parameters = TensionModulatedParameters
     parameters: TensionModulatedParameters
 

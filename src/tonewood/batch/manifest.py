@@ -107,8 +107,8 @@ class RenderSettings(_Part):
     """Settings given to the renderer; any of them may be a factor under ``render.``."""
 
     fs: int = Field(default=48000, ge=8000, le=768000, description="Hz")
-    precision: Literal["f64", "f32"] = "f64"
-    accuracy: Literal["standard"] = "standard"
+    precision: Literal["f64", "f32"] | None = Field(default=None, description="that of accuracy if not given")
+    accuracy: Literal["draft", "standard", "reference"] = "standard"
     effects: Literal["auto", "all", "none"] | list[str] | None = Field(
         default=None, description="the bundle's own choice if not given"
     )

@@ -24,7 +24,7 @@ from tonewood.score.midi import read_midi
 from tonewood.score.note import Note, Score
 
 _PIECE = 0.25  # s, rendered to predict the time of the rest
-_COSTS: dict[tuple[str, int, str], tuple[float, float]] = {}  # s to set up, s per second of sound
+_COSTS: dict[tuple[str, int, str, str | None, str], tuple[float, float]] = {}  # s to set up, s per second of sound
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class EngineRenderer:
         The length is that of the score with half its longest tail.
         """
         settings = condition.render
-        kind = (condition.bundle, settings.fs, settings.precision)
+        kind = (condition.bundle, settings.fs, settings.accuracy, settings.precision, str(settings.effects))
         if kind not in _COSTS:
             began = time.perf_counter()
             renderer = _renderer(condition, max_duration=_PIECE)
@@ -91,6 +91,7 @@ def _renderer(condition: Condition, max_duration: float | None = None) -> Render
         _varied(_score(condition), instrument, condition),
         instrument,
         settings.fs,
+        accuracy=settings.accuracy,
         precision=settings.precision,
         outputs=None if settings.output is None else [settings.output],
         tail=Tail(level_db=settings.tail.energy_db, cap=settings.tail.cap),

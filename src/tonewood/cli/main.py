@@ -21,12 +21,14 @@ COMMANDS = {
     "render": "render:render",
     "play": "play:play",
     "list": "listing:list_installed",
+    "plan": "plan:plan",
     "check": "check:check",
     "modes": "modes:modes",
     "schema": "schema:schema",
     "batch": "batch:batch",
     "results": "results:results",
     "validate": "validate:validate",
+    "accuracy": "accuracy:accuracy",
 }
 
 

@@ -6,7 +6,18 @@ from typing import Annotated
 
 import typer
 
-from tonewood.cli.common import InstrumentName, Overrides, ScorePath, allow, load, warn
+from tonewood.cli.common import (
+    BudgetCents,
+    BudgetDb,
+    EffectsChoice,
+    InstrumentName,
+    Overrides,
+    ScorePath,
+    allow,
+    chosen_effects,
+    load,
+    warn,
+)
 
 
 def play(
@@ -21,6 +32,9 @@ def play(
     outputs: Annotated[str | None, typer.Option(help="output groups, comma-separated; default: the first")] = None,
     channel_per_string: Annotated[bool, typer.Option(help="MIDI channel 1 plays the first string, and so on")] = False,
     device: Annotated[str | None, typer.Option(help="sound device, by name or number")] = None,
+    effects: EffectsChoice = None,
+    budget_db: BudgetDb = None,
+    budget_cents: BudgetCents = None,
     settings: Overrides = None,
 ) -> None:
     """Play SCORE on an instrument."""
@@ -32,6 +46,7 @@ def play(
     allow("--block", block, 16, 1 << 16, "frames")
     allow("--tail", tail, 0.0, 3600.0, "s")
     allow("--gain", gain, -200.0, 200.0, "dB")
+    wanted = chosen_effects(effects, budget_db, budget_cents)
     renderer = Renderer(
         read_midi(score),
         load(instrument, settings),
@@ -41,6 +56,9 @@ def play(
         tail=Tail(cap=tail),
         gain_db=gain,
         channel_per_string=channel_per_string,
+        effects=wanted,
+        budget_db=budget_db,
+        budget_cents=budget_cents,
     )
     chosen = int(device) if device and device.isdigit() else device
     hold = Limiter(fs) if limiter else None

@@ -6,18 +6,33 @@ import json
 import math
 import tempfile
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import InstrumentName, Json, Overrides, ScorePath, allow, load, progress, warn
+from tonewood.cli.common import (
+    BudgetCents,
+    BudgetDb,
+    EffectsChoice,
+    InstrumentName,
+    Json,
+    Overrides,
+    ScorePath,
+    allow,
+    chosen_effects,
+    load,
+    progress,
+    warn,
+)
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
 
 if TYPE_CHECKING:
+    from tonewood.engine.ledger import EffectReport
     from tonewood.output.limiter import Limiter
-    from tonewood.output.render import Renderer
+    from tonewood.output.render import Renderer, Summary
 
 
 def render(
@@ -27,7 +42,8 @@ def render(
     fs: Annotated[int, typer.Option(help="sampling rate, Hz")] = 48000,
     block: Annotated[int, typer.Option(help="frames written at a time; does not change the samples")] = 4096,
     subtype: Annotated[str, typer.Option(help="PCM_16, PCM_24, PCM_32, FLOAT or DOUBLE")] = "PCM_24",
-    precision: Annotated[str, typer.Option(help="f64 or f32")] = "f64",
+    accuracy: Annotated[str, typer.Option(help="draft, standard or reference; see docs/accuracy.md")] = "standard",
+    precision: Annotated[str | None, typer.Option(help="f64 or f32; that of --accuracy if not given")] = None,
     tail: Annotated[float, typer.Option(help="longest ring after the last event, s")] = 10.0,
     tail_level: Annotated[float, typer.Option(help="the ring has ended this far below the peak, dB")] = -60.0,
     max_duration: Annotated[float | None, typer.Option(help="hard end, s")] = None,
@@ -38,6 +54,9 @@ def render(
     ] = False,
     outputs: Annotated[str | None, typer.Option(help="output groups, comma-separated; default: the first")] = None,
     channel_per_string: Annotated[bool, typer.Option(help="MIDI channel 1 plays the first string, and so on")] = False,
+    effects: EffectsChoice = None,
+    budget_db: BudgetDb = None,
+    budget_cents: BudgetCents = None,
     settings: Overrides = None,
     as_json: Json = False,
 ) -> None:
@@ -59,18 +78,23 @@ def render(
         allow("--normalize", normalize, -200.0, 0.0, "dB")
         if limiter:
             raise TonewoodError("a normalized sound has no peaks to limit; one of both is allowed", key="--limiter")
+    wanted = chosen_effects(effects, budget_db, budget_cents)
     groups = [name.strip() for name in outputs.split(",")] if outputs else None
     bundle = load(instrument, settings)
     renderer = Renderer(
         read_midi(score),
         bundle,
         fs,
+        accuracy=accuracy,
         precision=precision,
         outputs=groups,
         tail=Tail(level_db=tail_level, cap=tail),
         max_duration=max_duration,
         gain_db=gain,
         channel_per_string=channel_per_string,
+        effects=wanted,
+        budget_db=budget_db,
+        budget_cents=budget_cents,
     )
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
@@ -94,6 +118,8 @@ def render(
         f"peak {decibel(peak):.1f} dBFS; {played} notes, {lost} dropped; "
         f"{summary.realtime_factor:.1f} x real time; ended: {summary.end}"
     )
+    for line in _told(summary):
+        print(line)
 
 
 def _write(
@@ -134,9 +160,29 @@ def _write(
             return final.clipped, final.peak
 
 
+def _told(summary: Summary) -> list[str]:
+    """One line per effect that did not simply run all the time."""
+    lines = []
+    by_name: dict[str, list[EffectReport]] = {}
+    for effect in summary.effects:
+        by_name.setdefault(effect.name, []).append(effect)
+    for name, reports in by_name.items():
+        saved = sum(r.seconds_saved for r in reports)
+        touched = sum(r.seconds_active for r in reports) / len(reports)
+        if all(r.seconds_active >= summary.duration_s for r in reports) or not (saved or touched):
+            continue
+        bounds = [r.bound for r in reports if r.bound is not None]
+        bound = f"; left out, at most {max(bounds):.2g} {reports[0].unit}" if bounds and max(bounds) > 0 else ""
+        gain = f"; {saved:.1f} s of computing saved" if saved else ""
+        lines.append(f"  {name}: {touched:.2f} s of {summary.duration_s:.2f} s, mean of {len(reports)}{bound}{gain}")
+    return lines
+
+
 def _report(
     renderer: Renderer, output: Path, clipped: int, peak: float, load_s: float, warnings: list[str]
 ) -> dict[str, Any]:
+    from tonewood.engine.ledger import finite
+
     s = renderer.summary()
     return {
         "schema": "tonewood-render/1",
@@ -159,4 +205,5 @@ def _report(
         "clipped": clipped,
         "end": s.end,
         "warnings": warnings,
+        "effects": [{**asdict(e), "bound": finite(e.bound)} for e in s.effects],
     }

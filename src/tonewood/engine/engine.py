@@ -7,7 +7,7 @@ depends on what is played alone, so its samples are the same however they are as
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from tonewood.engine.fretting import Fingerboard, Fretting, pulls
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, samples
+from tonewood.engine.ledger import Ledger
 from tonewood.engine.surroundings import held, holds_at, string_of, woken
+from tonewood.engine.switching import LOOK, TensionSwitch, affordable
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.numerics.connections import Connection
@@ -38,6 +40,8 @@ class Snapshot:
     injections: list[Injection]
     controls: list[Control]
     holds: dict[str, float]
+    tense: frozenset[str]
+    awaited: frozenset[str]
     next_change: int
     next_play: int
 
@@ -63,7 +67,11 @@ class Engine:
 
     def __init__(self, model: Model, timeline: Timeline, *, precision: str = "f64"):
         self.model, self.timeline = model, timeline
-        self.system: System = model.system
+        self.switch = TensionSwitch(model)
+        #: strings whose tension rises now, and those that are to as soon as they can afford it
+        self.tense = frozenset(() if self.switch.enabled else self.switch.strings)
+        self.awaited: frozenset[str] = frozenset()
+        self.system: System = model.system.with_tensions(self.tense)
         self.dt = self.system.dt
         self.stepper = KernelStepper(self.system, precision=precision)
         self.state = self.stepper.start()
@@ -73,8 +81,11 @@ class Engine:
         self.injections: list[Injection] = []
         self.controls: list[Control] = []
         self.holds: dict[str, float] = {}
-        self.ticker = Ticker()
+        #: look only: no tension rises, but the ledger tells when it would
+        self.watching = False
+        self.ticker, self.ledger = Ticker(), Ledger(model)
         self._next_change = self._next_play = 0
+        self._dampers = all(model.choice.keeps(e, "dampers") for e in model.exciters.values())
         self.state.sample = int(np.floor(timeline.start / self.dt / GRID)) * GRID
 
     @property
@@ -90,7 +101,7 @@ class Engine:
         """Copy of all that moves."""
         return Snapshot(
             self.state.copy(), dict(self.frettings), list(self.active), list(self.injections), list(self.controls),
-            dict(self.holds), self._next_change, self._next_play,
+            dict(self.holds), self.tense, self.awaited, self._next_change, self._next_play,
         )  # fmt: skip
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -98,8 +109,9 @@ class Engine:
         s = snapshot
         self.state, self.frettings, self.holds = s.state.copy(), dict(s.frettings), dict(s.holds)
         self.active, self.injections, self.controls = list(s.active), list(s.injections), list(s.controls)
+        self.tense, self.awaited = s.tense, s.awaited
         self._next_change, self._next_play = s.next_change, s.next_play
-        system = self._fretted(self.system, self.frettings, self.frettings)
+        system = self._fretted(self.system.with_tensions(s.tense), self.frettings, self.frettings)
         self.system = held(woken(system, self.model.resting, self.active), self.holds)
         self.stepper.exchange(self.system)
 
@@ -109,7 +121,11 @@ class Engine:
         while self.state.sample < end:
             self._control()
             steps = min(self._next_event(), end) - self.state.sample
-            out.append(self.stepper.run(self.state, steps, self.injections, self.controls)[0])
+            sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
+            out.append(sound)
+            self.ledger.count(
+                self.state.sample - steps, pushes, self.tense, self.holds, self.system.nonlinear is not None
+            )
             self.injections = [i for i in self.injections if i.stop > self.state.sample]
             self.controls = [c for c in self.controls if c.stop > self.state.sample]
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
@@ -128,6 +144,8 @@ class Engine:
         if self._next_play < len(self.timeline.plays):
             times.append(self._samples(self.timeline.plays[self._next_play].start) - GRID + 1)
         times += [self._samples(active.play.stop) for active in self.active]
+        if self.switch.enabled:
+            times.append(grid if self.awaited else now // (LOOK * GRID) * LOOK * GRID + LOOK * GRID)
         due = int(np.ceil(min(times) / GRID)) * GRID if times else grid + 63 * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
         return min([max(due, grid), *steps])
@@ -136,15 +154,47 @@ class Engine:
         """Take what is due: at a grid point bases and injections are exchanged, between them fingers' dashpots only."""
         now = self.state.sample
         if now % GRID == 0:
-            self._take(now)
+            fresh = self._take(now)
             self._exchange(woken(self.system, self.model.resting, self.active))
+            if self.switch.enabled:
+                self._switch(now, fresh)
         wanted = holds_at(self.active, now)
         if wanted != self.holds:
             self.holds = wanted
             self._exchange(held(self.system, wanted))
 
-    def _take(self, now: int) -> None:
-        """Hold strings as they are due to be held, and begin the gestures due to begin."""
+    def _switch(self, now: int, fresh: Sequence[Play]) -> None:
+        """Let tensions rise that gestures or what moves call for, and leave out those that do not matter."""
+        look = now % (LOOK * GRID) == 0
+        fresh = [play for play in fresh if play.string in self.switch.strings]
+        if not (look or fresh or self.awaited):
+            return
+        energies = dict(zip(self.switch.strings, self.switch.energies(self.system, self.state).tolist(), strict=True))
+        wanted = self.tense | self.awaited
+        if look:
+            rises = {n: self.switch.rise(n, self.frettings[n].stop, e) for n, e in energies.items()}
+            wanted = self.switch.wanted(rises, wanted, {a.play.string or "" for a in self.active})
+            self.ledger.rises(rises, wanted)
+        for play in fresh:
+            name = play.string or ""
+            cents = self.switch.foreseen(play, self.frettings[name], energies[name])
+            self.ledger.foreseen(name, cents)
+            if cents > self.switch.budget:
+                wanted |= {name}
+        if self.watching:
+            self.tense = wanted
+            return
+        admitted = {name for name in wanted - self.tense if affordable(self.system, self.state, name)}
+        tense = (wanted & self.tense) | admitted
+        self.awaited = wanted - tense
+        if tense != self.tense:
+            changed = [name in tense ^ self.tense for name in self.switch.strings]
+            self.state.tension[changed] = 0.0
+            self.tense = tense
+            self._exchange(self.system.with_tensions(tense))
+
+    def _take(self, now: int) -> list[Play]:
+        """Hold strings as they are due to be held, and begin the gestures due to begin; these are returned."""
         wanted, fresh = self._due(now)
         moved = {name for name in wanted if wanted[name] != self.frettings[name]}
         if moved:
@@ -160,8 +210,10 @@ class Engine:
         for play in again + fresh:
             self.injections += forces(play, self.model, self.system, now)
             self.controls += courses(play, self.dt, now)
-        self.active += [Active(play, hold_steps(play, self.dt)) for play in fresh]
+        dampers = self._dampers
+        self.active += [Active(play, hold_steps(play, self.dt) if dampers else ()) for play in fresh]
         self.active = [a for a in self.active if self._samples(a.play.stop) > now]
+        return fresh
 
     def _due(self, now: int) -> tuple[dict[str, Fretting], list[Play]]:
         """How strings are to be held, and gestures that begin, before the next point of the grid."""

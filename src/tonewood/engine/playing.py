@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from tonewood.engine.techniques import stop_course, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
 from tonewood.errors import ScoreError
 from tonewood.instrument.assembly import Model
@@ -43,12 +44,14 @@ class Performance:
 def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> Performance:
     """Give every note a string, a stop and a gesture.
 
-    Notes may ask for `technique` the name of one of the instrument's exciters; the bundle's first one is the default.
+    Notes may ask for `technique` the name of one of the instrument's exciters, or the bundle's keys and controllers
+    ask for them; the bundle's first one is the default.
 
     Raises
     ------
     ScoreError : the score has no notes, or asks for a technique the instrument does not have.
     """
+    score = with_techniques(score, model.playing)
     if not score.notes:
         raise ScoreError("has no notes to play", file=score.name)
     notes, body_plays = _split_taps(score, model)
@@ -65,7 +68,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     played: list[Assigned] = []
     for name, line in by_string.items():
         for i, assigned in enumerate(line):
-            play = _gesture(assigned, model, score.controls)
+            play = _gesture(assigned, line[i - 1] if i else None, model, score.controls)
             if i:
                 play = replace(play, gesture=_hurried(play.gesture, play.time - plays[-1].stop))
             following = line[i + 1] if i + 1 < len(line) else None
@@ -135,7 +138,7 @@ def _with_force(note: Note, model: Model, factor: float) -> Note:
     return note if force is None else replace(note, force=force, velocity_midi=None)
 
 
-def _gesture(assigned: Assigned, model: Model, controls: Sequence[Control]) -> Play:
+def _gesture(assigned: Assigned, before: Assigned | None, model: Model, controls: Sequence[Control]) -> Play:
     note, string = assigned.note, model.strings[assigned.string]
     name = note.technique or model.default_exciter
     values: dict[str, float] = {}
@@ -152,7 +155,10 @@ def _gesture(assigned: Assigned, model: Model, controls: Sequence[Control]) -> P
     # a hammer has no force for a velocity that means one, a bow's stroke no angle
     known = type(model.exciters[name].parameters).model_fields
     values |= {k: v for k, v in given.items() if v is not None and k in known}
-    event = Event(values, string.freq(assigned.stop), assigned.end - note.time)
+    held = before.stop if before is not None else 0.0
+    event = Event(
+        values, string.freq(assigned.stop), assigned.end - note.time, assigned.stop, held, string.length(held)
+    )
     gesture = model.exciters[name].gesture(event, model.place(assigned.string, assigned.stop))
     return Play(note.time, gesture, string=assigned.string)
 
@@ -194,7 +200,10 @@ def _left_hand(
     line = bends.get(channel, ())
     before = [b.value for b in line if b.time <= play.start]
     at_start = assigned.cents + (before[-1] if before else 0.0)
-    out = [Change(play.start, name, stop=assigned.stop, cents=at_start, added_damping=0.0)]
+    course = stop_course(play, assigned.stop, model.strings[name].stopping.continuous, GRID / model.fs)
+    (begin, first), *rest = course or [(play.start, assigned.stop)]
+    out = [Change(begin, name, stop=first, cents=at_start, added_damping=0.0)]
+    out += [Change(time, name, stop=stop) for time, stop in rest]
     out += [Change(b.time, name, cents=assigned.cents + b.value) for b in line if play.start < b.time < assigned.end]
     end = model.playing.note_end
     if end.kind == "ring" or not math.isfinite(assigned.end):

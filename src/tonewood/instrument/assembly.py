@@ -9,9 +9,10 @@ from typing import Any
 from tonewood.errors import BundleError
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.contract import BodyPoint, BridgeForce, Exciter, PickupRows, Place, Scene, dot
+from tonewood.instrument.effects import Choice, declared
 from tonewood.instrument.gestures import Fraction
 from tonewood.instrument.registry import MANIFEST
-from tonewood.instrument.schema import Effects, Playing, StringPart
+from tonewood.instrument.schema import Playing, StringPart
 from tonewood.instrument.strings import Polarization, Stopping, StringModel
 from tonewood.instrument.tuning import body_ports
 from tonewood.numerics.basis_passivity import check_basis
@@ -71,6 +72,7 @@ class Model:
     resting : connections that a gesture wakes; in `system` they stand without effect.
     exciters : name -> what plays.
     default_exciter : name of the exciter of notes that name no technique.
+    choice : effects that may run, and budgets; what is left out altogether is not in `system`.
     """
 
     instrument: Instrument
@@ -82,17 +84,13 @@ class Model:
     inputs: Mapping[str, tuple[tuple[str, str, float], ...]]
     exciters: Mapping[str, Exciter[Any]]
     default_exciter: str
+    choice: Choice
     resting: Mapping[str, Connection] = field(default_factory=dict)
 
     @property
     def playing(self) -> Playing:
         """Velocity curve, end of notes, controllers."""
         return self.instrument.spec.playing
-
-    @property
-    def effects(self) -> Effects:
-        """What may be left out, and the budgets."""
-        return self.instrument.spec.effects
 
     @property
     def n_modes(self) -> int:
@@ -108,7 +106,7 @@ class Model:
     def place(self, string: str, stop: float = 0) -> Place:
         """A string at a stop, as exciters want it."""
         held = self.strings[string]
-        return Place(string, held.length(stop), len(held.polarizations))
+        return Place(string, held.length(stop), len(held.polarizations), held.tension(stop))
 
 
 def assemble(
@@ -129,11 +127,12 @@ def assemble(
     """
     limit = FREQ_LIMIT * fs if freq_limit is None else freq_limit
     spec, file = instrument.spec, instrument.folder / MANIFEST
+    choice = Choice.of(spec.effects, declared(instrument.plugins))
     body = instrument.body.basis(limit)
     body_points = instrument.body.points()
     exciter = spec.playing.exciter or spec.playing.velocity.parameter.partition(".")[0]
     strings = {
-        name: _string(instrument, name, body, body_points, limit, instrument.exciters[exciter])
+        name: _string(instrument, name, body, body_points, limit, instrument.exciters[exciter], choice)
         for name in instrument.string_names
     }
     driven = {point for string in strings.values() for p in string.polarizations for point in p.ends}
@@ -154,7 +153,11 @@ def assemble(
     for a in attached:
         components.update(a.components)
         connections += [replace(c, law=SpringDashpot()) if c.name in resting else c for c in a.connections]
-    stretching = [s for s in strings.values() if s.resonator.axial_stiffness > 0]
+    stretching = [
+        s
+        for s in strings.values()
+        if s.resonator.axial_stiffness > 0 and choice.keeps(s.resonator, "tension_modulation")
+    ]
     tensions = [TensionModulation(s.name, s.components, s.resonator.axial_stiffness) for s in stretching]
     scene = _scene(strings, body_points, limit)
     names = list(instrument.pickups)
@@ -201,6 +204,7 @@ def assemble(
         inputs={name: tuple(entries) for name, entries in inputs.items()},
         exciters=instrument.exciters,
         default_exciter=exciter,
+        choice=choice,
         resting=resting,
     )
 
@@ -212,6 +216,7 @@ def _string(
     body_points: Mapping[str, BodyPoint],
     limit: float,
     exciter: Exciter[Any],
+    choice: Choice,
 ) -> StringModel:
     spec, part, resonator = instrument.spec, instrument.spec.strings[name], instrument.resonators[name]
     file = instrument.folder / MANIFEST
@@ -223,6 +228,7 @@ def _string(
             detune=ratio_of_cents(part.split_cents) if i else 1.0,
         )
         for i, direction in enumerate(instrument.polarizations(name))
+        if i == 0 or choice.keeps(resonator, "second_polarization")
     )
     note, tuning, stops = instrument.open_note(name), instrument.tuning, spec.stops
     count = 0 if stops.kind == "none" else stops.count if part.stops is None else part.stops
@@ -231,6 +237,7 @@ def _string(
         continuous=stops.kind == "continuous",
         freq=lambda stop: tuning.freq(note + stop),
         compensate=spec.tuning.at if spec.tuning.compensate == "coupled" else "none",
+        finger=stops.finger if stops.model == "finger" else None,
     )
     points = {
         point: at.from_bridge.fraction * resonator.length if isinstance(at.from_bridge, Fraction) else at.from_bridge
@@ -250,7 +257,11 @@ def _string(
         points=points,
         tilt_deg=part.tilt_deg,
         touching={
-            **{n: a for n, a in instrument.attachments.items() if name in (spec.connections[n].strings or [name])},
+            **{
+                n: a
+                for n, a in instrument.attachments.items()
+                if name in (spec.connections[n].strings or [name]) and choice.keeps(a)
+            },
             **{n: e for n, e in instrument.exciters.items() if e.at is None},
         },
         pluck_from_bridge=usual.fraction * resonator.length if isinstance(usual, Fraction) else float(usual),

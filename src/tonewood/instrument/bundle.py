@@ -134,6 +134,12 @@ class Instrument:
         """Strings from bass to treble."""
         return tuple(self.spec.strings)
 
+    @property
+    def plugins(self) -> tuple[Plugin[Any], ...]:
+        """All its parts."""
+        parts = (self.resonators, self.exciters, self.attachments, self.pickups)
+        return (self.body, *(plugin for group in parts for plugin in group.values()))
+
     @cached_property
     def tuning(self) -> Tuning:
         """Frequencies of notes."""
@@ -231,6 +237,16 @@ class Instrument:
             self._parameter(entry.parameter, f"playing.controls.{control}.parameter")
         if playing.exciter is not None and playing.exciter not in self.exciters:
             raise self._fault(f"there is no exciter {playing.exciter!r}", "playing.exciter")
+        switched = [("switches", k, v) for k, v in playing.switches.items()]
+        for kind, key, wanted in [*switched, *(("keyswitches", k, v) for k, v in playing.keyswitches.items())]:
+            if wanted not in self.exciters:
+                known = ", ".join(self.exciters)
+                raise self._fault(f"there is no exciter {wanted!r}; there are {known}", f"playing.{kind}.{key}")
+            if kind == "keyswitches":
+                try:
+                    note_number(key)
+                except ScoreError as fault:
+                    raise self._fault(fault.reason, f"playing.{kind}.{key}") from None
         for name, exciter in self.exciters.items():
             if exciter.at is not None and exciter.at not in {f"body.{p}" for p in points}:
                 known = ", ".join(f"body.{p}" for p in points)

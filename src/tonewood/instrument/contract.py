@@ -29,6 +29,14 @@ from numpy.typing import NDArray
 
 from tonewood.errors import BundleError
 from tonewood.instrument.attached import Attached, Motion, Site
+from tonewood.instrument.effects import (
+    BODY_MODES,
+    HIGH_MODES,
+    OUTPUTS,
+    SECOND_POLARIZATION,
+    SYMPATHETIC_STRINGS,
+    Effect,
+)
 from tonewood.instrument.files import Files
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.system import Drive, Readout
@@ -54,6 +62,8 @@ class Plugin(ABC, Generic[P]):
     api: ClassVar[int] = API
     #: the kind's name, set by the base classes here
     kind: ClassVar[str]
+    #: what a render may leave out of what the plugin adds
+    effects: ClassVar[tuple[Effect, ...]] = ()
     #: pydantic model of the keys the plugin takes in a bundle
     Parameters: ClassVar[type[Parameters]]
 
@@ -90,6 +100,7 @@ class Resonator(Plugin[P]):
     """
 
     kind = "resonator"
+    effects = (HIGH_MODES, SECOND_POLARIZATION, SYMPATHETIC_STRINGS)
 
     @property
     @abstractmethod
@@ -165,6 +176,7 @@ class Body(Plugin[P]):
     """What strings are joined to."""
 
     kind = "body"
+    effects = (BODY_MODES,)
 
     @abstractmethod
     def basis(self, freq_upper: float) -> ModalBasis:
@@ -218,23 +230,29 @@ class Event:
     values : parameters of the exciter that this event changes, e.g. ``force`` or ``from_bridge``.
     freq : pitch that will sound, Hz; 0 where there is none.
     duration : s, how long the note is held; infinite if nobody says.
+    stop, stop_before : stops of the string at this event and at the one before it on this string (0 open).
+    length_before : m, speaking length at `stop_before`; 0 where there is no string.
     """
 
     values: Mapping[str, float] = field(default_factory=dict)
     freq: float = 0.0
     duration: float = math.inf
+    stop: float = 0.0
+    stop_before: float = 0.0
+    length_before: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
     """Where a gesture acts: a string with its speaking length (m), or a point of the body (length 0).
 
-    `planes` is the number of polarizations the string moves in.
+    `planes` is the number of polarizations the string moves in, `tension` (N) what it is stretched by at this stop.
     """
 
     name: str
     length: float = 0.0
     planes: int = 1
+    tension: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,6 +267,8 @@ class Gesture:
     hold : the finger on the string meanwhile, or None.
     on : name of the input among those the exciter has `attach`ed that the forces enter; None is the string itself.
     motions : of the partners of the exciter's own connections.
+    stops : course of the string's stop, like pieces of force; then it is the note's own. On a fretted string the
+        finger sounds the fret it has reached. Without it the note's stop holds from the gesture's start on.
     """
 
     segments: tuple[Segment, ...]
@@ -257,6 +277,7 @@ class Gesture:
     hold: Hold | None = None
     on: str | None = None
     motions: tuple[Motion, ...] = ()
+    stops: tuple[Segment, ...] = ()
 
     @property
     def start(self) -> float:
@@ -386,6 +407,7 @@ class Pickup(Plugin[P]):
     """A group of output channels."""
 
     kind = "pickup"
+    effects = (OUTPUTS,)
 
     @property
     @abstractmethod

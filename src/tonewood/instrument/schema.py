@@ -19,6 +19,7 @@ SCHEMA = "tonewood-instrument/1"
 #: parts of one kind that an instrument may have; a piano has 230 strings
 MOST_STRINGS, MOST_PARTS = 256, 100
 
+_CC = r"^cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7])$"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
@@ -100,6 +101,16 @@ class ConnectionPart(PluginPart):
     strings: list[Name] | None = described("those it touches; all where left out", default=None)
 
 
+class Finger(Parameters):
+    """A fingertip that stops a string: skin against the string, and behind it the mass that the hand presses down."""
+
+    skin_stiffness: float = quantity("N/m", low=1.0, high=1e7, default=1e5, doc="between string and fingertip")
+    skin_damping: float = quantity("N s/m", low=0.0, high=1e3, default=1.0, doc="between string and fingertip")
+    mass: float = quantity("kg", low=1e-5, high=1.0, default=5e-3, doc="of the fingertip")
+    freq: float = quantity("Hz", low=1.0, high=1e4, default=600.0, doc="of the fingertip on the board it presses")
+    damping_ratio: float = quantity("1", low=0.0, high=10.0, default=0.5, doc="of the same")
+
+
 class Stops(Parameters):
     """How strings are stopped."""
 
@@ -108,7 +119,11 @@ class Stops(Parameters):
         default="none",
     )
     count: int = described("number of steps of the scale", default=0, ge=0, le=200, strict=True)
-    model: Literal["ideal"] = described("ideal: the string beyond the stop is out of play", default="ideal")
+    model: Literal["ideal", "finger"] = described(
+        "ideal: the string beyond the stop is out of play; finger: a soft finger holds the whole string there",
+        default="ideal",
+    )
+    finger: Finger = described("where the model is finger", default=Finger())
 
 
 class TuningPart(Parameters):
@@ -176,8 +191,10 @@ class Playing(Parameters):
     exciter: str | None = described("of notes that name no technique; the velocity's where left out", default=None)
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
-    controls: dict[Annotated[str, Field(pattern=r"^cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7])$")], Control] = described(
-        "ccN -> parameter", default={}
+    controls: dict[Annotated[str, Field(pattern=_CC)], Control] = described("ccN -> parameter", default={})
+    keyswitches: dict[str, Name] = described("key -> exciter that notes after it ask for, on its channel", default={})
+    switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(
+        "ccN -> exciter that notes ask for while it is at 64 or more", default={}
     )
 
 

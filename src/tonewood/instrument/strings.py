@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment, Exciter, Resonator
+from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
+from tonewood.instrument.schema import Finger
 from tonewood.instrument.tuning import StringOnBody, TunedStop, tune
 from tonewood.numerics.connections import Connection
 from tonewood.numerics.modes import ModalBasis
@@ -24,6 +26,8 @@ Floats = NDArray[np.float64]
 
 #: a note that needs this many times the bundle's tension, or this many times less, is a mistake
 _RETENSION = 5.0
+#: bases of stops between whole ones that are remembered: a slide passes hundreds
+_PASSING_STOPS = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +58,14 @@ class Stopping:
     continuous : whether stops between whole steps exist.
     freq : stop -> pitch it should sound, Hz.
     compensate : ``each_stop``, ``open_only`` or ``none``.
+    finger : that stops the string softly; None where the stop is its ideal end.
     """
 
     count: int
     continuous: bool
     freq: Callable[[float], float]
     compensate: str
+    finger: Finger | None = None
 
 
 class StringModel:
@@ -143,7 +149,9 @@ class StringModel:
         """What touches the string at a stop besides the body: connections and exciters that react."""
         if stop not in self._attached:
             site = self.site(stop)
-            found = (part.attach(name, site) for name, part in self._touching.items())
+            found = [part.attach(name, site) for name, part in self._touching.items()]
+            if self.stopping.finger is not None:
+                found.append(fingertips(self.stopping.finger, site, stop > 0))
             self._attached[stop] = tuple(a for a in found if a is not None)
         return self._attached[stop]
 
@@ -194,9 +202,15 @@ class StringModel:
         places = {name: x for a in self.attached(stop) for name, x in a.places.items()}
         beyond = [name for name, x in places.items() if not 0 <= x < length]
         here = {"pluck": pluck, **self.points, **{n: x for n, x in places.items() if n not in beyond}}
-        base, tension = self._untuned(stop), self.tension(stop)
+        if self.stopping.finger is not None:
+            if stop > 0:
+                here[POINT] = self._under_finger(stop, self.stopping.finger)
+            else:
+                beyond.append(POINT)
+        end = self._end(stop)
+        base, tension = self._untuned(end), self.tension(end)
         if bend_cents:
-            tension *= ratio_of_cents(bend_cents * self._bend_gain(stop)) ** 2
+            tension *= ratio_of_cents(bend_cents * self._bend_gain(end)) ** 2
         out: dict[str, ModalBasis] = {}
         for polarization in self.polarizations:
             basis = self.resonator.detuned(base, tension * polarization.detune**2)
@@ -209,7 +223,7 @@ class StringModel:
 
     def n_modes(self, stop: float = 0) -> int:
         """Modes per polarization of a stop before tension raises any above the limit."""
-        return self._untuned(stop).n_modes
+        return self._untuned(self._end(stop)).n_modes
 
     def weights(self, angle_deg: float) -> dict[str, float]:
         """Share of each component in a force (or motion) at an angle from the first direction towards the second.
@@ -224,6 +238,8 @@ class StringModel:
     def transfer(self, component: str, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         """Matrices that carry modal displacement and velocity from one stop's basis to another's."""
         self._own(component)
+        if self.stopping.finger is not None:
+            return laid_down(old, new)
         return self.resonator.transfer(old, new)
 
     def carried(
@@ -231,7 +247,35 @@ class StringModel:
     ) -> tuple[Floats, Floats]:
         """One motion, modal coordinates q and q', carried from one stop's basis to another's."""
         self._own(component)
+        if self.stopping.finger is not None:
+            displacement, moving = laid_down(old, new)
+            return displacement @ q, moving @ velocity
         return self.resonator.carried(old, new, q, velocity)
+
+    def _end(self, stop: float) -> float:
+        """Stop at which the string's modes end: a soft finger leaves them those of the open string."""
+        return stop if self.stopping.finger is None else 0.0
+
+    def _under_finger(self, stop: float, finger: Finger) -> float:
+        """Place of a soft finger for the pitch of a stop, m from the bridge.
+
+        The ideal stop's compensation is a tension; here, where all stops share the open string's, it is a length, and
+        between whole stops it is interpolated. A stiff string is bent across the finger, not hinged there, and speaks
+        as if it were sqrt(EI/T) / 2 shorter: half of what a clamp does.
+        """
+        length, tension = self.length(stop), self.tension(0.0)
+        if self.stopping.compensate == "each_stop":
+            low = math.floor(stop)
+            share, ideal = stop - low, self._ideal_tension(low)
+            if share > 0:
+                ideal += share * (self._ideal_tension(low + 1) - ideal)
+            length *= math.sqrt(tension / ideal)
+        stiffness = self._untuned(0.0).metadata.get("bending_stiffness", 0.0)
+        bent = math.sqrt(cast(float, stiffness) / tension) / 2
+        return length + bent - tension * compliance(finger, self.freq(stop)).real
+
+    def _ideal_tension(self, stop: int) -> float:
+        return self._tune(float(stop))[1]
 
     def _own(self, component: str) -> None:
         if component not in self.components:
@@ -246,6 +290,9 @@ class StringModel:
             bridge = basis.index("bridge")
             residual = basis.residual.copy()
             residual[bridge, bridge] += self._end_compliance
+            passing = [s for s in self._bases if s != int(s)]
+            if len(passing) >= _PASSING_STOPS:
+                del self._bases[passing[0]]
             self._bases[stop] = replace(basis, residual=residual)
         return self._bases[stop]
 

@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.engine.engine import GRID, Engine, Snapshot
+from tonewood.engine.ledger import EffectReport
 from tonewood.engine.playing import Performance, perform
 from tonewood.errors import TonewoodError
-from tonewood.instrument.assembly import assemble
+from tonewood.instrument.assembly import FREQ_LIMIT, assemble
 from tonewood.instrument.bundle import Instrument
+from tonewood.output.accuracy import Decimator, accuracy_level
 from tonewood.output.audio import Audio, decibels
 from tonewood.score.note import Dropped, Score
 
@@ -58,6 +60,7 @@ class Summary:
     peak_dbfs : largest sample re full scale.
     end : why it ended: decayed, tail cap or maximum duration.
     warnings : one line each.
+    effects : what ran and what was left out, one per effect and component.
     """
 
     frames: int
@@ -71,6 +74,7 @@ class Summary:
     peak_dbfs: float
     end: str
     warnings: Sequence[str]
+    effects: Sequence[EffectReport] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +82,7 @@ class Checkpoint:
     """Snapshot of a renderer between two blocks."""
 
     engine: Snapshot
+    held: Floats
     pending: Floats
     frames: int
     loudest: float
@@ -96,12 +101,15 @@ class Renderer:
     score : notes and controllers.
     instrument : a loaded instrument.
     fs : sampling rate, Hz.
-    precision : ``f64`` or ``f32`` (of states and coefficients).
+    accuracy : ``draft``, ``standard`` or ``reference``: settings of the engine's dials, see `output.accuracy`.
+    precision : ``f64`` or ``f32`` (of states and coefficients); that of `accuracy` where left out.
     outputs : names of output groups; by default the instrument's first.
     tail : when to end after the last event.
     max_duration : s, hard end.
     gain_db : on all channels.
     channel_per_string : MIDI channel 1 plays the first string, and so on.
+    effects : ``auto``, ``all``, ``none`` or names of effects that run; the bundle's choice where left out.
+    budget_db, budget_cents : what leaving an effect out may cost; the bundle's where left out.
 
     Raises
     ------
@@ -114,28 +122,38 @@ class Renderer:
         instrument: Instrument,
         fs: int = 48000,
         *,
-        precision: str = "f64",
+        accuracy: str = "standard",
+        precision: str | None = None,
         outputs: Sequence[str] | None = None,
         tail: Tail = DEFAULT_TAIL,
         max_duration: float | None = None,
         gain_db: float = 0.0,
         channel_per_string: bool = False,
+        effects: str | Sequence[str] | None = None,
+        budget_db: float | None = None,
+        budget_cents: float | None = None,
     ):
         low, high = _FS_RANGE
         if not low <= fs <= high:
             raise TonewoodError(f"is {fs} Hz; {low} to {high} are allowed", key="fs")
+        level = accuracy_level(accuracy)
+        precision = level.precision if precision is None else precision
         if precision not in ("f64", "f32"):
             raise TonewoodError(f"is {precision!r}; f64 or f32 are allowed", key="precision")
         if max_duration is not None and not max_duration > 0:
             raise TonewoodError(f"is {max_duration} s; more than 0 is allowed", key="max_duration")
         self.fs, self.tail, self.max_duration = int(fs), tail, max_duration
-        self.model = assemble(instrument, self.fs, outputs=outputs)
+        engine_fs = level.oversampling * self.fs
+        limit = None if level.freq_limit is None else min(level.freq_limit, FREQ_LIMIT * engine_fs)
+        chosen = with_effects(instrument, effects, budget_db, budget_cents)
+        self.model = assemble(chosen, engine_fs, freq_limit=limit, outputs=outputs)
         self.performance: Performance = perform(score, self.model, channel_per_string=channel_per_string)
         self.engine = Engine(self.model, self.performance.timeline, precision=precision)
         groups = self.model.outputs
         self._columns = np.array([i for group in groups for i in group.readouts], dtype=np.intp)
         gain = 10 ** (gain_db / 20)
         self._scale = gain / np.array([group.full_scale for group in groups for _ in group.channels])
+        self._decimator = Decimator(level.oversampling, self._columns.size)
         self._pending = np.zeros((0, self._columns.size))
         self._frames, self._seconds, self._loudest = 0, 0.0, 0.0
         self._recent: list[tuple[int, float]] = []
@@ -157,7 +175,7 @@ class Renderer:
     @property
     def time(self) -> float:
         """Score time reached, s."""
-        return self.engine.state.sample / self.fs
+        return self.engine.state.sample / self.model.fs
 
     def blocks(self, block_size: int = 1024) -> Iterator[Floats]:
         """Yield (n, n_channels) arrays of `block_size` frames, the last one shorter, until the sound has ended.
@@ -192,24 +210,33 @@ class Renderer:
             peak_dbfs=decibels(self._loudest),
             end=self._end or "not ended",
             warnings=[*self.model.warnings, *self.performance.warnings],
+            effects=self.engine.ledger.reports(self._seconds),
         )
 
     def snapshot(self) -> Checkpoint:
         """Copy of all that moves, to `restore` later in this renderer or another one made alike."""
         return Checkpoint(
-            self.engine.snapshot(), self._pending.copy(), self._frames, self._loudest, tuple(self._recent), self._end
+            self.engine.snapshot(),
+            self._decimator.held.copy(),
+            self._pending.copy(),
+            self._frames,
+            self._loudest,
+            tuple(self._recent),
+            self._end,
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Go back to a snapshot; what follows is the same to the last bit."""
         self.engine.restore(checkpoint.engine)
+        self._decimator.held = checkpoint.held.copy()
         self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
         self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
 
     def _fill(self) -> None:
-        first = self.engine.state.sample
+        # the first frame that comes out of the decimator, which looks ahead
+        first = self.engine.state.sample // self._decimator.factor - self._decimator.lead
         began = time.perf_counter()
-        sound = self.engine.advance(_TICKS)[:, self._columns] * self._scale
+        sound = self._decimator(self.engine.advance(_TICKS)[:, self._columns] * self._scale)
         self._seconds += time.perf_counter() - began
         sound = sound[max(0, -first) :]
         if self.max_duration is not None:
@@ -221,7 +248,7 @@ class Renderer:
 
     def _watch(self, peak: float) -> None:
         """Notice when the sound has decayed."""
-        now = self.engine.state.sample
+        now = self.engine.state.sample // self._decimator.factor
         self._loudest = max(self._loudest, peak)
         self._recent.append((now, peak))
         since_end = self.time - self.performance.timeline.stop
@@ -235,17 +262,44 @@ class Renderer:
             self._end = "tail cap"
 
 
+def with_effects(
+    instrument: Instrument,
+    effects: str | Sequence[str] | None,
+    budget_db: float | None,
+    budget_cents: float | None,
+) -> Instrument:
+    """Return the instrument with another choice of effects; None leaves a thing to the bundle.
+
+    Raises
+    ------
+    TonewoodError : a name or a budget is not allowed; one line.
+    """
+    if isinstance(effects, str) and effects not in ("auto", "all", "none"):
+        effects = [effects]
+    given = {"mode": effects, "budget_db": budget_db, "budget_cents": budget_cents}
+    changes = {
+        f"effects.{key}": value if isinstance(value, (str, float, int)) else list(value)
+        for key, value in given.items()
+        if value is not None
+    }
+    return instrument.replace(changes)
+
+
 def render(
     score: Score,
     instrument: Instrument,
     fs: int = 48000,
     *,
-    precision: str = "f64",
+    accuracy: str = "standard",
+    precision: str | None = None,
     outputs: Sequence[str] | None = None,
     tail: Tail = DEFAULT_TAIL,
     max_duration: float | None = None,
     gain_db: float = 0.0,
     channel_per_string: bool = False,
+    effects: str | Sequence[str] | None = None,
+    budget_db: float | None = None,
+    budget_cents: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Audio:
     """Render a whole score in memory; see `Renderer` for the parameters.
@@ -258,12 +312,16 @@ def render(
         score,
         instrument,
         fs,
+        accuracy=accuracy,
         precision=precision,
         outputs=outputs,
         tail=tail,
         max_duration=max_duration,
         gain_db=gain_db,
         channel_per_string=channel_per_string,
+        effects=effects,
+        budget_db=budget_db,
+        budget_cents=budget_cents,
     )
     blocks = []
     for block in renderer.blocks(_TICKS * GRID):

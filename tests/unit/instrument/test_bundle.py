@@ -78,7 +78,7 @@ def put(values: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ("body.points", {}, "body.points"),
         ("body.points.bridge.direction", "w", "body.points.bridge.direction"),
         ("stops.count", 2.5, "stops.count: Input should be a valid integer, not 2.5"),
-        ("stops.model", "finger", "stops.model: Input should be 'ideal'"),
+        ("stops.model", "soft", "stops.model: Input should be 'ideal' or 'finger'"),
         ("exciters", {}, "exciters"),
         ("exciters.tap.at", "body.no", "exciters.tap.at: there is no point 'body.no'"),
         ("playing.velocity", {"parameter": "bow.force"}, "playing.velocity.parameter: there is no exciter 'bow'"),

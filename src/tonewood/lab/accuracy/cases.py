@@ -288,9 +288,10 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
         # twice the modes: what the highest partials lack of them is then far below a thousandth of a cent
         return continuous_poles(build(2 * FREQ_UPPER), np.array([s for _, s in found]), [j for j, _ in found])
 
+    of = f" (partials of {', '.join(strings)})" if strings is not None else ""
     return GuitarCase(
         "classical_guitar",
-        "Classical guitar: six strings, two polarizations, measured body",
+        "Classical guitar: six strings, two polarizations, measured body" + of,
         build,
         poles,
         "real modes",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -10,13 +10,16 @@ import numpy as np
 
 from tonewood.lab.accuracy.cases import FREQ_UPPER, Case, GuitarCase, sliding_string
 from tonewood.lab.accuracy.flat import Flat
+from tonewood.lab.accuracy.reference import FINE_RATE, FineMotion
 from tonewood.lab.accuracy.study import (
     SECOND_ORDER,
     Attempt,
     Point,
     Subject,
+    Tell,
     own_point,
     scheme_point,
+    silent,
     superposition_point,
     timed,
 )
@@ -39,12 +42,27 @@ def lowest_rate(flat: Flat, limit: float) -> float:
     return max(float(np.sqrt(b.stiffness.max())) for b in flat.problem.components.values()) / limit
 
 
-def study(case: Case, *, quick: bool = False) -> Iterator[Point]:
+def study(case: Case, *, quick: bool = False, tell: Tell = silent) -> list[Point]:
     """All points of one linear system."""
     subject = Subject(case)
     real = subject if case.damped_as == "real modes" else Subject(case, real=True)
     makes = [*_own(subject, quick), *_others(subject, real, quick), *_dials(subject, quick)]
-    return timed((make() for make in makes), 5 if quick else 9)
+    points = timed(makes, 3 if quick else 9, tell)
+    motion = subject.motion
+    if not isinstance(motion, FineMotion):
+        return points
+    far = f"reference converged to {motion.convergence:.1e}"
+    return [replace(p, note=f"{p.note}; {far}" if p.note else far) for p in points]
+
+
+def truth_of(case: Case, points: Sequence[Point]) -> str:
+    """Where poles and waveform that methods are held against come from."""
+    if isinstance(case, GuitarCase):
+        return (
+            "poles by Newton's method on the continuous system with string modes to 40 kHz; waveform by this scheme at "
+            f"{FINE_RATE / 1e3:g} kHz, {points[0].note.rpartition('; ')[2].removeprefix('reference ')}"
+        )
+    return "poles of the transcendental string on its body; waveform superposed from the coupled modes up to 20 kHz"
 
 
 def _own(subject: Subject, quick: bool) -> Iterator[Make]:
@@ -99,13 +117,14 @@ def _dials(subject: Subject, quick: bool) -> Iterator[Make]:
         for fold, named in ((True, "with"), (False, "without")):
             basis = sliding_string(subject.case.string, FREQ_UPPER, residual=fold).with_places(pluck)
             value = f"sliding cosines, {named} residual compliance"
-            yield partial(own, flat=_exchanged(flat, "string", basis), dial="basis", value=value)
+            yield partial(own, flat=exchanged(flat, "string", basis), dial="basis", value=value)
     for fs in (48e3,) if quick else (48e3, 96e3):
         value = f"f32, {fs / 1e3:.4g} kHz"
         yield partial(own_point, subject, fs, precision="f32", dial="precision", value=value)
 
 
-def _exchanged(flat: Flat, name: str, basis: ModalBasis) -> Flat:
+def exchanged(flat: Flat, name: str, basis: ModalBasis) -> Flat:
+    """The same with another basis for one component."""
     return Flat(replace(flat.problem, components={**flat.problem.components, name: basis}))
 
 

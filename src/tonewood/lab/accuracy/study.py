@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
@@ -30,6 +30,8 @@ from tonewood.numerics.system import Probe, Readout, System
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+#: takes the share of a study that is done
+Tell = Callable[[float], None]
 
 #: s of free motion that waveforms are compared over
 DURATION = 1.0
@@ -39,6 +41,10 @@ CHECKS = 10
 FREQ_LIMIT = 0.45
 #: energy may grow by this before a method counts as growing
 GROWTH = 1e-6
+
+
+def silent(share: float) -> None:
+    """Tell nobody."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +103,7 @@ LABELS = {
     "simpson": "Simpson, acceleration constraint",
     "linear_position": "P1 constraint force, position constraint",
     "ab3": "Adams-Bashforth 3, Udwadia-Kalaba",
-    "ab3_paper": "the same with 150 string modes",
+    "ab3_paper": "Adams-Bashforth 3 with 150 string modes, as published",
     "verlet": "velocity Verlet, Udwadia-Kalaba",
     "newmark": "Newmark, average acceleration",
     "hht": "HHT-alpha (-0.3)",
@@ -255,7 +261,7 @@ def attempt(
     point = replace(point, stable=stable)
     every = max(1, round(fs / 48000))
     true = subject.motion.displacement(fs / every, len(y))
-    errors = wave_errors(y[:, 0], true[:, 0], fs / every, subject.lines)
+    errors = wave_errors(y[: len(true), 0], true[:, 0], fs / every, subject.lines)
     point = replace(point, waveform=errors.waveform, spectral_db=errors.spectral_db, spurious_db=errors.spurious_db)
     if poles is not None:
         p = pole_errors(poles(), subject.poles, subject.numbers)
@@ -328,14 +334,25 @@ def superposition_point(subject: Subject, fs: float = 48000.0) -> Attempt:
     return Attempt(point, Task(lambda: stepper.run(state, steps), steps / fs))
 
 
-def timed(attempts: Iterable[Attempt], repeats: int) -> Iterator[Point]:
-    """Points with their times, taken in turns."""
-    known = list(attempts)
+def timed(makes: Sequence[Callable[[], Attempt]], repeats: int, tell: Tell = silent) -> list[Point]:
+    """Points with their times, taken in turns.
+
+    Parameters
+    ----------
+    makes : run one method each.
+    tell : called with the share that is done, 0 to 1.
+    """
+    known = []
+    for done, make in enumerate(makes, 1):
+        known.append(make())
+        tell(0.7 * done / len(makes))
     tasks = [a.task for a in known if a.task is not None]
-    timings: Iterator[Timing] = iter(measure(tasks, repeats))
+    timings: Iterator[Timing] = iter(measure(tasks, repeats, lambda share: tell(0.7 + 0.3 * share)))
+    out = []
     for a in known:
         if a.task is None:
-            yield a.point
+            out.append(a.point)
             continue
         t = next(timings)
-        yield replace(a.point, seconds=t.median, seconds_low=t.low, seconds_high=t.high)
+        out.append(replace(a.point, seconds=t.median, seconds_low=t.low, seconds_high=t.high))
+    return out

@@ -40,17 +40,23 @@ class Task:
     prepare: Callable[[], object] | None = None
 
 
-def measure(tasks: Sequence[Task], repeats: int) -> list[Timing]:
-    """Time every task `repeats` times, all in turn, so that a slow spell of the machine hits all alike."""
+def measure(tasks: Sequence[Task], repeats: int, tell: Callable[[float], None] = lambda share: None) -> list[Timing]:
+    """Time every task `repeats` times, all in turn, so that a slow spell of the machine hits all alike.
+
+    Parameters
+    ----------
+    tell : called with the share that is done, 0 to 1.
+    """
     spent: list[list[float]] = [[] for _ in tasks]
     for task in tasks:
         _once(task)
     collecting = gc.isenabled()
     gc.disable()
     try:
-        for _ in range(repeats):
+        for done in range(1, repeats + 1):
             for own, task in zip(spent, tasks, strict=True):
                 own.append(_once(task))
+            tell(done / repeats)
     finally:
         if collecting:
             gc.enable()

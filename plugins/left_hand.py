@@ -1,0 +1,61 @@
+"""What the stopping hand does without the plucking one: slides, hammer-ons, pull-offs.
+
+``slide`` moves the stop from that of the note before to the note's own within `time`, and arrives when the note
+begins; on a fretted string it sounds every fret on its way. ``hammer_on`` strikes the string at the new stop with a
+short push of `share` times the note's force and holds it there: with the force F the string falls at the speed
+F / (2 Z), Z = sqrt(T mu), and the waves that this sends out are the note. ``pull_off`` lets the note before go to a
+lower stop, and drags the string along for `time` as the finger leaves: a small pluck where the stop was.
+
+What the hand does to a stop is exchanged on the engine's control grid: displacement and velocity of the string are
+projected to its new length, which cannot raise their energy (`tonewood.numerics.string_transfer`), or with
+``stops: {model: finger}`` a soft finger moves along the string. All work of the hand is that of the pushes.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
+from tonewood.instrument.gestures import StringPlace, metres, smooth_step
+from tonewood.params import Parameters, described, quantity
+
+#: s after a hammer-on's push in which the stop is surely exchanged: more than a tick of the control grid
+_SETTLED = 2e-3
+
+
+class LeftHandParameters(Parameters):
+    """Of the hand."""
+
+    action: Literal["slide", "hammer_on", "pull_off"] = described("what it does")
+    time: float | None = quantity(
+        "s", low=5e-4, high=5.0, default=None, doc="it takes; slide 0.15, hammer_on 0.003, pull_off 0.004"
+    )
+    force: float = quantity("N", low=0.0, high=1000.0, default=2.0, doc="of the note, as a pluck would have it")
+    share: float = quantity("1", low=0.0, high=10.0, default=0.3, doc="of it that the stopping finger uses")
+    angle_deg: float = quantity(
+        "deg", low=-360.0, high=360.0, default=0.0, doc="of its push, from the first polarization to the second"
+    )
+    from_bridge: StringPlace = described("where the other hand is meanwhile", default=0.1)
+
+
+class LeftHand(Exciter[LeftHandParameters]):
+    """The hand; see the module."""
+
+    api = 1
+    Parameters = LeftHandParameters
+
+    def gesture(self, event: Event, place: Place) -> Gesture:
+        """A slide ends at time 0, a push begins before it and ends there."""
+        p = self.adjusted(event.values)
+        time = p.time or {"slide": 0.15, "hammer_on": 3e-3, "pull_off": 4e-3}[p.action]
+        force = p.share * p.force
+        if p.action == "slide":
+            course = smooth_step(-time, 0.0, event.stop_before, event.stop)
+            return Gesture((Segment(-time, 0.0, 0.0),), metres(p.from_bridge, place), stops=course)
+        if p.action == "hammer_on":
+            push = smooth_step(-time, -time / 2, 0.0, force) + smooth_step(-time / 2, 0.0, force, 0.0)
+            until = Segment(-time, _SETTLED, event.stop_before)
+            return Gesture(push, place.length, p.angle_deg, stops=(until,))
+        drag = smooth_step(-time, 0.0, 0.0, force) + smooth_step(0.0, 2e-4, force, 0.0)
+        left = min(event.length_before, 0.99 * place.length)
+        return Gesture(drag, left if left > 0 else metres(p.from_bridge, place), p.angle_deg)

@@ -1,0 +1,95 @@
+"""A plectrum: a tip on a spring, drawn across the string until the string slips off.
+
+The driver moves at `speed`; between it and the tip is a spring of `stiffness`, and the tip, of `mass`, drags the string
+along by dry friction (`tonewood.numerics.laws.Friction`). While they stick, the force on the string follows from
+
+    F = (X(t) - u) k,    u = C F,      so that F = X(t) / (1 / k + C),
+
+C = x (L - x) / (T L) the string's compliance at the place. At F = `force` it slips: the tip jumps ahead on its own
+spring, the force falls along the friction curve (half of it is gone at the slip of `slip_speed`, all but `dynamic` at
+great speed), and within `leave` of the note's time the tip has left the string. The driver starts so early that the
+slip falls on the note's time; a string that still vibrates slips somewhat sooner or later. A fast, stiff plectrum
+sounds hard; slow and soft it becomes the known force of `pluck_ramp`.
+
+The driver's work is the force of the spring's far end, k X(t) on a tip that is held by k: what the tip and its spring
+store is counted from there. Friction heats, and gives nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
+from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
+from tonewood.instrument.directions import Direction, unit_vector
+from tonewood.instrument.effects import contact
+from tonewood.instrument.gestures import StringPlace, metres, smooth_step
+from tonewood.numerics.connections import Connection, Term
+from tonewood.numerics.laws import Friction
+from tonewood.params import Parameters, described, quantity
+
+
+class PlectrumParameters(Parameters):
+    """Of the plectrum and its stroke."""
+
+    force: float = quantity("N", low=1e-3, high=200.0, default=2.0, doc="at which the string slips off")
+    from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.1)
+    stiffness: float = quantity("N/m", low=10.0, high=1e6, default=2e3, doc="of the plectrum between hand and tip")
+    damping: float = quantity("1", low=0.0, high=10.0, default=0.3, doc="damping ratio of the tip on its spring")
+    mass: float = quantity("kg", low=1e-6, high=1e-2, default=5e-5, doc="that moves with the tip")
+    speed: float = quantity("m/s", low=1e-3, high=10.0, default=0.15, doc="of the hand")
+    dynamic: float = quantity("1", low=0.0, high=1.0, default=0.0, doc="share of the force left at great slip")
+    slip_speed: float = quantity("m/s", low=1e-4, high=10.0, default=0.05, doc="at which half of the rest is gone")
+    leave: float = quantity("s", low=1e-4, high=0.05, default=1e-3, doc="in which the tip leaves after the slip")
+    direction: Direction = described("in which it plucks", default="z")
+
+
+class Plectrum(Exciter[PlectrumParameters]):
+    """The plectrum; see the module."""
+
+    api = 1
+    effects = (contact("plectrum", "an edge that sticks and slips, while a gesture moves it", basic=True),)
+    Parameters = PlectrumParameters
+
+    def attach(self, name: str, site: Site) -> Attached:
+        """The tip, and the friction between it and the string."""
+        p, own = self.parameters, f"{site.string}.{name}"
+        terms = site.motion("pluck", unit_vector(p.direction))
+        if not terms:
+            raise self.fault(f"string {site.string} does not move in this direction", "direction")
+        omega = math.sqrt(p.stiffness / p.mass)
+        # a limit of 1 N, so that the scale of its motion is the force of slip in N
+        law = Friction(1.0, 1.0, p.dynamic, p.slip_speed, residual=True)
+        return Attached(
+            components={f"{own}.tip": loose_mass(p.mass, omega, p.damping * omega)},
+            connections=(Connection(f"{own}.edge", (*terms, Term(f"{own}.tip", "mass", -1.0)), law),),
+            inputs={f"{own}.spring": ((f"{own}.tip", "mass", 1.0),)},
+            resting=(f"{own}.edge",),
+        )
+
+    def gesture(self, event: Event, place: Place) -> Gesture:
+        """The hand moves on for `leave` after the slip and stays until the tip is at rest."""
+        p = self.adjusted(event.values)
+        own, x = f"{place.name}.{self.name}", metres(p.from_bridge, place)
+        compliance = x * (place.length - x) / (place.tension * place.length) if place.tension > 0 else 0.0
+        travel = p.force * (1 / p.stiffness + compliance)
+        drawn = travel / p.speed
+        # the hand's motion begins smoothly: at constant acceleration over the first fifth of the time
+        early = 0.2 * drawn
+        start, k = -drawn - early / 2, p.stiffness * p.speed
+        drag = 2 * p.damping * math.sqrt(p.stiffness * p.mass) * p.speed  # of the dashpot, which moves along
+        end = travel + p.speed * p.leave
+        back = max(20 / math.sqrt(p.stiffness / p.mass), 5e-3)
+        pull = (
+            Segment(start, start + early, 0.0, drag / early, k / (2 * early)),
+            Segment(start + early, p.leave, k * early / 2 + drag, k),
+            # the tip, free now, is brought back to its rest so slowly that it does not ring
+            *smooth_step(p.leave, p.leave + back, p.stiffness * end, 0.0),
+        )
+        pressed = (
+            *smooth_step(start - early, start, 0.0, p.force),
+            Segment(start, 0.0, p.force),
+            *smooth_step(0.0, p.leave, p.force, 0.0),
+        )
+        motions = (Motion(f"{own}.edge", "scale", pressed),)
+        return Gesture(pull, x, on=f"{own}.spring", motions=motions)

@@ -1,0 +1,95 @@
+"""``tonewood accuracy``: how much accuracy for how much time."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tonewood.cli.common import progress
+from tonewood.errors import OutputError, TonewoodError
+
+
+def accuracy(
+    system: Annotated[
+        str | None, typer.Option("--system", metavar="NAME", help="one system; all of them if not given")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="fewer points and repeats: a minute on two idle cores")
+    ] = False,
+    json: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="write everything to FILE as JSON")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE.png", help="Pareto charts, one per system")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", metavar="FILE.html", help="everything on one page, .html or .md")
+    ] = None,
+) -> None:
+    """Compare this project with the methods of the literature, and turn each of its own dials: error against time."""
+    from tonewood.lab.accuracy import catalogue
+
+    catalogue.selected(system)
+    files = {"--json": json, "--plot": plot, "--report": report}
+    for key, path in files.items():
+        if path is not None and not path.absolute().parent.is_dir():
+            raise OutputError(f"there is no folder {str(path.parent)!r}", file=path)
+        if path is not None and list(files.values()).count(path) > 1:
+            raise TonewoodError(f"{key} and another option name the same file {str(path)!r}", key=key)
+    if plot is not None and plot.suffix.lower() != ".png":
+        raise TonewoodError(f"is {plot.name!r}; a name ending in .png is allowed", key="--plot")
+    if report is not None and report.suffix.lower() not in (".html", ".md"):
+        raise TonewoodError(f"is {report.name!r}; a name ending in .html or .md is allowed", key="--report")
+    drawing = plot is not None or (report is not None and report.suffix.lower() == ".html")
+    if drawing:
+        _require_matplotlib()
+
+    from tonewood.lab.accuracy import dial, tables, timing
+    from tonewood.lab.accuracy.report import HEADLINE, Study, write
+
+    more: dict[str, tuple[str, object]] = {}
+    with progress("comparing", 1.05) as advance:
+        outcomes = list(catalogue.run(system, quick=quick, tell=advance))
+        if system is None:
+            points = dial.run(quick=quick, tell=lambda share: advance(1 + 0.05 * share))
+            more["dial"] = (dial.section(points), [p.to_dict() for p in points])
+            budgets = dial.budgets()
+            more["effects"] = (dial.budget_section(budgets), [p.to_dict() for p in budgets])
+    study = Study(outcomes, timing.machine(), quick, more)
+    png = b""
+    if drawing:
+        from tonewood.lab.accuracy.picture import pareto_png
+
+        png = pareto_png(outcomes)
+    # everything is made before anything is written
+    contents: list[tuple[Path, str | bytes]] = []
+    if json is not None:
+        contents.append((json, study.json()))
+    if plot is not None:
+        contents.append((plot, png))
+    if report is not None and report.suffix.lower() == ".html":
+        contents.append((report, study.html(png)))
+    elif report is not None:
+        seen = None if plot is None else Path(os.path.relpath(plot, report.absolute().parent)).as_posix()
+        contents.append((report, study.markdown(seen)))
+    for path, content in contents:
+        write(path, content)
+    print(study.machine_line)
+    for outcome in outcomes:
+        print(f"\n{tables.section(outcome)}", end="")
+    if len(outcomes) > 1:
+        print(f"\n{HEADLINE}\n\n{tables.headline_tables(outcomes)}")
+    for text, _ in more.values():
+        print(f"\n{text}")
+    for path, _ in contents:
+        print(path)
+
+
+def _require_matplotlib() -> None:
+    try:
+        import matplotlib  # noqa: F401  # the charts come last; better to know now
+    except ImportError:
+        raise TonewoodError('pictures need matplotlib: pip install "tonewood[plot]"', key="--plot") from None

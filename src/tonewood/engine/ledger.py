@@ -1,0 +1,183 @@
+"""What ran and what was left out, sample by sample, and what that saved."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.instrument.assembly import Model
+from tonewood.instrument.contract import Plugin
+from tonewood.instrument.effects import TENSION_MODULATION, Effect
+from tonewood.numerics.connections import SpringDashpot
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class EffectReport:
+    """One effect on one component in a render.
+
+    Attributes
+    ----------
+    name : of the effect.
+    component : string, ``body`` or output group.
+    seconds_active : of sound while it was stepped; of a contact or a finger, while it touched.
+    seconds_saved : of computing, estimated from the declared costs and the time the render took.
+    bound : on what leaving it out cost, in `unit`; None where it was left out without being watched. Nothing is lost by
+        leaving out contacts that touch nothing: there it is 0 as it is where nothing was left out.
+    unit : dB re the loudest sample, or cents.
+    """
+
+    name: str
+    component: str
+    seconds_active: float
+    seconds_saved: float
+    bound: float | None
+    unit: str
+
+
+@dataclass(eq=False)
+class Spans:
+    """Samples from START up to STOP, in order.
+
+    Attributes
+    ----------
+    samples : how many they are together.
+    all : (start, stop) of each.
+    """
+
+    samples: int = 0
+    all: list[tuple[int, int]] = field(default_factory=list)
+
+    def add(self, start: int, n: int) -> None:
+        """Enter n samples, which join the last ones where they follow at once."""
+        self.samples += n
+        if self.all and self.all[-1][1] == start:
+            self.all[-1] = (self.all[-1][0], start + n)
+        else:
+            self.all.append((start, start + n))
+
+
+class Ledger:
+    """Counts samples.
+
+    Parameters
+    ----------
+    model : whose effects are counted.
+    """
+
+    def __init__(self, model: Model):
+        self.model = model
+        self.samples = 0
+        #: string -> when its tension rose, when a finger held it; (string, part) -> when they touched
+        self.tense: dict[str, Spans] = defaultdict(Spans)
+        self.held: dict[str, Spans] = defaultdict(Spans)
+        self.touched: dict[tuple[str, str], Spans] = defaultdict(Spans)
+        #: string -> largest rise of tension that was left out, and that was foreseen or seen, cents
+        self.left_out: dict[str, float] = defaultdict(float)
+        self.largest: dict[str, float] = defaultdict(float)
+        # columns of the forces of each string's contacts with one part
+        columns: dict[tuple[str, str], list[int]] = defaultdict(list)
+        for j, connection in enumerate(model.system.connections):
+            string, _, rest = connection.name.partition(".")
+            part = rest.partition(".")[0]
+            law = model.resting.get(connection.name, connection).law
+            if part in self._parts and not isinstance(law, SpringDashpot):
+                columns[string, part].append(j)
+        self.contacts = {key: np.array(value) for key, value in columns.items()}
+
+    @property
+    def _parts(self) -> Mapping[str, Plugin[Any]]:
+        return {**self.model.instrument.attachments, **self.model.exciters}
+
+    def count(self, start: int, forces: Floats, tense: Collection[str], held: Collection[str], nonlinear: bool) -> None:
+        """Enter a run from sample `start`: connection forces (n, m), strings whose tension rises or fingers hold."""
+        n = len(forces)
+        self.samples += n
+        for name in tense:
+            self.tense[name].add(start, n)
+        for name in held:
+            self.held[name].add(start, n)
+        if nonlinear:
+            acted: NDArray[np.bool_] = np.any(forces != 0.0, axis=0)
+            for key, columns in self.contacts.items():
+                if np.any(acted[columns]):
+                    self.touched[key].add(start, n)
+
+    def rises(self, rises: Mapping[str, float], tense: Collection[str]) -> None:
+        """Enter a look at the strings: cents by which each would rise, and which do."""
+        for name, cents in rises.items():
+            if name not in tense:
+                self.left_out[name] = max(self.left_out[name], cents)
+            self.foreseen(name, cents)
+
+    def foreseen(self, name: str, cents: float) -> None:
+        """Enter by how much a string's tension will rise."""
+        self.largest[name] = max(self.largest[name], cents)
+
+    def reports(self, render_s: float) -> list[EffectReport]:
+        """All effects, with `render_s` seconds of computing for all that was counted."""
+        model, fs = self.model, self.model.fs
+        whole = self.samples / fs
+        modes = {name: self.n_modes(name) for name in model.strings}
+        units = self.samples * model.n_modes + sum(
+            spans.samples * TENSION_MODULATION.cost(modes[name]) for name, spans in self.tense.items()
+        )
+        per_unit = render_s / units if units else 0.0
+        out: list[EffectReport] = []
+
+        def add(effect: Effect, component: str, active: float, saved: float = 0.0, bound: float | None = 0.0) -> None:
+            out.append(EffectReport(effect.name, component, active, saved, bound, effect.unit))
+
+        choice = model.choice
+        for name, string in model.strings.items():
+            for effect in string.resonator.effects:
+                if effect.name == "tension_modulation":
+                    if string.resonator.axial_stiffness <= 0:
+                        continue
+                    off = self.samples - self.tense[name].samples
+                    bound = self.left_out.get(name, 0.0) if effect.name in choice.names else None
+                    saved = off * effect.cost(modes[name]) * per_unit
+                    add(effect, name, self.tense[name].samples / fs, saved, bound)
+                elif effect.name == "second_polarization":
+                    if len(model.instrument.polarizations(name)) < 2:
+                        continue
+                    there = effect.name in choice.names
+                    saved = 0.0 if there else self.samples * effect.cost(modes[name]) * per_unit
+                    add(effect, name, whole if there else 0.0, saved, 0.0 if there else None)
+                else:
+                    add(effect, name, whole)
+        for part, plugin in self._parts.items():
+            for effect in plugin.effects:
+                there = effect.name in choice.names
+                for name in model.strings:
+                    held = effect.name == "dampers"
+                    samples = (self.held[name] if held else self.touched[name, part]).samples
+                    reaches = samples > 0 if held else (name, part) in self.contacts
+                    if reaches:
+                        add(effect, name, samples / fs)
+                if not there:
+                    add(effect, part, 0.0, 0.0, None)
+        for effect in model.instrument.body.effects:
+            add(effect, "body", whole)
+        made = {group.name for group in model.outputs}
+        for group, pickup in model.instrument.pickups.items():
+            for effect in pickup.effects:
+                add(effect, group, whole if group in made else 0.0)
+        return out
+
+    def n_modes(self, name: str) -> int:
+        """Modes of an open string, all polarizations."""
+        system = self.model.system
+        return sum(system.compiled[system.slot(c)].basis.n_modes for c in self.model.strings[name].components)
+
+
+def finite(value: float | None) -> float | None:
+    """For JSON: None where there is no number."""
+    return value if value is not None and math.isfinite(value) else None

@@ -1,0 +1,66 @@
+"""How a score asks for techniques, and the course a technique gives to the stopping finger."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from tonewood.engine.timeline import Play
+from tonewood.instrument.attached import Motion
+from tonewood.instrument.schema import Playing
+from tonewood.score.note import Score
+from tonewood.score.scales import note_number
+
+#: stops of a slide are told to this many parts of a step
+_FINEST = 1000
+
+
+def with_techniques(score: Score, playing: Playing) -> Score:
+    """The score without its keyswitches, and with the techniques they and controllers ask for.
+
+    A keyswitch holds for its channel until the next one; a controller while it is at a half or more, and before any
+    keyswitch. A technique that a note names itself stands.
+    """
+    if not (playing.keyswitches or playing.switches):
+        return score
+    keys = {float(note_number(key)): technique for key, technique in playing.keyswitches.items()}
+    notes, latest = [], dict[int | None, str]()
+    # a key pressed together with a note is meant for it
+    for note in sorted(score.notes, key=lambda n: (n.time, n.note not in keys)):
+        if note.note in keys and note.string is None:
+            latest[note.channel] = keys[note.note]
+            continue
+        technique = note.technique or latest.get(note.channel)
+        for kind, name in playing.switches.items():
+            seen = [c for c in score.controls if c.kind == kind and c.channel in (None, note.channel)]
+            seen = [c for c in seen if c.time <= note.time]
+            if note.technique is None and seen and seen[-1].value >= 0.5:
+                technique = name
+        notes.append(replace(note, technique=technique))
+    return replace(score, notes=notes)
+
+
+def stop_course(play: Play, stop: float, continuous: bool, tick: float) -> list[tuple[float, float]]:
+    """Times (s) and stops of a gesture's finger, one per `tick` (s) at most; ends with the note's own stop.
+
+    A fretted string sounds the last fret that the finger has reached, from below or from above.
+    """
+    segments = play.gesture.stops
+    if not segments:
+        return []
+    begin, end = segments[0].start, segments[-1].stop
+    times = np.append(np.arange(begin, end - 1e-9, tick), end - 1e-9)
+    values = Motion("", "offset", segments).course(times)
+    out: list[tuple[float, float]] = []
+    for time, value in [*zip(times.tolist(), values.tolist(), strict=True), (end, stop)]:
+        if time == end:
+            reached = stop
+        elif continuous:
+            reached = round(value * _FINEST) / _FINEST
+        else:
+            reached = float(math.floor(value + 1e-9) if stop >= values[0] else math.ceil(value - 1e-9))
+        if not out or reached != out[-1][1]:
+            out.append((play.time + time, reached))
+    return out

@@ -1,0 +1,184 @@
+"""What a render may leave out, and what that costs at most: declared by the plugin that makes it.
+
+An *additive* effect adds sound: its bound is the largest sample it can add, in dB re the loudest one. A *detuning*
+effect moves partials: its bound is in cents. The two budgets, ``budget_db`` and ``budget_cents``, are judged apart.
+The bound is asked for twice: before, with what the score says will be set in motion, and while it runs, with what
+moves. An effect whose bound lies within its budget may be left out; one whose bound does not is stepped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from tonewood.errors import TonewoodError
+
+if TYPE_CHECKING:
+    from tonewood.instrument.contract import Plugin
+    from tonewood.instrument.schema import Effects
+
+#: cents per relative change of frequency
+_CENTS = 1200.0 / math.log(2.0)
+Mode = Literal["auto", "all", "none"]
+
+
+@dataclass(frozen=True, slots=True)
+class Norms:
+    """How much of something there is, at most; forecast from the score or measured in the state.
+
+    Attributes
+    ----------
+    level : amplitude at the outputs of what would be left out, ratio to the loudest sample.
+    energy : J, of the string.
+    tension, axial_stiffness : N, of the string.
+    length : m, speaking.
+    """
+
+    level: float = 0.0
+    energy: float = 0.0
+    tension: float = 1.0
+    axial_stiffness: float = 0.0
+    length: float = 1.0
+
+
+def level_db(norms: Norms) -> float:
+    """What would be missing, in dB re the loudest sample."""
+    return 20 * math.log10(norms.level) if norms.level > 0 else -math.inf
+
+
+def rise_of_tension(norms: Norms) -> float:
+    """By how much a string of energy E sounds sharper for its stretch, at most, in the mean over a period (cents).
+
+    With S = int u_x^2 dx = E / T in the mean (half of the energy is potential), dT = EA S / (2 L) and df/f = dT / 2T;
+    half as much again for a partial's own share, whose tension pulls in step with it.
+    """
+    rise = norms.axial_stiffness * norms.energy / (2 * norms.length * norms.tension)
+    return 1.5 * _CENTS * rise / (2 * norms.tension)
+
+
+def nothing(n: int) -> float:
+    """Costs nothing by itself."""
+    return 0.0
+
+
+def modes(n: int) -> float:
+    """Modes that are stepped."""
+    return float(n)
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """Something that may be left out.
+
+    Attributes
+    ----------
+    name : the word for it in ``effects: [names]``.
+    adds : what it adds, one line.
+    kind : ``additive`` or ``detuning``.
+    before : when the score calls for it, one line.
+    during : what is watched while it is left out, one line.
+    bound : what leaving it out costs at most: dB re the loudest sample, or cents.
+    cost : what it takes per sample, in units of one mode stepped linearly; given the number of modes or of points.
+    basic : whether it belongs to the plain instrument, which ``none`` and lists of names do not reduce.
+    """
+
+    name: str
+    adds: str
+    kind: Literal["additive", "detuning"]
+    before: str
+    during: str
+    bound: Callable[[Norms], float] = level_db
+    cost: Callable[[int], float] = modes
+    basic: bool = False
+
+    @property
+    def unit(self) -> str:
+        """Unit of the bound."""
+        return "dB" if self.kind == "additive" else "cents"
+
+
+HIGH_MODES = Effect(
+    "high_modes", "a string's partials up to the highest that the sampling rate allows", "additive",
+    "always", "nothing: all are stepped", basic=True,
+)  # fmt: skip
+SECOND_POLARIZATION = Effect(
+    "second_polarization", "motion across the first plane: two decays in one sound", "additive",
+    "always, where a string has two planes", "nothing: it is stepped or not from the beginning",
+)  # fmt: skip
+SYMPATHETIC_STRINGS = Effect(
+    "sympathetic_strings", "strings that ring with others, and what they do to others' pitch and decay", "additive",
+    "always", "nothing: every string stays attached", basic=True,
+)  # fmt: skip
+TENSION_MODULATION = Effect(
+    "tension_modulation", "tension that rises with amplitude: glides, turning planes", "detuning",
+    "a gesture's force bends the string so far that its tension would rise by more than the budget; every gesture that "
+    "moves a mass, a bow or a finger",
+    "the string's energy, which bounds the mean rise of its tension",
+    bound=rise_of_tension, cost=lambda n: 8.0 * n,
+)  # fmt: skip
+DAMPERS = Effect(
+    "dampers", "fingers that quiet a string while they draw it", "additive", "from touch to release of each pluck",
+    "nothing: no finger is on the string otherwise", cost=nothing,
+)  # fmt: skip
+BODY_MODES = Effect(
+    "body_modes", "resonances of the body", "additive", "always", "nothing: all are stepped", basic=True
+)
+OUTPUTS = Effect(
+    "outputs", "pickups and microphones", "additive", "somebody records them: only outputs asked for are made",
+    "nothing", basic=True,
+)  # fmt: skip
+
+
+def contact(name: str, adds: str, *, basic: bool = False) -> Effect:
+    """A contact that is left out while a bound on the motion says that it touches nothing: nothing is lost by that."""
+    return Effect(
+        name, adds, "additive", "always watched", "a bound on the string's motion at each point until the next look",
+        cost=lambda n: 0.5 * n, basic=basic,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Which effects run, and the budgets of those that come and go.
+
+    Attributes
+    ----------
+    mode : ``auto``, ``all``, ``none``, or ``list`` for those named.
+    names : effects that may run at all.
+    budget_db, budget_cents : what leaving one out may cost.
+    """
+
+    mode: str
+    names: frozenset[str]
+    budget_db: float
+    budget_cents: float
+
+    @classmethod
+    def of(cls, wanted: Effects, declared: Mapping[str, Effect]) -> Choice:
+        """What a bundle's ``effects`` mean for the effects its parts declare.
+
+        Raises
+        ------
+        TonewoodError : a name is none of theirs.
+        """
+        basic = {name for name, effect in declared.items() if effect.basic}
+        if isinstance(wanted.mode, str):
+            names = set(declared) if wanted.mode in ("auto", "all") else basic
+            return cls(wanted.mode, frozenset(names), wanted.budget_db, wanted.budget_cents)
+        unknown = [name for name in wanted.mode if name not in declared]
+        if unknown:
+            known = ", ".join(sorted(declared)) or "none"
+            raise TonewoodError(f"there is no effect {unknown[0]!r}; auto, all, none or {known}", key="effects")
+        return cls("list", frozenset(basic | set(wanted.mode)), wanted.budget_db, wanted.budget_cents)
+
+    def keeps(self, plugin: Plugin[Any], name: str | None = None) -> bool:
+        """Whether a part runs its effect `name`, or any of its effects; what it does not declare, it always runs."""
+        own = [effect.name for effect in plugin.effects if name is None or effect.name == name]
+        return not own or any(effect in self.names for effect in own)
+
+
+def declared(plugins: Iterable[Plugin[Any]]) -> dict[str, Effect]:
+    """Name -> effect of all that an instrument's parts declare."""
+    return {effect.name: effect for plugin in plugins for effect in plugin.effects}

@@ -1,0 +1,162 @@
+"""The whole study as one text: Markdown, or a page that needs nothing but itself."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tonewood.errors import OutputError
+from tonewood.lab.accuracy.catalogue import Outcome
+from tonewood.lab.accuracy.tables import SCHEMA, headline_tables, section, to_json
+
+INTRODUCTION = """\
+Every method steps the same modes of the same system with the same compiler flags, so that their times can be compared:
+what differs is the integrator, and the level at which the connections are held together. All systems are held still by
+a constant force and let go; nothing but the method's own stepping then makes an error.
+
+- **Pitch and decay** are read from the poles that a method puts in place of the true ones, for partials 1 to 40. A
+  partial farther off than half its distance to the next is lost.
+- **Waveform**: ||y - y_true|| / ||y_true|| of the displacement over the first second (40 ms at the obstacle and 0.2 s
+  of the tense string, which amplify small differences).
+- **Spectrum**: rms difference of third-octave levels of the acceleration, 50 Hz to 16 kHz, in bands within 80 dB of
+  the loudest, under a Hann window. **Spurious**: the largest acceleration farther than 20 Hz from every true partial.
+- **Energy drift** of the same system without damping, within the first second.
+- **Time**: processor time of one thread per second of sound, all methods in turn, median (10th and 90th percentile).
+
+A time ratio at equal error is read from the Pareto line of each method, straight in the logarithms of time and error
+between measured points. *Not reached*: no measured point of the method is that good. *Not stable*: none is stable."""
+
+HEADLINE = """\
+## Time ratio at equal error
+
+How many times as long as tonewood each method computes for the error that tonewood has at 48 kHz (problem D, whose
+frequencies are low: at the middle one of its rates)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What was found, where, and how thoroughly.
+
+    Attributes
+    ----------
+    outcomes : one per system.
+    machine : of `timing.machine`.
+    quick : fewer points and repeats.
+    more : further sections: key in JSON -> (Markdown, JSON).
+    """
+
+    outcomes: Sequence[Outcome]
+    machine: Mapping[str, object]
+    quick: bool
+    more: Mapping[str, tuple[str, object]] = field(default_factory=dict)
+
+    def json(self) -> str:
+        """``{"schema": ..., "machine": ..., "quick": ..., "systems": [...], ...}``."""
+        plain = {"schema": SCHEMA, "machine": self.machine, "quick": self.quick}
+        plain |= {"systems": [to_json(o) for o in self.outcomes]}
+        plain |= {key: value for key, (_, value) in self.more.items()}
+        return json.dumps(plain, indent=1, allow_nan=False) + "\n"
+
+    @property
+    def machine_line(self) -> str:
+        """Processor and instruction set."""
+        m = self.machine
+        peak = f"{float(str(m['fma_peak'])) / 1e9:.1f} G multiply-adds/s"
+        return f"{m['processor']}, {m['system']}, {m['instruction_set']}, one core, measured peak {peak}"
+
+    def markdown(self, picture: str | None = None) -> str:
+        """The page; `picture` is the path of the chart as seen from it."""
+        parts = [
+            "# What accuracy costs in time",
+            f"Printed by `tonewood accuracy{' --quick' * self.quick}`.",
+            INTRODUCTION,
+        ]
+        parts += [f"Machine: {self.machine_line}."]
+        if self.outcomes:
+            parts += [
+                HEADLINE,
+                headline_tables(self.outcomes),
+            ]
+        if picture is not None:
+            parts.append(f"![Error against time, a chart per system]({picture})")
+        parts += [text for text, _ in self.more.values()]
+        parts += [section(o).rstrip() for o in self.outcomes]
+        return "\n\n".join(parts) + "\n"
+
+    def html(self, png: bytes) -> str:
+        """The page with its picture inside."""
+        chart = base64.b64encode(png).decode("ascii")
+        return _PAGE.format(body=_html(self.markdown(f"data:image/png;base64,{chart}")))
+
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>What accuracy costs in time</title><style>
+body {{ font: 15px/1.5 sans-serif; max-width: 100em; margin: 2em auto; padding: 0 1em }}
+table {{ border-collapse: collapse; font-size: 12px; margin: 1em 0; display: block; overflow-x: auto }}
+td, th {{ border: 1px solid #ccc; padding: 2px 6px; text-align: right }}
+td:first-child, th:first-child {{ text-align: left }} img {{ max-width: 100% }}
+</style></head><body>
+{body}
+</body></html>
+"""
+
+
+def _html(text: str) -> str:
+    """Of headings, paragraphs, lists, tables and pictures as they occur here."""
+    out = []
+    for block in text.strip().split("\n\n"):
+        lines = block.splitlines()
+        if block.startswith("!["):
+            label, _, source = block[2:-1].partition("](")
+            out.append(f'<p><img alt="{html.escape(label)}" src="{html.escape(source)}"></p>')
+        elif block.startswith("#"):
+            level = len(block) - len(block.lstrip("#"))
+            out.append(f"<h{level}>{_inline(block.lstrip('# '))}</h{level}>")
+        elif block.startswith("|"):
+            rows = [line.strip("|").split("|") for line in lines if set(line) - set("|-: ")]
+            cells = [
+                "".join(f"<{tag}>{_inline(c.strip())}</{tag}>" for c in row)
+                for row, tag in zip(rows, ["th"] + ["td"] * len(rows), strict=False)
+            ]
+            out.append("<table>" + "".join(f"<tr>{row}</tr>" for row in cells) + "</table>")
+        elif block.startswith("- "):
+            items = block[2:].split("\n- ")
+            out.append("<ul>" + "".join(f"<li>{_inline(item)}</li>" for item in items) + "</ul>")
+        else:
+            out.append(f"<p>{_inline(block)}</p>".replace("\n", "<br>\n" if len(lines) < 4 else "\n"))
+    return "\n".join(out)
+
+
+def _inline(text: str) -> str:
+    parts = html.escape(text).split("**")
+    text = "".join(f"<b>{part}</b>" if i % 2 else part for i, part in enumerate(parts))
+    parts = text.split("`")
+    return "".join(f"<code>{part}</code>" if i % 2 else part for i, part in enumerate(parts))
+
+
+def write(path: Path, content: str | bytes) -> None:
+    """Write a file that appears only when it is complete.
+
+    Raises
+    ------
+    OutputError : it cannot be written.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    try:
+        handle, part = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
+            Path(part).chmod(0o644)
+            os.replace(part, path)
+        except BaseException:
+            Path(part).unlink(missing_ok=True)
+            raise
+    except OSError as fault:
+        raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None

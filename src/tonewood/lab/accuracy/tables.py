@@ -1,0 +1,165 @@
+"""What a study found, as tables in Markdown and as JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from tonewood.lab.accuracy.catalogue import Outcome
+from tonewood.lab.accuracy.pareto import MEASURES, Measure, usual
+from tonewood.lab.accuracy.study import LABELS, Point
+
+SCHEMA = "tonewood-accuracy/1"
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """Few digits; nothing for what is not known."""
+    if value is None or not math.isfinite(value):
+        return ""
+    return f"{value:.{digits}g}" if value == 0 or 1e-3 <= abs(value) < 1e4 else f"{value:.{digits - 1}e}"
+
+
+def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> str:
+    """A table, aligned to be read as it is; the first `left` columns to the left."""
+    cells = [list(heads), *(list(row) for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(heads))]
+    rule = ["-" * w if i < left else "-" * (w - 1) + ":" for i, w in enumerate(widths)]
+    padded = [
+        [c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))]
+        for row in [cells[0], rule, *cells[1:]]
+    ]
+    return "\n".join(f"| {' | '.join(row)} |" for row in padded)
+
+
+def headline_tables(outcomes: Sequence[Outcome]) -> str:
+    """Time of every method at our error at 48 kHz, over our time: a table per measure, a column per system."""
+    return "\n\n".join(
+        headline_table(outcomes, m)
+        for m in MEASURES.values()
+        if any(o.headlines.get(m.name) for o in outcomes)
+    )  # fmt: skip
+
+
+def headline_table(outcomes: Sequence[Outcome], measure: Measure) -> str:
+    """One of them."""
+    columns = [o for o in outcomes if o.headlines.get(measure.name)]
+    found = [{h.method: h.told for h in o.headlines[measure.name]} for o in columns]
+    methods = dict.fromkeys(method for told in found for method in told)
+    rows = [[LABELS[method], *(told.get(method, "") for told in found)] for method in methods]
+    rows.append(["error there", *(number(o.headlines[measure.name][0].error) for o in columns)])
+    return f"By the {measure.title}:\n\n" + markdown(["method", *(o.name for o in columns)], rows)
+
+
+def method_table(outcome: Outcome) -> str:
+    """One system: time ratio at equal error by every measure, and what each method reaches at best."""
+    names = [name for name, found in outcome.headlines.items() if found]
+    if not names:
+        return "Nothing to compare with in a quick run."
+    methods = dict.fromkeys(h.method for name in names for h in outcome.headlines[name])
+    rows = []
+    for method in methods:
+        row = [LABELS[method]]
+        for name in names:
+            found = next((h for h in outcome.headlines[name] if h.method == method), None)
+            if found is None:
+                row += ["", "", ""]
+                continue
+            at_best = "" if found.best is None else "not reached by ours"
+            row += [found.told, number(found.best), number(found.ratio_at_best, 3) or at_best]
+        rows.append(row)
+    heads = ["method"]
+    for name in names:
+        error = outcome.headlines[name][0].error
+        heads += [f"{name}: time ratio at {number(error)}", "its best", "time ratio there"]
+    return markdown(heads, rows)
+
+
+def headline(outcome: Outcome) -> str:
+    """One sentence per measure."""
+    lines = []
+    for name, found in outcome.headlines.items():
+        ours = usual(outcome.points, MEASURES[name])
+        if ours is None or not found:
+            continue
+        others = [h for h in found if h.method != "held_position"]
+        reached = [f"{LABELS[h.method]} {h.ratio:.3g}" for h in others if h.ratio is not None]
+        never = [LABELS[h.method] for h in others if h.ratio is None and h.best is not None]
+        lost = [LABELS[h.method] for h in others if h.best is None and h.stable]
+        unstable = [LABELS[h.method] for h in others if h.best is None and not h.stable]
+        said = [
+            f"times as long: {', '.join(reached)}" * bool(reached),
+            f"not reached: {', '.join(never)}" * bool(never),
+            f"partials lost: {', '.join(lost)}" * bool(lost),
+            f"not stable: {', '.join(unstable)}" * bool(unstable),
+        ]
+        lines.append(
+            f"- **{name}**: tonewood at {ours.value} has {number(MEASURES[name].of(ours))} ({MEASURES[name].title}) "
+            f"for {number(ours.seconds)} s per second of sound. At that error, {'; '.join(filter(None, said))}."
+        )
+    return "\n".join(lines)
+
+
+def _spread(p: Point) -> str:
+    if not math.isfinite(p.seconds):
+        return ""
+    return f"{number(p.seconds, 3)} ({number(p.seconds_low, 3)}-{number(p.seconds_high, 3)})"
+
+
+#: heading -> cell
+COLUMNS: Mapping[str, Callable[[Point], str]] = {
+    "modes": lambda p: str(p.n_modes),
+    "motion": lambda p: p.stable,
+    "cents, median": lambda p: number(p.cents_median),
+    "worst": lambda p: number(p.cents_worst),
+    "to partial 20": lambda p: number(p.cents_20),
+    "partials lost": lambda p: str(p.lost) if p.lost else "",
+    "decay %, median": lambda p: number(100 * p.decay_median),
+    "worst %": lambda p: number(100 * p.decay_worst),
+    "waveform": lambda p: number(p.waveform),
+    "spectrum, dB": lambda p: number(p.spectral_db),
+    "spurious, dB": lambda p: "" if not math.isfinite(p.spurious_db) else f"{p.spurious_db:.0f}",
+    "energy drift": lambda p: number(p.energy),
+    "s per s": _spread,
+}
+
+
+def point_table(outcome: Outcome) -> str:
+    """Every point of one system; columns that nothing is known of are left out."""
+    ours = usual(outcome.points, outcome.measures[0])
+
+    def ratio(p: Point) -> str:
+        return "" if ours is None or not math.isfinite(p.seconds) else number(p.seconds / ours.seconds, 3)
+
+    known = {k: cell for k, cell in COLUMNS.items() if any(cell(p) for p in outcome.points)} | {"ratio": ratio}
+    rows = [[LABELS[p.method], p.value, *(cell(p) for cell in known.values())] for p in outcome.points]
+    return markdown(["method", "dial", *known], rows, left=2)
+
+
+def section(outcome: Outcome) -> str:
+    """Heading, headline and tables of one system."""
+    return (
+        f"## {outcome.title} (`{outcome.name}`)\n\nReference: {outcome.truth}.\n\n{headline(outcome)}\n\n"
+        f"{method_table(outcome)}\n\n{point_table(outcome)}\n"
+    )
+
+
+def to_json(outcome: Outcome) -> dict[str, object]:
+    """Ready for `json.dumps`."""
+    return {
+        "name": outcome.name,
+        "title": outcome.title,
+        "reference": outcome.truth,
+        "points": [p.to_dict() for p in outcome.points],
+        "headline": [
+            {
+                "method": h.method,
+                "measure": h.measure,
+                "error": h.error,
+                "time_ratio": h.ratio,
+                "best_error": h.best,
+                "time_ratio_at_best": h.ratio_at_best,
+            }
+            for found in outcome.headlines.values()
+            for h in found
+        ],
+    }

@@ -1,0 +1,90 @@
+"""Three settings of the renderer's dials, and the filter that brings an oversampled render down.
+
+What each costs and how far it is from `reference` is measured by ``tonewood accuracy`` and told in docs/accuracy.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.errors import TonewoodError
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """One setting.
+
+    Attributes
+    ----------
+    name : of the setting.
+    oversampling : the engine runs at so many times the rate of the sound.
+    precision : of states and coefficients, f64 or f32.
+    freq_limit : Hz, no mode is stepped above it; None is 0.45 of the engine's rate.
+    """
+
+    name: str
+    oversampling: int = 1
+    precision: str = "f64"
+    freq_limit: float | None = None
+
+
+#: quick listening; what music is rendered with; what the others are measured against
+LEVELS: Mapping[str, Accuracy] = {
+    level.name: level
+    for level in (Accuracy("draft", precision="f32", freq_limit=10e3), Accuracy("standard"), Accuracy("reference", 4))
+}
+
+
+def accuracy_level(name: str) -> Accuracy:
+    """A setting by its name.
+
+    Raises
+    ------
+    TonewoodError : there is no such setting.
+    """
+    if name not in LEVELS:
+        raise TonewoodError(f"is {name!r}; {', '.join(LEVELS)} are allowed", key="accuracy")
+    return LEVELS[name]
+
+
+class Decimator:
+    """Streams a sound to a lower rate by a linear-phase filter, without delay: flat to 0.45 of that rate, then -110 dB.
+
+    Parameters
+    ----------
+    factor : 1 hands the sound through.
+    n_channels : columns.
+    """
+
+    def __init__(self, factor: int, n_channels: int):
+        self.factor = factor
+        self._taps = np.ones(1)
+        if factor > 1:
+            from scipy.signal import firwin, kaiserord
+
+            # transition from 0.9 to 1.0 of the lower Nyquist frequency
+            length, beta = kaiserord(110.0, 0.1 / factor)
+            half = -(-(length // 2) // factor) * factor
+            self._taps = firwin(2 * half + 1, 0.95 / factor, window=("kaiser", beta))
+        self.held: Floats = np.zeros((len(self._taps) - 1, n_channels))
+
+    @property
+    def lead(self) -> int:
+        """Frames of the lower rate that come out before the first frame that went in: it looks ahead so far."""
+        return (len(self._taps) - 1) // 2 // self.factor
+
+    def __call__(self, sound: Floats) -> Floats:
+        """(n / factor, n_channels) from (n, n_channels); n is a multiple of the factor."""
+        if self.factor == 1:
+            return sound
+        joined = np.concatenate([self.held, sound])
+        self.held = joined[len(joined) - len(self.held) :]
+        windows = np.lib.stride_tricks.sliding_window_view(joined, len(self._taps), axis=0)[:: self.factor]
+        # by einsum: its sums do not depend on how many frames come at a time
+        return np.asarray(np.einsum("nct,t->nc", windows, self._taps))

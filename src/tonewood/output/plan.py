@@ -1,0 +1,187 @@
+"""What a render will do, before it: which effects will run on which strings, when and why, and how long it will take.
+
+The score is played through at a third of the sampling rate, with every tension left at rest but watched: that tells
+what would be switched when. How long things take is timed on the first second of sound, at the full rate.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+from tonewood.engine.engine import Engine
+from tonewood.engine.ledger import Ledger, Spans
+from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.contract import Plugin
+from tonewood.output.render import DEFAULT_TAIL, Renderer, Tail, with_effects
+from tonewood.score.note import Score
+
+#: the sketch is made at this share of the sampling rate, but at no less than this
+_SKETCH, _LEAST_FS = 3, 12000
+#: s of sound that are timed
+_TIMED = 1.0
+#: samples of a stretch timed with and without rising tensions, and how often
+_STRETCH, _ROUNDS = 2048, 3
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedEffect:
+    """One effect on one component.
+
+    Attributes
+    ----------
+    name : of the effect.
+    component : string, ``body`` or output group.
+    spans_s : (start, stop) of the times it will run, s of score time; of a contact, when it will touch.
+    why : one line.
+    predicted_s : of computing, None where it is not told apart from the rest.
+    """
+
+    name: str
+    component: str
+    spans_s: tuple[tuple[float, float], ...]
+    why: str
+    predicted_s: float | None
+
+    @property
+    def seconds(self) -> float:
+        """How long it will run, s of sound."""
+        return sum(stop - start for start, stop in self.spans_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A render foreseen.
+
+    Attributes
+    ----------
+    effects : one per effect and component.
+    duration_s : of sound, with its tail.
+    predicted_s : of computing, without load.
+    timed_s : of sound on which that rests.
+    """
+
+    effects: Sequence[PlannedEffect]
+    duration_s: float
+    predicted_s: float
+    timed_s: float
+
+
+def plan(
+    score: Score,
+    instrument: Instrument,
+    fs: int = 48000,
+    *,
+    effects: str | Sequence[str] | None = None,
+    budget_db: float | None = None,
+    budget_cents: float | None = None,
+    outputs: Sequence[str] | None = None,
+    tail: Tail = DEFAULT_TAIL,
+    max_duration: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Plan:
+    """Foresee a render; the parameters are those of `Renderer`."""
+    chosen = with_effects(instrument, effects, budget_db, budget_cents)
+    options: Mapping[str, Any] = {"outputs": outputs, "tail": tail}
+    low = max(fs // _SKETCH, min(_LEAST_FS, fs))
+    sketch = Renderer(score, chosen, low, max_duration=max_duration, **options)
+    sketch.engine.watching = True
+    for _ in sketch.blocks(4096):
+        if progress is not None:
+            progress(sketch.time)
+    seconds = sketch.summary().duration_s
+    timed = Renderer(score, chosen, fs, max_duration=min(_TIMED, seconds), **options)
+    for _ in timed.blocks(4096):
+        pass
+    summary = timed.summary()
+    per_mode = _tension_cost(timed.engine)
+    tense = _tense_modes(timed.engine.ledger)
+    plain = max(summary.render_s - per_mode * tense, 0.0) / timed.engine.ledger.samples
+    ledger, scale = sketch.engine.ledger, fs / low
+    per_string = {
+        name: per_mode * spans.samples * scale * timed.engine.ledger.n_modes(name)
+        for name, spans in ledger.tense.items()
+    }
+    samples = ledger.samples * scale
+    return Plan(
+        effects=_planned(ledger, sketch.engine, per_string, seconds),
+        duration_s=seconds,
+        predicted_s=plain * samples + sum(per_string.values()),
+        timed_s=summary.duration_s,
+    )
+
+
+def _tense_modes(ledger: Ledger) -> float:
+    """Modes of strings whose tension rose, times samples."""
+    return sum(spans.samples * ledger.n_modes(name) for name, spans in ledger.tense.items())
+
+
+def _tension_cost(engine: Engine) -> float:
+    """Seconds per sample and mode of a string whose tension rises, more than what it takes at rest."""
+    names = engine.switch.strings
+    if not names:
+        return 0.0
+    times: dict[bool, list[float]] = {True: [], False: []}
+    for _ in range(_ROUNDS):
+        for on in (False, True):
+            system = engine.system.with_tensions(names if on else ())
+            engine.stepper.exchange(system)
+            state = engine.state.copy()
+            began = time.perf_counter()
+            engine.stepper.run(state, _STRETCH)
+            times[on].append(time.perf_counter() - began)
+    engine.stepper.exchange(engine.system)
+    modes = sum(engine.ledger.n_modes(name) for name in names)
+    return max(median(times[True]) - median(times[False]), 0.0) / (_STRETCH * modes)
+
+
+def _planned(ledger: Ledger, engine: Engine, per_string: Mapping[str, float], seconds: float) -> list[PlannedEffect]:
+    model, whole = engine.model, ((0.0, seconds),)
+    choice, out = model.choice, []
+    parts: dict[str, Plugin[Any]] = {**model.instrument.attachments, **model.exciters}
+
+    def spans(of: Spans) -> tuple[tuple[float, float], ...]:
+        return tuple((max(a / model.fs, 0.0), b / model.fs) for a, b in of.all if b > 0)
+
+    for name, string in model.strings.items():
+        for effect in string.resonator.effects:
+            if effect.name not in choice.names:
+                out.append(PlannedEffect(effect.name, name, (), f"left out: effects are {_mode(choice.mode)}", None))
+            elif effect.name == "tension_modulation":
+                if string.resonator.axial_stiffness <= 0:
+                    continue
+                when = spans(ledger.tense[name])
+                why = "always: effects are all" if choice.mode == "all" else "always: it is among those named"
+                if choice.mode == "auto":
+                    cents = ledger.largest[name]
+                    size = f"its tension rises by up to {cents:.2g} cents" if cents < 1e9 else "a gesture moves it"
+                    why = f"{size}; the budget is {choice.budget_cents:g}"
+                out.append(PlannedEffect(effect.name, name, when, why, per_string.get(name, 0.0)))
+            elif effect.name != "second_polarization" or len(string.polarizations) > 1:
+                out.append(PlannedEffect(effect.name, name, whole, effect.before, None))
+    for (name, part), _ in ledger.contacts.items():
+        when = spans(ledger.touched[name, part])
+        why = "the string reaches it" if when else "watched; the string does not reach it"
+        out += [PlannedEffect(e.name, name, when, why, None) for e in parts[part].effects if e.name != "dampers"]
+    for name, held in ledger.held.items():
+        out.append(PlannedEffect("dampers", name, spans(held), "fingers touch the string to pluck it", None))
+    for part, plugin in parts.items():
+        out += [
+            PlannedEffect(e.name, part, (), f"left out: effects are {_mode(choice.mode)}", None)
+            for e in plugin.effects
+            if e.name not in choice.names
+        ]
+    out += [PlannedEffect(e.name, "body", whole, e.before, None) for e in model.instrument.body.effects]
+    made = {group.name for group in model.outputs}
+    for group, pickup in model.instrument.pickups.items():
+        here = group in made
+        why = "it is recorded" if here else "nobody records it"
+        out += [PlannedEffect(e.name, group, whole if here else (), why, None) for e in pickup.effects]
+    return out
+
+
+def _mode(mode: str) -> str:
+    return "named one by one" if mode == "list" else mode
