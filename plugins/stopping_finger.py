@@ -13,7 +13,7 @@ import math
 
 from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
 from tonewood.instrument.contract import Event, Exciter, Gesture, Hold, Place, Segment
-from tonewood.instrument.effects import DAMPERS, contact
+from tonewood.instrument.effects import DAMPERS, contact_effect
 from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
 from tonewood.numerics.connections import Connection, Term
 from tonewood.numerics.laws import HardeningSpring
@@ -48,7 +48,10 @@ class StoppingFinger(Exciter[FingerParameters]):
     """The finger and the pluck; see the module."""
 
     api = 1
-    effects = (contact("stopping_finger", "a soft finger, while a gesture lays it on the string", basic=True), DAMPERS)
+    effects = (
+        contact_effect("stopping_finger", "a soft finger, while a gesture lays it on the string", basic=True),
+        DAMPERS,
+    )
     Parameters = FingerParameters
 
     def attach(self, name: str, site: Site) -> Attached:
