@@ -97,10 +97,20 @@ def main() -> None:
     parser.add_argument("--no-plan", action="store_true")
     args = parser.parse_args()
     began = time.perf_counter()
-    print(
-        "| instrument | score | s | auto, s | all / auto | auto / linear | tension on | dB | cents 95 % | max | plan |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    columns = [
+        "instrument",
+        "score",
+        "s",
+        "auto, s",
+        "all / auto",
+        "auto / linear",
+        "tension on",
+        "dB",
+        "cents 95 %",
+        "max",
+        "plan",
+    ]
+    print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
     for name in args.instruments:
         made = instrument(name)
         try:

@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from tonewood.instrument.contract import Plugin as Plugin
     from tonewood.instrument.contract import Resonator as Resonator
     from tonewood.instrument.contract import Scene as Scene
-    from tonewood.instrument.contract import Segment as Segment
     from tonewood.instrument.contract import dot as dot
     from tonewood.instrument.directions import Direction as Direction
     from tonewood.instrument.directions import unit_vector as unit_vector
@@ -71,6 +70,7 @@ if TYPE_CHECKING:
     from tonewood.numerics.connections import SpringDashpot as SpringDashpot
     from tonewood.numerics.connections import Term as Term
     from tonewood.numerics.damping import with_damping_case as with_damping_case
+    from tonewood.numerics.forcing import Segment as Segment
     from tonewood.numerics.laws import CompiledPotential as CompiledPotential
     from tonewood.numerics.laws import Contact as Contact
     from tonewood.numerics.laws import Friction as Friction
