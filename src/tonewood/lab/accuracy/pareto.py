@@ -36,8 +36,8 @@ def _of_all(name: str) -> Callable[[Point], float]:
     return lambda p: float(getattr(p, name)) if not p.lost else np.nan
 
 
-PITCH = Measure("pitch", "worst pitch error of partials 1-40, cents", _of_all("cents_worst"))
-DECAY = Measure("decay", "worst error of decay rates of partials 1-40, relative", _of_all("decay_worst"))
+PITCH = Measure("pitch", "worst pitch error of the partials, cents", _of_all("cents_worst"))
+DECAY = Measure("decay", "worst error of the partials' decay rates, relative", _of_all("decay_worst"))
 WAVEFORM = Measure("waveform", "error of the waveform, relative", lambda p: p.waveform)
 MEASURES: Mapping[str, Measure] = {m.name: m for m in (PITCH, DECAY, WAVEFORM)}
 
