@@ -154,18 +154,10 @@ def test_a_palm_shortens_the_decay() -> None:
 @pytest.mark.parametrize(("node", "partial"), [(1 / 2, 2), (1 / 3, 3), (1 / 4, 4)])
 def test_harmonics_at_nodes(node: float, partial: int) -> None:
     """A light touch at 1/n of the string leaves its n-th partial, and sounds n times the open pitch."""
-    made = monochord("ideal")
-    values = json.loads(json.dumps(made.resolved))
-    values["exciters"]["harmonic"] = {
-        "plugin": "stopping_finger", "touch": {"fraction": node}, "from_bridge": 0.09, "lift": 0.12
-    }  # fmt: skip
-    made = Instrument.from_values(values, made.folder)
     notes = [tw.Note(0.0, 1.0, string="A2", stop=0, force=2.0, technique="harmonic")]
-    x = tw.render(tw.Score(notes), made, max_duration=1.0).samples[int(0.3 * FS) :, 0]
-    spectrum = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(x)), 1 << 19))
-    freq = np.fft.rfftfreq(1 << 19, 1 / FS)
-    strongest = freq[:20000][spectrum[:20000].argmax()]
-    assert strongest == pytest.approx(partial * 110.0, rel=5e-3)
+    sound = tw.render(tw.Score(notes), touched(touch={"fraction": node}), max_duration=1.0).samples
+    spectrum, freq = strongest(sound[int(0.3 * FS) :, 0])
+    assert freq[spectrum.argmax()] == pytest.approx(partial * 110.0, rel=5e-3)
     below = [spectrum[np.abs(freq - n * 110.0) < 20].max() for n in range(1, partial)]
     assert max(below) < 0.1 * spectrum.max()
 
@@ -196,3 +188,46 @@ def test_a_broad_touch_leaves_no_node(tmp_path: Path) -> None:
         freq = np.sqrt(73.9 / 3.61e-3) / 2 / 0.65
         level[width] = band_energy(x, 19.5 * freq, 21.5 * freq)
     assert level[0.03] < 0.05 * level[0.0]
+
+
+def strongest(x: Floats) -> tuple[Floats, Floats]:
+    """Spectrum and its frequencies."""
+    spectrum = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(x)), 1 << 19))
+    return spectrum, np.fft.rfftfreq(1 << 19, 1 / FS)
+
+
+def touched(**finger: Any) -> Instrument:
+    made = monochord("ideal")
+    values = json.loads(json.dumps(made.resolved))
+    values["exciters"]["harmonic"] = {"plugin": "stopping_finger", "from_bridge": 0.09, "lift": 0.12, **finger}
+    values["playing"]["controls"] = {"cc1": {"parameter": "harmonic.touch", "low": 0.2, "high": 0.65}}
+    return Instrument.from_values(values, made.folder)
+
+
+@pytest.mark.parametrize(("place", "partial"), [(0.3, 3), (0.45, 2), (0.6, 3), (0.225, 4)])
+def test_a_controller_places_the_finger(place: float, partial: int) -> None:
+    """On 0.9 m of string; the bundle's own place is the middle."""
+    notes = [tw.Note(0.0, 1.0, string="A2", stop=0, force=2.0, technique="harmonic")]
+    control = Control(0.0, "cc1", (place - 0.2) / 0.45)
+    x = tw.render(tw.Score(notes, [control]), touched(touch=0.45), max_duration=1.0).samples[int(0.3 * FS) :, 0]
+    spectrum, freq = strongest(x)
+    assert freq[spectrum.argmax()] == pytest.approx(partial * 110.0, rel=5e-3)
+
+
+def test_a_finger_that_moves_along() -> None:
+    """From the middle to a third while the string sounds: it takes the octave too, and gives nothing worth naming."""
+    made = touched(touch=0.45, touch_end=0.3, lift=0.3)
+    notes = [tw.Note(0.0, 1.0, string="A2", stop=0, force=2.0, technique="harmonic")]
+    model = assemble(made, FS)
+    engine = Engine(model, perform(tw.Score(notes), model).timeline)
+    energies, out = [], []
+    while engine.state.sample < 0.8 * FS:
+        out.append(engine.advance(1)[:, 0])
+        energies.append(stored_energy(engine.system, engine.state).total)
+    start = int(np.argmax(energies)) + 1
+    rises = np.maximum(np.diff(energies[start:]), 0.0)
+    assert rises.sum() < 1e-3 * max(energies)
+    still = tw.render(tw.Score(notes), touched(touch=0.45, lift=0.3), max_duration=0.8).samples[-int(0.4 * FS) :, 0] * 4
+    moved = np.concatenate(out)[-int(0.4 * FS) :]
+    level = [spectrum[np.abs(freq - 220.0) < 5].max() for spectrum, freq in map(strongest, (still, moved))]
+    assert level[1] < 0.1 * level[0]

@@ -183,6 +183,7 @@ class StringModel:
         bend_cents: float = 0.0,
         added_damping: float = 0.0,
         pluck_from_bridge: float | None = None,
+        touches: Mapping[str, float] | None = None,
         whole: bool = False,
     ) -> dict[str, ModalBasis]:
         """Component -> basis, with the points ``bridge``, ``pluck`` and those named in the bundle.
@@ -193,13 +194,14 @@ class StringModel:
         bend_cents : by which the tension is changed.
         added_damping : 1/s, added to every mode's damping rate.
         pluck_from_bridge : m; the string's usual place where left out. Must lie on the speaking part.
+        touches : point of what touches the string -> m, where it lies elsewhere than its part says.
         whole : keep modes that tension has raised above the limit, too.
         """
         length = self.length(stop)
         pluck = min(self.pluck_from_bridge, 0.9 * length) if pluck_from_bridge is None else pluck_from_bridge
         if not 0 <= pluck <= length:
             raise ValueError(f"string {self.name} is {length:g} m long at stop {stop:g}; {pluck:g} m is not on it")
-        places = {name: x for a in self.attached(stop) for name, x in a.places.items()}
+        places = {name: x for a in self.attached(stop) for name, x in a.places.items()} | dict(touches or {})
         beyond = [name for name, x in places.items() if not 0 <= x < length]
         here = {"pluck": pluck, **self.points, **{n: x for n, x in places.items() if n not in beyond}}
         if self.stopping.finger is not None:
