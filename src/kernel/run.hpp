@@ -14,6 +14,7 @@
 #include "lines.hpp"
 #include "nonlinear.hpp"
 #include "sweep.hpp"
+#include "tense_contacts.hpp"
 #include "tension.hpp"
 
 namespace tonewood {
@@ -84,6 +85,7 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
     std::vector<Array<double>> known_values(job.n_injections);
     NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known);
     TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job);
+    TenseContacts<T> both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
     const bool tense = !tensions.strings.empty();
 
     for (std::int64_t start = 0; start < job.n; start += kBlock) {
@@ -110,7 +112,9 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
         for (int b = 0; b < nb; ++b) {
             double* now = &force[std::size_t(b) * force_width];
             if (tense) {
-                if (!stretched.step(b, lines.data(), known, f.data(), now)) return {Fault::kUnsolved, start + b};
+                const bool found = nonlinear.k ? both.step(b, lines.data(), known, f.data(), now)
+                                               : stretched.step(b, lines.data(), known, f.data(), now);
+                if (!found) return {Fault::kUnsolved, start + b};
             } else {
                 const double* line = &lines[std::size_t(b) * width];
                 for (int p = 0; p < n_ports; ++p) {
