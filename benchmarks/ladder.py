@@ -15,7 +15,7 @@ import numpy as np
 
 import tonewood as tw
 from tonewood.instrument.assembly import Model, assemble
-from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.forcing import compile_force
 from tonewood.numerics.kernel import KernelStepper, instruction_set
 
 BLOCK = 256
@@ -45,13 +45,12 @@ class Scene:
         self.model: Model = assemble(instrument, fs)
         system = self.model.system.with_laws(self.model.resting) if finger else self.model.system
         gesture = self.model.exciters["pluck"].gesture(tw.Event({"force": 2.0}, 82.4), self.model.place("E2"))
-        pieces = [Piece(s.start, s.stop, s.c0, s.c1, s.c2) for s in gesture.segments]
         self.injections = []
         for string in self.model.strings.values():
             for component, weight in string.weights(gesture.angle_deg).items():
                 basis = system.compiled[system.slot(component)].basis
                 self.injections += compile_force(
-                    component, basis, "pluck", pieces, system.dt, time=0.02, factor=weight
+                    component, basis, "pluck", gesture.segments, system.dt, time=0.02, factor=weight
                 )  # fmt: skip
         self.stepper = KernelStepper(system)
 

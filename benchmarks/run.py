@@ -27,7 +27,7 @@ from tonewood import _kernel
 from tonewood.engine.engine import GRID, Engine
 from tonewood.numerics.connections import Connection, Rigid, Term
 from tonewood.numerics.energy import EnergyAccount
-from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.forcing import Segment, compile_force
 from tonewood.numerics.kernel import KernelStepper, instruction_set
 from tonewood.numerics.stepper import NumpyStepper
 from tonewood.numerics.system import Probe, Readout, System
@@ -168,7 +168,7 @@ def undamped_energy(steps: int) -> Iterator[Row]:
     )
     stepper = KernelStepper(system)
     state = stepper.start()
-    held = compile_force("string", string_basis, "pluck", [Piece(0.0, 0.02, 0.0, 50.0)], system.dt)
+    held = compile_force("string", string_basis, "pluck", [Segment(0.0, 0.02, 0.0, 50.0)], system.dt)
     stepper.run(state, 1000, held)  # drawn with 1 N and let go
     modes = system.modes_of(state, "string")
     account = EnergyAccount(system, state)

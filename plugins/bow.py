@@ -18,7 +18,7 @@ import math
 from tonewood.instrument.attached import Attached, Motion, Site
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
 from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact
+from tonewood.instrument.effects import contact_effect
 from tonewood.instrument.gestures import StringPlace, metres, smooth_step
 from tonewood.numerics.connections import Connection
 from tonewood.numerics.laws import Friction
@@ -37,6 +37,9 @@ class BowParameters(Parameters):
     attack_time: float = quantity("s", low=1e-4, high=5.0, default=0.03, doc="in which force and velocity grow")
     release_time: float = quantity("s", low=1e-4, high=5.0, default=0.05, doc="in which they vanish")
     sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a note that nobody ends")
+    slide_time: float = quantity(
+        "s", low=0.0, high=5.0, default=0.0, doc="in which the stop slides under the bow from that of the note before"
+    )
     direction: Direction = described("of the stroke", default="y")
 
 
@@ -44,7 +47,7 @@ class Bow(Exciter[BowParameters]):
     """The bow; see the module."""
 
     api = 1
-    effects = (contact("bow", "hair that sticks and slips, while a gesture moves it", basic=True),)
+    effects = (contact_effect("bow", "hair that sticks and slips, while a gesture moves it", basic=True),)
     Parameters = BowParameters
 
     def attach(self, name: str, site: Site) -> Attached:
@@ -72,4 +75,6 @@ class Bow(Exciter[BowParameters]):
             return grow + steady + smooth_step(end, end + p.release_time, value, 0.0)
 
         motions = (Motion(hair, "scale", course(p.force)), Motion(hair, "velocity", course(p.velocity)))
-        return Gesture((), metres(p.from_bridge, place), motions=motions)
+        slides = p.slide_time > 0 and event.stop != event.stop_before
+        stops = smooth_step(0.0, p.slide_time, event.stop_before, event.stop) if slides else ()
+        return Gesture((), metres(p.from_bridge, place), motions=motions, stops=stops)

@@ -16,7 +16,7 @@ import numpy as np
 from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment
 from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact
+from tonewood.instrument.effects import contact_effect
 from tonewood.numerics.connections import Connection, SpringDashpot, Term
 from tonewood.numerics.laws import Contact
 from tonewood.params import Parameters, described, quantity
@@ -52,7 +52,7 @@ class BridgeBarrier(Attachment[BarrierParameters]):
     """The barrier; see the module."""
 
     api = 1
-    effects = (contact("bridge_barrier", "a string that rolls on and off a curved bridge"),)
+    effects = (contact_effect("bridge_barrier", "a string that rolls on and off a curved bridge"),)
     Parameters = BarrierParameters
 
     def height(self, x: float) -> float:

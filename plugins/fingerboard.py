@@ -12,7 +12,7 @@ import numpy as np
 from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment
 from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact
+from tonewood.instrument.effects import contact_effect
 from tonewood.numerics.connections import Connection
 from tonewood.numerics.laws import Contact
 from tonewood.params import Parameters, described, quantity
@@ -35,7 +35,7 @@ class Fingerboard(Attachment[FingerboardParameters]):
     """The board; see the module."""
 
     api = 1
-    effects = (contact("fingerboard", "slap where the string reaches the fingerboard"),)
+    effects = (contact_effect("fingerboard", "slap where the string reaches the fingerboard"),)
     Parameters = FingerboardParameters
 
     def attach(self, name: str, site: Site) -> Attached:

@@ -15,7 +15,7 @@ from pydantic import Field
 from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment
 from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact
+from tonewood.instrument.effects import contact_effect
 from tonewood.numerics.connections import Connection
 from tonewood.numerics.laws import Contact
 from tonewood.params import Number, Parameters, described, quantity
@@ -40,7 +40,7 @@ class Frets(Attachment[FretsParameters]):
     """The frets; see the module."""
 
     api = 1
-    effects = (contact("frets", "buzz and slap where the string reaches a fret"),)
+    effects = (contact_effect("frets", "buzz and slap where the string reaches a fret"),)
     Parameters = FretsParameters
 
     def clearance(self, x: float, site: Site) -> float:

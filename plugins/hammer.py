@@ -14,7 +14,7 @@ import math
 from tonewood.instrument.attached import Attached, Site, loose_mass
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
 from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact
+from tonewood.instrument.effects import contact_effect
 from tonewood.instrument.gestures import StringPlace, metres, smooth_step
 from tonewood.numerics.connections import Connection, Term
 from tonewood.numerics.laws import Contact
@@ -44,7 +44,7 @@ class Hammer(Exciter[HammerParameters]):
     """The hammer; see the module."""
 
     api = 1
-    effects = (contact("hammer", "a mass thrown at the string, while a gesture moves it", basic=True),)
+    effects = (contact_effect("hammer", "a mass thrown at the string, while a gesture moves it", basic=True),)
     Parameters = HammerParameters
 
     def attach(self, name: str, site: Site) -> Attached:

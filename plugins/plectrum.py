@@ -22,7 +22,7 @@ import math
 from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
 from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact
+from tonewood.instrument.effects import contact_effect
 from tonewood.instrument.gestures import StringPlace, metres, smooth_step
 from tonewood.numerics.connections import Connection, Term
 from tonewood.numerics.laws import Friction
@@ -48,7 +48,7 @@ class Plectrum(Exciter[PlectrumParameters]):
     """The plectrum; see the module."""
 
     api = 1
-    effects = (contact("plectrum", "an edge that sticks and slips, while a gesture moves it", basic=True),)
+    effects = (contact_effect("plectrum", "an edge that sticks and slips, while a gesture moves it", basic=True),)
     Parameters = PlectrumParameters
 
     def attach(self, name: str, site: Site) -> Attached:

@@ -11,7 +11,7 @@ import math
 from tonewood.instrument.attached import Attached, Site, loose_mass
 from tonewood.instrument.contract import Attachment
 from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact
+from tonewood.instrument.effects import contact_effect
 from tonewood.numerics.connections import Connection, Term
 from tonewood.numerics.laws import Contact
 from tonewood.params import Parameters, described, quantity
@@ -35,7 +35,7 @@ class Rattle(Attachment[RattleParameters]):
     """The mass; see the module."""
 
     api = 1
-    effects = (contact("rattle", "a loose part struck by the string"),)
+    effects = (contact_effect("rattle", "a loose part struck by the string"),)
     Parameters = RattleParameters
 
     def attach(self, name: str, site: Site) -> Attached:

@@ -13,11 +13,14 @@ import math
 
 from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
 from tonewood.instrument.contract import Event, Exciter, Gesture, Hold, Place, Segment
-from tonewood.instrument.effects import DAMPERS, contact
+from tonewood.instrument.effects import DAMPERS, contact_effect
 from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
 from tonewood.numerics.connections import Connection, Term
 from tonewood.numerics.laws import HardeningSpring
 from tonewood.params import Parameters, described, quantity
+
+#: of the string that something broad touches
+_POINTS = 3
 
 
 class FingerParameters(Parameters):
@@ -26,6 +29,7 @@ class FingerParameters(Parameters):
     touch: StringPlace = described(
         "of the finger: m, or {fraction: of the speaking length}", default=Fraction(fraction=0.5)
     )
+    width: float = quantity("m", low=0.0, high=0.2, default=0.0, doc="over which it lies: a palm's edge is broad")
     weight: float = quantity("1", low=0.0, high=100.0, default=1.0, doc="factor on the skin's stiffness and damping")
     mass: float = quantity("kg", low=1e-5, high=1.0, default=2e-3, doc="of the fingertip")
     skin_stiffness: float = quantity("N/m", low=0.0, high=1e6, default=300.0, doc="between string and fingertip")
@@ -48,21 +52,31 @@ class StoppingFinger(Exciter[FingerParameters]):
     """The finger and the pluck; see the module."""
 
     api = 1
-    effects = (contact("stopping_finger", "a soft finger, while a gesture lays it on the string", basic=True), DAMPERS)
+    effects = (
+        contact_effect("stopping_finger", "a soft finger, while a gesture lays it on the string", basic=True),
+        DAMPERS,
+    )
     Parameters = FingerParameters
 
     def attach(self, name: str, site: Site) -> Attached:
         """Fingertip and skin in every direction the string moves in."""
-        p, own, point = self.parameters, f"{site.string}.{name}", f"{name}.touch"
+        p, own, on = self.parameters, f"{site.string}.{name}", Place(site.string, site.length)
         omega = 2 * math.pi * p.hand_freq
+        middle, n = metres(p.touch, on), self._points
+        places = {f"{name}.touch{j}": metres(middle + p.width * ((j - 0.5) / n - 0.5), on) for j in range(1, n + 1)}
+        law = HardeningSpring(p.skin_stiffness / n, damping=p.skin_damping / n)
         components, connections = {}, []
         for i, (component, _) in enumerate(site.polarizations, 1):
-            tip, skin = f"{own}.tip{i}", f"{own}.skin{i}"
+            tip = f"{own}.tip{i}"
             components[tip] = loose_mass(p.mass, omega, p.hand_damping * omega)
-            law = HardeningSpring(p.skin_stiffness, damping=p.skin_damping)
-            connections.append(Connection(skin, (Term(component, point), Term(tip, "mass", -1.0)), law))
-        place = metres(p.touch, Place(site.string, site.length))
-        return Attached({point: place}, components, tuple(connections), resting=tuple(c.name for c in connections))
+            for j, point in enumerate(places, 1):
+                terms = (Term(component, point), Term(tip, "mass", -1.0))
+                connections.append(Connection(f"{own}.skin{i}{j}", terms, law))
+        return Attached(places, components, tuple(connections), resting=tuple(c.name for c in connections))
+
+    @property
+    def _points(self) -> int:
+        return 1 if self.parameters.width == 0.0 else _POINTS
 
     def gesture(self, event: Event, place: Place) -> Gesture:
         """The finger comes before the pluck's force grows; the pluck's release begins at time 0."""
@@ -74,6 +88,7 @@ class StoppingFinger(Exciter[FingerParameters]):
             Segment(-ramp, p.lift, p.weight),
             *smooth_step(p.lift, p.lift + p.ease, p.weight, 0.0),
         )
-        motions = tuple(Motion(f"{place.name}.{self.name}.skin{i}", "scale", lies) for i in range(1, place.planes + 1))
+        skins = [f"skin{i}{j}" for i in range(1, place.planes + 1) for j in range(1, self._points + 1)]
+        motions = tuple(Motion(f"{place.name}.{self.name}.{skin}", "scale", lies) for skin in skins)
         hold = Hold(-ramp, -ramp / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
         return Gesture(segments, metres(p.from_bridge, place), p.angle_deg, hold, motions=motions)

@@ -93,3 +93,18 @@ def test_user_law() -> None:
     assert kept == pytest.approx(1.0, abs=1e-9)
     user_law.compiled = lambda folder: None
     assert user_law.main()[0] == pytest.approx(contact, abs=1.5 / 48000)
+
+
+def test_effects(tmp_path: Path) -> None:
+    """A tanpura's partials near 2.5 kHz grow after the pluck; a clavichord's key let go silences its string."""
+    sounds = example("effects").main(tmp_path, ("tanpura", "clavichord"))
+    assert {p.name for p in tmp_path.glob("*.wav")} == {"tanpura.wav", "clavichord.wav"}
+
+    def level(x: np.ndarray, start: float) -> float:
+        piece = x[int(start * 48000) :][:4800]
+        spectrum = np.abs(np.fft.rfft(piece * np.hanning(len(piece)))) ** 2
+        return float(spectrum[200:300].sum())  # 2 to 3 kHz
+
+    drone, key = sounds["tanpura"].samples[:, 0], sounds["clavichord"].samples[:, 0]
+    assert level(drone, 0.3) > 3 * level(drone, 0.0)
+    assert np.abs(key[int(0.64 * 48000) : int(0.68 * 48000)]).max() < 0.02 * np.abs(key[: int(0.4 * 48000)]).max()

@@ -1,65 +1,131 @@
 // The rows and port forces of one block in lines, one for each sample, and products with the small matrices of Layout.
 #pragma once
 
+#include <algorithm>
+
 #include "simd.hpp"
 
 namespace tonewood {
 namespace {
 
+// Columns k .. k + N vectors of sum += matrix^T x. Each number of x is fetched once for all of them, and four sums stand
+// side by side in each: a chain of additions would wait for itself.
+template <int N>
+inline void add_columns(const double* __restrict matrix, int width, const double* __restrict x, int n,
+                        double* __restrict sum) {
+    using S = Simd<double>;
+    S::V part[4][N];
+    for (int j = 0; j < N; ++j) part[0][j] = S::load(sum + j * S::width), part[1][j] = part[2][j] = part[3][j] = S::V{};
+    int i = 0;
+    for (; i + 4 <= n; i += 4)
+        for (int q = 0; q < 4; ++q, matrix += width)
+            for (int j = 0; j < N; ++j) part[q][j] += S::load(matrix + j * S::width) * x[i + q];
+    for (; i < n; ++i, matrix += width)
+        for (int j = 0; j < N; ++j) part[1][j] += S::load(matrix + j * S::width) * x[i];
+    for (int j = 0; j < N; ++j)
+        S::store(sum + j * S::width, (part[0][j] + part[1][j]) + (part[2][j] + part[3][j]));
+}
+
 // sum += matrix^T x over the rows of a (n, width) matrix, width a multiple of kLane
 inline void add_product(const double* __restrict matrix, int width, const double* __restrict x, int n,
                         double* __restrict sum) {
-    using S = Simd<double>;
-    static_assert(kLane % S::width == 0);
-    for (int k = 0; k < width; k += S::width) {
-        // four sums side by side: a chain of additions would wait for itself
-        S::V a = S::load(sum + k), b{}, c{}, d{};
-        const double* column = matrix + k;
-        int i = 0;
-        for (; i + 3 < n; i += 4, column += 4 * width) {
-            a += S::load(column) * x[i];
-            b += S::load(column + width) * x[i + 1];
-            c += S::load(column + 2 * width) * x[i + 2];
-            d += S::load(column + 3 * width) * x[i + 3];
-        }
-        for (; i < n; ++i, column += width) b += S::load(column) * x[i];
-        S::store(sum + k, (a + b) + (c + d));
-    }
+    constexpr int lanes = Simd<double>::width, most = kPack - 1;
+    static_assert(kLane % lanes == 0);
+    int k = 0;
+    for (; k + most * lanes <= width; k += most * lanes) add_columns<most>(matrix + k, width, x, n, sum + k);
+    for (; k < width; k += lanes) add_columns<1>(matrix + k, width, x, n, sum + k);
 }
 
-// What the port forces of one sample do to every row in the rest of the block. `lines` begins at the next sample.
-inline void spread(const Layout& layout, const double* __restrict force, int n_left, double* __restrict per_row,
-                   double* __restrict lines) {
+// What port forces do to every row in the rest of a block: the next lines, within a span of kSpan samples, hear of each
+// force at once, the lines beyond of all forces of the span together when it ends.
+class Spread {
     using S = Simd<double>;
-    const int width = layout.width, single_width = layout.single_width;
-    for (std::size_t i = 0; i < layout.singles.size(); ++i)
-        per_row[i] = layout.singles[i] < 0 ? 0.0 : force[layout.singles[i]];
-    const double* __restrict h = layout.single_history.data();
-    for (int i = 0; i < single_width; i += S::width) {
-        const S::V f = S::load(per_row + i);
-        for (int k = 0; k < n_left; ++k) {
-            double* line = lines + std::size_t(k) * width + i;
-            S::store(line, S::load(line) + S::load(h + std::size_t(k) * single_width + i) * f);
+
+public:
+    explicit Spread(const Layout& layout) : l_(layout), per_row_(std::size_t(kSpan) * layout.single_width) {}
+
+    // The forces of sample b; `force` (kBlock, force_width) holds those of all samples so far, `lines` all nb + 1.
+    void operator()(int b, int nb, const double* force, double* lines) {
+        const int place = b % kSpan, end = std::min(b - place + kSpan, nb);
+        const double* now = force + std::size_t(b) * l_.force_width;
+        double* per_row = &per_row_[std::size_t(place) * l_.single_width];
+        for (std::size_t i = 0; i < l_.singles.size(); ++i) per_row[i] = l_.singles[i] < 0 ? 0.0 : now[l_.singles[i]];
+        near(now, per_row, end - b, lines + std::size_t(b + 1) * l_.width);
+        if (place == kSpan - 1 && end < nb) far(force + std::size_t(b + 1 - kSpan) * l_.force_width, nb - end, lines + std::size_t(end + 1) * l_.width);
+    }
+
+private:
+    void near(const double* __restrict force, const double* __restrict per_row, int n, double* __restrict lines) const {
+        for (int i = 0; i < l_.single_width; i += S::width) {
+            const S::V f = S::load(per_row + i);
+            const double* h = l_.single_history.data() + i;
+            for (int k = 0; k < n; ++k) {
+                double* line = lines + std::size_t(k) * l_.width + i;
+                S::store(line, S::load(line) + S::load(h + std::size_t(k) * l_.single_width) * f);
+            }
+        }
+        for (const Layout::Several& c : l_.several) {
+            const double* __restrict f = force + c.force;
+            for (int i = 0; i < c.width; i += S::width)
+                for (int k = 0; k < n; ++k) {
+                    const double* column = c.history.data() + std::size_t(k) * c.n_ports * c.width + i;
+                    double* line = lines + std::size_t(k) * l_.width + c.row + i;
+                    S::V even = S::load(line), odd{};
+                    int p = 0;
+                    for (; p + 1 < c.n_ports; p += 2, column += 2 * c.width) {
+                        even += S::load(column) * f[p];
+                        odd += S::load(column + c.width) * f[p + 1];
+                    }
+                    if (p < c.n_ports) even += S::load(column) * f[p];
+                    S::store(line, even + odd);
+                }
         }
     }
-    for (const Layout::Several& c : layout.several) {
-        const double* __restrict hc = c.history.data();
-        const double* __restrict f = force + c.force;
-        for (int i = 0; i < c.width; i += S::width)
-            for (int k = 0; k < n_left; ++k) {
-                const double* __restrict column = hc + std::size_t(k) * c.n_ports * c.width + i;
-                double* line = lines + std::size_t(k) * width + c.row + i;
+
+    // The forces of kSpan samples on the n lines after the span.
+    void far(const double* __restrict force, int n, double* __restrict lines) const {
+        for (int i = 0; i < l_.single_width; i += S::width) {
+            S::V f[kSpan];
+            for (int q = 0; q < kSpan; ++q) f[q] = S::load(&per_row_[std::size_t(q) * l_.single_width + i]);
+            const std::ptrdiff_t step = l_.single_width;
+            const double* h = l_.single_history.data() + kSpan * step + i;
+            for (int k = 0; k < n; ++k, h += step) {
+                double* line = lines + std::size_t(k) * l_.width + i;
                 S::V even = S::load(line), odd{};
-                int p = 0;
-                for (; p + 1 < c.n_ports; p += 2, column += 2 * c.width) {
-                    even += S::load(column) * f[p];
-                    odd += S::load(column + c.width) * f[p + 1];
+                for (int q = 0; q < kSpan; q += 2) {
+                    even += S::load(h - q * step) * f[q];
+                    odd += S::load(h - (q + 1) * step) * f[q + 1];
                 }
-                if (p < c.n_ports) even += S::load(column) * f[p];
                 S::store(line, even + odd);
             }
+        }
+        for (const Layout::Several& c : l_.several) {
+            const std::ptrdiff_t step = std::ptrdiff_t(c.n_ports) * c.width;
+            for (int i = 0; i < c.width; i += S::width) {
+                int k = 0;
+                for (; k + 4 <= n; k += 4) far_lines<4>(c, force, c.history.data() + (k + kSpan) * step + i, lines + std::size_t(k) * l_.width + c.row + i);
+                for (; k < n; ++k) far_lines<1>(c, force, c.history.data() + (k + kSpan) * step + i, lines + std::size_t(k) * l_.width + c.row + i);
+            }
+        }
     }
-}
+
+    // N lines at a time, so that each force is fetched once for all of them
+    template <int N>
+    void far_lines(const Layout::Several& c, const double* __restrict force, const double* h, double* __restrict lines) const {
+        const std::ptrdiff_t step = std::ptrdiff_t(c.n_ports) * c.width;
+        S::V sum[N];
+        for (int j = 0; j < N; ++j) sum[j] = S::load(lines + std::size_t(j) * l_.width);
+        for (int q = 0; q < kSpan; ++q, h -= step) {
+            const double* f = force + std::size_t(q) * l_.force_width + c.force;
+            for (int p = 0; p < c.n_ports; ++p)
+                for (int j = 0; j < N; ++j) sum[j] += S::load(h + j * step + std::ptrdiff_t(p) * c.width) * f[p];
+        }
+        for (int j = 0; j < N; ++j) S::store(lines + std::size_t(j) * l_.width, sum[j]);
+    }
+
+    const Layout& l_;
+    Array<double> per_row_;
+};
 
 // Rows of a driven component over a whole block under known port forces. A row's history has kBlock zeros before it,
 // so that its response to the force of sample b is read from it at one place for all samples.

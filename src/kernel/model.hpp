@@ -9,7 +9,11 @@
 namespace tonewood {
 
 constexpr int kBlock = 16;    // samples stepped between two visits to a component's modes
+constexpr int kSpan = 8;      // samples of a block whose forces reach farther lines together
 constexpr int kPadding = 16;  // modes per component are a multiple of this
+
+template <class T>
+constexpr int kGranule = 256 / int(sizeof(T));  // modes that recur the same way
 
 template <class T>
 struct AlignedAllocator {
@@ -86,9 +90,10 @@ struct Component {
     Array<T> w;              // (n_ports, 2, n)
     Array<double> history;   // (kBlock, n_ports, n_rows): response of each row k steps after a port force
     // for the recurrences of sweep.hpp, derived from the above in double precision
-    Array<T> turn, kappa;    // (n): tr E - 1 and det(I - E)
+    Array<T> trace, det, kappa;  // (n): of E, and det(I - E)
+    std::vector<char> slow;      // by granule of modes: recurs in differences
     Array<T> slopes;         // (n_rows, 2, n): rows (E - I)
-    Array<T> w_slope;        // (n_ports, 2, n): (I + E - tr) w
+    Array<T> w_slope;        // (n_ports, 2, n): (E - tr) w; of slow modes (I + E - tr) w
     Array<T> e_block;        // (4, n): E^kBlock
     std::vector<std::vector<Share>> shares;  // by port
     std::vector<int> channels;               // by readout row
@@ -109,7 +114,7 @@ struct Solve {
 // Where the rows of all two-way components lie while a block is stepped: one line of `width` numbers per sample.
 // Components of one port come first, side by side, so that one vector serves several; every other one begins at a
 // multiple of kLane. The forces of all ports stand side by side too. What the connections do in between is folded into
-// two small matrices: f = constant + pull^T (y_free(b + 1), y(b)), port forces = push^T f.
+// two small matrices: f = constant + pull^T (y(b), y_free(b + 1)), port forces = push^T f.
 constexpr int kLane = 8;
 constexpr int kStride = 2 * kBlock + 8;  // of a guarded row's values: samples 0 .. kBlock, and room beyond the block
 
@@ -129,6 +134,16 @@ struct Layout {
     Array<double> constant;                // (f_width)
     Array<double> pull;                    // (2 port_rows, f_width)
     Array<double> push;                    // (m, force_width)
+    // the same at once: port forces = direct_constant + direct^T (line(b), line(b + 1)); a connection's force is then
+    // that of a port which it alone acts on (none if one of them has no such port)
+    Array<double> direct_constant, direct;  // (force_width), (2 width, force_width)
+    std::vector<int> own_port;              // (m)
+    Array<double> own_factor;               // (m)
+    struct Heard {
+        int channel, connection;
+        double weight;
+    };
+    std::vector<Heard> heard;              // linear connections whose force is read
 };
 
 // One nonlinear law; its numbers are those of tonewood.numerics.laws.

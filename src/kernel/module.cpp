@@ -6,6 +6,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 #include <string>
@@ -150,7 +151,7 @@ public:
         guarded.rows.assign(rows.data(), rows.data() + rows.size());
         guarded.w.assign(w.data(), w.data() + w.size());
         guarded.slopes = slopes_of(n, e.data(), rows.data(), count);
-        guarded.w_slope = w_slopes_of(n, e.data(), w.data(), count);
+        guarded.w_slope = w_slopes_of(c, e.data(), w.data(), count);
         const auto by_pair = [](const In& h) {
             const std::size_t pairs = h.shape(1) * h.shape(2);
             Array<double> out(pairs * kBlock);
@@ -365,12 +366,15 @@ private:
     // What the recurrences need, computed in double whatever T is.
     static void derive(Component<T>& c, const double* e, const double* rows, const double* w) {
         const std::size_t n = c.n;
-        c.turn.resize(n), c.kappa.resize(n), c.e_block.resize(4 * n);
-        c.slopes = slopes_of(n, e, rows, c.n_rows), c.w_slope = w_slopes_of(n, e, w, c.n_ports);
+        c.trace.resize(n), c.det.resize(n), c.kappa.resize(n), c.e_block.resize(4 * n);
+        c.slow.assign((n + kGranule<T> - 1) / kGranule<T>, 0);
         for (std::size_t k = 0; k < n; ++k) {
             const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
-            c.turn[k] = T(a + d - 1);
-            c.kappa[k] = T((1 - a) * (1 - d) - b * g);
+            c.trace[k] = T(a + d), c.det[k] = T(a * d - b * g);
+            const double kappa = (1 - a) * (1 - d) - b * g;
+            c.kappa[k] = T(kappa);
+            // an angle below 0.22 per sample; in single precision all; padding does not count
+            if (kappa < 0.05 || sizeof(T) < sizeof(double)) c.slow[k / kGranule<T>] = 1;
             double p[4] = {a, b, g, d};
             for (int squared = 1; squared < kBlock; squared *= 2) {
                 const double q[4] = {p[0] * p[0] + p[1] * p[2], p[1] * (p[0] + p[3]), p[2] * (p[0] + p[3]),
@@ -386,6 +390,7 @@ private:
             }
             for (int i = 0; i < 4; ++i) c.e_block[i * n + k] = turn[i];
         }
+        c.slopes = slopes_of(n, e, rows, c.n_rows), c.w_slope = w_slopes_of(c, e, w, c.n_ports);
     }
 
     // rows (E - I), of `count` rows of n modes
@@ -400,14 +405,16 @@ private:
         return out;
     }
 
-    // (I + E - tr) w
-    static Array<T> w_slopes_of(std::size_t n, const double* e, const double* w, std::size_t count) {
+    // (E - tr) w, or of slow modes (I + E - tr) w
+    static Array<T> w_slopes_of(const Component<T>& c, const double* e, const double* w, std::size_t count) {
+        const std::size_t n = c.n;
         Array<T> out(2 * count * n);
         for (std::size_t q = 0; q < count; ++q)
             for (std::size_t k = 0; k < n; ++k) {
                 const double wx = w[2 * q * n + k], wy = w[(2 * q + 1) * n + k];
-                out[2 * q * n + k] = T((1 - e[3 * n + k]) * wx + e[n + k] * wy);
-                out[(2 * q + 1) * n + k] = T(e[2 * n + k] * wx + (1 - e[k]) * wy);
+                const double one = c.slow[k / kGranule<T>];
+                out[2 * q * n + k] = T((one - e[3 * n + k]) * wx + e[n + k] * wy);
+                out[(2 * q + 1) * n + k] = T(e[2 * n + k] * wx + (one - e[k]) * wy);
             }
         return out;
     }
@@ -455,10 +462,13 @@ private:
             l.several.push_back({l.row[i], l.port[i], c.n_ports, width, std::move(history)});
         }
         l.f_width = padded(m), l.force_width = padded(n_ports);
+        for (int o = 0; o < n_channels_; ++o)
+            for (int j = 0; j < m; ++j)
+                if (const double w = solve_.weights[std::size_t(o) * m + j]; w != 0.0) l.heard.push_back({o, j, w});
         l.constant = solve_.constant;
         l.constant.resize(l.f_width, 0.0);
         l.push.assign(std::size_t(m) * l.force_width, 0.0);
-        Array<double> of_old;
+        Array<double> of_free;
         for (std::size_t i = 0; i < components_.size(); ++i)
             for (int p = 0; p < components_[i].n_ports; ++p) {
                 Array<double> pull(l.f_width, 0.0), pull_old(l.f_width, 0.0);
@@ -471,10 +481,29 @@ private:
                 }
                 if (components_[i].driven) continue;
                 l.port_rows.push_back(l.row[i] + p);
-                l.pull.insert(l.pull.end(), pull.begin(), pull.end());
-                of_old.insert(of_old.end(), pull_old.begin(), pull_old.end());
+                l.pull.insert(l.pull.end(), pull_old.begin(), pull_old.end());
+                of_free.insert(of_free.end(), pull.begin(), pull.end());
             }
-        l.pull.insert(l.pull.end(), of_old.begin(), of_old.end());
+        l.pull.insert(l.pull.end(), of_free.begin(), of_free.end());
+        const auto pushed = [&](const double* f, double* to) {
+            for (int j = 0; j < m; ++j)
+                for (int p = 0; p < n_ports; ++p) to[p] += f[j] * l.push[std::size_t(j) * l.force_width + p];
+        };
+        l.direct_constant.assign(l.force_width, 0.0);
+        pushed(l.constant.data(), l.direct_constant.data());
+        l.own_port.assign(m, -1), l.own_factor.assign(m, 0.0);
+        for (std::size_t i = 0; i < components_.size(); ++i)
+            for (int p = 0; p < components_[i].n_ports; ++p)
+                if (const auto& shares = components_[i].shares[p]; shares.size() == 1 && shares[0].factor != 0.0) {
+                    l.own_port[shares[0].connection] = l.port[i] + p;
+                    l.own_factor[shares[0].connection] = 1.0 / shares[0].factor;
+                }
+        if (std::find(l.own_port.begin(), l.own_port.end(), -1) != l.own_port.end()) l.own_port.clear();
+        l.direct.assign(std::size_t(2 * l.width) * l.force_width, 0.0);
+        const std::size_t n_rows = l.port_rows.size();
+        for (std::size_t p = 0; p < 2 * n_rows; ++p)
+            pushed(&l.pull[p * l.f_width],
+                   &l.direct[std::size_t(l.port_rows[p % n_rows] + (p < n_rows ? 0 : l.width)) * l.force_width]);
         laid_out_ = true;
     }
 

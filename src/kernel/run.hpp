@@ -79,14 +79,16 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
     Array<double> lines(std::size_t(kBlock + 1) * width);       // rows at samples 0 .. kBlock: free, then moved
     Array<double> driven_lines;                                 // rows of one driven component
     Array<double> force(std::size_t(kBlock) * force_width);     // of ports, a line per sample
-    Array<double> f(layout.f_width), per_row(layout.single_width);
-    Array<double> y(2 * n_ports);  // port displacements: free at the step's end, then at its beginning
+    Array<double> f(layout.f_width);
+    Spread spread(layout);
+    Array<double> y(2 * n_ports);  // port displacements at the step's beginning, then free at its end
     std::vector<std::vector<Input<T>>> known(n_components);
     std::vector<Array<double>> known_values(job.n_injections);
     NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known);
     TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job);
     TenseContacts<T> both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
     const bool tense = !tensions.strings.empty();
+    const bool direct = !tense && !nonlinear.k && int(layout.own_port.size()) == m;
 
     for (std::int64_t start = 0; start < job.n; start += kBlock) {
         const int nb = int(job.n - start < kBlock ? job.n - start : kBlock);
@@ -97,9 +99,8 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             const Component<T>& c = components[i];
             if (c.driven || c.stretched.on) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
-            // many rows are cheaper read from one turning motion
             const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, &lines[layout.row[i]], width, 1};
-            if (known[i].empty() && nb == kBlock && c.n_rows <= 2)
+            if (known[i].empty() && nb == kBlock)
                 recur_read(c, x, y, rows);
             else
                 turn<T, true, false>(c, x, y, known[i].data(), int(known[i].size()), nb, rows);
@@ -111,39 +112,39 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
         // forces, sample by sample
         for (int b = 0; b < nb; ++b) {
             double* now = &force[std::size_t(b) * force_width];
+            double* const f_out = job.forces + (start + b) * m;
             if (tense) {
                 const bool found = nonlinear.k ? both.step(b, lines.data(), known, f.data(), now)
                                                : stretched.step(b, lines.data(), known, f.data(), now);
                 if (!found) return {Fault::kUnsolved, start + b};
+            } else if (direct) {
+                std::copy(layout.direct_constant.begin(), layout.direct_constant.end(), now);
+                add_product(layout.direct.data(), force_width, &lines[std::size_t(b) * width], 2 * width, now);
+                for (int j = 0; j < m; ++j) f_out[j] = layout.own_factor[j] * now[layout.own_port[j]];
             } else {
                 const double* line = &lines[std::size_t(b) * width];
                 for (int p = 0; p < n_ports; ++p) {
-                    y[p] = line[width + layout.port_rows[p]];
-                    y[n_ports + p] = line[layout.port_rows[p]];
+                    y[p] = line[layout.port_rows[p]];
+                    y[n_ports + p] = line[width + layout.port_rows[p]];
                 }
                 std::copy(layout.constant.begin(), layout.constant.end(), f.begin());
                 add_product(layout.pull.data(), layout.f_width, y.data(), 2 * n_ports, f.data());
+                if (nonlinear.k) {
+                    if (!laws.forces(b, f.data(), now)) return {Fault::kUnsolved, start + b};
+                } else {
+                    std::fill(now, now + force_width, 0.0);
+                    add_product(layout.push.data(), force_width, f.data(), m, now);
+                }
             }
-            if (tense) {
-                // the strings' step has found all forces
-            } else if (nonlinear.k) {
-                if (!laws.forces(b, f.data(), now)) return {Fault::kUnsolved, start + b};
-            } else {
-                std::fill(now, now + force_width, 0.0);
-                add_product(layout.push.data(), force_width, f.data(), m, now);
-            }
-            std::copy(f.begin(), f.begin() + m, job.forces + (start + b) * m);
-            spread(layout, now, nb - b, per_row.data(), &lines[std::size_t(b + 1) * width]);
+            if (!direct) std::copy(f.begin(), f.begin() + m, f_out);
+            spread(b, nb, force.data(), lines.data());
             if (nonlinear.k) laws.push_on(b, now);
         }
 
-        for (int b = 0; b < nb; ++b)
-            for (int o = 0; o < job.n_channels; ++o) {
-                const double *w = &solve.weights[std::size_t(o) * m], *fb = job.forces + (start + b) * m;
-                double total = 0.0;
-                for (int j = 0; j < m; ++j) total += w[j] * fb[j];
-                job.out[(start + b) * job.n_channels + o] = total;
-            }
+        std::fill_n(job.out + start * job.n_channels, nb * job.n_channels, 0.0);
+        for (const auto& [channel, connection, weight] : layout.heard)
+            for (int b = 0; b < nb; ++b)
+                job.out[(start + b) * job.n_channels + channel] += weight * job.forces[(start + b) * m + connection];
         laws.emit(start, nb);
         if (tense) stretched.finish_block(nb, lines.data());
 
@@ -154,7 +155,7 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             auto& inputs = known[i];
             const double* forces = &force[layout.port[i]];
-            const bool recurs = inputs.empty() && nb == kBlock && c.n_ports <= 2;
+            const bool recurs = inputs.empty() && nb == kBlock;
             const Ports<T> ports{c.w.data(), c.w_slope.data(), c.n_ports, nullptr, forces, force_width, 1};
             for (int p = 0; p < c.n_ports; ++p)
                 inputs.push_back({&c.w[std::size_t(2 * p) * c.n], forces + p, force_width});
@@ -169,7 +170,7 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             }
             driven_lines.assign(std::size_t(kBlock + 1) * c.n_rows, 0.0);
             const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, driven_lines.data(), c.n_rows, 1};
-            if (recurs && c.n_rows <= c.n_ports + 1) {
+            if (recurs) {
                 recur_read(c, x, y, rows);
                 respond(layout.driven_history[i].data(), c.n_ports, c.n_rows, forces, force_width, driven_lines.data());
                 recur_store<T, true>(c, x, y, ports);

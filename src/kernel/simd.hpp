@@ -70,6 +70,16 @@ inline Pack<T, N> neg_mul_add(const Pack<T, N>& x, const Pack<T, N>& y, const Pa
     if constexpr (N == 1) return {z.a - x.a * y.a};
     else return {neg_mul_add(x.a, y.a, z.a), neg_mul_add(x.b, y.b, z.b)};
 }
+// a b - c d, where only the first product is fused: b waits, the second one is there by then
+template <class T, int N>
+inline Pack<T, N> turned(const Pack<T, N>& a, const Pack<T, N>& b, const Pack<T, N>& c, const Pack<T, N>& d) {
+    if constexpr (N == 1) {
+        const typename Simd<T>::V first = a.a * b.a;
+        return {first - c.a * d.a};
+    } else {
+        return {turned(a.a, b.a, c.a, d.a), turned(a.b, b.b, c.b, d.b)};
+    }
+}
 template <class T, int N>
 inline Pack<T, N> mul_add(const Pack<T, N>& x, T y, const Pack<T, N>& z) {
     if constexpr (N == 1) return {x.a * y + z.a};

@@ -4,13 +4,13 @@
 // Two ways to go through a block, chosen per visit:
 //
 // * turning: x+ = E x, sample by sample. Takes known inputs on the way and reads any number of rows.
-// * recurring: by Cayley-Hamilton each mode's share s of a row obeys s'' = tr s' - det s. In differences, which keep
-//   full precision for slow modes (Reinsch),
-//       d+ = (tr - 1) d - kappa s,   s+ = s + d,      kappa = det(I - E) = 1 - tr + det,
-//   four operations per row and sample, of which only half wait for each other. The forces of a block go in through
-//   the transposed recurrence (Goertzel):
-//       d+ = (tr - 1) d - kappa u + F,   u+ = u + d,   x(kBlock) = E^kBlock x(0) + d W + u (I + E - tr) W,
-//   three operations per port and sample.
+// * recurring: by Cayley-Hamilton each mode's share s of a row obeys s++ = tr s+ - det s, and the forces of a block go
+//   in through the transposed recurrence (Goertzel)
+//       b+ = tr b - det b- + F,      x(kBlock) = E^kBlock x(0) + b W + b- (E - tr) W:
+//   three operations per row and sample, two per port, of which one waits for another. Where modes are slow, rounding
+//   would grow like kBlock over their angle per sample; differences keep full precision there (Reinsch):
+//       s+ = s + d,   d+ = det d - kappa s+,               kappa = det(I - E) = 1 - tr + det,
+//       u+ = u + d,   d+ = det d - kappa u+ + F,           x(kBlock) = E^kBlock x(0) + d W + u (I + E - tr) W.
 #pragma once
 
 #include "simd.hpp"
@@ -50,11 +50,36 @@ T* accumulators(int n_rows) {
     return memory.data();
 }
 
+// Sums of lanes, many vectors at once: they are folded in pairs until one vector holds them all.
+template <class T, int Count>
+typename Simd<T>::V sums(const T* acc) {
+    constexpr int width = Simd<T>::width, first = width / Count;  // lanes of a vector that belong to one sum
+    if constexpr (Count == 1) {
+        return Simd<T>::load(acc);
+    } else {
+        const auto a = sums<T, Count / 2>(acc), b = sums<T, Count / 2>(acc + Count / 2 * width);
+        return [&]<std::size_t... I>(std::index_sequence<I...>) {
+            // the sums of a, then those of b, each in half as many lanes as it had
+            constexpr auto from = [](int i, int half) {
+                const int sum = i / first, inside = i % first;
+                return sum / (Count / 2) * width + sum % (Count / 2) * 2 * first + half * first + inside;
+            };
+            return __builtin_shufflevector(a, b, from(int(I), 0)...) + __builtin_shufflevector(a, b, from(int(I), 1)...);
+        }(std::make_index_sequence<width>{});
+    }
+}
+
 template <class T>
 void reduce(const T* acc, const Rows<T>& rows, int nb) {
+    constexpr int width = Simd<T>::width;
     for (int r = 0; r < rows.count; ++r) {
         double* to = rows.value + std::ptrdiff_t(rows[r]) * rows.row_stride;
-        for (int s = 0; s <= nb; ++s, acc += Simd<T>::width) to[s * rows.sample_stride] = Simd<T>::sum(acc);
+        int s = 0;
+        for (; s + width <= nb + 1; s += width, acc += width * width) {
+            const auto all = sums<T, width>(acc);
+            for (int i = 0; i < width; ++i) to[std::ptrdiff_t(s + i) * rows.sample_stride] = double(all[i]);
+        }
+        for (; s <= nb; ++s, acc += width) to[std::ptrdiff_t(s) * rows.sample_stride] = Simd<T>::sum(acc);
     }
 }
 
@@ -112,25 +137,39 @@ void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inp
 template <class T>
 void recur_read(const Component<T>& c, const T* sx, const T* sy, const Rows<T>& rows) {
     constexpr int width = Simd<T>::width;
+    static_assert(kBlock % 2 == 0);
     const std::size_t n = c.n;
     T* const acc = accumulators<T>(rows.count);
     for (int r = 0; r < rows.count; ++r) {
         const T* row = rows.rows + 2 * std::size_t(rows[r]) * n;
         const T* slope = rows.slopes + 2 * std::size_t(rows[r]) * n;
         T* const to = acc + std::size_t(r) * (kBlock + 1) * width;
+        const auto add = [to](int b, const auto& share) {
+            Simd<T>::store(to + b * width, Simd<T>::load(to + b * width) + share.folded());
+        };
         in_packs<T, kPack>(n, [&]<int N>(std::size_t k) {
             using P = Pack<T, N>;
-            const P x = P::load(sx + k), y = P::load(sy + k);
-            const P turn = P::load(&c.turn[k]), kappa = P::load(&c.kappa[k]);
+            const P x = P::load(sx + k), y = P::load(sy + k), det = P::load(&c.det[k]);
             P s = mul_add(P::load(row + k), x, P::load(row + n + k) * y);
             P d = mul_add(P::load(slope + k), x, P::load(slope + n + k) * y);
-            for (int b = 0; b < kBlock; ++b) {
-                Simd<T>::store(to + b * width, Simd<T>::load(to + b * width) + s.folded());
-                const P pull = kappa * s;
-                s = s + d;
-                d = turn * d - pull;
+            add(0, s);
+            if (c.slow[k / kGranule<T>]) {
+                const P kappa = P::load(&c.kappa[k]);
+                for (int b = 1; b <= kBlock; ++b) {
+                    s = s + d;
+                    d = neg_mul_add(kappa, s, det * d);
+                    add(b, s);
+                }
+            } else {
+                const P trace = P::load(&c.trace[k]);
+                P t = s + d;
+                for (int b = 1; b < kBlock; b += 2) {
+                    add(b, t);
+                    s = turned(trace, t, det, s);
+                    add(b + 1, s);
+                    t = turned(trace, s, det, t);
+                }
             }
-            Simd<T>::store(to + kBlock * width, Simd<T>::load(to + kBlock * width) + s.folded());
         });
     }
     reduce(acc, rows, kBlock);
@@ -148,15 +187,23 @@ void recur_store(const Component<T>& c, T* sx, T* sy, const Ports<T>& ports) {
             nx = mul_add(P::load(&c.e_block[k]), x, P::load(&c.e_block[n + k]) * y);
             ny = mul_add(P::load(&c.e_block[3 * n + k]), y, P::load(&c.e_block[2 * n + k]) * x);
         }
-        const P turn = P::load(&c.turn[k]), kappa = P::load(&c.kappa[k]);
+        static_assert(kGranule<T> % P::size == 0);
+        const bool slow = c.slow[k / kGranule<T>] != 0;
+        const P det = P::load(&c.det[k]), other = P::load(slow ? &c.kappa[k] : &c.trace[k]);
         for (int i = 0; i < ports.count; ++i) {
             const std::size_t p = ports[i];
             const double* f = ports.forces + std::ptrdiff_t(p) * ports.port_stride;
             P d{}, u{};
-            for (int b = 0; b < kBlock; ++b) {
-                const P push = neg_mul_plus(kappa, u, T(f[b * ports.sample_stride]));
-                u = u + d;
-                d = mul_add(turn, d, push);
+            if (slow) {
+                for (int b = 0; b < kBlock; ++b) {
+                    u = u + d;
+                    d = neg_mul_add(other, u, mul_plus(det, d, T(f[b * ports.sample_stride])));
+                }
+            } else {
+                for (int b = 0; b < kBlock; b += 2) {
+                    u = mul_add(other, d, neg_mul_plus(det, u, T(f[b * ports.sample_stride])));
+                    d = mul_add(other, u, neg_mul_plus(det, d, T(f[(b + 1) * ports.sample_stride])));
+                }
             }
             const T *w = ports.w + 2 * p * n + k, *v = ports.w_slope + 2 * p * n + k;
             nx = mul_add(P::load(w), d, mul_add(P::load(v), u, nx));

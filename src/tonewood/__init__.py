@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from tonewood.engine.ledger import EffectReport as EffectReport
     from tonewood.errors import BundleError as BundleError
     from tonewood.errors import NumericalError as NumericalError
     from tonewood.errors import OutputError as OutputError
@@ -45,10 +46,14 @@ if TYPE_CHECKING:
     from tonewood.instrument.contract import Plugin as Plugin
     from tonewood.instrument.contract import Resonator as Resonator
     from tonewood.instrument.contract import Scene as Scene
-    from tonewood.instrument.contract import Segment as Segment
     from tonewood.instrument.contract import dot as dot
     from tonewood.instrument.directions import Direction as Direction
     from tonewood.instrument.directions import unit_vector as unit_vector
+    from tonewood.instrument.effects import DAMPERS as DAMPERS
+    from tonewood.instrument.effects import TENSION_MODULATION as TENSION_MODULATION
+    from tonewood.instrument.effects import Effect as Effect
+    from tonewood.instrument.effects import Norms as Norms
+    from tonewood.instrument.effects import contact_effect as contact_effect
     from tonewood.instrument.gestures import Fraction as Fraction
     from tonewood.instrument.gestures import StringPlace as StringPlace
     from tonewood.instrument.gestures import metres as metres
@@ -65,6 +70,7 @@ if TYPE_CHECKING:
     from tonewood.numerics.connections import SpringDashpot as SpringDashpot
     from tonewood.numerics.connections import Term as Term
     from tonewood.numerics.damping import with_damping_case as with_damping_case
+    from tonewood.numerics.forcing import Segment as Segment
     from tonewood.numerics.laws import CompiledPotential as CompiledPotential
     from tonewood.numerics.laws import Contact as Contact
     from tonewood.numerics.laws import Friction as Friction
@@ -80,6 +86,8 @@ if TYPE_CHECKING:
     from tonewood.numerics.system import Probe as Probe
     from tonewood.numerics.system import Readout as Readout
     from tonewood.output.audio import Audio as Audio
+    from tonewood.output.plan import Plan as Plan
+    from tonewood.output.plan import plan as plan
     from tonewood.output.play import Playback as Playback
     from tonewood.output.play import play as play
     from tonewood.output.render import Renderer as Renderer
@@ -101,6 +109,7 @@ if TYPE_CHECKING:
     __version__: str
 
 _MODULES = {
+    "engine.ledger": ("EffectReport",),
     "errors": (
         "BundleError", "NumericalError", "OutputError", "PassivityError", "PluginError", "ScoreError", "TonewoodError",
     ),
@@ -112,6 +121,7 @@ _MODULES = {
         "Place", "Plugin", "Resonator", "Scene", "Segment", "dot",
     ),
     "instrument.directions": ("Direction", "unit_vector"),
+    "instrument.effects": ("DAMPERS", "TENSION_MODULATION", "Effect", "Norms", "contact_effect"),
     "instrument.gestures": ("Fraction", "StringPlace", "metres", "smooth_step"),
     "instrument.inspection": ("partials", "pitch", "pitches"),
     "instrument.losses": ("LossLaw",),
@@ -125,6 +135,7 @@ _MODULES = {
     "numerics.string_transfer": ("retuned", "string_carry", "string_transfer"),
     "numerics.system": ("Drive", "Probe", "Readout"),
     "output.audio": ("Audio",),
+    "output.plan": ("Plan", "plan"),
     "output.play": ("Playback", "play"),
     "output.render": ("Renderer", "Summary", "Tail", "render"),
     "params": ("Number", "Parameters", "Vector", "described", "quantity"),

@@ -22,7 +22,7 @@ from assembled import (
     uneven,
 )
 from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.forcing import Segment, compile_force
 from tonewood.numerics.kernel import KernelStepper
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.string_modes import string_basis
@@ -151,7 +151,7 @@ def test_response_in_time_is_the_response_in_frequency():
     t = np.arange(81) * dt
     pulse = np.sin(np.pi * t / t[-1]) ** 4
     pieces = [
-        Piece(t0, t1, f0, (f1 - f0) / dt) for t0, t1, f0, f1 in zip(t[:-1], t[1:], pulse[:-1], pulse[1:], strict=True)
+        Segment(t0, t1, f0, (f1 - f0) / dt) for t0, t1, f0, f1 in zip(t[:-1], t[1:], pulse[:-1], pulse[1:], strict=True)
     ]
     out, _ = KernelStepper(system).run(
         system.start(), steps, compile_force("a", system.compiled[0].basis, "n0", pieces, dt)

@@ -15,7 +15,7 @@ from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.contract import Event
 from tonewood.numerics.energy import EnergyAccount, KnownForce
 from tonewood.numerics.energy_trace import EnergyTrace
-from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.forcing import compile_force
 from tonewood.numerics.kernel import KernelStepper
 from tonewood.numerics.system import Control, Injection, System
 
@@ -99,13 +99,12 @@ def play(
         where = model.inputs[gesture.on]
     else:
         where = tuple((c, "pluck", w) for c, w in string.weights(gesture.angle_deg).items())
-    pieces = [Piece(s.start, s.stop, s.c0, s.c1, s.c2) for s in gesture.segments]
     injections: list[Injection] = []
     known: list[KnownForce] = []
     for component, point, factor in where:
         basis = system.compiled[system.slot(component)].basis
-        injections += compile_force(component, basis, point, pieces, dt, first=first, factor=factor)
-        known.append(KnownForce(component, component, point, tuple(pieces), 0.0, factor))
+        injections += compile_force(component, basis, point, gesture.segments, dt, first=first, factor=factor)
+        known.append(KnownForce(component, component, point, tuple(gesture.segments), 0.0, factor))
     middle, edges = (first + np.arange(n) + 0.5) * dt, (first + np.arange(n + 1)) * dt
     controls = [
         Control(m.connection, first, **{m.quantity: m.course(edges if m.quantity == "offset" else middle)})

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scene import band_energy, instrument, play
 
 import tonewood as tw
 from tonewood.engine.engine import Engine
@@ -21,7 +23,7 @@ from tonewood.score.note import Control
 Floats = NDArray[np.float64]
 FS = 48000
 ACTIONS = ("slide", "hammer_on", "pull_off")
-PALM = {"plugin": "stopping_finger", "touch": 0.05, "weight": 4.0, "lift": 2.0, "from_bridge": 0.15}
+PALM = {"plugin": "stopping_finger", "touch": 0.03, "width": 0.02, "weight": 4.0, "lift": 2.0, "from_bridge": 0.15}
 
 
 def monochord(model: str, kind: str = "continuous", **playing: Any) -> Instrument:
@@ -183,3 +185,14 @@ def test_asked_for_by_key_and_controller() -> None:
         monochord("ideal", keyswitches={"C1": "glide"})
     with pytest.raises(BundleError, match="'H9' is not a note"):
         monochord("ideal", keyswitches={"H9": "slide"})
+
+
+def test_a_broad_touch_leaves_no_node(tmp_path: Path) -> None:
+    """The 20th partial has a node under a narrow finger at L / 20; a palm 3 cm broad damps it too."""
+    level = {}
+    for width in (0.0, 0.03):
+        finger = {**PALM, "touch": {"fraction": 0.05}, "width": width, "hold_dashpot": 0.0}
+        x = play(instrument(tmp_path, exciters={"palm": finger}), {"force": 2.0}, duration=0.25).out[-4800:]
+        freq = np.sqrt(73.9 / 3.61e-3) / 2 / 0.65
+        level[width] = band_energy(x, 19.5 * freq, 21.5 * freq)
+    assert level[0.03] < 0.05 * level[0.0]

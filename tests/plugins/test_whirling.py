@@ -1,8 +1,9 @@
 """Both polarizations share one tension: the plane of a hard pluck turns, and energy never rises, however hard it is.
 
-In one mode the two coordinates obey z'' + omega0^2 z + eps |z|^2 z = 0, z = x + i y, omega0^2 = (T p^2 + EI p^4) / mu,
-eps = EA p^4 / 4 mu. Of z = R e^(i w t) + L e^(-i w t) the two circles turn at omega0 + eps (|R|^2 + 2 |L|^2) / 2 omega0
-and with R and L exchanged, so an ellipse of half axes a, b precesses at eps a b / 4 omega0 against its sense of turning.
+In one mode the two coordinates obey z'' + omega0^2 z + eps |z|^2 z = 0, z = x + i y, with
+omega0^2 = (T p^2 + EI p^4) / mu and eps = EA p^4 / 4 mu. Of z = R e^(i w t) + L e^(-i w t) the two circles turn at
+omega0 + eps (|R|^2 + 2 |L|^2) / 2 omega0 and the same with R and L exchanged, so that an ellipse of half axes a, b
+precesses at eps a b / 4 omega0 against its sense of turning.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def axis(xy: Floats, start: float) -> float:
 
 @pytest.mark.parametrize("sense", [1, -1])
 def test_an_ellipse_precesses(tmp_path: Path, sense: int) -> None:
-    """Against its sense of turning, at the closed form's rate; and along an independent solution of the two equations."""
+    """At the closed form's rate, and as an independent solution of the two equations does."""
     from scipy.integrate import solve_ivp
 
     a, b, seconds = 2e-3, sense * 0.5e-3, 1.0
@@ -86,7 +87,8 @@ def test_a_flat_motion_stays_flat(tmp_path: Path) -> None:
 
 def hard(folder: Path, **string: Any) -> Any:
     """A slack, limp string with 190 modes and more below 21 kHz in each of two polarizations."""
-    values = {**STEEL, "length": 0.65, "tension": 44.0, "bending_stiffness": 1e-6, "freq_upper": 22050.0, "polarizations": ["z", "y"],
+    values = {**STEEL, "length": 0.65, "tension": 44.0, "bending_stiffness": 1e-6, "freq_upper": 22050.0,
+              "polarizations": ["z", "y"],
               "tilt_deg": 20.0, "loss": {"law": "sigma", "sigma0": 0.5, "sigma1": 1e-4}, **string}  # fmt: skip
     return instrument(folder, values)
 
@@ -105,7 +107,7 @@ def test_190_modes_and_1000_newtons(tmp_path: Path) -> None:
 
 @pytest.mark.validate
 def test_a_million_steps(tmp_path: Path) -> None:
-    """20 s of the same string drawn aside by 1000 N, the losses very small: energy looked at each 500 steps never rises."""
+    """20 s after 1000 N, with very small losses: energy, looked at each 500 steps, never rises."""
     made = hard(tmp_path, loss={"law": "sigma", "sigma0": 0.02, "sigma1": 1e-6})
     model = assemble(made, 48000)
     state, stepper = model.system.start(), KernelStepper(model.system)

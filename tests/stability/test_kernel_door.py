@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from tonewood import _kernel
 
-PAD, BLOCK, CHANNELS, CAPACITY = _kernel.PADDING, 16, 2, 4 * _kernel.PADDING
+PAD, BLOCK, CHANNELS, CAPACITY = _kernel.PADDING, _kernel.BLOCK_SIZE, 2, 4 * _kernel.PADDING
 CONNECTIONS = 2
 INCIDENCE = 7  # among the arguments of set_component
 

@@ -13,7 +13,7 @@ from tonewood.numerics.connections import Connection, SpringDashpot, Term
 from tonewood.numerics.kernel import KernelStepper
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.stepper import NumpyStepper
-from tonewood.numerics.system import Injection, Probe, Readout, System
+from tonewood.numerics.system import BLOCK_SIZE, Injection, Probe, Readout, System
 
 DT = 1 / 48000
 ISAS = _kernel.instruction_sets()
@@ -106,13 +106,13 @@ def test_flushing_is_left_at_the_kernels_door():
 
 @pytest.mark.parametrize("isa", ISAS)
 def test_runs_of_any_length_are_one_run(isa):
-    """A second at once, or 16 samples at a time: the same to the bit."""
+    """A second at once, or a block at a time: the same to the bit."""
     system = guitar()
     start = displaced(system)
     stepper = KernelStepper(system, isa=isa)
     whole, pieces = start.copy(), start.copy()
     out, _ = stepper.run(whole, 16_000)
-    parts = [stepper.run(pieces, 16)[0] for _ in range(1000)]
+    parts = [stepper.run(pieces, BLOCK_SIZE)[0] for _ in range(16_000 // BLOCK_SIZE)]
     assert np.array_equal(np.concatenate(parts), out)
     assert np.array_equal(whole.modes, pieces.modes)
 

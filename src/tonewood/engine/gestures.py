@@ -9,7 +9,7 @@ import numpy as np
 
 from tonewood.engine.timeline import GRID, Play
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.forcing import compile_force
 from tonewood.numerics.system import Control, Injection, System
 
 #: a finger's growing dashpot is followed in this many steps
@@ -39,11 +39,12 @@ def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
 
 def forces(play: Play, model: Model, system: System, first: int) -> list[Injection]:
     """Injections of a gesture's known forces from sample `first` on."""
-    pieces = [Piece(s.start, s.stop, s.c0, s.c1, s.c2) for s in play.gesture.segments]
     out: list[Injection] = []
     for component, point, factor in places(play, model):
         basis = system.compiled[system.slot(component)].basis
-        out += compile_force(component, basis, point, pieces, system.dt, time=play.time, first=first, factor=factor)
+        out += compile_force(
+            component, basis, point, play.gesture.segments, system.dt, time=play.time, first=first, factor=factor
+        )
     return out
 
 

@@ -11,7 +11,8 @@ from tonewood.engine.techniques import stop_course, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
 from tonewood.errors import ScoreError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Gesture, Place, Segment
+from tonewood.instrument.contract import Event, Gesture, Place
+from tonewood.numerics.forcing import Segment
 from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from tonewood.engine.fretting import Fretting
 from tonewood.engine.timeline import Play
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Segment
 from tonewood.instrument.effects import TENSION_MODULATION, Norms
+from tonewood.numerics.forcing import Segment
 from tonewood.numerics.motion import from_motion, share_velocities, to_motion
 from tonewood.numerics.system import Compiled, State, System
 

@@ -18,7 +18,7 @@ from tonewood.numerics.modes import ModalBasis
 from tonewood.params import Vector
 
 if TYPE_CHECKING:
-    from tonewood.instrument.contract import Segment
+    from tonewood.numerics.forcing import Segment
 
 Floats = NDArray[np.float64]
 

@@ -38,6 +38,7 @@ from tonewood.instrument.effects import (
     Effect,
 )
 from tonewood.instrument.files import Files
+from tonewood.numerics.forcing import Segment as Segment
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.system import Drive, Readout
 from tonewood.params import Parameters, Vector, validated
@@ -185,17 +186,6 @@ class Body(Plugin[P]):
     @abstractmethod
     def points(self) -> Mapping[str, BodyPoint]:
         """Every point of the basis with its direction."""
-
-
-@dataclass(frozen=True, slots=True)
-class Segment:
-    """A piece of force F(t) = c0 + c1 (t - start) + c2 (t - start)^2, start <= t <= stop (s, N, N/s, N/s^2)."""
-
-    start: float
-    stop: float
-    c0: float
-    c1: float = 0.0
-    c2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -131,7 +131,7 @@ OUTPUTS = Effect(
 )  # fmt: skip
 
 
-def contact(name: str, adds: str, *, basic: bool = False) -> Effect:
+def contact_effect(name: str, adds: str, *, basic: bool = False) -> Effect:
     """A contact that is left out while a bound on the motion says that it touches nothing: nothing is lost by that."""
     return Effect(
         name, adds, "additive", "always watched", "a bound on the string's motion at each point until the next look",

@@ -9,17 +9,17 @@ import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.lab.assembled import Matrices, state_matrix
-from tonewood.numerics.forcing import Piece
+from tonewood.numerics.forcing import Segment
 
 Floats = NDArray[np.float64]
 
 
-def triangle(peak: float, rise: float, fall: float) -> tuple[Piece, Piece]:
+def triangle(peak: float, rise: float, fall: float) -> tuple[Segment, Segment]:
     """Force that rises linearly to `peak` (N) in `rise` s and falls to nothing in `fall` s."""
-    return Piece(0.0, rise, 0.0, peak / rise), Piece(rise, rise + fall, peak, -peak / fall)
+    return Segment(0.0, rise, 0.0, peak / rise), Segment(rise, rise + fall, peak, -peak / fall)
 
 
-def force_at(pieces: Sequence[Piece], t: float) -> float:
+def force_at(pieces: Sequence[Segment], t: float) -> float:
     """Value of a piecewise quadratic force at a time, N."""
     for piece in pieces:
         if piece.start <= t < piece.stop:
@@ -27,7 +27,7 @@ def force_at(pieces: Sequence[Piece], t: float) -> float:
     return 0.0
 
 
-def driven_states(A: Floats, column: Floats, pieces: Sequence[Piece], dt: float, n: int, start: ArrayLike) -> Floats:
+def driven_states(A: Floats, column: Floats, pieces: Sequence[Segment], dt: float, n: int, start: ArrayLike) -> Floats:
     """(n, n_states) x at 0, dt, ... of x' = A x + column F(t), exact for a piecewise quadratic F.
 
     Pieces must follow one another from time 0; their bounds need not lie on the grid.
@@ -67,7 +67,7 @@ def driven_states(A: Floats, column: Floats, pieces: Sequence[Piece], dt: float,
 
 
 def driven_motion(
-    system: Matrices, direction: ArrayLike, pieces: Sequence[Piece], dt: float, n: int, start: ArrayLike | None = None
+    system: Matrices, direction: ArrayLike, pieces: Sequence[Segment], dt: float, n: int, start: ArrayLike | None = None
 ) -> Floats:
     """(n, 2 n_dof) x and x' of M x'' + C x' + K x = direction F(t).
 

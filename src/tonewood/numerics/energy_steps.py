@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.numerics.energy_forms import ComponentEnergy
-from tonewood.numerics.forcing import Piece
+from tonewood.numerics.forcing import Segment
 
 Floats = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ class KnownForce:
     label: str
     component: str
     point: str
-    pieces: tuple[Piece, ...]
+    pieces: tuple[Segment, ...]
     time: float = 0.0
     factor: float = 1.0
 

@@ -16,8 +16,8 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
-    """F(t) = c0 + c1 (t - start) + c2 (t - start)^2 for start <= t < stop; s, N, N/s, N/s^2."""
+class Segment:
+    """A known force F(t) = c0 + c1 (t - start) + c2 (t - start)^2 for start <= t < stop; s, N, N/s, N/s^2."""
 
     start: float
     stop: float
@@ -34,7 +34,7 @@ def compile_force(
     component: str,
     basis: ModalBasis,
     point: str,
-    pieces: Sequence[Piece],
+    pieces: Sequence[Segment],
     dt: float,
     *,
     time: float = 0.0,

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from tonewood.lab.assembled import Matrices, free_motion
 from tonewood.lab.beam import Beam
 from tonewood.lab.driven import driven_motion, force_at, triangle
-from tonewood.numerics.forcing import Piece
+from tonewood.numerics.forcing import Segment
 
 SYSTEM = Matrices(
     np.diag([1.0, 0.5]), np.array([[0.3, -0.1], [-0.1, 0.2]]), np.array([[30.0, -12.0], [-12.0, 20.0]])
@@ -18,7 +18,7 @@ SYSTEM = Matrices(
 
 
 def test_breakpoints_need_not_lie_on_the_grid() -> None:
-    pieces = (Piece(0.013, 0.21, 1.0, 4.0, -30.0), Piece(0.21, 0.4567, -2.0))
+    pieces = (Segment(0.013, 0.21, 1.0, 4.0, -30.0), Segment(0.21, 0.4567, -2.0))
     dt, n = 0.05, 31
     found = driven_motion(SYSTEM, [0.4, 1.0], pieces, dt, n, [0.1, 0.0, 0.0, -0.5])
     y, t0 = np.array([0.1, 0.0, 0.0, -0.5]), 0.0

@@ -14,7 +14,7 @@ from assembled import chain, merged, uneven
 from tonewood.numerics.connections import Connection, SpringDashpot, Term
 from tonewood.numerics.energy import EnergyAccount, KnownForce
 from tonewood.numerics.energy_forms import ComponentEnergy
-from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.forcing import Segment, compile_force
 from tonewood.numerics.kernel import KernelStepper
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.motion import from_motion, to_motion
@@ -81,8 +81,8 @@ def test_a_stiff_mode_loses_what_it_had():
     assert after < 1e-20 * energy.stored(x)[0]
 
 
-RAMP = (Piece(0.0, 5.3e-3, 0.0, 1000.0), Piece(5.3e-3, 5.45e-3, 5.3, -5.3 / 1.5e-4))
-TAP = (Piece(0.0, 4e-4, 0.0, 8e4, -2e8),)
+RAMP = (Segment(0.0, 5.3e-3, 0.0, 1000.0), Segment(5.3e-3, 5.45e-3, 5.3, -5.3 / 1.5e-4))
+TAP = (Segment(0.0, 4e-4, 0.0, 8e4, -2e8),)
 
 
 def scene(*, undamped=False, residual=2e-9, dt=DT):
@@ -176,7 +176,7 @@ def test_undamped_parts_lose_nothing():
 def test_work_of_a_force_on_a_free_mass_is_the_textbook_one():
     basis = ModalBasis.real([0.0], [0.0], {"p": [1.0]}, modal_mass=0.4)
     system = System.build({"m": basis}, [], dt=1e-3)
-    force = KnownForce("push", "m", "p", (Piece(0.0, 7.77e-3, 3.0),), time=2.5e-4)
+    force = KnownForce("push", "m", "p", (Segment(0.0, 7.77e-3, 3.0),), time=2.5e-4)
     trace = followed(system, [force], 20, block=20)
     assert trace.supplied["push"].sum() == pytest.approx((3.0 * 7.77e-3) ** 2 / (2 * 0.4), rel=1e-12)
     assert trace.total[-1] == pytest.approx((3.0 * 7.77e-3) ** 2 / (2 * 0.4), rel=1e-12)
@@ -374,7 +374,7 @@ def test_microphones_are_left_out():
     basis = chain(3, seed=1).real_basis()
     ground = Connection("ground", (Term("a", "n2"),))
     system = System.build({"a": basis, "mic": basis}, [ground], dt=1e-3, drives=[Drive("mic", "n0", "ground")])
-    known = [KnownForce("push", "a", "n0", (Piece(0.0, 0.0123, 1.0),))]
+    known = [KnownForce("push", "a", "n0", (Segment(0.0, 0.0123, 1.0),))]
     trace = followed(system, known, 480)
     assert set(trace.stored) == {"a"}
     assert trace.worst_residual < 1e-12

@@ -9,7 +9,7 @@ import pytest
 
 from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.numerics.energy import EnergyAccount, KnownForce
-from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.forcing import Segment, compile_force
 from tonewood.numerics.kernel import KernelStepper
 from tonewood.numerics.laws import Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.numerics.modes import ModalBasis
@@ -18,7 +18,7 @@ from tonewood.numerics.system import Control, System
 from tonewood.numerics.tension import TensionModulation
 
 DT = 1 / 48000
-RAMP = (Piece(0.0, 2.3e-3, 0.0, 2000.0), Piece(2.3e-3, 2.41e-3, 4.6, -4.6 / 1.1e-4))
+RAMP = (Segment(0.0, 2.3e-3, 0.0, 2000.0), Segment(2.3e-3, 2.41e-3, 4.6, -4.6 / 1.1e-4))
 
 
 def string(n=24, residual=3e-7):

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from assembled import chain, uneven
-from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.forcing import Segment, compile_force
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.stepper import NumpyStepper
 from tonewood.numerics.system import Probe, Readout, System
@@ -45,14 +45,14 @@ def compiled(basis, pieces, dt=DT, steps=STEPS, **options):
     return NumpyStepper(system).run(system.start(), steps, compile_force("a", basis, "n0", pieces, dt, **options))[0]
 
 
-RAMP = [Piece(0.0, 9.3e-3, 0.0, 250.0), Piece(9.3e-3, 9.7e-3, 2.325, -2.325 / 4e-4)]
-PULSE = [Piece(0.0, 1.1e-3, 0.0, 4000.0, -4000.0 / 1.1e-3)]
+RAMP = [Segment(0.0, 9.3e-3, 0.0, 250.0), Segment(9.3e-3, 9.7e-3, 2.325, -2.325 / 4e-4)]
+PULSE = [Segment(0.0, 1.1e-3, 0.0, 4000.0, -4000.0 / 1.1e-3)]
 SHAPES = {
     "ramp and release": (RAMP, 2.25e-3),
-    "parabola from step to step": ([Piece(0.0, 5e-3, 1.0, -200.0, 4e4)], 3e-3),
-    "two breaks in one step": ([Piece(0.0, 1e-4, 1.0), Piece(1e-4, 3e-4, -2.0, 1e4)], 4.5e-3),
+    "parabola from step to step": ([Segment(0.0, 5e-3, 1.0, -200.0, 4e4)], 3e-3),
+    "two breaks in one step": ([Segment(0.0, 1e-4, 1.0), Segment(1e-4, 3e-4, -2.0, 1e4)], 4.5e-3),
     "pulse": (PULSE, 7.77e-3),
-    "gap between pieces": ([Piece(0.0, 2.5e-3, 1.0), Piece(4.2e-3, 6e-3, 2.0, 10.0)], 1e-3),
+    "gap between pieces": ([Segment(0.0, 2.5e-3, 1.0), Segment(4.2e-3, 6e-3, 2.0, 10.0)], 1e-3),
 }
 
 
@@ -73,7 +73,7 @@ def test_force_is_exact_whatever_its_breakpoints(pieces, time, make):
 def test_random_piecewise_quadratic_forces_are_exact(breaks, numbers, time):
     part = chain(3, seed=5)
     pieces = [
-        Piece(a, b, numbers[3 * i], numbers[3 * i + 1] / DT, numbers[3 * i + 2] / DT**2)
+        Segment(a, b, numbers[3 * i], numbers[3 * i + 1] / DT, numbers[3 * i + 2] / DT**2)
         for i, (a, b) in enumerate(pairwise(breaks))
     ]
     expected = exact(part, np.eye(3)[0], pieces, DT, STEPS, time)
@@ -84,7 +84,7 @@ def test_random_piecewise_quadratic_forces_are_exact(breaks, numbers, time):
 def test_a_jump_within_a_step_is_seen_at_its_own_time():
     """Free mass: after a force that starts at t0 it has moved by F (t - t0)^2 / 2 m."""
     basis = ModalBasis.real([0.0], [0.0], {"n0": [1.0]}, modal_mass=2.0)
-    out = compiled(basis, [Piece(0.0, 1.0, 3.0)], time=4.321e-3)[:, 0]
+    out = compiled(basis, [Segment(0.0, 1.0, 3.0)], time=4.321e-3)[:, 0]
     t = np.maximum(np.arange(STEPS) * DT - 4.321e-3, 0.0)
     np.testing.assert_allclose(out, 3.0 / 2.0 * t**2 / 2, rtol=1e-12, atol=1e-20)
 
@@ -106,11 +106,11 @@ def test_factor_multiplies_the_force():
 
 def test_empty_and_reversed_pieces_do_nothing():
     basis = chain(2, seed=1).real_basis()
-    assert compile_force("a", basis, "n0", [Piece(1e-3, 1e-3, 5.0), Piece(3e-3, 2e-3, 1.0)], DT) == []
+    assert compile_force("a", basis, "n0", [Segment(1e-3, 1e-3, 5.0), Segment(3e-3, 2e-3, 1.0)], DT) == []
 
 
 def test_shifted_coefficients_are_the_same_parabola():
-    piece = Piece(0.0, 1.0, 1.0, -2.0, 3.0)
+    piece = Segment(0.0, 1.0, 1.0, -2.0, 3.0)
     c0, c1, c2 = piece.shifted(0.25)
     for t in (0.0, 0.1, 0.6):
         assert c0 + c1 * t + c2 * t**2 == pytest.approx(1 - 2 * (t + 0.25) + 3 * (t + 0.25) ** 2)

@@ -9,7 +9,7 @@ from assembled import chain, uneven
 from tonewood import _kernel
 from tonewood.errors import NumericalError, TonewoodError
 from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.forcing import Segment, compile_force
 from tonewood.numerics.kernel import KernelStepper, instruction_set
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.stepper import NumpyStepper
@@ -66,7 +66,7 @@ def guitar(strings=3, *, modes=60, rigid_bodies=False, mics=1, residual=1e-8, co
 def plucked(system, steps=200, seed=3):
     """A ramp with breakpoints inside steps, and a noisy force on two vectors at once."""
     basis = system.compiled[system.slot("s0")].basis
-    ramp = [Piece(0.0, 40.3 * DT, 0.0, 1 / (40 * DT)), Piece(40.3 * DT, 43.9 * DT, 1.0, -1 / (3.6 * DT))]
+    ramp = [Segment(0.0, 40.3 * DT, 0.0, 1 / (40 * DT)), Segment(40.3 * DT, 43.9 * DT, 1.0, -1 / (3.6 * DT))]
     rng = np.random.default_rng(seed)
     noise = Injection("body", 5, rng.normal(size=(2, 40, 2)) * 1e-7, rng.normal(size=(2, steps // 3)))
     return [*compile_force("s0", basis, "pluck", ramp, DT, time=3.7 * DT), noise]
@@ -141,7 +141,7 @@ def test_small_bodies_of_every_kind(bases, rng):
         Readout("acc", "acceleration", (Probe("b", "n3"), Probe("a", "n0", -2.0))),
     ]
     system = System.build(components, links, readouts, dt=5e-4)
-    force = [Piece(0.0, 0.01, 1.0, 20.0), Piece(0.01, 0.0234, 0.5, 0.0, 900.0)]
+    force = [Segment(0.0, 0.01, 1.0, 20.0), Segment(0.01, 0.0234, 0.5, 0.0, 900.0)]
     injections = [
         i for n, p in (("a", "n2"), ("alone", "n0"), ("mute", "n1"))
         for i in compile_force(n, components[n], p, force, 5e-4, time=0.00123)

@@ -11,7 +11,7 @@ from nonlinear_scenes import LENGTH, body, hang, held_string, pulled, tense_guit
 from tonewood import _kernel
 from tonewood.errors import NumericalError
 from tonewood.numerics.connections import Connection, SpringDashpot, Term
-from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.forcing import Segment, compile_force
 from tonewood.numerics.kernel import KernelStepper
 from tonewood.numerics.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.numerics.modes import ModalBasis
@@ -71,7 +71,7 @@ def struck(system, height=1e-3):
 
 def injections(system):
     basis = system.compiled[system.slot("s0")].basis
-    return compile_force("s0", basis, "pluck", [Piece(0.0, 20.3 * DT, 0.0, 2 / (20 * DT))], DT, time=31.6 * DT)
+    return compile_force("s0", basis, "pluck", [Segment(0.0, 20.3 * DT, 0.0, 2 / (20 * DT))], DT, time=31.6 * DT)
 
 
 def assert_same(ours, theirs, tolerance):
@@ -120,7 +120,7 @@ def test_leaving_out_what_does_not_touch_changes_no_bit(isa, height):
 def test_a_slow_swell_wakes_its_contact_inside_a_block():
     system = fretted(Contact(1e10, 1.5, offset=-2e-4))
     basis = system.compiled[system.slot("s1")].basis
-    push = compile_force("s1", basis, "f2", [Piece(0.0, 0.02, 0.0, -100.0)], DT, time=0.001)
+    push = compile_force("s1", basis, "f2", [Segment(0.0, 0.02, 0.0, -100.0)], DT, time=0.001)
     out = []
     for guarded in (True, False):
         stepper, state = KernelStepper(system, guarded=guarded), system.start()

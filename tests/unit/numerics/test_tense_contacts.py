@@ -42,15 +42,15 @@ def both(system, force, n, **options):
     return (out, forces, b), (expected, expected_forces, a), stepper
 
 
-@pytest.mark.parametrize(("force", "isa"), [(0.5, ISAS[0]), *((5.0, isa) for isa in ISAS), (100.0, ISAS[0])])
+@pytest.mark.parametrize(("force", "isa"), [(0.5, ISAS[0]), *((-5.0, isa) for isa in ISAS), (100.0, ISAS[0])])
 def test_kernel_takes_the_steps_of_its_twin(force, isa):
     system = tense_guitar(frets=SOFT)
-    ours, theirs, stepper = both(system, force, 110, isa=isa)
+    ours, theirs, stepper = both(system, force, 60, isa=isa)
     same(ours[0], theirs[0], 1e-9)
     np.testing.assert_allclose(ours[1], theirs[1], atol=1e-9 * np.abs(theirs[1]).max())
     np.testing.assert_allclose(ours[2].series, theirs[2].series, atol=1e-9 * np.abs(theirs[2].series).max())
     np.testing.assert_allclose(ours[2].tension, theirs[2].tension, rtol=1e-8)
-    if force > 1:
+    if abs(force) > 1:
         assert stepper.statistics.solves > 0
         assert np.abs(theirs[1][:, 4:]).max() > 0.01
 

@@ -6,8 +6,9 @@ drift of their phase, decay from the slope of their level, and the level itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,15 @@ The middle string of every instrument, one open note at 48 kHz. Median / worst o
 that lie within 40 dB of the loudest, against `reference`, from 0.1 s to 1.5 s after the note. Time is wall time of the
 engine. Where a thousandth more force changes `reference` itself as much, contacts or a bow make the motion chaotic:
 there the settings differ as two strokes of a player do."""
+
+#: cents and dB that leaving an effect out may cost
+BUDGETS = ((0.05, -120.0), (0.5, -80.0), (5.0, -40.0))
+BUDGET_TEXT = """\
+## Effects and their budgets
+
+The same comparison for `--effects`: a string of the steel-string guitar plucked with 2 N, against all effects. Auto
+leaves out what stays within `--budget-cents` and `--budget-db`; these are bounds on each effect, so the differences
+measured here lie below them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,23 +172,45 @@ def measure(instrument: Instrument, string: str, *, force: float = FORCE, nudge:
     nudge : also what `reference` does for a thousandth more force: where that changes as much, contacts have made the
         motion chaotic, and no setting could do better.
     """
-    runs = [(name, name, force) for name in LEVELS]
+    options: dict[str, dict[str, Any]] = {name: {"accuracy": name} for name in LEVELS}
     if nudge:
-        runs.append((NUDGED, "reference", 1.001 * force))
+        options[NUDGED] = {"accuracy": "reference", "force": 1.001 * force}
+    return _rendered(instrument, string, options, "reference", force)
+
+
+def _rendered(
+    instrument: Instrument, string: str, options: Mapping[str, Mapping[str, Any]], truth: str, force: float
+) -> list[DialPoint]:
+    """A note rendered with each of some options, all held against one of them."""
     sounds, costs = {}, {}
-    for label, name, pull in runs:
-        score = Score([Note(0.0, DURATION, string=string, stop=0, force=pull)])
-        renderer = Renderer(score, instrument, FS, accuracy=name, max_duration=DURATION)
+    for label, given in options.items():
+        own = dict(given)
+        note = Note(0.0, DURATION, string=string, stop=0, force=own.pop("force", force))
+        renderer = Renderer(Score([note]), instrument, FS, max_duration=DURATION, **own)
         sounds[label] = np.concatenate(list(renderer.blocks(4096)))[:, 0]
         summary = renderer.summary()
         costs[label] = (1 / summary.realtime_factor, summary.n_modes)
     freq = instrument.tuning.freq(instrument.open_note(string))
     skip = int(SETTLED * FS)
-    truth = sounds["reference"][skip:]
     return [
-        DialPoint(instrument.spec.name, string, label, compare(sound[skip:], truth, FS, freq), *costs[label])
+        DialPoint(
+            instrument.spec.name, string, label, compare(sound[skip:], sounds[truth][skip:], FS, freq), *costs[label]
+        )
         for label, sound in sounds.items()
-    ]
+    ]  # fmt: skip
+
+
+def budgets(*, tell: Tell = silent) -> list[DialPoint]:
+    """What effects cost and add: the steel-string guitar with all of them, with budgets, without."""
+    instrument = Instrument.load("steel_guitar")
+    options: dict[str, dict[str, Any]] = {"all": {"effects": "all"}}
+    for cents, db in BUDGETS:
+        named = f"auto, {cents:g} cents, {db:g} dB"
+        options[named] = {"effects": "auto", "budget_cents": cents, "budget_db": db}
+    options["none"] = {"effects": "none"}
+    out = _rendered(instrument, middle_string(instrument), options, "all", 2 * FORCE)
+    tell(1.0)
+    return out
 
 
 def run(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
@@ -194,17 +226,26 @@ def run(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
 
 def section(points: Sequence[DialPoint]) -> str:
     """Markdown."""
-    standard = {p.instrument: p.seconds for p in points if p.accuracy == "standard"}
+    return f"{TEXT}\n\n{_table(points, '--accuracy', 'standard', 'reference')}"
+
+
+def budget_section(points: Sequence[DialPoint]) -> str:
+    """Markdown."""
+    return f"{BUDGET_TEXT}\n\n{_table(points, '--effects', 'all', 'all')}"
+
+
+def _table(points: Sequence[DialPoint], heading: str, unit: str, truth: str) -> str:
+    """Rows of errors against `truth` and times in those of `unit`."""
+    seconds = {p.instrument: p.seconds for p in points if p.accuracy == unit}
     rows = []
     for p in points:
         e = p.errors
-        own = p.accuracy == "reference"
         pairs = [(e.cents, e.cents_worst), (100 * e.decay, 100 * e.decay_worst), (e.level, e.level_worst)]
-        told = ["" if own else f"{number(middle)} / {number(worst)}" for middle, worst in pairs]
-        cost = [] if p.accuracy == NUDGED else [number(p.seconds, 3), number(p.seconds / standard[p.instrument], 3)]
+        told = ["" if p.accuracy == truth else f"{number(middle)} / {number(worst)}" for middle, worst in pairs]
+        cost = [] if p.accuracy == NUDGED else [number(p.seconds, 3), number(p.seconds / seconds[p.instrument], 3)]
         rows.append([p.instrument, p.accuracy, str(p.n_modes), *told, *(cost or ["", ""])])
-    heads = ["instrument", "--accuracy", "modes", "cents", "decay %", "level dB", "s per s", "time ratio"]
-    return f"{TEXT}\n\n{markdown(heads, rows, left=2)}"
+    heads = ["instrument", heading, "modes", "cents", "decay %", "level dB", "s per s", "time ratio"]
+    return markdown(heads, rows, left=2)
 
 
 def middle_string(instrument: Instrument) -> str:

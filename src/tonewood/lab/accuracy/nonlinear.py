@@ -405,12 +405,15 @@ def study(case: NonlinearCase, *, quick: bool = False, tell: Tell = silent) -> l
         point = Point(case.name, name, here["dial"], here["value"], fs, case.flat.n_modes, "", note=source)
         makes.append(lambda: attempt(case, truth, make(case, fs), point))
 
+    # closed forms are of strings with all their modes, waveforms of the modes that are stepped
+    whole = bool(case.pitch)
     for fs in case.rates[:3] if quick else case.rates:
-        add(OwnRun, "tonewood", fs)
+        add(partial(OwnRun, residual=whole), "tonewood", fs)
     for fs in case.verlet_rates[:: 2 if quick else 1] if not (quick and case.pitch) else ():
         add(ExplicitRun, "verlet", fs)
     if any(isinstance(c.law, Contact) for c in case.laws):
         for fs in case.rates[:2] if quick else case.rates:
-            value = f"with that of the contact, {fs / 1e3:.4g} kHz"
-            add(partial(OwnRun, residual=True), "tonewood", fs, dial="residual", value=value)
+            named = "without" if whole else "with"
+            value = f"{named} residual compliance at the contact, {fs / 1e3:.4g} kHz"
+            add(partial(OwnRun, residual=not whole), "tonewood", fs, dial="residual", value=value)
     return timed(makes, 3 if quick else 7, tell)

@@ -12,7 +12,7 @@ from tonewood.lab.accuracy.study import Point
 
 #: method and dial of the line that is called ours
 OURS, DIAL = "tonewood", "fs"
-#: Hz, the rate at which ours is compared with the others, or the nearest there is
+#: Hz, the rate at which ours is compared with the others
 USUAL_RATE = 48e3
 
 
@@ -36,8 +36,8 @@ def _of_all(name: str) -> Callable[[Point], float]:
     return lambda p: float(getattr(p, name)) if not p.lost else np.nan
 
 
-PITCH = Measure("pitch", "worst pitch error of partials 1-40, cents", _of_all("cents_worst"))
-DECAY = Measure("decay", "worst error of decay rates of partials 1-40, relative", _of_all("decay_worst"))
+PITCH = Measure("pitch", "worst pitch error of the partials, cents", _of_all("cents_worst"))
+DECAY = Measure("decay", "worst error of the partials' decay rates, relative", _of_all("decay_worst"))
 WAVEFORM = Measure("waveform", "error of the waveform, relative", lambda p: p.waveform)
 MEASURES: Mapping[str, Measure] = {m.name: m for m in (PITCH, DECAY, WAVEFORM)}
 
@@ -110,13 +110,16 @@ class Headline:
 
 
 def usual(points: Sequence[Point], measure: Measure) -> Point | None:
-    """Our point at 48 kHz, or the one nearest to it."""
+    """Our point at 48 kHz; in a study far from audio rates the middle one."""
     own = [
         p
         for p in points
         if p.method == OURS and p.dial == DIAL and np.isfinite(p.seconds) and np.isfinite(measure.of(p))
     ]
-    return min(own, key=lambda p: abs(np.log(p.fs / USUAL_RATE)), default=None)
+    nearest = min(own, key=lambda p: abs(np.log(p.fs / USUAL_RATE)), default=None)
+    if nearest is None or nearest.fs > USUAL_RATE / 2:
+        return nearest
+    return sorted(own, key=lambda p: p.fs)[len(own) // 2]
 
 
 def headlines(points: Sequence[Point], measure: Measure) -> list[Headline]:

@@ -22,7 +22,7 @@ ORDER = tuple(LABELS)
 FLOOR = 1e-9
 
 
-def pareto_png(outcomes: Sequence[Outcome], *, dpi: int = 110) -> bytes:
+def pareto_png(outcomes: Sequence[Outcome], *, dpi: int = 90) -> bytes:
     """One chart per system.
 
     Raises

@@ -6,10 +6,12 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from tonewood.lab.accuracy.catalogue import Outcome
-from tonewood.lab.accuracy.pareto import MEASURES, Measure, usual
+from tonewood.lab.accuracy.pareto import MEASURES, PITCH, Measure, usual
 from tonewood.lab.accuracy.study import LABELS, Point
 
 SCHEMA = "tonewood-accuracy/1"
+#: worst pitch error to partial 20 that was expected on the guitar of Fabre et al. at 48 kHz, cents
+EXPECTED_CENTS = 0.01
 
 
 def number(value: float | None, digits: int = 2) -> str:
@@ -97,6 +99,29 @@ def headline(outcome: Outcome) -> str:
             f"for {number(ours.seconds)} s per second of sound. At that error, {'; '.join(filter(None, said))}."
         )
     return "\n".join(lines)
+
+
+def expectation(outcome: Outcome) -> str:
+    """What was expected of the guitar of Fabre et al. at 48 kHz and of Adams-Bashforth 3, and what is the case."""
+    ours = usual(outcome.points, PITCH)
+    if ours is None:
+        return ""
+    held = "confirmed" if ours.cents_20 < EXPECTED_CENTS else "refuted"
+
+    def lowest(method: str) -> str:
+        stable = [p for p in outcome.points if p.method == method and p.stable == "stable"]
+        least = min(stable, key=lambda p: p.fs, default=None)
+        if least is None:
+            return "at none of its rates"
+        return f"from {least.fs / 1e3:.4g} kHz (decay rates {number(100 * least.decay_median)} % off there)"
+
+    return (
+        f"**Expected** of {outcome.title}: below {EXPECTED_CENTS} cent up to partial 20 at 48 kHz, where "
+        "Adams-Bashforth 3 needs about 800 kHz to be stable at all. "
+        f"**Measured:** {number(ours.cents_20)} cent at {ours.value}, {held}. "
+        f"Adams-Bashforth 3 is stable {lowest('ab3')} with the same modes and {lowest('ab3_paper')} with the 150 "
+        "string modes of the paper."
+    )
 
 
 def _spread(p: Point) -> str:

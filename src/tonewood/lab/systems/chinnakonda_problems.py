@@ -21,7 +21,7 @@ from tonewood.lab.assembled import Matrices, state_matrix
 from tonewood.lab.driven import driven_motion
 from tonewood.lab.interpolatory import P1, Response, Update, respond
 from tonewood.lab.nonproportionality import reduced, reduction_shapes
-from tonewood.numerics.forcing import Piece
+from tonewood.numerics.forcing import Segment
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.synthesis import basis_from_matrices, initial_state
 
@@ -169,7 +169,7 @@ def ramp_difference(system: Matrices, update: Update = P1, dt: float = 0.05) -> 
     From a motion that is not at rest; relative to the largest displacement.
     """
     size, n = len(system.M), 61
-    pieces = (Piece(0.0, 20 * dt, 0.0, 3.0), Piece(20 * dt, 60 * dt, 60 * dt, -5.0))
+    pieces = (Segment(0.0, 20 * dt, 0.0, 3.0), Segment(20 * dt, 60 * dt, 60 * dt, -5.0))
     x0, v0 = np.linspace(0.5, -1.0, size), np.linspace(1.0, 2.0, size)
     times = np.arange(n) * dt
     exact = driven_motion(system, np.eye(size)[0], pieces, dt, n, np.concatenate([x0, v0]))[:, :size]

@@ -33,7 +33,7 @@ from tonewood.lab.klosner_forms import (
 )
 from tonewood.numerics.component_modes import fixed_base_modes, free_free_modes
 from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.numerics.forcing import Piece, compile_force
+from tonewood.numerics.forcing import Segment, compile_force
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.nonlinear_port import Mounting, PortStepper
 from tonewood.numerics.stepper import NumpyStepper
@@ -67,9 +67,9 @@ class Problem:
     sub_mass: Floats
     sub_stiffness: Floats
     mounting: Mounting | None
-    load: tuple[Piece, ...]
+    load: tuple[Segment, ...]
     sub_direction: Floats
-    sub_load: tuple[Piece, ...] = ()
+    sub_load: tuple[Segment, ...] = ()
     duration: float = 1.5
 
     @property

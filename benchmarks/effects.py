@@ -1,0 +1,130 @@
+"""What leaving effects out saves and costs: one table over scores and instruments.
+
+    python benchmarks/effects.py SCORE.mid ... [--seconds 20] [--instruments steel_guitar african_harp]
+
+Each score's first seconds are rendered with effects `all`, `auto` and none but the second polarization (linear), in
+turn, on one core; times are those of stepping. `steel_guitar` is taken with frets under its strings besides its rising
+tensions. Errors are those of `auto` against `all`: the largest sample difference with rising tension always on, in dB
+re the peak (additive effects alone), and by how much the fundamentals of the notes are off, in cents (95 % of the
+windows of 50 ms in which they are within 20 dB of their loudest, and the largest). `plan` is the predicted time of
+`auto` over the real one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import oaconvolve
+
+import tonewood as tw
+
+Floats = NDArray[np.float64]
+FS = 48000
+#: not reached by moderate plucks, as on a guitar in good order
+FRETS = {"frets": {"plugin": "frets", "action_first": 8e-4, "action_twelfth": 2.4e-3, "strings": None}}
+LINEAR = ["second_polarization", "dampers"]
+#: seconds over which samples are compared
+SAMPLES = 3.0
+
+
+def instrument(name: str) -> tw.Instrument:
+    """A bundle, the steel-string guitar with frets if it has none."""
+    found = tw.load_instrument(name)
+    if name != "steel_guitar" or found.attachments:
+        return found
+    part = {key: value for key, value in FRETS["frets"].items() if value is not None}
+    return tw.Instrument.from_values({**found.resolved, "connections": {"frets": part}}, found.folder)
+
+
+def rendered(score: tw.Score, made: tw.Instrument, seconds: float, **options: object) -> tuple[Floats, tw.Renderer]:
+    renderer = tw.Renderer(score, made, FS, max_duration=seconds, tail=tw.Tail(cap=2.0), **options)  # type: ignore[arg-type]  # options are those of a renderer
+    return np.concatenate(list(renderer.blocks(4096)))[:, 0], renderer
+
+
+def partial(y: Floats, freq: float, width: float = 0.04) -> NDArray[np.complex128]:
+    t = np.arange(-3 * width, 3 * width, 1 / FS)
+    window = np.exp(-0.5 * (t / width) ** 2)
+    carrier = np.exp(-2j * np.pi * freq * np.arange(len(y)) / FS)
+    return np.asarray(oaconvolve(y * carrier, window / window.sum(), mode="same"))
+
+
+def detuning(a: Floats, b: Floats, freqs: list[float]) -> Floats:
+    """Cents by which fundamentals differ, in all windows in which they are strong."""
+    out, step = [np.zeros(1)], FS // 20
+    for freq in freqs:
+        x, y = (partial(s, freq)[step:-step:step] for s in (a, b))
+        turn = np.angle(y[1:] * np.conj(x[1:]) * np.conj(y[:-1] * np.conj(x[:-1])))
+        strong = np.minimum(abs(x), abs(y)) > 0.1 * abs(x).max()
+        out.append(abs(turn[strong[1:] & strong[:-1]]) * FS / (2 * np.pi * freq * step) * 1200 / np.log(2))
+    return np.concatenate(out)
+
+
+def row(score: tw.Score, made: tw.Instrument, seconds: float, predict: bool) -> str:
+    auto, stream = rendered(score, made, seconds, effects="auto")
+    every, all_ = rendered(score, made, seconds, effects="all")
+    _, linear = rendered(score, made, seconds, effects=LINEAR)
+    n = min(len(auto), len(every))
+    strings = stream.model.strings
+    freqs = sorted({round(strings[p.string].freq(p.stop), 1) for p in stream.performance.notes})[:8]
+    cents = detuning(every[:n], auto[:n], freqs)
+    short = min(SAMPLES, seconds)
+    exact = rendered(score, made, short, effects="auto", budget_cents=0.0)[0]
+    m = min(len(exact), n)
+    difference = float(abs(exact[:m] - every[:m]).max() / abs(every[:m]).max())
+    db = f"{20 * np.log10(difference):.0f}" if difference > 0 else "same bits"
+    times = [r.summary().render_s for r in (stream, all_, linear)]
+    on = [r.seconds_active for r in stream.summary().effects if r.name == "tension_modulation"]
+    share = f"{100 * np.mean(on) / stream.summary().duration_s:.0f} %" if on else "-"
+    foreseen = "-"
+    if predict:
+        plan = tw.plan(score, made, FS, max_duration=seconds, tail=tw.Tail(cap=2.0))
+        foreseen = f"{plan.predicted_s / times[0]:.2f}"
+    return (
+        f"{n / FS:.0f} | {times[0]:.1f} | {times[1] / times[0]:.2f} | {times[0] / times[2]:.2f} | {share} | {db} "
+        f"| {np.quantile(cents, 0.95):.3f} | {cents.max():.2f} | {foreseen}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scores", nargs="+", type=Path)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--instruments", nargs="+", default=["steel_guitar", "african_harp"])
+    parser.add_argument("--no-plan", action="store_true")
+    args = parser.parse_args()
+    began = time.perf_counter()
+    columns = [
+        "instrument",
+        "score",
+        "s",
+        "auto, s",
+        "all / auto",
+        "auto / linear",
+        "tension on",
+        "dB",
+        "cents 95 %",
+        "max",
+        "plan",
+    ]
+    print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
+    for name in args.instruments:
+        made = instrument(name)
+        try:
+            tw.Renderer(tw.Score([tw.Note(0.0, note=60)]), made, FS, effects="all")
+        except tw.TonewoodError as fault:
+            print(f"| {name} without frets: {fault} |{' |' * (len(columns) - 1)}")
+            made = tw.load_instrument(name)
+        for path in args.scores:
+            print(
+                f"| {name} | {path.stem} | {row(tw.read_midi(path), made, args.seconds, not args.no_plan)} |",
+                flush=True,
+            )
+    print(f"\n{time.perf_counter() - began:.0f} s in all")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""Scenes for switching, and how two renders are compared: by samples, and by the pitch and level of partials."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import tonewood as tw
+
+Floats = NDArray[np.float64]
+FS = 24000
+PITCH = {"B3": 59, "E4": 64}
+
+
+def duet(**effects: Any) -> tw.Instrument:
+    """The two highest steel strings on their body: tensions rise, and it is quickly stepped."""
+    guitar = tw.load_instrument("steel_guitar")
+    values = dict(guitar.resolved)
+    values["strings"] = {name: values["strings"][name] for name in PITCH}
+    body = dict(values["body"])
+    body["points"] = {f"bridge_{name}": body["points"][f"bridge_{name}"] for name in PITCH}
+    values["body"] = body
+    values["outputs"] = [{**values["outputs"][0], "at": {"mean": [f"body.bridge_{name}" for name in PITCH]}}]
+    values["playing"] = {**values["playing"], "note_end": {"kind": "ring"}}
+    values["effects"] = {**values["effects"], **effects}
+    return tw.Instrument.from_values(values, guitar.folder)
+
+
+def renderer(notes: list[tw.Note], seconds: float, instrument: tw.Instrument, fs: int = FS) -> tw.Renderer:
+    return tw.Renderer(tw.Score(notes), instrument, fs, max_duration=seconds)
+
+
+def sound(stream: tw.Renderer, block: int = 4096) -> Floats:
+    return np.concatenate(list(stream.blocks(block)))
+
+
+def partial(y: Floats, freq: float, fs: float = FS, width: float = 0.04) -> NDArray[np.complex128]:
+    """Slowly varying amplitude of the partials within some 1 / (pi `width`) Hz of `freq`."""
+    from scipy.signal import oaconvolve
+
+    t = np.arange(-3 * width, 3 * width, 1 / fs)
+    window = np.exp(-0.5 * (t / width) ** 2)
+    carrier = np.exp(-2j * np.pi * freq * np.arange(len(y)) / fs)
+    return np.asarray(oaconvolve(y * carrier, window / window.sum(), mode="same"))
+
+
+def compared(a: Floats, b: Floats, freq: float, fs: float = FS) -> tuple[Floats, Floats]:
+    """Cents by which a partial near `freq` is higher in b than in a, and dB by which it is louder, while it is strong.
+
+    In the nulls of beats both are ill-defined: what lies 20 dB below the loudest is left out.
+    """
+    x, y = partial(a, freq, fs), partial(b, freq, fs)
+    step = round(0.05 * fs)
+    x, y = x[step:-step:step], y[step:-step:step]
+    turn = np.angle(y[1:] * np.conj(x[1:]) * np.conj(y[:-1] * np.conj(x[:-1])))
+    heard = np.minimum(abs(x), abs(y)) > 0.1 * abs(x).max()
+    cents = turn * fs / (2 * np.pi * freq * step) * 1200 / np.log(2)
+    level = 20 * np.log10(abs(y) / abs(x))
+    return cents[heard[1:] & heard[:-1]], level[heard]

@@ -1,0 +1,144 @@
+"""Rising tension that comes and goes: within its budget of what runs all the time, without a click or a gain."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scenes import FS, compared, duet, renderer, sound
+
+import tonewood as tw
+from tonewood.engine.engine import GRID
+from tonewood.engine.switching import LOOK, affordable
+from tonewood.instrument.assembly import assemble
+from tonewood.numerics.motion import from_motion, share_velocities, to_motion
+from tonewood.numerics.stored_energy import stored_energy
+
+BUDGET = 0.5
+NOTE = tw.Note
+#: notes, seconds, partials to follow in Hz
+SCENES = {
+    "a loud pluck after a long silence": ([NOTE(0, 0.1, note=59, force=0.05), NOTE(1.2, 3, note=59, force=6)], 2.4,
+                                          [246.9, 493.9]),
+    "a quiet string beside a loud one": ([NOTE(0, 3, string="E4", stop=0, force=4),
+                                          NOTE(0.1, 3, string="B3", stop=5, force=0.1)], 2.0, [329.6, 659.3]),
+    "a glide in the attack": ([NOTE(0, 3, note=64, force=6)], 3.5, [329.6, 659.3]),
+    "quiet and loud in turn": (
+        [NOTE(0.25 * i, 1, note=n, force=f)
+         for i, (n, f) in enumerate(zip([59, 64, 66, 60] * 2, [0.2, 4, 1, 6] * 2, strict=True))], 2.0, [329.6, 261.6]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_auto_is_within_its_budget_of_all(scene: str) -> None:
+    notes, seconds, freqs = SCENES[scene]
+    streams = {mode: renderer(notes, seconds, duet(mode=mode)) for mode in ("all", "auto")}
+    all_, auto = (sound(stream)[:, 0] for stream in streams.values())
+    off = [r for r in streams["auto"].summary().effects if r.name == "tension_modulation"]
+    assert any(r.seconds_active < seconds for r in off)  # something was left out
+    assert all(r.bound is not None and r.bound <= BUDGET for r in off)
+    assert all(r.seconds_saved > 0 for r in off if r.seconds_active < seconds)
+    for freq in freqs:
+        cents, level = compared(all_, auto, freq)
+        assert len(cents) > 5
+        assert abs(cents).max() < BUDGET
+        assert abs(level).max() < 0.5
+
+
+def test_without_the_effect_the_comparison_fails() -> None:
+    """What the tests above could not do without: the pitch that is followed is that of the glide."""
+    notes, seconds, (freq, _) = SCENES["a glide in the attack"]
+    all_ = sound(renderer(notes, seconds, duet(mode="all")))[:, 0]
+    never = sound(renderer(notes, seconds, duet(mode=["second_polarization", "dampers"])))[:, 0]
+    assert abs(compared(all_, never, freq)[0]).max() > 4 * BUDGET
+
+
+@pytest.mark.parametrize("scene", ["a quiet string beside a loud one", "quiet and loud in turn"])
+def test_a_narrow_budget_is_practically_all(scene: str) -> None:
+    notes, seconds, _ = SCENES[scene]
+    all_ = sound(renderer(notes, seconds, duet(mode="all")))
+    tight = sound(renderer(notes, seconds, duet(mode="auto", budget_db=-120.0, budget_cents=0.01)))
+    # 0.01 cent at 330 Hz for two seconds turns a partial by 0.024
+    assert abs(tight - all_).max() < 0.02 * abs(all_).max()
+    exact = sound(renderer(notes, seconds, duet(mode="auto", budget_cents=0.0)))
+    assert abs(exact - all_).max() < 1e-6 * abs(all_).max()
+
+
+def test_samples_do_not_depend_on_the_block_size() -> None:
+    notes, _, _ = SCENES["quiet and loud in turn"]
+    reference = sound(renderer(notes, 0.8, duet()), 1 << 20)
+    for block in (7, 64, 1000):
+        assert np.array_equal(sound(renderer(notes, 0.8, duet()), block), reference)
+
+
+def test_a_snapshot_between_switches_continues() -> None:
+    notes, _, _ = SCENES["quiet and loud in turn"]
+    stream = renderer(notes, 1.2, duet())
+    blocks = stream.blocks(512)
+    kept = []
+    for _ in itertools.islice(blocks, 14):
+        pass
+    for _ in range(25):
+        kept.append((stream.snapshot(), stream.engine.tense))
+        next(blocks)
+    assert len({tense for _, tense in kept}) > 1
+    rest = np.concatenate(list(blocks))
+    for snapshot, _ in kept[::6]:
+        again = renderer(notes, 1.2, duet())
+        again.restore(snapshot)
+        left = np.concatenate(list(again.blocks(512)))[-len(rest) :]
+        # tensions are found to 1e-11 of themselves, from where the last ones were
+        assert abs(left - rest).max() < 1e-9 * abs(rest).max()
+
+
+def test_energy_falls_through_switches() -> None:
+    engine = renderer([NOTE(0.0, 3, note=64, force=3.0), NOTE(0.01, 3, note=59, force=2.0)], 3.0, duet()).engine
+    course, tense = [], []
+    while engine.state.sample < 2.5 * FS:
+        engine.advance(LOOK // 4)
+        if engine.done:
+            course.append(stored_energy(engine.system, engine.state).total)
+            tense.append(engine.tense)
+    assert len(set(tense)) > 1
+    assert np.all(np.diff(course) <= 1e-12 * course[0])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_tension_that_comes_back_is_paid_for(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    system = assemble(duet(mode="all"), FS).system
+    off, on = system.with_tensions([]), system.with_tensions(["E4"])
+    state = off.start()
+    for name in ("E4.z", "E4.y", "body"):
+        modes = off.modes_of(state, name)
+        modes[:] = rng.normal(size=modes.shape) * 1e-6 * 10.0 ** rng.uniform(-2, 1.5) / np.arange(1, modes.shape[1] + 1)
+    share_velocities(off, state)
+    before, still = stored_energy(off, state).total, state.copy()
+    paid = affordable(off, state, "E4")
+    if paid:
+        assert stored_energy(on, state).total <= before * (1 + 1e-12)
+        assert stored_energy(on, still).total > before
+        displaced = 2 * np.abs(off.modes_of(state, "E4.z")[0] - off.modes_of(still, "E4.z")[0])
+        assert displaced.max() <= 1e-9 * np.abs(off.modes_of(still, "E4.z")[0]).max()
+    else:
+        assert np.array_equal(state.modes, still.modes)
+        assert stored_energy(on, still).tension > 0.2 * stored_energy(off, still).modes
+
+
+def test_a_string_at_its_turning_point_waits() -> None:
+    system = assemble(duet(mode="all"), FS).system
+    state = system.start()
+    system.modes_of(state, "B3.z")[0, 1] = 1e-6  # bent, and still but for the other number of its damped mode
+    basis = system.compiled[system.slot("B3.z")].basis
+    q, v = to_motion(basis, system.modes_of(state, "B3.z"))
+    system.modes_of(state, "B3.z")[:] = from_motion(basis, q, 0 * v)
+    assert not affordable(system, state, "B3")
+
+
+def test_switching_follows_the_grid() -> None:
+    stream = renderer(SCENES["quiet and loud in turn"][0], 1.5, duet())
+    sound(stream)
+    spans = [span for found in stream.engine.ledger.tense.values() for span in found.all]
+    assert len(spans) > 2
+    assert all(start % GRID == 0 and stop % GRID == 0 for start, stop in spans)
