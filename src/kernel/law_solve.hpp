@@ -93,8 +93,8 @@ inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, doubl
     return false;
 }
 
-// Finds ws.law_force of the connections in ws.active; they start from what stands there.
-inline bool find_forces(const Nonlinear& nl, Workspace& ws, int& iterations) {
+// Finds ws.law_force of the connections in ws.active; they start from what stands there. `z` (k, k): gaps per force.
+inline bool find_forces(const Nonlinear& nl, Workspace& ws, const double* z, int& iterations) {
     const int k = nl.k, n = int(ws.active.size());
     double* f = ws.law_force.data();
     ws.stored.clear(), ws.sliding.clear();
@@ -106,7 +106,7 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, int& iterations) {
     const int n_stored = int(ws.stored.size());
     for (int i = 0; i < n_stored; ++i)
         for (int j = 0; j < n_stored; ++j)
-            ws.matrix[std::size_t(i) * n_stored + j] = nl.z[std::size_t(ws.stored[i]) * k + ws.stored[j]];
+            ws.matrix[std::size_t(i) * n_stored + j] = z[std::size_t(ws.stored[i]) * k + ws.stored[j]];
     double *free = ws.x[9].data(), *g = ws.x[10].data(), *before = ws.x[11].data();
     for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
         for (int i = 0; i < n; ++i) before[i] = f[ws.active[i]];
@@ -114,8 +114,8 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, int& iterations) {
             const Law& law = nl.laws[j];
             double p = ws.free_p[j];
             for (const int i : ws.active)
-                if (i != j) p -= nl.z[std::size_t(j) * k + i] * f[i];
-            const double mobility = nl.z[std::size_t(j) * k + j] / nl.dt;
+                if (i != j) p -= z[std::size_t(j) * k + i] * f[i];
+            const double mobility = z[std::size_t(j) * k + j] / nl.dt;
             const double without = -(p - ws.old_p[j]) / nl.dt - ws.velocity[j];
             const double v = velocity_after(law, without, mobility * law.a[0] * ws.scale[j], ws.slip[j]);
             ws.slip_after[j] = v;
@@ -125,7 +125,7 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, int& iterations) {
             for (int i = 0; i < n_stored; ++i) {
                 const int j = ws.stored[i];
                 free[i] = ws.free_p[j], g[i] = f[j];
-                for (const int q : ws.sliding) free[i] -= nl.z[std::size_t(j) * k + q] * f[q];
+                for (const int q : ws.sliding) free[i] -= z[std::size_t(j) * k + q] * f[q];
             }
             if (!newton(nl, ws, free, g, noise, iterations)) return false;
             for (int i = 0; i < n_stored; ++i) f[ws.stored[i]] = g[i];
@@ -136,8 +136,8 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, int& iterations) {
             double change = 0.0, all = 0.0;
             for (int i = 0; i < n; ++i) {
                 const int q = ws.active[i];
-                const double z = nl.z[std::size_t(j) * k + q];
-                change += z * (f[q] - before[i]), all += z * f[q];
+                const double per = z[std::size_t(j) * k + q];
+                change += per * (f[q] - before[i]), all += per * f[q];
             }
             moved = std::max(moved, std::abs(change)), made = std::max(made, std::abs(all));
         }

@@ -54,6 +54,8 @@ struct Guarded {
     Array<T> middle;             // (n, 2, n_modes): rows in the middle of a block
     Array<T> spread;             // (n, n_modes): how far the block may move a row from there, per size of a mode
     std::vector<double> peak;    // (n): |row| <= peak sqrt(norm)
+    // (n), of a stretched string: |row| in the rest of the block <= pulled * T/2 sqrt(sum a (y+ + y)^2)
+    std::vector<double> pulled;
 };
 
 // A string's polarization whose tension rises with amplitude, in mass-normalised coordinates y.
@@ -67,6 +69,7 @@ struct Stretched {
     Array<T> reading;        // (n): y = reading * first number
     Array<T> kick;           // (2, n): state per modal force held over a step
     Array<T> phi, c;         // (n_ports, n): port displacement per y, y per port force
+    Array<T> guarded_phi, guarded_c;  // the same of guarded ports
 };
 
 // A share of a port in a gap: port force += factor * force[connection], gap += factor * port displacement.
@@ -173,6 +176,7 @@ struct Nonlinear {
         bool simple = false;
         double tightest = 0;
         Array<double> worth;
+        double pull_worth = 0;  // of the rising tension, likewise
     };
     int k = 0;
     double dt = 0;
@@ -202,13 +206,14 @@ struct Nonlinear {
 struct Workspace {
     // by connection (k)
     Array<double> old_p, free_p, law_force, last_force, series, series_after, slip, slip_after, offset, offset_after,
-        velocity, scale, size, clearance, slack;
+        velocity, scale, size, clearance, slack, rest_p;
     std::vector<char> awake, touching;
     std::vector<int> awake_list, active, previous;
     std::vector<char> series_alive;  // by series group
     bool any_alive = false;
     // by component
     Array<double> norm, added;       // of the state at the block's beginning; of what known forces add in it
+    Array<double> pull, pull_worth;  // (., kBlock) T/2 sqrt(sum a (y+ + y)^2) at most; share of the tightest slack per it
     std::vector<char> sized;
     Array<char> sizes;               // of modes, as T
     std::vector<std::vector<int>> awake_rows, loaded;  // guarded ports read, and pushed, in this block
@@ -261,6 +266,16 @@ struct TensionSpace {
     std::vector<Array<double>> sums, guess;  // by component
     Array<double> stretch, old_stretch, tension, used, fixed, matrix, inverse, right, scale, solution, wrong;
     std::vector<char> done;
+    // with nonlinear connections
+    struct Wire {
+        int index, port;  // among linear connections, then active ones; among the ports in use
+        double factor;
+    };
+    Array<char> after;       // y after the step, of modes, as T
+    std::vector<std::vector<Wire>> wires;         // by component
+    std::vector<std::vector<int>> active_ports;   // by component: guarded ports of active contacts
+    Array<double> free, compliance;               // of one component's ports in use
+    Array<double> all, called, z;                 // (m + k, m + k) of all gaps; (k, m) M^-1 Z_ln; (k, k)
 };
 
 // What stands in for a law's constants during a run: offset before and after each step, velocity, scale.

@@ -244,6 +244,15 @@ public:
                 s.phi[q * n + k] = T(c.rows[2 * q * n + k] / reading.data()[k]);
                 s.c[q * n + k] = T(reading.data()[k] * c.w[2 * q * n + k]);
             }
+        const Guarded<T>& g = c.guarded;
+        s.guarded_phi.assign(g.n * n, T(0)), s.guarded_c.assign(g.n * n, T(0));
+        for (std::size_t q = 0; q < std::size_t(g.n); ++q)
+            for (std::size_t k = 0; k < n; ++k) {
+                if (reading.data()[k] == 0.0) continue;
+                s.guarded_phi[q * n + k] = T(g.rows[2 * q * n + k] / reading.data()[k]);
+                s.guarded_c[q * n + k] = T(reading.data()[k] * g.w[2 * q * n + k]);
+            }
+        derive_pulled(c);
         laid_out_ = false;
     }
 
@@ -335,7 +344,7 @@ public:
         job.last_force = last_force.data(), job.controls = moved.data(), job.n_controls = int(moved.size());
         if (!laid_out_) {
             lay_out();
-            arrange(components_, solve_, tensions_, capacity_, space_);
+            arrange(components_, solve_, tensions_, capacity_, nonlinear_, space_);
             arrange(components_, nonlinear_);
             prepare(components_, nonlinear_, layout_, capacity_, workspace_);
         }

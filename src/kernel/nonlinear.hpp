@@ -15,11 +15,15 @@
 namespace tonewood {
 namespace {
 
+template <class T>
+class TenseContacts;
+
 constexpr double kStillSeries = 1e-30;  // m: residual compliance below this is at rest
 
 template <class T>
 class NonlinearStep {
     using Term = Nonlinear::Term;
+    friend class TenseContacts<T>;
 
 public:
     NonlinearStep(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
@@ -27,6 +31,7 @@ public:
                   const std::vector<std::vector<Input<T>>>& known)
         : components_(components), layout_(layout), m_(solve.m), nl_(nonlinear), ws_(workspace),
           statistics_(statistics), job_(job), known_(known) {
+        for (const Component<T>& c : components_) any_tense_ = any_tense_ || c.stretched.on;
         if (!nl_.k) return;
         std::copy_n(job.series, nl_.k, ws_.series.data());
         std::copy_n(job.slip, nl_.k, ws_.slip.data());
@@ -79,7 +84,7 @@ public:
                 if (t.guarded) mark_row(t);
         }
         for (int i = 0; i < int(components_.size()); ++i)
-            if (!ws_.awake_rows[i].empty()) read(i, ws_.awake_rows[i].data(), int(ws_.awake_rows[i].size()));
+            if (!ws_.awake_rows[i].empty() && !tense(i)) read(i, ws_.awake_rows[i].data(), int(ws_.awake_rows[i].size()));
         for (int g = 0; g < int(nl_.groups.size()); ++g)
             if (!ws_.quiet[g]) weigh(g);
     }
@@ -87,20 +92,8 @@ public:
     // All forces of sample b. `f` (f_width) holds those of the linear connections if there were no others; it takes
     // what they are, and `now` the forces on all fixed ports. False if the nonlinear ones were not found.
     bool forces(int b, double* f, double* now) {
-        for (int q = 0; q < job_.n_controls; ++q) {
-            const Control& control = job_.controls[q];
-            const int j = control.connection;
-            const double* values = control.values + start_ + b;
-            ws_.offset[j] = values[0], ws_.offset_after[j] = values[job_.n];
-            ws_.velocity[j] = values[2 * job_.n], ws_.scale[j] = values[3 * job_.n];
-        }
-        sample_ = b;
         std::copy_n(f, layout_.f_width, ws_.f0.data());
-        ws_.active.clear();
-        for (const int j : ws_.awake_list) {
-            meet(j, b);
-            if (!is_contact(j) || (ws_.old_p[j] > 0.0 && ws_.scale[j] > 0.0)) activate(j);
-        }
+        begin_sample(b);
         for (;;) {
             if (!ws_.active.empty() && !solve()) return false;
             combine(b, f, now);
@@ -116,6 +109,7 @@ public:
     // What the forces of sample b do to guarded rows, and guarded forces to all rows, in the rest of the block.
     void push_on(int b, const double* now) {
         for (int i = 0; i < int(components_.size()); ++i) {
+            if (tense(i)) continue;  // its rows are read anew each sample
             const Component<T>& c = components_[i];
             const Guarded<T>& g = c.guarded;
             for (const int p : ws_.loaded[i]) {
@@ -163,6 +157,24 @@ public:
     }
 
 private:
+    // Drives of sample b, and the connections that act in it as far as the motion before it tells.
+    void begin_sample(int b) {
+        for (int q = 0; q < job_.n_controls; ++q) {
+            const Control& control = job_.controls[q];
+            const int j = control.connection;
+            const double* values = control.values + start_ + b;
+            ws_.offset[j] = values[0], ws_.offset_after[j] = values[job_.n];
+            ws_.velocity[j] = values[2 * job_.n], ws_.scale[j] = values[3 * job_.n];
+        }
+        sample_ = b;
+        ws_.active.clear();
+        for (const int j : ws_.awake_list) {
+            meet(j, b);
+            if (!is_contact(j) || (ws_.old_p[j] > 0.0 && ws_.scale[j] > 0.0)) activate(j);
+        }
+    }
+
+    bool tense(int i) const { return components_[i].stretched.on; }
     bool is_contact(int j) const { return nl_.laws[j].kind == Law::contact; }
     const T* x(int i) const { return job_.modes[0] + components_[i].offset; }
     const T* y(int i) const { return job_.modes[1] + components_[i].offset; }
@@ -207,6 +219,7 @@ private:
         if (ws_.quiet[index]) {  // no contact need be looked at by itself
             for (const int j : group.contacts) ws_.awake[j] = 0, ws_.slack[j] = -0.5 * nl_.laws[j].offset;
             std::copy(group.worth.begin(), group.worth.end(), ws_.worth[only].begin());
+            ws_.pull_worth[only] = group.pull_worth;
             ws_.asleep[index] = int(group.contacts.size());
             ws_.level[index] = 0.0;
             return;
@@ -272,7 +285,10 @@ private:
     // sample have taken. Ports that are not pushed in this block take nothing.
     void weigh(int index) {
         const Nonlinear::Group& group = nl_.groups[index];
-        for (const int i : group.components) std::fill(ws_.worth[i].begin(), ws_.worth[i].end(), 0.0);
+        for (const int i : group.components) {
+            std::fill(ws_.worth[i].begin(), ws_.worth[i].end(), 0.0);
+            ws_.pull_worth[i] = 0.0;
+        }
         ws_.asleep[index] = 0;
         for (const int j : group.contacts) {
             if (ws_.awake[j]) continue;
@@ -281,6 +297,10 @@ private:
                 const double share = std::abs(t.factor) / ws_.slack[j], *reach = reach_of(t);
                 double* worth = ws_.worth[t.component].data();
                 each_port(t.component, [&](int p) { worth[p] = std::max(worth[p], share * reach[p]); });
+                if (tense(t.component)) {
+                    double& worth_of_pull = ws_.pull_worth[t.component];
+                    worth_of_pull = std::max(worth_of_pull, share * components_[t.component].guarded.pulled[t.port]);
+                }
             }
         }
         ws_.level[index] = 0.0;
@@ -312,8 +332,10 @@ private:
     // Share of the tightest slack of a group that the forces of sample b take.
     double taken(int index, int b) const {
         double sum = 0.0;
-        for (const int i : nl_.groups[index].components)
+        for (const int i : nl_.groups[index].components) {
             each_port(i, [&](int p) { sum += ws_.worth[i][p] * pushed(i, p, b); });
+            if (tense(i)) sum += ws_.pull_worth[i] * ws_.pull[std::size_t(i) * kBlock + b];
+        }
         return sum;
     }
 
@@ -351,6 +373,10 @@ private:
                 for (int s = 0; s <= b; ++s) force += pushed(t.component, p, s);
                 sum += reach[p] * force;
             });
+            if (tense(t.component))
+                for (int s = 0; s <= b; ++s)
+                    sum += components_[t.component].guarded.pulled[t.port] *
+                           ws_.pull[std::size_t(t.component) * kBlock + s];
             total += std::abs(t.factor) * sum;
         }
         if (nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]])
@@ -367,6 +393,7 @@ private:
             if (!t.guarded || ws_.row_awake[nl_.first[t.component] + t.port]) continue;
             mark_row(t);
             const int i = t.component;
+            if (tense(i)) continue;
             read(i, &t.port, 1);
             for (int s = 0; s < b; ++s) {
                 double* later = value(i, t.port) + s + 1;
@@ -392,20 +419,40 @@ private:
         for (int k = 0; k < kBlock; ++k) later[k] += h[k] * force;
     }
 
-    // Compressions of a connection before the step, and after it without nonlinear forces.
+    // A port of a stretched string as it is now.
+    double read_now(const Term& t) const {
+        using S = Simd<T>;
+        const Component<T>& c = components_[t.component];
+        const T* row = (t.guarded ? c.guarded.rows.data() : c.rows.data()) + 2 * std::size_t(t.port) * c.n;
+        const T *sx = x(t.component), *sy = y(t.component);
+        typename S::V sum{}, more{};
+        for (int k = 0; k < c.n; k += S::width) {
+            sum += S::load(row + k) * S::load(sx + k);
+            more += S::load(row + c.n + k) * S::load(sy + k);
+        }
+        return S::sum(sum + more);
+    }
+
+    // Compressions of a connection before the step, and after it without nonlinear forces; where strings are tense,
+    // what the others leave of the latter, in rest_p.
     void meet(int j, int b) {
         double gap = 0.0, free = 0.0;
         for (const Term& t : nl_.terms[j]) {
+            if (tense(t.component)) {
+                gap += t.factor * read_now(t);
+                continue;
+            }
             const double* at = t.guarded ? value(t.component, t.port) + b : line_of(t) + std::size_t(b) * layout_.width;
             gap += t.factor * at[0], free += t.factor * at[t.guarded ? 1 : layout_.width];
         }
         const double* row = &nl_.from_linear[std::size_t(j) * m_];
-        for (int q = 0; q < m_; ++q) free += row[q] * ws_.f0[q];
+        if (!any_tense_)
+            for (int q = 0; q < m_; ++q) free += row[q] * ws_.f0[q];
         if (nl_.series[j] >= 0) {
             gap += ws_.series[j];
             free -= (1 - nl_.theta) / nl_.theta * ws_.series[j];
         }
-        ws_.old_p[j] = ws_.offset[j] - gap, ws_.free_p[j] = ws_.offset_after[j] - free;
+        ws_.old_p[j] = ws_.offset[j] - gap, ws_.free_p[j] = ws_.rest_p[j] = ws_.offset_after[j] - free;
         ws_.size[j] = std::max({std::abs(gap), std::abs(free), std::abs(ws_.offset_after[j])});
     }
 
@@ -417,25 +464,36 @@ private:
 
     bool solve() {
         int iterations = 0;
-        const bool found = find_forces(nl_, ws_, iterations);
+        return found(find_forces(nl_, ws_, nl_.z.data(), iterations), iterations);
+    }
+
+    // Books a solve.
+    bool found(bool done, int iterations) {
         ++statistics_.solves;
         statistics_.iterations += iterations;
         statistics_.most_iterations = std::max<std::int64_t>(statistics_.most_iterations, iterations);
-        statistics_.failures += !found;
+        statistics_.failures += !done;
         for (const int j : ws_.active)
             if (nl_.series[j] >= 0 && ws_.law_force[j] != 0.0) ws_.series_alive[nl_.series[j]] = ws_.any_alive = true;
-        return found;
+        return done;
     }
 
     // Contacts that the motion found brings into touch join the active ones; true if there are any.
     bool add_touching() {
         const std::size_t before = ws_.active.size();
-        for (const int j : ws_.awake_list) {
-            if (ws_.touching[j] || !is_contact(j) || !(ws_.scale[j] > 0.0)) continue;
+        return add_touching(before, [&](int j) {
             double p = ws_.free_p[j];
             for (std::size_t q = 0; q < before; ++q)
                 p -= nl_.z[std::size_t(j) * nl_.k + ws_.active[q]] * ws_.law_force[ws_.active[q]];
-            if (p > 0.0) activate(j);
+            return p;
+        });
+    }
+
+    template <class After>
+    bool add_touching(std::size_t before, const After& compression_after) {
+        for (const int j : ws_.awake_list) {
+            if (ws_.touching[j] || !is_contact(j) || !(ws_.scale[j] > 0.0)) continue;
+            if (compression_after(j) > 0.0) activate(j);
         }
         if (ws_.active.size() == before) return false;
         std::sort(ws_.active.begin(), ws_.active.end());
@@ -449,6 +507,11 @@ private:
             const double force = ws_.law_force[j], *answer = &nl_.answer[std::size_t(j) * layout_.f_width];
             for (int k = 0; k < layout_.f_width; ++k) f[k] -= answer[k] * force;
         }
+        distribute(b, f, now);
+    }
+
+    // Port forces of sample b.
+    void distribute(int b, const double* f, double* now) {
         std::fill_n(now, layout_.force_width, 0.0);
         add_product(layout_.push.data(), layout_.force_width, f, m_, now);
         for (std::size_t i = 0; i < components_.size(); ++i)
@@ -524,6 +587,7 @@ private:
     Statistics& statistics_;
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
+    bool any_tense_ = false;
     std::int64_t start_ = 0;
     int nb_ = 0, sample_ = 0;
     double* lines_ = nullptr;

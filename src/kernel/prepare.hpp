@@ -49,6 +49,30 @@ void derive_bounds(Component<T>& c, const double* e, const double* rows) {
     for (double& peak : guarded.peak) peak = std::sqrt(peak);
 }
 
+// Farthest that the forces of a rising tension move guarded rows of a string in the rest of a block, per
+// T/2 sqrt(sum a (y+ + y)^2): they are -T/2 a (y+ + y) on each mode.
+template <class T>
+void derive_pulled(Component<T>& c) {
+    Guarded<T>& g = c.guarded;
+    const Stretched<T>& s = c.stretched;
+    const std::size_t n = c.n;
+    g.pulled.assign(g.n, 0.0);
+    for (std::size_t r = 0; r < std::size_t(g.n); ++r) {
+        double most[kBlock] = {};
+        for (std::size_t k = 0; k < n; ++k) {
+            const double e00 = c.e[k], e01 = c.e[n + k], e10 = c.e[2 * n + k], e11 = c.e[3 * n + k];
+            const double rx = g.rows[2 * r * n + k], ry = g.rows[(2 * r + 1) * n + k];
+            double u = s.kick[k], v = s.kick[n + k];
+            for (int j = 0; j < kBlock; ++j) {
+                const double moved = rx * u + ry * v, next = e00 * u + e01 * v;
+                most[j] += moved * moved * double(s.a[k]);
+                v = e10 * u + e11 * v, u = next;
+            }
+        }
+        g.pulled[r] = std::sqrt(*std::max_element(most, most + kBlock));
+    }
+}
+
 // (all ports, all ports), fixed ones first: the farthest a port moves in a block per force on each.
 template <class T>
 Array<double> reach_of(const Component<T>& c) {
@@ -87,6 +111,9 @@ void arrange(const std::vector<Component<T>>& components, Nonlinear& nl) {
         (c.driven ? nl.driven : nl.terms)[t.connection].push_back(t);
         nl.guarded[t.connection] |= t.guarded;
     }
+    // the lines tell nothing of a tense string's fixed ports beforehand
+    for (const Nonlinear::Term& t : nl.all_terms)
+        if (!t.guarded && components[t.component].stretched.on) nl.guarded[t.connection] = 0;
     for (int j = 0; j < nl.k; ++j) {
         if (!nl.guarded[j]) continue;
         int to = int(nl.groups.size());
@@ -127,6 +154,8 @@ void arrange(const std::vector<Component<T>>& components, Nonlinear& nl) {
                 &nl.reach[group.components[0]][std::size_t(c.n_ports + t.port) * (c.n_ports + c.guarded.n)];
             for (int p = 0; p < c.n_ports; ++p)
                 group.worth[p] = std::max(group.worth[p], size * reach[p] / (0.5 * room));
+            if (c.stretched.on)
+                group.pull_worth = std::max(group.pull_worth, size * c.guarded.pulled[t.port] / (0.5 * room));
         }
     }
 }
@@ -134,7 +163,7 @@ void arrange(const std::vector<Component<T>>& components, Nonlinear& nl) {
 // Which linear connections see stretched strings, and how.
 template <class T>
 void arrange(std::vector<Component<T>>& components, const Solve& solve, Tensions& tensions, std::size_t capacity,
-             TensionSpace& ws) {
+             const Nonlinear& nl, TensionSpace& ws) {
     const std::size_t m = solve.m, n = components.size();
     tensions.components.clear(), tensions.terms.clear(), tensions.pairs.clear();
     for (Component<T>& c : components) c.stretched.on = false;
@@ -174,6 +203,18 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, Tensions
     for (Array<double>* a : {&ws.old_stretch, &ws.tension, &ws.used}) a->assign(tensions.strings.size(), 0.0);
     for (Array<double>* a : {&ws.fixed, &ws.right, &ws.scale, &ws.solution, &ws.wrong}) a->assign(m, 0.0);
     ws.matrix.assign(m * m, 0.0), ws.inverse.assign(m * m, 0.0), ws.done.assign(m, 0);
+    if (!nl.k) return;
+    const std::size_t k = nl.k;
+    ws.after.assign(capacity * sizeof(T), 0);
+    ws.wires.resize(n), ws.active_ports.resize(n);
+    std::size_t most = 0;
+    for (const int i : tensions.components) {
+        const std::size_t ports = components[i].n_ports + components[i].guarded.n;
+        most = std::max(most, ports);
+        ws.active_ports[i].reserve(ports), ws.wires[i].reserve(tensions.terms.size() + nl.all_terms.size());
+    }
+    ws.free.assign(most, 0.0), ws.compliance.assign(most * most, 0.0);
+    ws.all.assign((m + k) * (m + k), 0.0), ws.called.assign(k * m, 0.0), ws.z.assign(k * k, 0.0);
 }
 
 // Makes the buffers of a run.
@@ -183,12 +224,13 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, c
     const std::size_t k = nl.k, n = components.size(), n_guarded = nl.n_guarded;
     for (Array<double>* a :
          {&ws.old_p, &ws.free_p, &ws.law_force, &ws.last_force, &ws.series, &ws.series_after, &ws.slip, &ws.slip_after,
-          &ws.offset, &ws.offset_after, &ws.velocity, &ws.scale, &ws.size, &ws.clearance, &ws.slack})
+          &ws.offset, &ws.offset_after, &ws.velocity, &ws.scale, &ws.size, &ws.clearance, &ws.slack, &ws.rest_p})
         a->assign(k, 0.0);
     ws.awake.assign(k, 0), ws.touching.assign(k, 0);
     for (std::vector<int>* list : {&ws.awake_list, &ws.active, &ws.previous, &ws.stored, &ws.sliding})
         list->clear(), list->reserve(k);
     ws.series_alive.assign(nl.n_series, 0);
+    ws.pull.assign(n * kBlock, 0.0), ws.pull_worth.assign(n, 0.0);
     ws.norm.assign(n, 0.0), ws.added.assign(n, 0.0), ws.sized.assign(n, 0);
     ws.sizes.assign(nl.groups.empty() ? 0 : capacity * sizeof(T), 0);
     ws.value.assign(n_guarded * kStride, 0.0), ws.force.assign(n_guarded * kBlock, 0.0);

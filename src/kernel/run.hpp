@@ -14,6 +14,7 @@
 #include "lines.hpp"
 #include "nonlinear.hpp"
 #include "sweep.hpp"
+#include "tense_contacts.hpp"
 #include "tension.hpp"
 
 namespace tonewood {
@@ -85,6 +86,7 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
     std::vector<Array<double>> known_values(job.n_injections);
     NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known);
     TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job);
+    TenseContacts<T> both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
     const bool tense = !tensions.strings.empty();
     const bool direct = !tense && !nonlinear.k && int(layout.own_port.size()) == m;
 
@@ -112,7 +114,9 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             double* now = &force[std::size_t(b) * force_width];
             double* const f_out = job.forces + (start + b) * m;
             if (tense) {
-                if (!stretched.step(b, lines.data(), known, f.data(), now)) return {Fault::kUnsolved, start + b};
+                const bool found = nonlinear.k ? both.step(b, lines.data(), known, f.data(), now)
+                                               : stretched.step(b, lines.data(), known, f.data(), now);
+                if (!found) return {Fault::kUnsolved, start + b};
             } else if (direct) {
                 std::copy(layout.direct_constant.begin(), layout.direct_constant.end(), now);
                 add_product(layout.direct.data(), force_width, &lines[std::size_t(b) * width], 2 * width, now);

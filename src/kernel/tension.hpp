@@ -82,61 +82,22 @@ void stretch_pass(const Component<T>& c, const T* u, const T* y, T* kept, double
 
 template <class T>
 class TensionStep {
+    friend class TenseContacts<T>;
+
 public:
     TensionStep(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
                 const Tensions& tensions, TensionSpace& space, Statistics& statistics, const Job<T>& job)
         : components_(components), layout_(layout), solve_(solve), tensions_(tensions), ws_(space),
-          statistics_(statistics), job_(job) {}
+          statistics_(statistics), job_(job), pushed_(components.size()) {
+        for (const int i : tensions_.components) pushed_[i].reserve(components[i].guarded.n);
+    }
 
     // Sample b of a block: rows of the stretched components, tensions, forces of the linear connections in f, port
     // forces in now; moves the stretched components. False if the tensions were not found.
     bool step(int b, double* lines, const std::vector<std::vector<Input<T>>>& known, double* f, double* now) {
-        for (const int i : tensions_.components) {
-            begin(i, b, lines, known[i]);
-            if (b == 0) ws_.kept_at[i] = INFINITY;  // a block depends on nothing but the state it begins with
-        }
-        const int n = int(tensions_.strings.size());
-        double* last = job_.tension;
-        for (int s = 0; s < n; ++s) {
-            double stretch = 0.0;
-            for (const int i : tensions_.strings[s].components) stretch += ws_.stretch[i];
-            ws_.old_stretch[s] = stretch;
-            const double* t = last + 3 * tensions_.strings[s].index;
-            // three last means, going on as a parabola
-            ws_.tension[s] = std::max(3 * t[0] - 3 * t[1] + t[2], tensions_.strings[s].kappa * stretch);
-        }
-        gaps_at_start(b, lines);
-        bool found = false;
-        int iterations = 0;
-        while (!found && iterations++ < kMaxTensionIterations) {
-            for (int s = 0; s < n; ++s)
-                for (const int i : tensions_.strings[s].components) pass(i, ws_.tension[s]);
-            if (!linear_forces(b, iterations, f)) return false;
-            std::fill_n(now, layout_.force_width, 0.0);
-            add_product(layout_.push.data(), layout_.force_width, f, solve_.m, now);
-            found = true;
-            for (int s = 0; s < n; ++s) {
-                const auto& string = tensions_.strings[s];
-                double after = ws_.old_stretch[s], slope = 0.0, size = after;
-                for (const int i : string.components) gain(i, now + layout_.port[i], after, slope, size);
-                const double excess = ws_.tension[s] - string.kappa * (after + ws_.old_stretch[s]);
-                ws_.used[s] = ws_.tension[s];
-                if (std::abs(excess) > kTensionTolerance<T> * (ws_.tension[s] + 1e-2 * string.kappa * size)) found = false;
-                ws_.tension[s] = std::max(string.kappa * ws_.old_stretch[s],
-                                          ws_.tension[s] - excess / (1 - string.kappa * slope));
-                if (!std::isfinite(excess)) return false;
-            }
-            for (const int i : tensions_.components)
-                std::copy_n(now + layout_.port[i], components_[i].n_ports, ws_.guess[i].data());
-        }
-        statistics_.tension_iterations += iterations;
-        statistics_.most_tension_iterations = std::max<std::int64_t>(statistics_.most_tension_iterations, iterations);
-        if (!found) return false;
-        for (int s = 0; s < n; ++s) {
-            double* t = last + 3 * tensions_.strings[s].index;
-            t[2] = t[1], t[1] = t[0], t[0] = ws_.used[s];
-            for (const int i : tensions_.strings[s].components) move(i, b, known[i], ws_.used[s], now + layout_.port[i]);
-        }
+        begin_sample(b, lines, known);
+        if (!linear_step(b, f, now)) return false;
+        finish_sample(b, known, now);
         return true;
     }
 
@@ -148,6 +109,77 @@ public:
 private:
     T* x(int i) const { return job_.modes[0] + components_[i].offset; }
     T* y(int i) const { return job_.modes[1] + components_[i].offset; }
+
+    // Coordinates of the stretched components, and where to start.
+    void begin_sample(int b, double* lines, const std::vector<std::vector<Input<T>>>& known) {
+        for (const int i : tensions_.components) {
+            begin(i, b, lines, known[i]);
+            if (b == 0) ws_.kept_at[i] = INFINITY;  // a block depends on nothing but the state it begins with
+        }
+        const double* last = job_.tension;
+        for (int s = 0; s < int(tensions_.strings.size()); ++s) {
+            double stretch = 0.0;
+            for (const int i : tensions_.strings[s].components) stretch += ws_.stretch[i];
+            ws_.old_stretch[s] = stretch;
+            const double* t = last + 3 * tensions_.strings[s].index;
+            // three last means, going on as a parabola
+            ws_.tension[s] = std::max(3 * t[0] - 3 * t[1] + t[2], tensions_.strings[s].kappa * stretch);
+        }
+        gaps_at_start(b, lines);
+    }
+
+    // Tensions and forces where only linear connections act.
+    bool linear_step(int b, double* f, double* now) {
+        int iterations = 0;
+        bool done = false;
+        while (!done && iterations++ < kMaxTensionIterations) {
+            for (int s = 0; s < int(tensions_.strings.size()); ++s)
+                for (const int i : tensions_.strings[s].components) pass(i, ws_.tension[s]);
+            if (!linear_forces(b, iterations, f)) break;
+            std::fill_n(now, layout_.force_width, 0.0);
+            add_product(layout_.push.data(), layout_.force_width, f, solve_.m, now);
+            done = correct([&](int i, double& after, double& slope, double& size) {
+                gain(i, now + layout_.port[i], after, slope, size);
+            });
+            for (const int i : tensions_.components)
+                std::copy_n(now + layout_.port[i], components_[i].n_ports, ws_.guess[i].data());
+        }
+        book(iterations, done);
+        return done;
+    }
+
+    void book(int iterations, bool done) {
+        statistics_.tension_iterations += iterations;
+        statistics_.most_tension_iterations = std::max<std::int64_t>(statistics_.most_tension_iterations, iterations);
+        statistics_.failures += !done;
+    }
+
+    // Newton's step of every tension; true if they were right already. `gain_of` adds what a component's stretch gains.
+    template <class Gain>
+    bool correct(const Gain& gain_of) {
+        bool found = true;
+        for (int s = 0; s < int(tensions_.strings.size()); ++s) {
+            const auto& string = tensions_.strings[s];
+            double after = ws_.old_stretch[s], slope = 0.0, size = after;
+            for (const int i : string.components) gain_of(i, after, slope, size);
+            const double excess = ws_.tension[s] - string.kappa * (after + ws_.old_stretch[s]);
+            ws_.used[s] = ws_.tension[s];
+            if (!(std::abs(excess) <= kTensionTolerance<T> * (ws_.tension[s] + 1e-2 * string.kappa * size))) found = false;
+            ws_.tension[s] = std::max(string.kappa * ws_.old_stretch[s],
+                                      ws_.tension[s] - excess / (1 - string.kappa * slope));
+        }
+        return found;
+    }
+
+    // Moves the stretched components, the port forces known.
+    void finish_sample(int b, const std::vector<std::vector<Input<T>>>& known, const double* now) {
+        double* last = job_.tension;
+        for (int s = 0; s < int(tensions_.strings.size()); ++s) {
+            double* t = last + 3 * tensions_.strings[s].index;
+            t[2] = t[1], t[1] = t[0], t[0] = ws_.used[s];
+            for (const int i : tensions_.strings[s].components) move(i, b, known[i], ws_.used[s], now + layout_.port[i]);
+        }
+    }
 
     void rows(int i, int b, double* lines) {
         using S = Simd<T>;
@@ -239,7 +271,7 @@ private:
     // f = -M(T)^-1 (g_free + gamma g - offset): by an inverse that is a few samples old, and corrections with M itself.
     bool linear_forces(int b, int iteration, double* f) {
         const int m = solve_.m;
-        double *M = ws_.matrix.data(), *v = ws_.right.data(), *now = ws_.solution.data(), *wrong = ws_.wrong.data();
+        double *M = ws_.matrix.data(), *v = ws_.right.data();
         std::copy(tensions_.matrix.begin(), tensions_.matrix.end(), M);
         std::copy(ws_.fixed.begin(), ws_.fixed.end(), v);
         for (const auto& t : tensions_.terms) {
@@ -252,10 +284,16 @@ private:
             M[pair.row * m + pair.column] += pair.factor * (moved - pair.rest);
         }
         std::fill_n(f, layout_.f_width, 0.0);
-        bool fresh = false;
-        if (b == 0 && iteration == 1) fresh = true, invert(M);
+        return solve_linear(M, v, f, b == 0 && iteration == 1);
+    }
+
+    // f = -M^-1 v; `fresh` makes the inverse anew, `warm` starts from the last solution.
+    bool solve_linear(const double* M, const double* v, double* f, bool fresh, bool warm = true) {
+        const int m = solve_.m;
+        double *now = ws_.solution.data(), *wrong = ws_.wrong.data();
+        if (fresh) invert(M);
         for (int attempt = 0; attempt < 2; ++attempt) {
-            if (fresh) std::fill_n(now, m, 0.0);
+            if (fresh || !warm || attempt > 0) std::fill_n(now, m, 0.0);
             for (int correction = 0; correction < 12; ++correction) {
                 double change = 0.0, size = 0.0;
                 for (int i = 0; i < m; ++i) {
@@ -276,7 +314,7 @@ private:
                 }
             }
             // the tension has gone too far from where the inverse was made
-            if (!fresh) fresh = true, invert(M);
+            if (!fresh && attempt == 0) fresh = true, invert(M);
         }
         std::copy_n(now, m, f);
         for (int i = 0; i < m; ++i)
@@ -340,6 +378,10 @@ private:
                 D += S::load(&s.c[p * n + k]) * force;
                 nx += S::load(&c.w[2 * p * n + k]) * force, ny += S::load(&c.w[(2 * p + 1) * n + k]) * force;
             }
+            for (const Pushed& in : pushed_[i]) {
+                D += S::load(in.per_force + k) * in.force;
+                nx += S::load(in.w + k) * in.force, ny += S::load(in.w + n + k) * in.force;
+            }
             const V pull = S::load(&s.a[k]) * D * S::load(yields + k) * half_t;
             S::store(sx + k, nx + S::load(&s.kick[k]) * pull);
             S::store(sy + k, ny + S::load(&s.kick[n + k]) * pull);
@@ -355,6 +397,12 @@ private:
     TensionSpace& ws_;
     Statistics& statistics_;
     const Job<T>& job_;
+    // forces on guarded ports, by component
+    struct Pushed {
+        const T *per_force, *w;
+        T force;
+    };
+    std::vector<std::vector<Pushed>> pushed_;
 };
 
 }  // namespace

@@ -17,7 +17,7 @@ from tonewood.engine.fretting import Fingerboard, Fretting, pulls
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, samples
 from tonewood.engine.ledger import Ledger
 from tonewood.engine.surroundings import held, holds_at, string_of, woken
-from tonewood.engine.switching import LOOK, TensionSwitch, affordable
+from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.numerics.connections import Connection
@@ -130,6 +130,11 @@ class Engine:
             self.controls = [c for c in self.controls if c.stop > self.state.sample]
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
 
+    @property
+    def _look(self) -> int:
+        """Samples between looks at the strings."""
+        return GRID * (LOOK if self.tense else SELDOM)
+
     def _samples(self, time: float) -> float:
         return samples(time, self.dt)
 
@@ -145,7 +150,7 @@ class Engine:
             times.append(self._samples(self.timeline.plays[self._next_play].start) - GRID + 1)
         times += [self._samples(active.play.stop) for active in self.active]
         if self.switch.enabled:
-            times.append(grid if self.awaited else now // (LOOK * GRID) * LOOK * GRID + LOOK * GRID)
+            times.append(grid if self.awaited else now // self._look * self._look + self._look)
         due = int(np.ceil(min(times) / GRID)) * GRID if times else grid + 63 * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
         return min([max(due, grid), *steps])
@@ -165,7 +170,7 @@ class Engine:
 
     def _switch(self, now: int, fresh: Sequence[Play]) -> None:
         """Let tensions rise that gestures or what moves call for, and leave out those that do not matter."""
-        look = now % (LOOK * GRID) == 0
+        look = now % self._look == 0
         fresh = [play for play in fresh if play.string in self.switch.strings]
         if not (look or fresh or self.awaited):
             return

@@ -66,10 +66,6 @@ class KernelStepper:
     precision : ``f64`` or ``f32`` (states and coefficients; forces are solved for in double).
     isa : instruction set, by default `instruction_set()`.
     guarded : leave contacts out while a bound says that they touch nothing; the results are the same bit for bit.
-
-    Raises
-    ------
-    ValueError : nonlinear connections and rising tensions are in use at once; the kernel takes one or the other.
     """
 
     def __init__(self, system: System, *, precision: str = "f64", isa: str | None = None, guarded: bool = True):
@@ -105,11 +101,6 @@ class KernelStepper:
 
     def _load(self, system: System) -> None:
         nonlinear = system.nonlinear
-        if nonlinear is not None and any(system.tension_on):
-            raise TonewoodError(
-                "the kernel steps nonlinear connections or rising tensions, not both at once:"
-                " switch one of them off, or take NumpyStepper"
-            )
         self._nonlinear = np.zeros(0, dtype=np.intp) if nonlinear is None else nonlinear.index
         idle = np.array([_idle(c.law) for c in system.connections], dtype=bool)
         idle[self._nonlinear] = True

@@ -44,21 +44,28 @@ def body(points, n_modes=20, seed=3):
     return ModalBasis.real(omega, 0.01 * omega, shapes, residual=1e-9 * np.eye(len(points)))
 
 
-def tense_guitar(n_strings=2, n_modes=50, axial_stiffness=2e4, on=True, dt=1 / 48000):
-    """Two polarizations each, the first on the body; their tension rises with amplitude."""
+def tense_guitar(n_strings=2, n_modes=50, axial_stiffness=2e4, on=True, dt=1 / 48000, frets=None, extra=()):
+    """Two polarizations each, the first on the body; their tension rises with amplitude.
+
+    `frets`: law between each first polarization and six frets; `extra`: further connections.
+    """
     names = range(n_strings)
+    places = {"pluck": 0.11 * LENGTH} | {f"f{k}": LENGTH / 2 ** ((k + 1) / 12) for k in range(6)}
     components = {"body": body([f"b{i}" for i in names])}
     connections, tensions = [], []
     for i in names:
         density = TENSION / (2 * LENGTH * 110 * 1.3**i) ** 2
         string = string_basis(LENGTH, TENSION, density, 5e-5, lambda w, k: 1e-4 + 0 * w, n_modes=n_modes)
-        components[f"s{i}a"] = string.with_places({"pluck": 0.11 * LENGTH})
-        components[f"s{i}b"] = held_string(n_modes, {"pluck": 0.11 * LENGTH}, density=density, damping=0.5)
+        components[f"s{i}a"] = string.with_places(places)
+        components[f"s{i}b"] = held_string(n_modes, places, density=density, damping=0.5)
         joint = (Term(f"s{i}a", "bridge"), Term("body", f"b{i}", -0.97))
         connections.append(Connection(f"joint{i}", joint))
         law = SpringDashpot(0.0, 0.01 * i)
         connections.append(Connection(f"hold{i}", (Term(f"s{i}b", "pluck"), Term(f"s{i}a", "pluck", 0.3)), law))
+        if frets is not None:
+            connections += [Connection(f"s{i}f{k}", (Term(f"s{i}a", f"f{k}"),), frets) for k in range(6)]
         tensions.append(TensionModulation(f"s{i}", (f"s{i}a", f"s{i}b"), axial_stiffness))
+    connections += extra
     readouts = [
         Readout("u", "displacement", (Probe("s0a", "pluck"),)),
         Readout("v", "velocity", (Probe("s0b", "pluck"),)),

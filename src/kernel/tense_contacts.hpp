@@ -1,0 +1,325 @@
+// Strings whose tension rises and nonlinear connections in one system, sample by sample.
+//
+// For given tensions the step is that of nonlinear.hpp with other compliances: those of stretched strings come out of a
+// pass over their modes, only at the ports of contacts that touch. Newton's method on the tensions goes around the one
+// on the forces. A contact that does not touch under the forces found is left out, and the solution without it is then
+// the solution: the whole step is one monotone problem. Where no contact touches, nothing differs from tension.hpp.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include "nonlinear.hpp"
+#include "tension.hpp"
+
+namespace tonewood {
+namespace {
+
+template <class T>
+class TenseContacts {
+    using Term = Nonlinear::Term;
+
+public:
+    TenseContacts(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
+                  const Nonlinear& nonlinear, const Tensions& tensions, Workspace& workspace, TensionSpace& space,
+                  Statistics& statistics, NonlinearStep<T>& laws, TensionStep<T>& stretched)
+        : components_(components), layout_(layout), m_(solve.m), nl_(nonlinear), tensions_(tensions), ws_(workspace),
+          ts_(space), statistics_(statistics), laws_(laws), stretched_(stretched) {}
+
+    // As TensionStep::step; `lines` and the guarded values hold the motion of the other components.
+    bool step(int b, double* lines, const std::vector<std::vector<Input<T>>>& known, double* f, double* now) {
+        stretched_.begin_sample(b, lines, known);
+        laws_.begin_sample(b);
+        for (;;) {
+            if (ws_.active.empty()) {
+                if (!stretched_.linear_step(b, f, now)) return false;
+                laws_.distribute(b, f, now);
+            } else if (!joint_step(b, f, now)) {
+                return false;
+            }
+            note_pulls(b);
+            laws_.wake_by(b);
+            if (!touched(b, now)) break;
+        }
+        laws_.commit(b);
+        for (const int i : tensions_.components) push(i, b);
+        stretched_.finish_sample(b, known, now);
+        for (const int i : tensions_.components) stretched_.pushed_[i].clear();
+        return true;
+    }
+
+private:
+    // Tensions and all forces, the active connections given.
+    bool joint_step(int b, double* f, double* now) {
+        find_ports();
+        bool done = false;
+        int iterations = 0;
+        while (!done && iterations++ < kMaxTensionIterations) {
+            if (!forces(b, iterations, f)) break;
+            laws_.distribute(b, f, now);
+            done = stretched_.correct([&](int i, double& after, double& slope, double& size) {
+                push(i, b);
+                move_stretch(i, now + layout_.port[i], after, slope, size);
+            });
+        }
+        stretched_.book(iterations, done);
+        return done;
+    }
+
+    // Guarded ports of stretched strings on which active contacts push, and how all connections see their ports.
+    void find_ports() {
+        for (const int i : tensions_.components) ts_.active_ports[i].clear(), ts_.wires[i].clear();
+        for (const int j : ws_.active)
+            for (const Term& t : nl_.terms[j]) {
+                if (!t.guarded || !components_[t.component].stretched.on) continue;
+                auto& list = ts_.active_ports[t.component];
+                const auto at = std::lower_bound(list.begin(), list.end(), t.port);
+                if (at == list.end() || *at != t.port) list.insert(at, t.port);
+            }
+        for (const auto& t : tensions_.terms)
+            if (components_[t.component].stretched.on) ts_.wires[t.component].push_back({t.connection, t.port, t.factor});
+        for (int a = 0; a < int(ws_.active.size()); ++a)
+            for (const Term& t : nl_.terms[ws_.active[a]]) {
+                if (!components_[t.component].stretched.on) continue;
+                ts_.wires[t.component].push_back({m_ + a, t.guarded ? place(t) : t.port, t.factor});
+            }
+    }
+
+    // A guarded port among those in use.
+    int place(const Term& t) const {
+        const auto& list = ts_.active_ports[t.component];
+        return components_[t.component].n_ports +
+               int(std::lower_bound(list.begin(), list.end(), t.port) - list.begin());
+    }
+
+    // Ports in use of component i: fixed ones, then guarded ones.
+    const T* phi(int i, int p) const {
+        const Component<T>& c = components_[i];
+        const std::size_t n = c.n;
+        return p < c.n_ports ? &c.stretched.phi[p * n]
+                             : &c.stretched.guarded_phi[ts_.active_ports[i][p - c.n_ports] * n];
+    }
+    const T* per_force(int i, int p) const {
+        const Component<T>& c = components_[i];
+        const std::size_t n = c.n;
+        return p < c.n_ports ? &c.stretched.c[p * n] : &c.stretched.guarded_c[ts_.active_ports[i][p - c.n_ports] * n];
+    }
+
+    // Compliance between two ports in use without additional tension, p <= q.
+    double rest(int i, int p, int q) const {
+        const Component<T>& c = components_[i];
+        const Guarded<T>& g = c.guarded;
+        if (q < c.n_ports) return c.history[std::size_t(q) * c.n_rows + p];
+        const std::size_t to = ts_.active_ports[i][q - c.n_ports];
+        if (p < c.n_ports) return g.from_fixed[(std::size_t(p) * g.n + to) * kBlock];
+        return g.from_guarded[(std::size_t(ts_.active_ports[i][p - c.n_ports]) * g.n + to) * kBlock];
+    }
+
+    // Where the ports in use would be without forces, and their compliances, at a tension: ts.free and ts.compliance.
+    int port_pass(int i, double tension) {
+        using S = Simd<T>;
+        using V = typename S::V;
+        const Component<T>& c = components_[i];
+        const T* u = stretched_.buffer(ts_.u, i);
+        T* kept = stretched_.buffer(ts_.yields, i);
+        ts_.kept_at[i] = tension;
+        for (int k = 0; k < c.n; k += S::width)
+            S::store(kept + k, T(1) / (T(1) + S::load(&c.stretched.half[k]) * T(tension)));
+        const int count = c.n_ports + int(ts_.active_ports[i].size());
+        for (int p = 0; p < count; ++p) {
+            const T* at = phi(i, p);
+            V sum{};
+            for (int k = 0; k < c.n; k += S::width) sum += S::load(at + k) * S::load(u + k) * S::load(kept + k);
+            ts_.free[p] = S::sum(sum);
+            for (int q = p; q < count; ++q) {
+                const T* from = per_force(i, q);
+                V moved{};
+                for (int k = 0; k < c.n; k += S::width) moved += S::load(at + k) * S::load(from + k) * S::load(kept + k);
+                ts_.compliance[std::size_t(p) * count + q] = ts_.compliance[std::size_t(q) * count + p] = S::sum(moved);
+            }
+        }
+        return count;
+    }
+
+    // Forces of all connections at the tensions tried.
+    bool forces(int b, int iteration, double* f) {
+        const int m = m_, a = int(ws_.active.size()), k = nl_.k;
+        const std::size_t w = m + a;
+        double *all = ts_.all.data(), *v = ts_.right.data(), *M = ts_.matrix.data();
+        for (int i = 0; i < m; ++i) std::copy_n(&tensions_.matrix[std::size_t(i) * m], m, all + i * w);
+        for (int s = 0; s < a; ++s) {
+            const std::size_t j = ws_.active[s];
+            for (int q = 0; q < m; ++q)
+                all[(m + s) * w + q] = all[q * w + m + s] = nl_.from_linear[j * m + q];
+            for (int t = 0; t < a; ++t) {
+                const std::size_t other = ws_.active[t];
+                double z = nl_.z[j * k + other];
+                for (int q = 0; q < m; ++q) z += nl_.from_linear[j * m + q] * nl_.answer[other * layout_.f_width + q];
+                all[(m + s) * w + m + t] = z;
+            }
+        }
+        std::copy(ts_.fixed.begin(), ts_.fixed.end(), v);
+        for (const int j : ws_.active) ws_.free_p[j] = ws_.rest_p[j];
+        for (int s = 0; s < int(tensions_.strings.size()); ++s)
+            for (const int i : tensions_.strings[s].components) {
+                const int count = port_pass(i, ts_.tension[s]);
+                for (const auto& to : ts_.wires[i]) {
+                    if (to.index < m) v[to.index] += to.factor * ts_.free[to.port];
+                    for (const auto& from : ts_.wires[i]) {
+                        const int p = std::min(to.port, from.port), q = std::max(to.port, from.port);
+                        all[to.index * w + from.index] += to.factor * from.factor *
+                            (ts_.compliance[std::size_t(p) * count + q] - rest(i, p, q));
+                    }
+                }
+                for (const auto& to : ts_.wires[i]) {
+                    if (to.index < m) continue;
+                    const int j = ws_.active[to.index - m];
+                    // counts from the old displacement, which old_p knows
+                    ws_.free_p[j] -= to.factor * (ts_.free[to.port] - old(i, to.port));
+                }
+            }
+        for (int i = 0; i < m; ++i) std::copy_n(all + i * w, m, M + std::size_t(i) * m);
+        std::fill_n(f, layout_.f_width, 0.0);
+        if (!stretched_.solve_linear(M, v, f, b == 0 && iteration == 1, false)) return false;
+        for (int s = 0; s < a; ++s) {
+            double* x = &ts_.called[std::size_t(s) * m];
+            for (int q = 0; q < m; ++q) v[q] = all[q * w + m + s];
+            if (!stretched_.solve_linear(M, v, x, false, false)) return false;
+        }
+        for (int s = 0; s < a; ++s) {
+            const int j = ws_.active[s];
+            const double* row = all + (m + s) * w;
+            for (int q = 0; q < m; ++q) ws_.free_p[j] -= row[q] * f[q];
+            ws_.size[j] = std::max(ws_.size[j], std::abs(ws_.offset_after[j] - ws_.free_p[j]));
+            for (int t = 0; t < a; ++t) {
+                double z = row[m + t];
+                const double* x = &ts_.called[std::size_t(t) * m];
+                for (int q = 0; q < m; ++q) z += row[q] * x[q];
+                ts_.z[std::size_t(j) * k + ws_.active[t]] = z;
+            }
+        }
+        for (int s = 0; s < a; ++s)
+            for (int t = 0; t < s; ++t) {
+                double &one = ts_.z[std::size_t(ws_.active[s]) * k + ws_.active[t]],
+                       &other = ts_.z[std::size_t(ws_.active[t]) * k + ws_.active[s]];
+                one = other = 0.5 * (one + other);
+            }
+        int iterations = 0;
+        const bool done = find_forces(nl_, ws_, ts_.z.data(), iterations);
+        if (!laws_.found(done, iterations)) return false;
+        for (int s = 0; s < a; ++s) {
+            const double force = ws_.law_force[ws_.active[s]], *x = &ts_.called[std::size_t(s) * m];
+            for (int q = 0; q < m; ++q) f[q] += x[q] * force;
+        }
+        return true;
+    }
+
+    // Displacement of a port in use before the step.
+    double old(int i, int p) const { return dot(phi(i, p), stretched_.buffer(ts_.y, i), components_[i].n); }
+
+    static double dot(const T* a, const T* b, int n) {
+        using S = Simd<T>;
+        typename S::V sum{};
+        for (int k = 0; k < n; k += S::width) sum += S::load(a + k) * S::load(b + k);
+        return S::sum(sum);
+    }
+
+    // Forces of sample b on guarded ports of a stretched string, for its motion.
+    void push(int i, int b) {
+        auto& list = stretched_.pushed_[i];
+        const Component<T>& c = components_[i];
+        const std::size_t n = c.n;
+        list.clear();
+        for (const int p : ws_.loaded[i]) {
+            const double force = ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b];
+            if (force != 0.0) list.push_back({&c.stretched.guarded_c[p * n], &c.guarded.w[2 * p * n], T(force)});
+        }
+    }
+
+    // Coordinates after the step in ts.after, under port forces f and those of push(); what the stretch gains.
+    void move_stretch(int i, const double* f, double& after, double& slope, double& size) {
+        using S = Simd<T>;
+        using V = typename S::V;
+        const Component<T>& c = components_[i];
+        const Stretched<T>& s = c.stretched;
+        const std::size_t n = c.n;
+        const T *u = stretched_.buffer(ts_.u, i), *here = stretched_.buffer(ts_.y, i);
+        const T* yields = stretched_.buffer(ts_.yields, i);
+        T* to = stretched_.buffer(ts_.after, i);
+        V gained{}, slopes{}, sizes{};
+        for (std::size_t k = 0; k < n; k += S::width) {
+            V D = S::load(u + k);
+            for (int p = 0; p < c.n_ports; ++p) D += S::load(&s.c[p * n + k]) * T(f[p]);
+            for (const auto& in : stretched_.pushed_[i]) D += S::load(in.per_force + k) * in.force;
+            const V yield = S::load(yields + k), a = S::load(&s.a[k]), y = S::load(here + k);
+            D *= yield;
+            S::store(to + k, D - y);
+            const V aD = a * D;
+            gained += aD * (D - y - y);
+            slopes += aD * S::load(&s.half[k]) * yield * (D - y);
+            sizes += aD * D;
+        }
+        after += S::sum(gained), slope -= 2 * S::sum(slopes), size += S::sum(sizes);
+    }
+
+    // How much the tensions found may have moved guarded rows: T/2 sqrt(sum a (y+ + y)^2) <= T/2 sqrt(2 (S+ + S)), and
+    // S+ + S is T / kappa.
+    void note_pulls(int b) {
+        for (int s = 0; s < int(tensions_.strings.size()); ++s) {
+            const double T_used = ts_.used[s], kappa = tensions_.strings[s].kappa;
+            const double pull = T_used > 0.0 ? 0.5 * T_used * std::sqrt(2 * T_used / kappa) * (1 + 1e-4) : 0.0;
+            for (const int i : tensions_.strings[s].components) ws_.pull[std::size_t(i) * kBlock + b] = pull;
+        }
+    }
+
+    // Contacts awake that the motion found brings into touch join the active ones.
+    bool touched(int b, const double* now) {
+        for (const int i : tensions_.components) is_moved_[i] = 0;
+        return laws_.add_touching(ws_.active.size(), [&](int j) {
+            double p = ws_.offset_after[j];
+            for (const Term& t : nl_.terms[j]) p -= t.factor * after(t, b, now);
+            return nl_.series[j] >= 0 ? p - laws_.series_after(j) : p;
+        });
+    }
+
+    // Displacement of a port after the step.
+    double after(const Term& t, int b, const double* now) {
+        const int i = t.component;
+        const Component<T>& c = components_[i];
+        const Guarded<T>& g = c.guarded;
+        const std::size_t n = c.n, port = t.port;
+        if (c.stretched.on) {
+            if (!is_moved_[i]) {
+                double unused[3] = {};
+                push(i, b);
+                move_stretch(i, now + layout_.port[i], unused[0], unused[1], unused[2]);
+                is_moved_[i] = 1;
+            }
+            return dot(t.guarded ? &c.stretched.guarded_phi[port * n] : &c.stretched.phi[port * n],
+                       stretched_.buffer(ts_.after, i), c.n);
+        }
+        double y = t.guarded ? laws_.value(i, t.port)[b + 1] : laws_.line_of(t)[std::size_t(b + 1) * layout_.width];
+        for (std::size_t p = 0; p < std::size_t(c.n_ports); ++p)
+            y += now[layout_.port[i] + p] *
+                 (t.guarded ? g.from_fixed[(p * g.n + port) * kBlock] : c.history[p * c.n_rows + port]);
+        for (const std::size_t p : ws_.loaded[i])
+            y += ws_.force[(nl_.first[i] + p) * kBlock + b] *
+                 (t.guarded ? g.from_guarded[(p * g.n + port) * kBlock] : g.on_rows[p * kBlock * c.n_rows + port]);
+        return y;
+    }
+
+    const std::vector<Component<T>>& components_;
+    const Layout& layout_;
+    const int m_;
+    const Nonlinear& nl_;
+    const Tensions& tensions_;
+    Workspace& ws_;
+    TensionSpace& ts_;
+    Statistics& statistics_;
+    NonlinearStep<T>& laws_;
+    TensionStep<T>& stretched_;
+    std::vector<char> is_moved_ = std::vector<char>(components_.size());
+};
+
+}  // namespace
+}  // namespace tonewood
