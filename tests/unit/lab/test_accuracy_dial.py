@@ -11,9 +11,9 @@ from tonewood.lab.accuracy import dial
 FS = 48000.0
 #: contacts or a bow make their motion chaotic: settings differ as two strokes of a player do
 CHAOTIC = ("bowed_monochord", "buzzing_monochord")
-#: held and damped by contacts for as long as they sound: the compliance of modes that are not stepped gives way there
-#: with a loss proportional to the step, and decay rates follow to first order only
-FIRST_ORDER = ("clavichord",)
+#: contacts touch the string for as long as it sounds: the compliance of modes that are not stepped gives way there with
+#: a loss proportional to the step, and decay rates follow to first order only
+FIRST_ORDER = ("clavichord", "sitar")
 
 
 def tone(freqs: np.ndarray, rates: np.ndarray, levels: np.ndarray) -> np.ndarray:
