@@ -45,10 +45,13 @@ def test_a_sound_is_as_itself() -> None:
 
 def hold(name: str, string: str | None = None) -> None:
     instrument = tw.load_instrument(name)
-    points = {p.accuracy: p for p in dial.measure(instrument, string or dial.middle_string(instrument))}
-    errors, chance = points["standard"].errors, points[dial.NUDGED].errors
+    points = {
+        p.accuracy: p for p in dial.measure(instrument, string or dial.middle_string(instrument), nudge=name in CHAOTIC)
+    }
+    errors = points["standard"].errors
     cents, decay, level = dial.LIMITS
     if name in CHAOTIC:
+        chance = points[dial.NUDGED].errors
         cents, decay, level = 5 * chance.cents, 5 * chance.decay, 5 * chance.level
     if name in FIRST_ORDER:
         decay *= 2
