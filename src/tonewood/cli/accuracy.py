@@ -48,7 +48,7 @@ def accuracy(
         _require_matplotlib()
 
     from tonewood.lab.accuracy import dial, tables, timing
-    from tonewood.lab.accuracy.report import HEADLINE, Study, write
+    from tonewood.lab.accuracy.report import HEADLINE, SHORT, Study, write
 
     more: dict[str, tuple[str, object]] = {}
     with progress("comparing", 1.05) as advance:
@@ -84,6 +84,7 @@ def accuracy(
         print(f"\n{HEADLINE}\n\n{tables.headline_tables(outcomes)}")
     for text, _ in more.values():
         print(f"\n{text}")
+    print(f"\n{SHORT}\n\n{tables.summary_table(outcomes)}")
     for path, _ in contents:
         print(path)
 
