@@ -115,6 +115,7 @@ class RenderSettings(_Part):
     isa: Literal["auto", "avx512", "avx2", "neon", "baseline"] = "auto"
     output: str | None = Field(default=None, description="output group of the bundle; its first if not given")
     tail: Tail = Tail()
+    energy: bool = Field(default=False, description="keep an account of energy; the record tells how far it closes")
 
 
 class Fade(_Part):

@@ -58,7 +58,8 @@ class EngineRenderer:
         The length is that of the score with half its longest tail.
         """
         settings = condition.render
-        kind = (condition.bundle, settings.fs, settings.accuracy, settings.precision, str(settings.effects))
+        how = (settings.accuracy, settings.precision, str(settings.effects), settings.energy)
+        kind = (condition.bundle, settings.fs, *how)
         if kind not in _COSTS:
             began = time.perf_counter()
             renderer = _renderer(condition, max_duration=_PIECE)
@@ -81,6 +82,8 @@ class EngineRenderer:
         renderer = _renderer(condition)
         samples = np.concatenate(list(renderer.blocks(4096)))
         info = _plain(asdict(renderer.summary())) | {"channels": list(renderer.channels)}
+        if renderer.energy is not None:
+            info["energy"] = renderer.energy.balance()
         return Rendered(samples, renderer.fs, info)
 
 
@@ -97,6 +100,7 @@ def _renderer(condition: Condition, max_duration: float | None = None) -> Render
         tail=Tail(level_db=settings.tail.energy_db, cap=settings.tail.cap),
         max_duration=max_duration,
         channel_per_string=_channel_per_string(condition),
+        energy=settings.energy,
     )
 
 

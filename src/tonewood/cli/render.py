@@ -31,7 +31,6 @@ from tonewood.units import decibel
 
 if TYPE_CHECKING:
     from tonewood.engine.ledger import EffectReport
-    from tonewood.numerics.energy_trace import EnergyTrace
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer, Summary
 
@@ -181,14 +180,6 @@ def _write(
             return final.clipped, final.peak
 
 
-def _balance(account: EnergyTrace) -> dict[str, float]:
-    return {
-        "peak_J": account.peak,
-        "worst_residual": account.worst_residual,
-        "worst_cumulative_residual": account.worst_cumulative_residual,
-    }
-
-
 def _told(summary: Summary) -> list[str]:
     """One line per effect that did not simply run all the time."""
     lines = []
@@ -234,6 +225,6 @@ def _report(
         "clipped": clipped,
         "end": s.end,
         "warnings": warnings,
-        "energy": None if account is None else _balance(account),
+        "energy": None if account is None else account.balance(),
         "effects": [{**asdict(e), "bound": finite(e.bound)} for e in s.effects],
     }

@@ -70,6 +70,14 @@ class EnergyTrace:
         """Largest |sum of residuals| up to any time, as a share of the peak."""
         return float(np.abs(np.cumsum(self.residual)).max(initial=0.0) / self.peak) if self.peak > 0 else 0.0
 
+    def balance(self) -> dict[str, float]:
+        """In short: largest stored energy, J, and how far the account stays open, as shares of it."""
+        return {
+            "peak_J": self.peak,
+            "worst_residual": self.worst_residual,
+            "worst_cumulative_residual": self.worst_cumulative_residual,
+        }
+
     def to_dict(self) -> dict[str, object]:
         """Lists and numbers for JSON."""
         return {

@@ -113,6 +113,17 @@ def test_a_batch_on_a_real_instrument(tmp_path: Path) -> None:
     assert row["lufs"] == pytest.approx(-23.0 - row["page_drop_db"], abs=0.02)
 
 
+def test_a_record_tells_how_far_the_energy_balance_closes() -> None:
+    short = {"output": "bridge", "tail": {"energy_db": -40, "cap": 0.3}, "fs": 16000}
+    told, *_ = conditions(render=short | {"energy": True})
+    plain, *_ = conditions(render=short)
+    rendered, same = ENGINE.render(told), ENGINE.render(plain)
+    assert np.array_equal(rendered.samples, same.samples)
+    assert rendered.info["energy"]["peak_J"] > 0
+    assert rendered.info["energy"]["worst_residual"] <= 1e-10
+    assert "energy" not in same.info
+
+
 def test_another_instruction_set_is_refused() -> None:
     here = ENGINE.identity(conditions()[0])["isa"]
     other = "neon" if here != "neon" else "avx2"
