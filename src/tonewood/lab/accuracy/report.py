@@ -48,7 +48,8 @@ the JSON file tell (1 to 3 on average): that is no dial, for a solution left ear
 
 A time ratio at equal error is read from the Pareto line of each method, straight in the logarithms of time and error
 between measured points. *Not reached*: no measured point of the method is that good. *Not stable*: none is stable.
-*Partials lost*: every stable one has lost some."""
+*Partials lost*: every stable one has lost some. Where methods stay stable at all, by modes, force and sampling rate:
+`tonewood accuracy --stability`."""
 
 SHORT = """\
 ## In short
