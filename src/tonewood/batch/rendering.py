@@ -24,7 +24,8 @@ from tonewood.score.midi import read_midi
 from tonewood.score.note import Note, Score
 
 _PIECE = 0.25  # s, rendered to predict the time of the rest
-_COSTS: dict[tuple[str, int, str, str | None, str], tuple[float, float]] = {}  # s to set up, s per second of sound
+# s to set up, s per second of sound
+_COSTS: dict[tuple[str, int, str, str | None, str, bool], tuple[float, float]] = {}
 
 
 @dataclass(frozen=True)
