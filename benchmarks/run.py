@@ -126,6 +126,34 @@ def kernel_cost(repeats: int) -> Iterator[Row]:
     )
 
 
+def where_it_goes(repeats: int) -> Iterator[Row]:
+    """What the kernel spends on what, from the same guitar with parts left out."""
+    guitar = tw.load_instrument("classical_guitar")
+    low = guitar.replace({f"strings.{name}.freq_upper": 1500.0 for name in guitar.string_names})
+    systems = [chord(guitar).model.system, *(chord(g, ["bridge"]).model.system for g in (guitar, low))]
+    modes = [sum(c.basis.n_modes for c in system.compiled) for system in systems]
+    steppers = [KernelStepper(system) for system in systems]
+    states = [stepper.start() for stepper in steppers]
+    n, times = 9600, []
+    for _ in range(4 * repeats):
+        row = []
+        for stepper, state in zip(steppers, states, strict=True):
+            state.modes[:] = np.random.default_rng(1).standard_normal(state.modes.shape) * 1e-6
+            began = time.process_time()
+            stepper.run(state, n)
+            row.append(1e9 * (time.process_time() - began) / n)
+        times.append(row)
+    whole, deaf, few = np.median(times, axis=0)
+    per_mode = (deaf - few) / (modes[1] - modes[2])
+    how = f"medians of {4 * repeats} runs side by side"
+    yield "where a sample's time goes: all", f"{whole:.0f} ns", how
+    what = f"  microphones, {modes[0] - modes[1]} modes driven by 2 forces and read by 2 channels"
+    yield what, f"{whole - deaf:.0f} ns", "less without them"
+    strings = modes[0] - sum(systems[0].compiled[systems[0].slot(c)].basis.n_modes for c in ("body", "microphones"))
+    yield f"  {strings} string modes", f"{per_mode * strings:.0f} ns", "from fewer of them"
+    yield "  body, connections and what is left", f"{deaf - per_mode * strings:.0f} ns", "what remains"
+
+
 def kernel_against_twin(repeats: int) -> Iterator[Row]:
     """The C++ kernel and the NumPy stepper on the same guitar."""
     system = chord(tw.load_instrument("classical_guitar")).model.system
@@ -285,6 +313,7 @@ def main() -> None:
     rows: list[Callable[[], Iterator[Row]]] = [
         lambda: all_ringing(repeats),
         lambda: kernel_cost(repeats),
+        lambda: where_it_goes(repeats),
         lambda: kernel_against_twin(3),
         lambda: undamped_energy(1_000_000),
         lambda: cold_start(repeats),

@@ -4,7 +4,8 @@ The finger is a mass on the spring and dashpot of the hand, and its skin a sprin
 string, all at `touch`. It lies there from before the pluck until `lift` after it: light and lifted it leaves the
 partials that have a node there; heavy and lasting it damps them all; stiff and heavy it stops the string softly. Its
 weight goes from 0 to `weight` and back in `ease`; a growing weight puts in the little work of pressing a skin that is
-not yet deflected.
+not yet deflected. Its place may be an event's own (a controller's), and may move to `touch_end` until it leaves; what
+its skin stores more or less at another place is work of the hand.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ class FingerParameters(Parameters):
     touch: StringPlace = described(
         "of the finger: m, or {fraction: of the speaking length}", default=Fraction(fraction=0.5)
     )
+    touch_end: StringPlace | None = described("of the finger when it leaves, if it moves meanwhile", default=None)
     width: float = quantity("m", low=0.0, high=0.2, default=0.0, doc="over which it lies: a palm's edge is broad")
     weight: float = quantity("1", low=0.0, high=100.0, default=1.0, doc="factor on the skin's stiffness and damping")
     mass: float = quantity("kg", low=1e-5, high=1.0, default=2e-3, doc="of the fingertip")
@@ -63,7 +65,7 @@ class StoppingFinger(Exciter[FingerParameters]):
         p, own, on = self.parameters, f"{site.string}.{name}", Place(site.string, site.length)
         omega = 2 * math.pi * p.hand_freq
         middle, n = metres(p.touch, on), self._points
-        places = {f"{name}.touch{j}": metres(middle + p.width * ((j - 0.5) / n - 0.5), on) for j in range(1, n + 1)}
+        places = {f"{name}.touch{j}": metres(middle + dx, on) for j, dx in enumerate(self._spread, 1)}
         law = HardeningSpring(p.skin_stiffness / n, damping=p.skin_damping / n)
         components, connections = {}, []
         for i, (component, _) in enumerate(site.polarizations, 1):
@@ -78,6 +80,23 @@ class StoppingFinger(Exciter[FingerParameters]):
     def _points(self) -> int:
         return 1 if self.parameters.width == 0.0 else _POINTS
 
+    @property
+    def _spread(self) -> list[float]:
+        """Places of the points, m from the middle."""
+        n = self._points
+        return [self.parameters.width * ((j - 0.5) / n - 0.5) for j in range(1, n + 1)]
+
+    def _course(self, p: FingerParameters, place: Place, begin: float, end: float) -> dict[str, tuple[Segment, ...]]:
+        """Where the points lie, if not where the bundle says: at the event's place, or on the way to another."""
+        last = p.touch if p.touch_end is None else p.touch_end
+        if p.touch == last == self.parameters.touch:
+            return {}
+        first, last = metres(p.touch, place), metres(last, place)
+        return {
+            f"{self.name}.touch{j}": smooth_step(begin, end, metres(first + dx, place), metres(last + dx, place))
+            for j, dx in enumerate(self._spread, 1)
+        }
+
     def gesture(self, event: Event, place: Place) -> Gesture:
         """The finger comes before the pluck's force grows; the pluck's release begins at time 0."""
         p = self.adjusted(event.values)
@@ -91,4 +110,5 @@ class StoppingFinger(Exciter[FingerParameters]):
         skins = [f"skin{i}{j}" for i in range(1, place.planes + 1) for j in range(1, self._points + 1)]
         motions = tuple(Motion(f"{place.name}.{self.name}.{skin}", "scale", lies) for skin in skins)
         hold = Hold(-ramp, -ramp / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
-        return Gesture(segments, metres(p.from_bridge, place), p.angle_deg, hold, motions=motions)
+        course = self._course(p, place, -ramp - p.ease, p.lift + p.ease)
+        return Gesture(segments, metres(p.from_bridge, place), p.angle_deg, hold, motions=motions, touches=course)

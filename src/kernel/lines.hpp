@@ -42,22 +42,21 @@ class Spread {
     using S = Simd<double>;
 
 public:
-    explicit Spread(const Layout& layout) : l_(layout), per_row_(std::size_t(kSpan) * layout.single_width) {}
+    explicit Spread(const Layout& layout) : l_(layout) {}
 
     // The forces of sample b; `force` (kBlock, force_width) holds those of all samples so far, `lines` all nb + 1.
     void operator()(int b, int nb, const double* force, double* lines) {
         const int place = b % kSpan, end = std::min(b - place + kSpan, nb);
         const double* now = force + std::size_t(b) * l_.force_width;
-        double* per_row = &per_row_[std::size_t(place) * l_.single_width];
-        for (std::size_t i = 0; i < l_.singles.size(); ++i) per_row[i] = l_.singles[i] < 0 ? 0.0 : now[l_.singles[i]];
-        near(now, per_row, end - b, lines + std::size_t(b + 1) * l_.width);
-        if (place == kSpan - 1 && end < nb) far(force + std::size_t(b + 1 - kSpan) * l_.force_width, nb - end, lines + std::size_t(end + 1) * l_.width);
+        near(now, end - b, lines + std::size_t(b + 1) * l_.width);
+        if (place == kSpan - 1 && end < nb)
+            far(now - std::size_t(kSpan - 1) * l_.force_width, nb - end, lines + std::size_t(end + 1) * l_.width);
     }
 
 private:
-    void near(const double* __restrict force, const double* __restrict per_row, int n, double* __restrict lines) const {
+    void near(const double* __restrict force, int n, double* __restrict lines) const {
         for (int i = 0; i < l_.single_width; i += S::width) {
-            const S::V f = S::load(per_row + i);
+            const S::V f = S::load(force + i);
             const double* h = l_.single_history.data() + i;
             for (int k = 0; k < n; ++k) {
                 double* line = lines + std::size_t(k) * l_.width + i;
@@ -86,7 +85,7 @@ private:
     void far(const double* __restrict force, int n, double* __restrict lines) const {
         for (int i = 0; i < l_.single_width; i += S::width) {
             S::V f[kSpan];
-            for (int q = 0; q < kSpan; ++q) f[q] = S::load(&per_row_[std::size_t(q) * l_.single_width + i]);
+            for (int q = 0; q < kSpan; ++q) f[q] = S::load(force + std::size_t(q) * l_.force_width + i);
             const std::ptrdiff_t step = l_.single_width;
             const double* h = l_.single_history.data() + kSpan * step + i;
             for (int k = 0; k < n; ++k, h += step) {
@@ -102,16 +101,19 @@ private:
         for (const Layout::Several& c : l_.several) {
             const std::ptrdiff_t step = std::ptrdiff_t(c.n_ports) * c.width;
             for (int i = 0; i < c.width; i += S::width) {
+                const double* h = c.history.data() + kSpan * step + i;
+                double* line = lines + c.row + i;
                 int k = 0;
-                for (; k + 4 <= n; k += 4) far_lines<4>(c, force, c.history.data() + (k + kSpan) * step + i, lines + std::size_t(k) * l_.width + c.row + i);
-                for (; k < n; ++k) far_lines<1>(c, force, c.history.data() + (k + kSpan) * step + i, lines + std::size_t(k) * l_.width + c.row + i);
+                for (; k + 4 <= n; k += 4, h += 4 * step, line += 4 * l_.width) far_lines<4>(c, force, h, line);
+                for (; k < n; ++k, h += step, line += l_.width) far_lines<1>(c, force, h, line);
             }
         }
     }
 
     // N lines at a time, so that each force is fetched once for all of them
     template <int N>
-    void far_lines(const Layout::Several& c, const double* __restrict force, const double* h, double* __restrict lines) const {
+    void far_lines(const Layout::Several& c, const double* __restrict force, const double* h,
+                   double* __restrict lines) const {
         const std::ptrdiff_t step = std::ptrdiff_t(c.n_ports) * c.width;
         S::V sum[N];
         for (int j = 0; j < N; ++j) sum[j] = S::load(lines + std::size_t(j) * l_.width);
@@ -124,7 +126,6 @@ private:
     }
 
     const Layout& l_;
-    Array<double> per_row_;
 };
 
 // Rows of a driven component over a whole block under known port forces. A row's history has kBlock zeros before it,

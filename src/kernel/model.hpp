@@ -112,8 +112,8 @@ struct Solve {
 };
 
 // Where the rows of all two-way components lie while a block is stepped: one line of `width` numbers per sample.
-// Components of one port come first, side by side, so that one vector serves several; every other one begins at a
-// multiple of kLane. The forces of all ports stand side by side too. What the connections do in between is folded into
+// Components of one port and one row come first, side by side, so that one vector serves several; every other one
+// begins at a multiple of kLane. The forces of all ports stand side by side too, in the same order. What the connections do in between is folded into
 // two small matrices: f = constant + pull^T (y(b), y_free(b + 1)), port forces = push^T f.
 constexpr int kLane = 8;
 constexpr int kStride = 2 * kBlock + 8;  // of a guarded row's values: samples 0 .. kBlock, and room beyond the block
@@ -123,11 +123,10 @@ struct Layout {
         int row, force, n_ports, width;
         Array<double> history;  // (kBlock, n_ports, width)
     };
-    int width = 0, single_width = 0;       // of a line; of the one-port components in it
+    int width = 0, single_width = 0;       // of a line; of the first components in it
     int f_width = 0, force_width = 0;      // connections and ports, padded to kLane
     std::vector<int> row, port;            // first row and first port of each component
     std::vector<int> port_rows;            // row of every two-way port
-    std::vector<int> singles;              // port that each row of the one-port components answers to, or -1
     Array<double> single_history;          // (kBlock, single_width)
     std::vector<Several> several;
     std::vector<Array<double>> driven_history;  // by component: (n_ports, n_rows, 2 kBlock), the first half zero

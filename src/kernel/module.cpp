@@ -424,38 +424,34 @@ private:
         layout_ = Layout{};
         auto& l = layout_;
         const auto padded = [](int n) { return (n + kLane - 1) / kLane * kLane; };
-        const auto alone = [](const Component<T>& c) { return !c.driven && c.n_ports <= 1; };
+        const auto alone = [](const Component<T>& c) { return !c.driven && c.n_ports == 1 && c.n_rows == 1; };
         const int m = solve_.m;
-        int n_ports = 0;
-        for (const auto& c : components_) l.port.push_back(n_ports), n_ports += c.n_ports;
-        l.row.assign(components_.size(), 0);
+        l.row.assign(components_.size(), 0), l.port.assign(components_.size(), 0);
         l.driven_history.resize(components_.size());
-        for (std::size_t i = 0; i < components_.size(); ++i) {
-            const auto& c = components_[i];
-            if (!alone(c)) continue;
-            l.row[i] = int(l.singles.size());
-            l.singles.insert(l.singles.end(), c.n_rows, c.n_ports ? l.port[i] : -1);
-        }
-        l.single_width = l.width = padded(int(l.singles.size()));
+        int n_ports = 0;
+        for (std::size_t i = 0; i < components_.size(); ++i)
+            if (alone(components_[i])) l.row[i] = l.port[i] = n_ports++;
+        l.single_width = l.width = padded(n_ports);
         l.single_history.assign(std::size_t(kBlock) * l.single_width, 0.0);
         for (std::size_t i = 0; i < components_.size(); ++i) {
             const auto& c = components_[i];
+            if (alone(c)) {
+                for (int k = 0; k < kBlock; ++k)
+                    l.single_history[std::size_t(k) * l.single_width + l.row[i]] = c.history[k];
+                continue;
+            }
+            l.port[i] = n_ports, n_ports += c.n_ports;
             if (c.driven) {
                 auto& h = l.driven_history[i];
                 h.assign(std::size_t(c.n_ports) * c.n_rows * 2 * kBlock, 0.0);
                 for (int k = 0; k < kBlock; ++k)
                     for (int pr = 0; pr < c.n_ports * c.n_rows; ++pr)
                         h[std::size_t(pr) * 2 * kBlock + kBlock + k] = c.history[k * c.n_ports * c.n_rows + pr];
-            }
-            if (c.driven || c.n_ports == 0) continue;
-            if (alone(c)) {
-                for (int k = 0; k < kBlock; ++k)
-                    for (int r = 0; r < c.n_rows; ++r)
-                        l.single_history[std::size_t(k) * l.single_width + l.row[i] + r] = c.history[k * c.n_rows + r];
                 continue;
             }
             const int width = padded(c.n_rows);
             l.row[i] = l.width, l.width += width;
+            if (c.n_ports == 0) continue;
             Array<double> history(std::size_t(kBlock) * c.n_ports * width, 0.0);
             for (int kp = 0; kp < kBlock * c.n_ports; ++kp)
                 for (int r = 0; r < c.n_rows; ++r) history[std::size_t(kp) * width + r] = c.history[kp * c.n_rows + r];

@@ -11,7 +11,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
+from midi_bytes import note, write
+from tonewood.batch.manifest import RenderSettings
 from tonewood.cli.main import run
 
 
@@ -100,3 +103,26 @@ def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
     assert process.returncode == 130
     assert out == b""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_render_takes_a_setting_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    score = write(tmp_path / "score.mid", note(0.0, 0.1, 45))
+    modes = {}
+    for name in ("draft", "standard"):
+        options = ("-i", "monochord", "-o", tmp_path / "out.wav", "--max-duration", "0.1", "--json", "--accuracy", name)
+        with pytest.raises(SystemExit) as exit_:
+            run(["render", str(score), *map(str, options)])
+        assert exit_.value.code == 0
+        modes[name] = json.loads(capsys.readouterr().out)["n_modes"]
+    assert modes["draft"] < modes["standard"]
+    with pytest.raises(SystemExit) as exit_:
+        run(["render", str(score), "-i", "monochord", "-o", str(tmp_path / "b.wav"), "--accuracy", "best"])
+    assert exit_.value.code == 2
+    assert capsys.readouterr().err == "tonewood: accuracy: is 'best'; draft, standard, reference are allowed\n"
+
+
+def test_batches_take_a_setting_by_name() -> None:
+    assert RenderSettings().accuracy == "standard"
+    assert RenderSettings(accuracy="reference").precision is None
+    with pytest.raises(ValidationError, match="draft"):
+        RenderSettings.model_validate({"accuracy": "best"})

@@ -19,6 +19,10 @@ def accuracy(
     quick: Annotated[
         bool, typer.Option("--quick", help="fewer points and repeats: a minute on two idle cores")
     ] = False,
+    stability: Annotated[
+        bool,
+        typer.Option("--stability", help="instead: which methods stay stable, by modes, pluck force and sampling rate"),
+    ] = False,
     json: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="write everything to FILE as JSON")
     ] = None,
@@ -43,12 +47,15 @@ def accuracy(
         raise TonewoodError(f"is {plot.name!r}; a name ending in .png is allowed", key="--plot")
     if report is not None and report.suffix.lower() not in (".html", ".md"):
         raise TonewoodError(f"is {report.name!r}; a name ending in .html or .md is allowed", key="--report")
+    if stability:
+        _stability(system, quick, json, plot, report)
+        return
     drawing = plot is not None or (report is not None and report.suffix.lower() == ".html")
     if drawing:
         _require_matplotlib()
 
     from tonewood.lab.accuracy import dial, tables, timing
-    from tonewood.lab.accuracy.report import HEADLINE, Study, write
+    from tonewood.lab.accuracy.report import HEADLINE, SHORT, Study, write
 
     more: dict[str, tuple[str, object]] = {}
     with progress("comparing", 1.05) as advance:
@@ -84,8 +91,33 @@ def accuracy(
         print(f"\n{HEADLINE}\n\n{tables.headline_tables(outcomes)}")
     for text, _ in more.values():
         print(f"\n{text}")
+    print(f"\n{SHORT}\n\n{tables.summary_table(outcomes)}")
     for path, _ in contents:
         print(path)
+
+
+def _stability(system: str | None, quick: bool, json: Path | None, plot: Path | None, report: Path | None) -> None:
+    from json import dumps
+
+    from tonewood.lab.accuracy import stability
+    from tonewood.lab.accuracy.report import write
+
+    if system is not None or plot is not None:
+        raise TonewoodError(
+            "has neither systems to choose nor charts; --json and --report are allowed", key="--stability"
+        )
+    if report is not None and report.suffix.lower() != ".md":
+        raise TonewoodError(f"is {report.name!r}; with --stability a name ending in .md is allowed", key="--report")
+    with progress("stability", 1.0) as advance:
+        grid = stability.run(quick, advance)
+    if json is not None:
+        write(json, dumps(grid.to_json(), allow_nan=False))
+    if report is not None:
+        write(report, grid.markdown())
+    print(grid.table(), end="")
+    for path in (json, report):
+        if path is not None:
+            print(path)
 
 
 def _require_matplotlib() -> None:

@@ -31,6 +31,7 @@ from tonewood.units import decibel
 
 if TYPE_CHECKING:
     from tonewood.engine.ledger import EffectReport
+    from tonewood.numerics.energy_trace import EnergyTrace
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer, Summary
 
@@ -57,12 +58,20 @@ def render(
     effects: EffectsChoice = None,
     budget_db: BudgetDb = None,
     budget_cents: BudgetCents = None,
+    energy: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="account of energy every 64 samples: .json, .csv or .png; may be given again; many times slower",
+        ),
+    ] = None,
     settings: Overrides = None,
     as_json: Json = False,
 ) -> None:
     """Render SCORE on an instrument to a sound file."""
     began = time.perf_counter()
     from tonewood.output.audio import file_format
+    from tonewood.output.energy import check_energy_file, save_energy
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer, Tail
     from tonewood.score.midi import read_midi
@@ -78,6 +87,8 @@ def render(
         allow("--normalize", normalize, -200.0, 0.0, "dB")
         if limiter:
             raise TonewoodError("a normalized sound has no peaks to limit; one of both is allowed", key="--limiter")
+    for path in energy or ():
+        check_energy_file(path)
     wanted = chosen_effects(effects, budget_db, budget_cents)
     groups = [name.strip() for name in outputs.split(",")] if outputs else None
     bundle = load(instrument, settings)
@@ -95,10 +106,15 @@ def render(
         effects=wanted,
         budget_db=budget_db,
         budget_cents=budget_cents,
+        energy=bool(energy),
     )
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
     clipped, peak = _write(renderer, output, subtype, block, normalize, hold)
+    account = renderer.energy
+    for path in energy or ():
+        if account is not None:
+            save_energy(account, path)
     summary = renderer.summary()
     warnings = list(summary.warnings)
     if clipped:
@@ -120,6 +136,11 @@ def render(
     )
     for line in _told(summary):
         print(line)
+    if account is not None:
+        print(
+            f"  energy: peak {account.peak:.3g} J, balance open by {account.worst_residual:.1e} of it in an interval, "
+            f"{account.worst_cumulative_residual:.1e} summed up: {', '.join(str(path) for path in energy or ())}"
+        )
 
 
 def _write(
@@ -160,6 +181,14 @@ def _write(
             return final.clipped, final.peak
 
 
+def _balance(account: EnergyTrace) -> dict[str, float]:
+    return {
+        "peak_J": account.peak,
+        "worst_residual": account.worst_residual,
+        "worst_cumulative_residual": account.worst_cumulative_residual,
+    }
+
+
 def _told(summary: Summary) -> list[str]:
     """One line per effect that did not simply run all the time."""
     lines = []
@@ -183,7 +212,7 @@ def _report(
 ) -> dict[str, Any]:
     from tonewood.engine.ledger import finite
 
-    s = renderer.summary()
+    s, account = renderer.summary(), renderer.energy
     return {
         "schema": "tonewood-render/1",
         "output": str(output),
@@ -205,5 +234,6 @@ def _report(
         "clipped": clipped,
         "end": s.end,
         "warnings": warnings,
+        "energy": None if account is None else _balance(account),
         "effects": [{**asdict(e), "bound": finite(e.bound)} for e in s.effects],
     }

@@ -13,11 +13,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.engine.books import Books
 from tonewood.engine.fretting import Fingerboard, Fretting, pulls
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, samples
 from tonewood.engine.ledger import Ledger
 from tonewood.engine.surroundings import held, holds_at, string_of, woken
-from tonewood.engine.switching import LOOK, TensionSwitch, affordable
+from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.numerics.connections import Connection
@@ -63,9 +64,10 @@ class Engine:
     model : assembled instrument.
     timeline : what happens.
     precision : ``f64`` or ``f32``.
+    energy : keep an account of energy, in `books`; slower by far, with the same samples.
     """
 
-    def __init__(self, model: Model, timeline: Timeline, *, precision: str = "f64"):
+    def __init__(self, model: Model, timeline: Timeline, *, precision: str = "f64", energy: bool = False):
         self.model, self.timeline = model, timeline
         self.switch = TensionSwitch(model)
         #: strings whose tension rises now, and those that are to as soon as they can afford it
@@ -87,6 +89,7 @@ class Engine:
         self._next_change = self._next_play = 0
         self._dampers = all(model.choice.keeps(e, "dampers") for e in model.exciters.values())
         self.state.sample = int(np.floor(timeline.start / self.dt / GRID)) * GRID
+        self.books = Books(self.system, self.state, model) if energy else None
 
     @property
     def done(self) -> bool:
@@ -98,7 +101,7 @@ class Engine:
         )
 
     def snapshot(self) -> Snapshot:
-        """Copy of all that moves."""
+        """Copy of all that moves; an account of energy begins anew where it is restored."""
         return Snapshot(
             self.state.copy(), dict(self.frettings), list(self.active), list(self.injections), list(self.controls),
             dict(self.holds), self.tense, self.awaited, self._next_change, self._next_play,
@@ -114,6 +117,8 @@ class Engine:
         system = self._fretted(self.system.with_tensions(s.tense), self.frettings, self.frettings)
         self.system = held(woken(system, self.model.resting, self.active), self.holds)
         self.stepper.exchange(self.system)
+        if self.books:
+            self.books = Books(self.system, self.state, self.model)
 
     def advance(self, n_ticks: int) -> Floats:
         """Step n_ticks intervals of the control grid; returns (n_ticks * GRID, n_channels)."""
@@ -121,7 +126,10 @@ class Engine:
         while self.state.sample < end:
             self._control()
             steps = min(self._next_event(), end) - self.state.sample
+            before = self.state.copy() if self.books else None
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
+            if self.books and before:
+                self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
             self.ledger.count(
                 self.state.sample - steps, pushes, self.tense, self.holds, self.system.nonlinear is not None
@@ -129,6 +137,11 @@ class Engine:
             self.injections = [i for i in self.injections if i.stop > self.state.sample]
             self.controls = [c for c in self.controls if c.stop > self.state.sample]
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
+
+    @property
+    def _look(self) -> int:
+        """Samples between looks at the strings."""
+        return GRID * (LOOK if self.tense else SELDOM)
 
     def _samples(self, time: float) -> float:
         return samples(time, self.dt)
@@ -145,7 +158,7 @@ class Engine:
             times.append(self._samples(self.timeline.plays[self._next_play].start) - GRID + 1)
         times += [self._samples(active.play.stop) for active in self.active]
         if self.switch.enabled:
-            times.append(grid if self.awaited else now // (LOOK * GRID) * LOOK * GRID + LOOK * GRID)
+            times.append(grid if self.awaited else now // self._look * self._look + self._look)
         due = int(np.ceil(min(times) / GRID)) * GRID if times else grid + 63 * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
         return min([max(due, grid), *steps])
@@ -155,17 +168,17 @@ class Engine:
         now = self.state.sample
         if now % GRID == 0:
             fresh = self._take(now)
-            self._exchange(woken(self.system, self.model.resting, self.active))
+            self._exchange(woken(self.system, self.model.resting, self.active), "partners that come and go")
             if self.switch.enabled:
                 self._switch(now, fresh)
         wanted = holds_at(self.active, now)
         if wanted != self.holds:
             self.holds = wanted
-            self._exchange(held(self.system, wanted))
+            self._exchange(held(self.system, wanted), "holds")
 
     def _switch(self, now: int, fresh: Sequence[Play]) -> None:
         """Let tensions rise that gestures or what moves call for, and leave out those that do not matter."""
-        look = now % (LOOK * GRID) == 0
+        look = now % self._look == 0
         fresh = [play for play in fresh if play.string in self.switch.strings]
         if not (look or fresh or self.awaited):
             return
@@ -191,7 +204,7 @@ class Engine:
             changed = [name in tense ^ self.tense for name in self.switch.strings]
             self.state.tension[changed] = 0.0
             self.tense = tense
-            self._exchange(self.system.with_tensions(tense))
+            self._exchange(self.system.with_tensions(tense), "tension let rise or left out")
 
     def _take(self, now: int) -> list[Play]:
         """Hold strings as they are due to be held, and begin the gestures due to begin; these are returned."""
@@ -256,6 +269,8 @@ class Engine:
             share_velocities(self.system, self.state)
         self.ticker.exchanges += len(wanted)
         self.stepper.exchange(self.system)
+        if self.books:
+            self.books.changed("stops, bends and dampers", self.system, self.state)
 
     def _fretted(self, system: System, frettings: Mapping[str, Fretting], restopped: Mapping[str, Fretting]) -> System:
         """A system with strings held like this; `restopped` ones get the laws of their stop, too."""
@@ -268,7 +283,9 @@ class Engine:
         changed = system.with_compiled(changes)
         return changed.with_laws(laws) if laws else changed
 
-    def _exchange(self, system: System) -> None:
+    def _exchange(self, system: System, why: str) -> None:
         if system is not self.system:
             self.system = system
             self.stepper.exchange(system)
+            if self.books:
+                self.books.changed(why, system, self.state)

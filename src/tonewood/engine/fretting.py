@@ -24,12 +24,13 @@ _CACHE = 96
 
 @dataclass(frozen=True, slots=True)
 class Fretting:
-    """How a string is held now: stop, bend in cents, added damping (1/s), place of the plucking finger (m)."""
+    """How a string is held now: stop, bend in cents, added damping (1/s), place of the plucking finger (m), touches."""
 
     stop: float = 0.0
     cents: float = 0.0
     added_damping: float = 0.0
     place: float | None = None
+    touches: tuple[tuple[str, float], ...] = ()
 
     def changed(self, change: Change) -> Fretting:
         """What a change of the left hand makes of it."""
@@ -38,6 +39,7 @@ class Fretting:
             stop=self.stop if change.stop is None else change.stop,
             cents=self.cents if change.cents is None else change.cents,
             added_damping=self.added_damping if change.added_damping is None else change.added_damping,
+            touches=self.touches if change.touches is None else change.touches,
         )
 
 
@@ -63,6 +65,7 @@ class Fingerboard:
                 bend_cents=fretting.cents,
                 added_damping=fretting.added_damping,
                 pluck_from_bridge=fretting.place,
+                touches=dict(fretting.touches),
             )
             if len(self._compiled) >= _CACHE:
                 self._compiled.pop(next(iter(self._compiled)))

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from tonewood.engine.techniques import stop_course, with_techniques
+from tonewood.engine.techniques import stop_course, touch_course, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
 from tonewood.errors import ScoreError
 from tonewood.instrument.assembly import Model
@@ -203,7 +203,8 @@ def _left_hand(
     at_start = assigned.cents + (before[-1] if before else 0.0)
     course = stop_course(play, assigned.stop, model.strings[name].stopping.continuous, GRID / model.fs)
     (begin, first), *rest = course or [(play.start, assigned.stop)]
-    out = [Change(begin, name, stop=first, cents=at_start, added_damping=0.0)]
+    out = [Change(begin, name, stop=first, cents=at_start, added_damping=0.0, touches=())]
+    out += [Change(time, name, touches=touches) for time, touches in touch_course(play, GRID / model.fs)]
     out += [Change(time, name, stop=stop) for time, stop in rest]
     out += [Change(b.time, name, cents=assigned.cents + b.value) for b in line if play.start < b.time < assigned.end]
     end = model.playing.note_end

@@ -27,10 +27,10 @@ from tonewood.numerics.system import Compiled, State, System
 
 Floats = NDArray[np.float64]
 
-#: points of the control grid from one look at the strings to the next
-LOOK = 16
+#: points of the control grid from one look at the strings to the next, while a tension rises and while none does
+LOOK, SELDOM = 16, 64
 #: share of the budget below which a rise is left out; above the whole of it, it comes back
-_LEAVE = 0.8
+_LEAVE = 0.9
 #: share of a string's kinetic energy that may be asked for
 _AFFORDABLE = 0.5
 

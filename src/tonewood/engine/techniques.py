@@ -1,4 +1,4 @@
-"""How a score asks for techniques, and the course a technique gives to the stopping finger."""
+"""How a score asks for techniques, and the courses a technique gives to fingers: of the stop, and of what touches."""
 
 from __future__ import annotations
 
@@ -63,4 +63,22 @@ def stop_course(play: Play, stop: float, continuous: bool, tick: float) -> list[
             reached = float(math.floor(value + 1e-9) if stop >= values[0] else math.ceil(value - 1e-9))
         if not out or reached != out[-1][1]:
             out.append((play.time + time, reached))
+    return out
+
+
+def touch_course(play: Play, tick: float) -> list[tuple[float, tuple[tuple[str, float], ...]]]:
+    """Times (s), one per `tick` (s) at most, and where the gesture's fingers then touch: (point, m from the bridge)."""
+    courses = play.gesture.touches
+    if not courses:
+        return []
+    begin = min(segments[0].start for segments in courses.values())
+    end = max(segments[-1].stop for segments in courses.values())
+    out: list[tuple[float, tuple[tuple[str, float], ...]]] = []
+    for time in np.append(np.arange(begin, end - 1e-9, tick), end).tolist():
+        touches = tuple(
+            (point, float(Motion("", "offset", c).course(min(max(time, c[0].start), c[-1].stop - 1e-9))))
+            for point, c in courses.items()
+        )
+        if not out or touches != out[-1][1]:
+            out.append((play.time + time, touches))
     return out

@@ -23,6 +23,7 @@ class Change:
     stop : number of the stop, 0 open; a fraction where stops are continuous.
     cents : how far the string is bent from the stop's own pitch.
     added_damping : 1/s, added to every mode's decay rate: a finger that damps.
+    touches : (point, m from the bridge), ...: points of the string that lie elsewhere than their part says.
     """
 
     time: float
@@ -30,6 +31,7 @@ class Change:
     stop: float | None = None
     cents: float | None = None
     added_damping: float | None = None
+    touches: tuple[tuple[str, float], ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

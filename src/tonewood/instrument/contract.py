@@ -259,6 +259,8 @@ class Gesture:
     motions : of the partners of the exciter's own connections.
     stops : course of the string's stop, like pieces of force; then it is the note's own. On a fretted string the
         finger sounds the fret it has reached. Without it the note's stop holds from the gesture's start on.
+    touches : point the exciter has `attach`ed -> course of its place, m from the bridge; followed on the control grid.
+        Points that are not named lie where `attach` has put them.
     """
 
     segments: tuple[Segment, ...]
@@ -268,6 +270,7 @@ class Gesture:
     on: str | None = None
     motions: tuple[Motion, ...] = ()
     stops: tuple[Segment, ...] = ()
+    touches: Mapping[str, tuple[Segment, ...]] = field(default_factory=dict)
 
     @property
     def start(self) -> float:

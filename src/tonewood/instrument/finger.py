@@ -33,10 +33,17 @@ Floats = NDArray[np.float64]
 POINT = "finger"
 
 
-def fingertips(finger: Finger, site: Site, pressed: bool) -> Attached:
-    """One fingertip per polarization; its skin has no effect on an open string."""
-    components, connections = {}, []
-    law = SpringDashpot(finger.skin_stiffness, finger.skin_damping) if pressed else SpringDashpot()
+def fingertips(finger: Finger, site: Site, residual: float | None) -> Attached:
+    """One fingertip per polarization.
+
+    Parameters
+    ----------
+    residual : m/N, what the string's modes leave of its compliance under the finger, which yields with the skin;
+        None on an open string, where the skin has no effect.
+    """
+    components, connections, law = {}, [], SpringDashpot()
+    if residual is not None:
+        law = SpringDashpot(1 / (1 / finger.skin_stiffness + residual), finger.skin_damping)
     omega = 2 * math.pi * finger.freq
     for i, (component, _) in enumerate(site.polarizations, 1):
         tip = f"{site.string}.{POINT}.tip{i}"

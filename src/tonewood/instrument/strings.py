@@ -151,7 +151,7 @@ class StringModel:
             site = self.site(stop)
             found = [part.attach(name, site) for name, part in self._touching.items()]
             if self.stopping.finger is not None:
-                found.append(fingertips(self.stopping.finger, site, stop > 0))
+                found.append(fingertips(self.stopping.finger, site, self._left_under_finger(stop)))
             self._attached[stop] = tuple(a for a in found if a is not None)
         return self._attached[stop]
 
@@ -165,7 +165,7 @@ class StringModel:
 
     def tension(self, stop: float = 0) -> float:
         """Tension of the first polarization at a stop, N."""
-        return self._tune(stop)[1]
+        return self._tune(0.0 if self.stopping.compensate == "open_only" else stop)[1]
 
     def coupled(self, stop: float = 0) -> StringOnBody:
         """The string at a stop on its body, at any tension."""
@@ -183,6 +183,7 @@ class StringModel:
         bend_cents: float = 0.0,
         added_damping: float = 0.0,
         pluck_from_bridge: float | None = None,
+        touches: Mapping[str, float] | None = None,
         whole: bool = False,
     ) -> dict[str, ModalBasis]:
         """Component -> basis, with the points ``bridge``, ``pluck`` and those named in the bundle.
@@ -193,13 +194,14 @@ class StringModel:
         bend_cents : by which the tension is changed.
         added_damping : 1/s, added to every mode's damping rate.
         pluck_from_bridge : m; the string's usual place where left out. Must lie on the speaking part.
+        touches : point of what touches the string -> m, where it lies elsewhere than its part says.
         whole : keep modes that tension has raised above the limit, too.
         """
         length = self.length(stop)
         pluck = min(self.pluck_from_bridge, 0.9 * length) if pluck_from_bridge is None else pluck_from_bridge
         if not 0 <= pluck <= length:
             raise ValueError(f"string {self.name} is {length:g} m long at stop {stop:g}; {pluck:g} m is not on it")
-        places = {name: x for a in self.attached(stop) for name, x in a.places.items()}
+        places = {name: x for a in self.attached(stop) for name, x in a.places.items()} | dict(touches or {})
         beyond = [name for name, x in places.items() if not 0 <= x < length]
         here = {"pluck": pluck, **self.points, **{n: x for n, x in places.items() if n not in beyond}}
         if self.stopping.finger is not None:
@@ -273,6 +275,14 @@ class StringModel:
         stiffness = self._untuned(0.0).metadata.get("bending_stiffness", 0.0)
         bent = math.sqrt(cast(float, stiffness) / tension) / 2
         return length + bent - tension * compliance(finger, self.freq(stop)).real
+
+    def _left_under_finger(self, stop: float) -> float | None:
+        """Compliance under a soft finger that the string's modes leave, m/N; None on the open string."""
+        finger = self.stopping.finger
+        if finger is None or stop == 0:
+            return None
+        x, left = self._under_finger(stop, finger), self._untuned(0.0).residual_at
+        return 0.0 if left is None else left(x, x)
 
     def _ideal_tension(self, stop: int) -> float:
         return self._tune(float(stop))[1]

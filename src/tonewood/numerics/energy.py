@@ -75,6 +75,8 @@ class EnergyAccount:
         self._laws = LawEnergies(self.system)
         self._initial = self.stored(self.state)
         self._last = dict(self._initial)
+        #: what is stored after the changes made since the last step
+        self._settled = dict(self._initial)
 
     def stored(self, state: State) -> dict[str, float]:
         """Stored energy of a state, J, by component, connection and tension."""
@@ -90,6 +92,12 @@ class EnergyAccount:
     def book(self, label: str, amount: float) -> None:
         """Enter energy put in (J, negative if taken out) between two steps, by a bend, a stop or an impact."""
         self._booked[label] = self._booked.get(label, 0.0) + amount
+
+    def settle(self, label: str, state: State) -> None:
+        """Book what a change between two steps put in: stored energy of this state, less what was there before."""
+        now = self.stored(state)
+        self.book(label, sum(now.values()) - sum(self._settled.values()))
+        self._settled = now
 
     def follow(
         self,
@@ -206,7 +214,7 @@ class EnergyAccount:
         stored |= flows.stored
         for name in self._laws.moved(moving):
             # a partner may have been moved at once since the last step
-            supplied[name][0] += stored[name][0] - self._last.get(name, 0.0)
+            supplied[name][0] += stored[name][0] - self._settled.get(name, 0.0)
         total, last_total = np.sum(list(stored.values()), axis=0), sum(self._last.values())
         for first in range(0, T, self.interval):
             last = min(first + self.interval, T)
@@ -222,5 +230,5 @@ class EnergyAccount:
             into = sum(entry.supplied.values()) + sum(entry.booked.values()) - sum(entry.lost.values())
             entry.residual = float(total[last] - last_total - into)
             last_total, self._booked = float(total[last]), {}
-            self._last = entry.stored
+            self._last = self._settled = entry.stored
             self._records.append(entry)

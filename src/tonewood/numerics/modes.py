@@ -251,7 +251,7 @@ class ModalBasis:
         if self.residual_at is not None:
             xs = [self.places[name] for name in self.points] + list(new.values())
             for i in range(p + n):
-                for j in range(p, p + n):
+                for j in range(max(i, p), p + n):
                     residual[i, j] = residual[j, i] = self.residual_at(xs[i], xs[j])
         return replace(
             self,

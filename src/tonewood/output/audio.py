@@ -14,6 +14,7 @@ import soundfile as sf
 from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
+from tonewood.numerics.energy_trace import EnergyTrace
 
 Floats = NDArray[np.float64]
 
@@ -33,11 +34,13 @@ class Audio:
     samples : (n, n_channels), 1.0 is full scale.
     fs : sampling rate, Hz.
     channels : their names.
+    energy : account of energy of the render, if it was asked for.
     """
 
     samples: Floats
     fs: int
     channels: tuple[str, ...] = ()
+    energy: EnergyTrace | None = None
 
     @property
     def duration(self) -> float:

@@ -89,10 +89,14 @@ def plan(
     low = max(fs // _SKETCH, min(_LEAST_FS, fs))
     sketch = Renderer(score, chosen, low, max_duration=max_duration, **options)
     sketch.engine.watching = True
-    for _ in sketch.blocks(4096):
+    first = 0.0
+    for _ in sketch.blocks(512):
+        if sketch.time <= _TIMED:
+            first = sketch.summary().render_s / max(sketch.engine.ledger.samples, 1)
         if progress is not None:
             progress(sketch.time)
-    seconds = sketch.summary().duration_s
+    drawn = sketch.summary()
+    seconds = drawn.duration_s
     timed = Renderer(score, chosen, fs, max_duration=min(_TIMED, seconds), **options)
     for _ in timed.blocks(4096):
         pass
@@ -101,6 +105,9 @@ def plan(
     tense = _tense_modes(timed.engine.ledger)
     plain = max(summary.render_s - per_mode * tense, 0.0) / timed.engine.ledger.samples
     ledger, scale = sketch.engine.ledger, fs / low
+    if ledger.contacts and first > 0:
+        # contacts that touch take longer: as much as they do in the sketch after its first second
+        plain *= drawn.render_s / ledger.samples / first
     per_string = {
         name: per_mode * spans.samples * scale * timed.engine.ledger.n_modes(name)
         for name, spans in ledger.tense.items()

@@ -15,6 +15,7 @@ from tonewood.engine.playing import Performance, perform
 from tonewood.errors import TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
 from tonewood.instrument.bundle import Instrument
+from tonewood.numerics.energy_trace import EnergyTrace
 from tonewood.output.accuracy import Decimator, accuracy_level
 from tonewood.output.audio import Audio, decibels
 from tonewood.score.note import Dropped, Score
@@ -110,6 +111,8 @@ class Renderer:
     channel_per_string : MIDI channel 1 plays the first string, and so on.
     effects : ``auto``, ``all``, ``none`` or names of effects that run; the bundle's choice where left out.
     budget_db, budget_cents : what leaving an effect out may cost; the bundle's where left out.
+    energy : keep an account of energy, in `energy`; many times slower, with the same samples. Balances close to
+        rounding in ``f64``.
 
     Raises
     ------
@@ -132,6 +135,7 @@ class Renderer:
         effects: str | Sequence[str] | None = None,
         budget_db: float | None = None,
         budget_cents: float | None = None,
+        energy: bool = False,
     ):
         low, high = _FS_RANGE
         if not low <= fs <= high:
@@ -148,7 +152,7 @@ class Renderer:
         chosen = with_effects(instrument, effects, budget_db, budget_cents)
         self.model = assemble(chosen, engine_fs, freq_limit=limit, outputs=outputs)
         self.performance: Performance = perform(score, self.model, channel_per_string=channel_per_string)
-        self.engine = Engine(self.model, self.performance.timeline, precision=precision)
+        self.engine = Engine(self.model, self.performance.timeline, precision=precision, energy=energy)
         groups = self.model.outputs
         self._columns = np.array([i for group in groups for i in group.readouts], dtype=np.intp)
         gain = 10 ** (gain_db / 20)
@@ -165,6 +169,11 @@ class Renderer:
         groups = self.model.outputs
         alone = len(groups) == 1
         return tuple(name if alone else f"{group.name}.{name}" for group in groups for name in group.channels)
+
+    @property
+    def energy(self) -> EnergyTrace | None:
+        """Account of energy so far, an entry per 64 samples of the engine's rate; None if it was not asked for."""
+        return None if self.engine.books is None else self.engine.books.trace()
 
     @property
     def expected_duration(self) -> float:
@@ -300,6 +309,7 @@ def render(
     effects: str | Sequence[str] | None = None,
     budget_db: float | None = None,
     budget_cents: float | None = None,
+    energy: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Audio:
     """Render a whole score in memory; see `Renderer` for the parameters.
@@ -307,6 +317,10 @@ def render(
     Parameters
     ----------
     progress : called with the score time reached (s) after every block.
+
+    Returns
+    -------
+    The sound; with `energy` it carries the account of energy, too.
     """
     renderer = Renderer(
         score,
@@ -322,6 +336,7 @@ def render(
         effects=effects,
         budget_db=budget_db,
         budget_cents=budget_cents,
+        energy=energy,
     )
     blocks = []
     for block in renderer.blocks(_TICKS * GRID):
@@ -329,4 +344,4 @@ def render(
         if progress is not None:
             progress(renderer.time)
     samples = np.concatenate(blocks) if blocks else np.zeros((0, len(renderer.channels)))
-    return Audio(samples, renderer.fs, renderer.channels)
+    return Audio(samples, renderer.fs, renderer.channels, renderer.energy)

@@ -11,9 +11,9 @@ from tonewood.lab.accuracy import dial
 FS = 48000.0
 #: contacts or a bow make their motion chaotic: settings differ as two strokes of a player do
 CHAOTIC = ("bowed_monochord", "buzzing_monochord")
-#: held and damped by contacts for as long as they sound: the compliance of modes that are not stepped gives way there
-#: with a loss proportional to the step, and decay rates follow to first order only
-FIRST_ORDER = ("clavichord",)
+#: contacts touch the string for as long as it sounds: the compliance of modes that are not stepped gives way there with
+#: a loss proportional to the step, and decay rates follow to first order only
+FIRST_ORDER = ("clavichord", "sitar")
 
 
 def tone(freqs: np.ndarray, rates: np.ndarray, levels: np.ndarray) -> np.ndarray:
@@ -45,10 +45,13 @@ def test_a_sound_is_as_itself() -> None:
 
 def hold(name: str, string: str | None = None) -> None:
     instrument = tw.load_instrument(name)
-    points = {p.accuracy: p for p in dial.measure(instrument, string or dial.middle_string(instrument))}
-    errors, chance = points["standard"].errors, points[dial.NUDGED].errors
+    points = {
+        p.accuracy: p for p in dial.measure(instrument, string or dial.middle_string(instrument), nudge=name in CHAOTIC)
+    }
+    errors = points["standard"].errors
     cents, decay, level = dial.LIMITS
     if name in CHAOTIC:
+        chance = points[dial.NUDGED].errors
         cents, decay, level = 5 * chance.cents, 5 * chance.decay, 5 * chance.level
     if name in FIRST_ORDER:
         decay *= 2

@@ -172,11 +172,18 @@ def test_tables_have_a_row_per_point_and_method() -> None:
     assert "Adams-Bashforth 3, Udwadia-Kalaba 10;" in tables.headline(outcome())
 
 
+def test_short_table_tells_what_is_not_reached() -> None:
+    row = tables.summary_table([outcome()]).splitlines()[2]
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    # Verlet's only point: an error of 0.1 for 3 s, where ours takes 1 s
+    assert cells == ["`s`", "0.01", "0.01", "1", "10 x", "0.1 at 3 x", "", "", ""]
+
+
 def test_page_has_all_tables_and_the_picture() -> None:
     machine = {"processor": "x<y", "system": "z", "instruction_set": "avx2", "fma_peak": 1e9}
     study = report.Study([outcome()], machine, True, {"more": ("## More\n\nWords.", [1])})
     page = study.html(b"PNG")
-    assert page.count("<table>") == 4  # pitch, waveform, methods, points
+    assert page.count("<table>") == 5  # in short, pitch, waveform, methods, points
     assert "data:image/png;base64,UE5H" in page
     assert "x&lt;y" in page
     assert "<h2>More</h2>" in page

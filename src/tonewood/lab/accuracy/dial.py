@@ -45,7 +45,9 @@ TEXT = """\
 The middle string of every instrument, one open note at 48 kHz. Median / worst over the partials, of the first twenty,
 that lie within 40 dB of the loudest, against `reference`, from 0.1 s to 1.5 s after the note. Time is wall time of the
 engine. Where a thousandth more force changes `reference` itself as much, contacts or a bow make the motion chaotic:
-there the settings differ as two strokes of a player do."""
+there the settings differ as two strokes of a player do. Where contacts hold a string for as long as it sounds, the
+compliance of the modes that are not stepped gives way there with a loss proportional to the step: decay then follows
+the rate to first order only."""
 
 #: cents and dB that leaving an effect out may cost
 BUDGETS = ((0.05, -120.0), (0.5, -80.0), (5.0, -40.0))
@@ -226,7 +228,31 @@ def run(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
 
 def section(points: Sequence[DialPoint]) -> str:
     """Markdown."""
-    return f"{TEXT}\n\n{_table(points, '--accuracy', 'standard', 'reference')}"
+    return f"{TEXT}\n\n{_table(points, '--accuracy', 'standard', 'reference')}\n\n{_within(points)}"
+
+
+def _within(points: Sequence[DialPoint]) -> str:
+    """Which instruments keep the limits with `standard`, and which do not."""
+    inside: list[str] = []
+    outside: dict[str, str] = {}
+    for p in points:
+        if p.accuracy != "standard":
+            continue
+        e = p.errors
+        found = zip((e.cents, e.decay, e.level), LIMITS, (1, 100, 1), ("cents", "% of the decay", "dB"), strict=True)
+        beyond = [f"{number(scale * v)} {unit}" for v, limit, scale, unit in found if v > limit]
+        if beyond:
+            outside[p.instrument] = ", ".join(beyond)
+        else:
+            inside.append(p.instrument)
+    cents, decay, level = LIMITS
+    text = (
+        f"`standard` is within {cents:g} cent, {100 * decay:g} % of the decay and {level:g} dB of `reference` in the "
+    )
+    text += f"median of the partials on {', '.join(inside) or 'none'}"
+    if not outside:
+        return text + "."
+    return f"{text}; not on {'; '.join(f'{name} ({told})' for name, told in outside.items())}."
 
 
 def budget_section(points: Sequence[DialPoint]) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tonewood.errors import OutputError
 from tonewood.lab.accuracy.catalogue import Outcome
-from tonewood.lab.accuracy.tables import SCHEMA, expectation, headline_tables, section, to_json
+from tonewood.lab.accuracy.tables import SCHEMA, expectation, headline_tables, section, summary_table, to_json
 
 INTRODUCTION = """\
 Every method steps the same modes of the same system with the same compiler flags, so that their times can be compared:
@@ -49,6 +49,14 @@ the JSON file tell (1 to 3 on average): that is no dial, for a solution left ear
 A time ratio at equal error is read from the Pareto line of each method, straight in the logarithms of time and error
 between measured points. *Not reached*: no measured point of the method is that good. *Not stable*: none is stable.
 *Partials lost*: every stable one has lost some."""
+
+SHORT = """\
+## In short
+
+tonewood at 48 kHz (problem D: at the middle one of its rates): worst pitch error of partials 1 to 40, error of the
+waveform, seconds of computing per second of sound. The others: how many times as long they compute for the same error
+of the waveform (at the hard obstacle: of the pitch), or the smallest error of theirs that was measured, and at how many
+times our time."""
 
 HEADLINE = """\
 ## Time ratio at equal error
@@ -98,6 +106,8 @@ class Study:
         parts += [f"Machine: {self.machine_line}."]
         if self.outcomes:
             parts += [
+                SHORT,
+                summary_table(self.outcomes),
                 HEADLINE,
                 headline_tables(self.outcomes),
             ]

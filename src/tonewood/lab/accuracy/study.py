@@ -125,6 +125,7 @@ class Subject:
     def __init__(self, case: Case, *, real: bool = False):
         self.case, self.real = case, real
         self._flats: dict[float, Flat] = {}
+        self._displacements: dict[tuple[float, int], Floats] = {}
 
     def problem(self, freq_upper: float) -> Problem:
         """With string modes up to a frequency."""
@@ -172,6 +173,12 @@ class Subject:
             return FineMotion(self.flat(), self.start(self.flat()), DURATION)
         fine = self.flat(2 * FREQ_UPPER)
         return ExactMotion.of(fine, self.start(fine), FREQ_UPPER)
+
+    def displacement(self, fs: float, n: int) -> Floats:
+        """Of the true motion, see `reference.Motion`; made once for each rate."""
+        if (fs, n) not in self._displacements:
+            self._displacements[fs, n] = self.motion.displacement(fs, n)
+        return self._displacements[fs, n]
 
     @cached_property
     def lines(self) -> Complexes:
@@ -260,7 +267,7 @@ def attempt(
     stable = "grows" if energies.max() > (1 + GROWTH) * energies[0] else "stable"
     point = replace(point, stable=stable)
     every = max(1, round(fs / 48000))
-    true = subject.motion.displacement(fs / every, len(y))
+    true = subject.displacement(fs / every, len(y))
     errors = wave_errors(y[: len(true), 0], true[:, 0], fs / every, subject.lines)
     point = replace(point, waveform=errors.waveform, spectral_db=errors.spectral_db, spurious_db=errors.spurious_db)
     if poles is not None:
@@ -323,7 +330,7 @@ def superposition_point(subject: Subject, fs: float = 48000.0) -> Attempt:
     state = stepper.start()
     system.modes_of(state, "modes")[0] = 1.0
     y = stepper.run(state, round(fs * DURATION))[0]
-    errors = wave_errors(y[:, 0], subject.motion.displacement(fs, len(y))[:, 0], fs, subject.lines)
+    errors = wave_errors(y[:, 0], subject.displacement(fs, len(y))[:, 0], fs, subject.lines)
     nearest = np.array([same.poles[np.argmin(np.abs(same.poles - p))] for p in subject.poles])
     point = Point(
         subject.case.name, "superposition", "fs", f"{fs / 1e3:.4g} kHz", fs, basis.n_modes, "stable",

@@ -6,10 +6,18 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from tonewood.lab.accuracy.catalogue import Outcome
-from tonewood.lab.accuracy.pareto import MEASURES, PITCH, Measure, usual
+from tonewood.lab.accuracy.pareto import MEASURES, PITCH, WAVEFORM, Headline, Measure, front, line, usual
 from tonewood.lab.accuracy.study import LABELS, Point
 
 SCHEMA = "tonewood-accuracy/1"
+#: methods of the short table, and their headings there
+IN_SHORT = {
+    "ab3": "Adams-Bashforth 3",
+    "verlet": "velocity Verlet",
+    "newmark": "Newmark",
+    "p1": "P1",
+    "superposition": "superposition",
+}
 #: worst pitch error to partial 20 that was expected on the guitar of Fabre et al. at 48 kHz, cents
 EXPECTED_CENTS = 0.01
 
@@ -31,6 +39,36 @@ def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]], *, left: int =
         for row in [cells[0], rule, *cells[1:]]
     ]
     return "\n".join(f"| {' | '.join(row)} |" for row in padded)
+
+
+def summary_table(outcomes: Sequence[Outcome]) -> str:
+    """A row per system: our error and time at 48 kHz, and the time of some methods at the same waveform error.
+
+    A method that does not get there is told by its smallest error, with the time it takes for that over our time.
+    """
+    rows = []
+    for o in outcomes:
+        measure = WAVEFORM if WAVEFORM in o.measures else o.measures[0]
+        ours = usual(o.points, measure)
+        if ours is None:
+            continue
+        unit = "" if measure is WAVEFORM else " cents"
+        pitch = number(PITCH.of(ours))
+        told = {h.method: h for h in o.headlines[measure.name]}
+        cells = [_reached(o, told[method], ours, unit) if method in told else "" for method in IN_SHORT]
+        waveform = number(WAVEFORM.of(ours))
+        rows.append([f"`{o.name}`", pitch, waveform, number(ours.seconds), *cells])
+    heads = ["system", "cents, worst", "waveform", "s per s", *(IN_SHORT[m] for m in IN_SHORT)]
+    return markdown(heads, rows)
+
+
+def _reached(outcome: Outcome, h: Headline, ours: Point, unit: str) -> str:
+    if h.ratio is not None:
+        return f"{h.ratio:.2g} x"
+    if h.best is None:
+        return h.told
+    cost = front(line(outcome.points, h.method, MEASURES[h.measure]))[-1][0]
+    return f"{number(h.best)}{unit} at {cost / ours.seconds:.2g} x"
 
 
 def headline_tables(outcomes: Sequence[Outcome]) -> str:

@@ -1,0 +1,67 @@
+"""The account of energy of an engine: what is stored where, what gestures put in, what is lost, what changes cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.engine.gestures import Active, places
+from tonewood.instrument.assembly import Model
+from tonewood.numerics.energy import EnergyAccount, EnergyTrace, KnownForce
+from tonewood.numerics.system import Control, Injection, State, System
+
+Floats = NDArray[np.float64]
+
+
+class Books:
+    """Keeps an `EnergyAccount` while an engine steps; it reads the engine's state and never writes it.
+
+    Parameters
+    ----------
+    system, state : where it begins.
+    model : of the engine.
+    interval : steps to one entry.
+    """
+
+    def __init__(self, system: System, state: State, model: Model, interval: int = 64):
+        self.model = model
+        driven: dict[str, list[str]] = {}
+        for entries in model.inputs.values():
+            for component, point, _ in entries:
+                driven.setdefault(component, []).append(point)
+        self.account = EnergyAccount(system, state.copy(), interval, driven_points=driven)
+
+    def changed(self, label: str, system: System, state: State) -> None:
+        """Go on with another system or state; what the change put in is entered under `label`."""
+        self.account.exchange(system)
+        self.account.settle(label, state)
+
+    def follow(
+        self,
+        before: State,
+        after: State,
+        forces: Floats,
+        injections: Sequence[Injection],
+        controls: Sequence[Control],
+        active: Sequence[Active],
+    ) -> None:
+        """Enter the steps between two states, and the work of the gestures in progress."""
+        known = [force for a in active for force in self._known(a)]
+        self.account.follow(before, after, forces, injections, known, controls)
+
+    def trace(self) -> EnergyTrace:
+        """The account so far."""
+        return self.account.trace()
+
+    def _known(self, active: Active) -> list[KnownForce]:
+        """Forces of a gesture on what is stepped and moves both ways."""
+        play, system = active.play, self.account.system
+        label = f"{play.string or play.at or 'gesture'} played"
+        moving = [
+            (component, point, factor)
+            for component, point, factor in places(play, self.model)
+            if not system.driven[system.slot(component)]
+        ]
+        return [KnownForce(label, c, point, play.gesture.segments, play.time, factor) for c, point, factor in moving]

@@ -1,0 +1,69 @@
+"""Accounts of energy to files: JSON, CSV or a picture, as the name's ending says."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import tempfile
+from pathlib import Path
+
+from tonewood.errors import OutputError, TonewoodError
+from tonewood.numerics.energy_trace import EnergyTrace
+
+_ENDINGS = (".json", ".csv", ".png")
+_KINDS = ("stored", "supplied", "booked", "lost")
+
+
+def check_energy_file(path: Path) -> None:
+    """Find out before a long render whether an account can be written there.
+
+    Raises
+    ------
+    TonewoodError : another ending than .json, .csv or .png, no such folder, or no matplotlib for a picture.
+    """
+    if path.suffix.lower() not in _ENDINGS:
+        raise TonewoodError(f"is {path.name!r}; a name ending in {', '.join(_ENDINGS)} is allowed", key="--energy")
+    if not path.absolute().parent.is_dir():
+        raise OutputError(f"there is no folder {str(path.parent)!r}", file=path)
+    if path.suffix.lower() == ".png":
+        try:
+            import matplotlib  # noqa: F401  # better to know now
+        except ImportError:
+            raise TonewoodError('pictures need matplotlib: pip install "tonewood[plot]"', key="--energy") from None
+
+
+def energy_csv(trace: EnergyTrace) -> str:
+    """A row per interval: time, steps, every entry in J and the residual; columns ``stored:NAME`` and so on."""
+    columns = {f"{kind}:{name}": values for kind in _KINDS for name, values in getattr(trace, kind).items()}
+    rows = io.StringIO()
+    writer = csv.writer(rows, lineterminator="\n")
+    writer.writerow(["time_s", "steps", *columns, "residual"])
+    for row in zip(trace.time, trace.steps, *columns.values(), trace.residual, strict=True):
+        writer.writerow([repr(value.item()) for value in row])
+    return rows.getvalue()
+
+
+def save_energy(trace: EnergyTrace, path: Path) -> None:
+    """Write an account to a file that appears only when it is complete.
+
+    Raises
+    ------
+    TonewoodError : see `check_energy_file`.
+    OutputError : it cannot be written.
+    """
+    check_energy_file(path)
+    ending = path.suffix.lower()
+    try:
+        with tempfile.TemporaryDirectory(prefix=".tonewood-", dir=path.absolute().parent) as folder:
+            part = Path(folder) / f"part{ending}"
+            if ending == ".png":
+                trace.plot(part)
+            elif ending == ".csv":
+                part.write_text(energy_csv(trace), encoding="utf-8")
+            else:
+                part.write_text(json.dumps(trace.to_dict(), allow_nan=False), encoding="utf-8")
+            os.replace(part, path)
+    except OSError as fault:
+        raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None

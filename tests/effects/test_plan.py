@@ -1,0 +1,100 @@
+"""A render foreseen: what will run and when, against the render itself."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenes import duet, sound
+
+import tonewood as tw
+from tonewood.cli.main import run as run_and_exit
+
+SCALE = Path(__file__).parents[2] / "examples" / "scores" / "scale.mid"
+NOTES = [
+    tw.Note(0.0, 0.5, note=64, force=3.0),
+    tw.Note(0.6, 0.5, note=59, force=0.2),
+    tw.Note(1.0, 1, note=61, force=5),
+]
+FS = 24000
+
+
+def run(arguments: list[str]) -> int | str | None:
+    with pytest.raises(SystemExit) as stop:
+        run_and_exit(arguments)
+    return stop.value.code
+
+
+def test_switches_are_foreseen() -> None:
+    foreseen = tw.plan(tw.Score(NOTES), duet(), FS, max_duration=2.0)
+    stream = tw.Renderer(tw.Score(NOTES), duet(), FS, max_duration=2.0)
+    sound(stream)
+    planned = {e.component: e for e in foreseen.effects if e.name == "tension_modulation"}
+    assert set(planned) == {"B3", "E4"}
+    for name, effect in planned.items():
+        there = stream.engine.ledger.tense[name].all
+        assert len(effect.spans_s) == len(there)
+        assert effect.spans_s
+        for (start, stop), (first, last) in zip(effect.spans_s, there, strict=True):
+            assert start == pytest.approx(max(first / FS, 0.0), abs=0.03)
+            assert stop == pytest.approx(last / FS, abs=0.15)
+        assert "cents; the budget is 0.5" in effect.why
+        assert effect.predicted_s is not None
+    assert foreseen.duration_s == pytest.approx(2.0, abs=1e-3)
+    assert foreseen.predicted_s > 0
+
+
+def test_a_wide_budget_leaves_the_tension_out() -> None:
+    foreseen = tw.plan(tw.Score(NOTES), duet(), FS, max_duration=1.5, budget_cents=100.0)
+    assert all(e.seconds == 0.0 for e in foreseen.effects if e.name == "tension_modulation")
+
+
+def test_choices_are_told() -> None:
+    everything = tw.plan(tw.Score(NOTES), duet(), FS, max_duration=0.3, effects="all")
+    rises = [e for e in everything.effects if e.name == "tension_modulation"]
+    assert all(e.seconds >= 0.3 and e.why == "always: effects are all" for e in rises)
+    plain = tw.plan(tw.Score(NOTES), duet(), FS, max_duration=0.3, effects="none")
+    left = [e for e in plain.effects if e.name in ("tension_modulation", "second_polarization")]
+    assert len(left) == 4
+    assert all(not e.spans_s and e.why == "left out: effects are none" for e in left)
+
+
+def test_contacts_and_outputs_are_foreseen() -> None:
+    low = {"connections.frets.action_first": 2e-4, "connections.frets.action_twelfth": 5e-4}
+    bass = tw.load_instrument("electric_bass").replace(low)
+    foreseen = tw.plan(tw.Score([tw.Note(0.2, 1, note=43, force=8.0)]), bass, FS, max_duration=0.5)
+    frets = next(e for e in foreseen.effects if e.name == "frets")
+    assert frets.spans_s
+    assert frets.spans_s[0][0] > 0.1
+    recorded = {e.component: e.why for e in foreseen.effects if e.name == "outputs"}
+    assert list(recorded.values()).count("it is recorded") == 1
+
+
+def test_the_command_tells_as_text_and_json(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["plan", str(SCALE), "-i", "monochord", "--max-duration", "0.3"]
+    assert run(arguments) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("0.30 s of sound in about ")
+    assert "body_modes body: 0.30 s" in text
+    assert run([*arguments, "--json", "--effects", "none", "--budget-cents", "0.1"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["schema"] == "tonewood-plan/1"
+    assert {"name", "component", "spans_s", "why", "predicted_s"} == set(told["effects"][0])
+    assert run([*arguments, "--budget-cents", "-1"]) == 2
+    assert capsys.readouterr().err == "tonewood: --budget-cents: is -1 cents; 0 to 100 are allowed\n"
+
+
+def test_a_render_tells_what_ran(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["render", str(SCALE), "-i", "monochord", "-o", str(tmp_path / "out.wav"), "--max-duration", "0.3"]
+    assert run([*arguments, "--json"]) == 0
+    effects = json.loads(capsys.readouterr().out)["effects"]
+    for effect in effects:
+        assert set(effect) == {"name", "component", "seconds_active", "seconds_saved", "bound", "unit"}
+        assert np.isfinite(effect["seconds_active"])
+    assert {"name": "body_modes", "component": "body"}.items() <= next(
+        e for e in effects if e["name"] == "body_modes"
+    ).items()
+    assert run([*arguments, "--effects", "second_polarization,wind"]) == 2
+    assert capsys.readouterr().err.startswith("tonewood: effects: there is no effect 'wind'; auto, all, none or ")

@@ -1,0 +1,63 @@
+"""The grid of modes x pluck force x sampling rate, method by method."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tonewood.cli.main import run as command
+from tonewood.lab.accuracy import linear, stability
+from tonewood.lab.accuracy.stability import NAN, STABLE, StabilityGrid, run
+
+
+@pytest.fixture(scope="module")
+def grid() -> StabilityGrid:
+    return run(quick=True)
+
+
+def test_this_project_s_scheme_is_stable_everywhere(grid: StabilityGrid) -> None:
+    own = [cell for cell in grid.cells if cell.method == "ours"]
+    assert {cell.verdict for cell in own} == {STABLE}
+    assert max(cell.growth for cell in own) <= 1 + 1e-9
+    # not for want of hard cases: modes above Nyquist, a kilonewton
+    assert max(cell.n_modes for cell in own) >= 188
+    assert max(cell.force for cell in own) == 1000.0
+
+
+@pytest.mark.parametrize(("method", "limit"), [("AB3", linear.AB3_LIMIT), ("velocity Verlet", linear.VERLET_LIMIT)])
+def test_explicit_methods_fail_where_their_limits_say(grid: StabilityGrid, method: str, limit: float) -> None:
+    cells = [c for c in grid.cells if c.method == method and c.system == stability.LINEAR]
+    assert {c.verdict for c in cells} == {STABLE, NAN}
+    for cell in cells:
+        # highest partial of the string of 110 Hz; a fifth is left for what coupling does to it
+        reach = 2 * np.pi * 110 * cell.n_modes / cell.fs / limit
+        if reach > 1.25:
+            assert cell.verdict == NAN
+        if reach < 0.8:
+            assert cell.verdict == STABLE
+
+
+def test_force_linear_in_time_at_position_level_never_works(grid: StabilityGrid) -> None:
+    assert set(grid.verdicts("linear force, position level")) == {NAN}
+
+
+def test_rising_tension_breaks_explicit_steps_of_hard_plucks_only(grid: StabilityGrid) -> None:
+    cells = [c for c in grid.cells if c.system == stability.TENSE and c.method == "velocity Verlet" and c.n_modes < 60]
+    verdict = {(c.force, c.fs): c.verdict for c in cells}
+    assert verdict[0.001, 48e3] == STABLE
+    assert verdict[50.0, 48e3] == NAN
+    assert verdict[1000.0, 192e3] == NAN
+
+
+def test_table_and_json_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, page = tmp_path / "grid.json", tmp_path / "grid.md"
+    with pytest.raises(SystemExit) as exit_:
+        command(["accuracy", "--stability", "--quick", "--json", str(file), "--report", str(page)])
+    assert exit_.value.code == 0
+    printed, cells = capsys.readouterr().out, json.loads(file.read_text())["cells"]
+    for verdict in ("stable", "grows", "NaN"):
+        assert printed.count(f" {verdict} ") == sum(c["verdict"] == verdict for c in cells)
+    assert page.read_text().startswith("# ")
