@@ -263,7 +263,7 @@ struct TensionSpace {
     Array<char> u, y, yields;  // of modes, as T
     Array<double> kept_at;   // by component: tension that yields are of
     std::vector<Array<double>> sums, guess;  // by component
-    Array<double> stretch, old_stretch, tension, used, fixed, matrix, inverse, right, scale, solution, wrong;
+    Array<double> stretch, old_stretch, tension, used, last_tension, last_excess, fixed, matrix, inverse, right, scale, solution, wrong;
     std::vector<char> done;
     // with nonlinear connections
     struct Wire {

@@ -200,7 +200,7 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, Tensions
         ws.sums[i].assign(2 + 2 * p + p * (p + 1), 0.0), ws.guess[i].assign(std::max<std::size_t>(p, 1), 0.0);
     }
     ws.stretch.assign(n, 0.0);
-    for (Array<double>* a : {&ws.old_stretch, &ws.tension, &ws.used}) a->assign(tensions.strings.size(), 0.0);
+    for (Array<double>* a : {&ws.old_stretch, &ws.tension, &ws.used, &ws.last_tension, &ws.last_excess}) a->assign(tensions.strings.size(), 0.0);
     for (Array<double>* a : {&ws.fixed, &ws.right, &ws.scale, &ws.solution, &ws.wrong}) a->assign(m, 0.0);
     ws.matrix.assign(m * m, 0.0), ws.inverse.assign(m * m, 0.0), ws.done.assign(m, 0);
     if (!nl.k) return;

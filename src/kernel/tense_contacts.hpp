@@ -57,7 +57,7 @@ private:
         while (!done && iterations++ < kMaxTensionIterations) {
             if (!forces(b, iterations, f)) break;
             laws_.distribute(b, f, now);
-            done = stretched_.correct([&](int i, double& after, double& slope, double& size) {
+            done = stretched_.correct(iterations, [&](int i, double& after, double& slope, double& size) {
                 push(i, b);
                 move_stretch(i, now + layout_.port[i], after, slope, size);
             });

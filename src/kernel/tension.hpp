@@ -18,7 +18,7 @@ namespace tonewood {
 namespace {
 
 template <class T>
-constexpr double kTensionTolerance = sizeof(T) == sizeof(double) ? 1e-11 : 1e-5;  // of the tension
+constexpr double kTensionTolerance = sizeof(T) == sizeof(double) ? 1e-10 : 1e-5;  // of the tension
 template <class T>
 constexpr double kForceTolerance = sizeof(T) == sizeof(double) ? 1e-14 : 1e-7;  // of the largest force
 constexpr int kMaxTensionIterations = 200;
@@ -32,36 +32,42 @@ void stretch_pass(const Component<T>& c, const T* u, const T* y, T* kept, double
                   const double* f, double* sums) {
     using S = Simd<T>;
     using V = typename S::V;
-    const Stretched<T>& s = c.stretched;
     const int n_ports = P < 0 ? c.n_ports : P;
     const std::size_t n = c.n;
+    // in locals: what is stored below could otherwise be taken for them
+    const T *const weights = c.stretched.a.data(), *const halves = c.stretched.half.data();
+    const T *const phis = c.stretched.phi.data(), *const per_force = c.stretched.c.data();
     constexpr int kMost = P < 0 ? kMaxStretchedPorts : (P > 0 ? P : 1);
     constexpr int kPairs = kMost * (kMost + 1) / 2;
     V part{}, slope{}, A[kMost] = {}, Q[kMost] = {}, Z[kPairs] = {}, R[kPairs] = {};
     const T t = T(tension);
-    for (std::size_t k = 0; k < n; k += S::width) {
-        const V a = S::load(&s.a[k]), half = S::load(&s.half[k]), here = S::load(y + k), both = S::load(u + k);
-        const V stiff = T(1) + half * t;
-        V yields;
-        if (corrections) {
-            yields = S::load(kept + k);
+    T force[kMost] = {};
+    for (int p = 0; p < n_ports; ++p) force[p] = T(f[p]);
+    if (corrections == 0) {
+        for (std::size_t k = 0; k < n; k += S::width) S::store(kept + k, T(1) / (T(1) + S::load(halves + k) * t));
+    } else {
+        for (std::size_t k = 0; k < n; k += S::width) {
+            const V stiff = T(1) + S::load(halves + k) * t;
+            V yields = S::load(kept + k);
             for (int step = 0; step < corrections; ++step) yields *= T(2) - stiff * yields;
-        } else {
-            yields = T(1) / stiff;
+            S::store(kept + k, yields);
         }
-        S::store(kept + k, yields);
+    }
+    for (std::size_t k = 0; k < n; k += S::width) {
+        const V a = S::load(weights + k), half = S::load(halves + k), here = S::load(y + k), both = S::load(u + k);
+        const V yields = S::load(kept + k);
         const V U = both * yields;
         V C[kMost], D = U;
         for (int p = 0; p < n_ports; ++p) {
-            C[p] = S::load(&s.c[p * n + k]) * yields;
-            D += C[p] * T(f[p]);
+            C[p] = S::load(per_force + p * n + k) * yields;
+            D += C[p] * force[p];
         }
         const V aU = a * U;
         part += aU * (U - here - here);
         slope += a * half * yields * D * (D - here);
         int pair = 0;
         for (int p = 0; p < n_ports; ++p) {
-            const V phi = S::load(&s.phi[p * n + k]), aC = a * C[p];
+            const V phi = S::load(phis + p * n + k), aC = a * C[p];
             A[p] += phi * U;
             Q[p] += aC * (U - here);
             for (int q = p; q < n_ports; ++q, ++pair) {
@@ -70,11 +76,7 @@ void stretch_pass(const Component<T>& c, const T* u, const T* y, T* kept, double
             }
         }
     }
-    const auto sum = [](V v) {
-        alignas(64) T lanes[S::width];
-        S::store(lanes, v);
-        return S::sum(lanes);
-    };
+    const auto sum = [](V v) { return S::sum(v); };
     *sums++ = sum(part), *sums++ = -2 * sum(slope);
     for (int p = 0; p < n_ports; ++p) *sums++ = sum(A[p]), *sums++ = 2 * sum(Q[p]);
     for (int pair = 0; pair < n_ports * (n_ports + 1) / 2; ++pair) *sums++ = sum(Z[pair]), *sums++ = sum(R[pair]);
@@ -138,7 +140,7 @@ private:
             if (!linear_forces(b, iterations, f)) break;
             std::fill_n(now, layout_.force_width, 0.0);
             add_product(layout_.push.data(), layout_.force_width, f, solve_.m, now);
-            done = correct([&](int i, double& after, double& slope, double& size) {
+            done = correct(iterations, [&](int i, double& after, double& slope, double& size) {
                 gain(i, now + layout_.port[i], after, slope, size);
             });
             for (const int i : tensions_.components)
@@ -156,7 +158,7 @@ private:
 
     // Newton's step of every tension; true if they were right already. `gain_of` adds what a component's stretch gains.
     template <class Gain>
-    bool correct(const Gain& gain_of) {
+    bool correct(int iteration, const Gain& gain_of) {
         bool found = true;
         for (int s = 0; s < int(tensions_.strings.size()); ++s) {
             const auto& string = tensions_.strings[s];
@@ -165,8 +167,14 @@ private:
             const double excess = ws_.tension[s] - string.kappa * (after + ws_.old_stretch[s]);
             ws_.used[s] = ws_.tension[s];
             if (!(std::abs(excess) <= kTensionTolerance<T> * (ws_.tension[s] + 1e-2 * string.kappa * size))) found = false;
-            ws_.tension[s] = std::max(string.kappa * ws_.old_stretch[s],
-                                      ws_.tension[s] - excess / (1 - string.kappa * slope));
+            // the slope at constant forces first, then the secant, which knows how the forces answer
+            double steepness = 1 - string.kappa * slope;
+            if (iteration > 1) {
+                const double secant = (excess - ws_.last_excess[s]) / (ws_.tension[s] - ws_.last_tension[s]);
+                if (secant > 0.5 * steepness && secant < 2 * steepness) steepness = secant;
+            }
+            ws_.last_excess[s] = excess, ws_.last_tension[s] = ws_.tension[s];
+            ws_.tension[s] = std::max(string.kappa * ws_.old_stretch[s], ws_.tension[s] - excess / steepness);
         }
         return found;
     }
@@ -189,13 +197,15 @@ private:
         for (int r = 0; r < c.n_rows; ++r) {
             const T *rx = &c.rows[2 * std::size_t(r) * c.n], *ry = rx + c.n;
             typename S::V sum{}, more{};
-            for (int k = 0; k < c.n; k += S::width) {
-                sum += S::load(rx + k) * S::load(sx + k);
-                more += S::load(ry + k) * S::load(sy + k);
+            if (r < c.n_ports) {  // a displacement of real modes: of the first number alone
+                for (int k = 0; k < c.n; k += S::width) sum += S::load(rx + k) * S::load(sx + k);
+            } else {
+                for (int k = 0; k < c.n; k += S::width) {
+                    sum += S::load(rx + k) * S::load(sx + k);
+                    more += S::load(ry + k) * S::load(sy + k);
+                }
             }
-            alignas(64) T lanes[S::width];
-            S::store(lanes, sum + more);
-            line[r] = S::sum(lanes);
+            line[r] = S::sum(sum + more);
         }
     }
 
@@ -204,23 +214,25 @@ private:
         using S = Simd<T>;
         using V = typename S::V;
         const Component<T>& c = components_[i];
-        const Stretched<T>& s = c.stretched;
         rows(i, b, lines);
-        const T *sx = x(i), *sy = y(i);
-        T *here = buffer(ws_.y, i), *both = buffer(ws_.u, i);
+        const int n = c.n;
+        const T *const sx = x(i), *const sy = y(i), *const readings = c.stretched.reading.data();
+        const T *const e00 = c.e.data(), *const e01 = e00 + n, *const weights = c.stretched.a.data();
+        T *const here = buffer(ws_.y, i), *const both = buffer(ws_.u, i);
+        const Input<T>* const inputs = known.data();
+        const int n_inputs = int(known.size());
         V stretch{};
-        for (int k = 0; k < c.n; k += S::width) {
-            const V a = S::load(sx + k), d = S::load(sy + k), reading = S::load(&s.reading[k]);
-            V free = S::load(&c.e[k]) * a + S::load(&c.e[c.n + k]) * d;
-            for (const Input<T>& input : known) free += S::load(input.vector + k) * T(input.values[b * input.stride]);
+        for (int k = 0; k < n; k += S::width) {
+            const V a = S::load(sx + k), d = S::load(sy + k), reading = S::load(readings + k);
+            V free = S::load(e00 + k) * a + S::load(e01 + k) * d;
+            for (int j = 0; j < n_inputs; ++j)
+                free += S::load(inputs[j].vector + k) * T(inputs[j].values[b * inputs[j].stride]);
             const V q = reading * a;
             S::store(here + k, q);
             S::store(both + k, q + reading * free);
-            stretch += S::load(&s.a[k]) * q * q;
+            stretch += S::load(weights + k) * q * q;
         }
-        alignas(64) T lanes[S::width];
-        S::store(lanes, stretch);
-        ws_.stretch[i] = S::sum(lanes);
+        ws_.stretch[i] = S::sum(stretch);
     }
 
     void pass(int i, double tension) {
@@ -287,6 +299,17 @@ private:
         return solve_linear(M, v, f, b == 0 && iteration == 1);
     }
 
+    // In two chains, as many as pay for the few connections of a string.
+    static double dot(const double* a, const double* b, int n) {
+        using S = Simd<double>;
+        S::V sums{};
+        int j = 0;
+        for (; j + S::width <= n; j += S::width) sums += S::load(a + j) * S::load(b + j);
+        double rest = 0.0;
+        for (; j < n; ++j) rest += a[j] * b[j];
+        return n < S::width ? rest : S::sum(sums) + rest;
+    }
+
     // f = -M^-1 v; `fresh` makes the inverse anew, `warm` starts from the last solution.
     bool solve_linear(const double* M, const double* v, double* f, bool fresh, bool warm = true) {
         const int m = solve_.m;
@@ -297,13 +320,10 @@ private:
             for (int correction = 0; correction < 12; ++correction) {
                 double change = 0.0, size = 0.0;
                 for (int i = 0; i < m; ++i) {
-                    double sum = -v[i];
-                    for (int j = 0; j < m; ++j) sum -= M[i * m + j] * now[j];
-                    wrong[i] = sum;
+                    wrong[i] = -v[i] - dot(M + std::size_t(i) * m, now, m);
                 }
                 for (int i = 0; i < m; ++i) {
-                    double sum = 0.0;
-                    for (int j = 0; j < m; ++j) sum += ws_.inverse[i * m + j] * wrong[j];
+                    const double sum = dot(&ws_.inverse[std::size_t(i) * m], wrong, m);
                     now[i] += sum;
                     change = std::max(change, std::abs(sum) * ws_.scale[i]);
                     size = std::max(size, std::abs(now[i]) * ws_.scale[i]);
@@ -359,32 +379,37 @@ private:
         using S = Simd<T>;
         using V = typename S::V;
         const Component<T>& c = components_[i];
-        const Stretched<T>& s = c.stretched;
         const std::size_t n = c.n;
-        T *sx = x(i), *sy = y(i);
-        const T *u = buffer(ws_.u, i), *yields = buffer(ws_.yields, i);
+        T *const sx = x(i), *const sy = y(i);
+        const T *const u = buffer(ws_.u, i), *const yields = buffer(ws_.yields, i);
+        const T *const e = c.e.data(), *const weights = c.stretched.a.data(), *const kick = c.stretched.kick.data();
+        const T *const per_force = c.stretched.c.data(), *const w = c.w.data();
+        const Input<T>* const inputs = known.data();
+        const Pushed* const pushed = pushed_[i].data();
+        const int n_ports = c.n_ports, n_inputs = int(known.size()), n_pushed = int(pushed_[i].size());
+        T force[kMaxStretchedPorts];
+        for (int p = 0; p < n_ports; ++p) force[p] = T(f[p]);
         const T half_t = T(-0.5 * tension);
         for (std::size_t k = 0; k < n; k += S::width) {
             V D = S::load(u + k);
             const V a = S::load(sx + k), d = S::load(sy + k);
-            V nx = S::load(&c.e[k]) * a + S::load(&c.e[n + k]) * d;
-            V ny = S::load(&c.e[2 * n + k]) * a + S::load(&c.e[3 * n + k]) * d;
-            for (const Input<T>& input : known) {
-                const T value = T(input.values[b * input.stride]);
-                nx += S::load(input.vector + k) * value, ny += S::load(input.vector + n + k) * value;
+            V nx = S::load(e + k) * a + S::load(e + n + k) * d;
+            V ny = S::load(e + 2 * n + k) * a + S::load(e + 3 * n + k) * d;
+            for (int j = 0; j < n_inputs; ++j) {
+                const T value = T(inputs[j].values[b * inputs[j].stride]);
+                nx += S::load(inputs[j].vector + k) * value, ny += S::load(inputs[j].vector + n + k) * value;
             }
-            for (int p = 0; p < c.n_ports; ++p) {
-                const T force = T(f[p]);
-                D += S::load(&s.c[p * n + k]) * force;
-                nx += S::load(&c.w[2 * p * n + k]) * force, ny += S::load(&c.w[(2 * p + 1) * n + k]) * force;
+            for (int p = 0; p < n_ports; ++p) {
+                D += S::load(per_force + p * n + k) * force[p];
+                nx += S::load(w + 2 * p * n + k) * force[p], ny += S::load(w + (2 * p + 1) * n + k) * force[p];
             }
-            for (const Pushed& in : pushed_[i]) {
-                D += S::load(in.per_force + k) * in.force;
-                nx += S::load(in.w + k) * in.force, ny += S::load(in.w + n + k) * in.force;
+            for (int j = 0; j < n_pushed; ++j) {
+                D += S::load(pushed[j].per_force + k) * pushed[j].force;
+                nx += S::load(pushed[j].w + k) * pushed[j].force, ny += S::load(pushed[j].w + n + k) * pushed[j].force;
             }
-            const V pull = S::load(&s.a[k]) * D * S::load(yields + k) * half_t;
-            S::store(sx + k, nx + S::load(&s.kick[k]) * pull);
-            S::store(sy + k, ny + S::load(&s.kick[n + k]) * pull);
+            const V pull = S::load(weights + k) * D * S::load(yields + k) * half_t;
+            S::store(sx + k, nx + S::load(kick + k) * pull);
+            S::store(sy + k, ny + S::load(kick + n + k) * pull);
         }
     }
 
