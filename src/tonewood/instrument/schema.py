@@ -236,6 +236,9 @@ class Bundle(Parameters):
         "groups of channels; the first is the default", min_length=1, max_length=MOST_PARTS
     )
     effects: Effects = described("what may be left out", default=Effects())
+    oversampling: Literal[1, 2, 4] = described(
+        "steps per sample at standard accuracy: more where something lies on a string while it sounds", default=1
+    )
     connections: dict[Name, ConnectionPart] = described("name -> what touches strings besides the body", default={})
 
     @model_validator(mode="after")

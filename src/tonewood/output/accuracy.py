@@ -23,7 +23,7 @@ class Accuracy:
     Attributes
     ----------
     name : of the setting.
-    oversampling : the engine runs at so many times the rate of the sound.
+    oversampling : the engine runs at so many times the rate of the sound; in `standard` as often as the bundle asks.
     precision : of states and coefficients, f64 or f32.
     freq_limit : Hz, no mode is stepped above it; None is 0.45 of the engine's rate.
     """

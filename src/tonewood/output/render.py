@@ -147,7 +147,9 @@ class Renderer:
         if max_duration is not None and not max_duration > 0:
             raise TonewoodError(f"is {max_duration} s; more than 0 is allowed", key="max_duration")
         self.fs, self.tail, self.max_duration = int(fs), tail, max_duration
-        engine_fs = level.oversampling * self.fs
+        # an instrument may need finer steps to be as accurate as others are
+        finer = instrument.spec.oversampling if level.name == "standard" else level.oversampling
+        engine_fs = finer * self.fs
         limit = None if level.freq_limit is None else min(level.freq_limit, FREQ_LIMIT * engine_fs)
         chosen = with_effects(instrument, effects, budget_db, budget_cents)
         self.model = assemble(chosen, engine_fs, freq_limit=limit, outputs=outputs)
@@ -157,7 +159,7 @@ class Renderer:
         self._columns = np.array([i for group in groups for i in group.readouts], dtype=np.intp)
         gain = 10 ** (gain_db / 20)
         self._scale = gain / np.array([group.full_scale for group in groups for _ in group.channels])
-        self._decimator = Decimator(level.oversampling, self._columns.size)
+        self._decimator = Decimator(finer, self._columns.size)
         self._pending = np.zeros((0, self._columns.size))
         self._frames, self._seconds, self._loudest = 0, 0.0, 0.0
         self._recent: list[tuple[int, float]] = []

@@ -11,9 +11,6 @@ from tonewood.lab.accuracy import dial
 FS = 48000.0
 #: contacts or a bow make their motion chaotic: settings differ as two strokes of a player do
 CHAOTIC = ("bowed_monochord", "buzzing_monochord")
-#: contacts touch the string for as long as it sounds: the compliance of modes that are not stepped gives way there with
-#: a loss proportional to the step, and decay rates follow to first order only
-FIRST_ORDER = ("clavichord", "sitar")
 
 
 def tone(freqs: np.ndarray, rates: np.ndarray, levels: np.ndarray) -> np.ndarray:
@@ -53,8 +50,6 @@ def hold(name: str, string: str | None = None) -> None:
     if name in CHAOTIC:
         chance = points[dial.NUDGED].errors
         cents, decay, level = 5 * chance.cents, 5 * chance.decay, 5 * chance.level
-    if name in FIRST_ORDER:
-        decay *= 2
     assert errors.cents < cents
     assert errors.decay < decay
     assert errors.level < level
