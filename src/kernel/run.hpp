@@ -43,7 +43,7 @@ void gather(const Job<T>& job, const std::vector<Component<T>>& components, std:
                 const std::int64_t at = start + b - in.first;
                 if (at >= 0 && at < in.length) values[q][v * kBlock + b] = in.values[v * in.length + at];
             }
-            known[in.slot].push_back({in.vectors + v * size, &values[q][v * kBlock]});
+            known[in.slot].push_back({in.vectors + v * size, values[q].data() + v * kBlock});
         }
     }
 }
@@ -99,19 +99,19 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             const Component<T>& c = components[i];
             if (c.driven || c.stretched.on) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
-            const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, &lines[layout.row[i]], width, 1};
+            const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, lines.data() + layout.row[i], width, 1};
             if (known[i].empty() && nb == kBlock)
                 recur_read(c, x, y, rows);
             else
                 turn<T, true, false>(c, x, y, known[i].data(), int(known[i].size()), nb, rows);
             // looked at here too, before connections spread a fault to other components
-            if (!finite(&lines[std::size_t(nb) * width + layout.row[i]], c.n_rows)) return {i, start};
+            if (!finite(lines.data() + std::size_t(nb) * width + layout.row[i], c.n_rows)) return {i, start};
         }
         if (nonlinear.k) laws.begin_block(start, nb, lines.data(), force.data());
 
         // forces, sample by sample
         for (int b = 0; b < nb; ++b) {
-            double* now = &force[std::size_t(b) * force_width];
+            double* now = force.data() + std::size_t(b) * force_width;
             double* const f_out = job.forces + (start + b) * m;
             if (tense) {
                 const bool found = nonlinear.k ? both.step(b, lines.data(), known, f.data(), now)
@@ -119,10 +119,10 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
                 if (!found) return {Fault::kUnsolved, start + b};
             } else if (direct) {
                 std::copy(layout.direct_constant.begin(), layout.direct_constant.end(), now);
-                add_product(layout.direct.data(), force_width, &lines[std::size_t(b) * width], 2 * width, now);
+                add_product(layout.direct.data(), force_width, lines.data() + std::size_t(b) * width, 2 * width, now);
                 for (int j = 0; j < m; ++j) f_out[j] = layout.own_factor[j] * now[layout.own_port[j]];
             } else {
-                const double* line = &lines[std::size_t(b) * width];
+                const double* line = lines.data() + std::size_t(b) * width;
                 for (int p = 0; p < n_ports; ++p) {
                     y[p] = line[layout.port_rows[p]];
                     y[n_ports + p] = line[width + layout.port_rows[p]];
@@ -154,7 +154,7 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             if (c.stretched.on) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             auto& inputs = known[i];
-            const double* forces = &force[layout.port[i]];
+            const double* forces = force.data() + layout.port[i];
             const bool recurs = inputs.empty() && nb == kBlock;
             const Ports<T> ports{c.w.data(), c.w_slope.data(), c.n_ports, nullptr, forces, force_width, 1};
             for (int p = 0; p < c.n_ports; ++p)
@@ -177,14 +177,14 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             } else {
                 turn<T, true, true>(c, x, y, inputs.data(), int(inputs.size()), nb, rows);
             }
-            if (!finite(&driven_lines[std::size_t(nb) * c.n_rows], c.n_rows)) return {i, start};
+            if (!finite(driven_lines.data() + std::size_t(nb) * c.n_rows, c.n_rows)) return {i, start};
             emit(c, driven_lines.data(), c.n_rows, start, nb, job);
         }
 
         for (int i = 0; i < n_components; ++i) {
             const Component<T>& c = components[i];
             if (c.driven) continue;
-            const double* rows = &lines[layout.row[i]];
+            const double* rows = lines.data() + layout.row[i];
             emit(c, rows, width, start, nb, job);
             if (!finite(rows + std::size_t(nb) * width, c.n_rows)) return {i, start};
         }

@@ -18,7 +18,7 @@ namespace tonewood {
 namespace {
 
 template <class T>
-constexpr double kTensionTolerance = sizeof(T) == sizeof(double) ? 1e-10 : 1e-5;  // of the tension
+constexpr double kTensionTolerance = sizeof(T) == sizeof(double) ? 1e-11 : 1e-5;  // of the tension
 template <class T>
 constexpr double kForceTolerance = sizeof(T) == sizeof(double) ? 1e-14 : 1e-7;  // of the largest force
 constexpr int kMaxTensionIterations = 200;

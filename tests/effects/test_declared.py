@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scenes import duet, renderer, sound
+from effect_scenes import duet, renderer, sound
 
 import tonewood as tw
 from tonewood.instrument.assembly import assemble

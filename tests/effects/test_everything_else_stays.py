@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import compared, sound
+from effect_scenes import compared, sound
 
 import tonewood as tw
 from tonewood.instrument.registry import list_instruments

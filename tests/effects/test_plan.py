@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import duet, sound
+from effect_scenes import duet, sound
 
 import tonewood as tw
 from tonewood.cli.main import run as run_and_exit

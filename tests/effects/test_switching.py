@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from scenes import FS, compared, duet, renderer, sound
+from effect_scenes import FS, compared, duet, renderer, sound
 
 import tonewood as tw
 from tonewood.engine.engine import GRID
