@@ -26,6 +26,14 @@ BUSY = tw.Score(
 
 #: instruments whose strings play few notes
 OWN = {
+    # a body of complex modes: what it stores follows from its passivity
+    "african_harp": tw.Score(
+        [
+            tw.Note(0.0, 0.05, string="s4", stop=0, force=1.0),
+            tw.Note(0.0317, 0.03, string="s2", stop=0, force=2.0),
+            tw.Note(0.0617, 0.03, string="s4", stop=0, force=1.0),
+        ]
+    ),
     "clavichord": tw.Score([tw.Note(0.0, 0.05, note=57, force=1.0), tw.Note(0.0617, 0.03, note=59, force=1.0)]),
     "tanpura": tw.Score([tw.Note(0.0, 0.05, note=48, force=1.0), tw.Note(0.0617, 0.03, note=48, force=1.0)]),
 }
@@ -48,6 +56,7 @@ def balanced(trace: EnergyTrace) -> None:
     "name",
     [
         "classical_guitar",
+        "african_harp",
         "bowed_monochord",
         "buzzing_monochord",
         "sitar",
