@@ -101,7 +101,7 @@ class Resonator(Plugin[P]):
     """
 
     kind = "resonator"
-    effects = (HIGH_MODES, SECOND_POLARIZATION, SYMPATHETIC_STRINGS)
+    effects: ClassVar[tuple[Effect, ...]] = (HIGH_MODES, SECOND_POLARIZATION, SYMPATHETIC_STRINGS)
 
     @property
     @abstractmethod
@@ -177,7 +177,7 @@ class Body(Plugin[P]):
     """What strings are joined to."""
 
     kind = "body"
-    effects = (BODY_MODES,)
+    effects: ClassVar[tuple[Effect, ...]] = (BODY_MODES,)
 
     @abstractmethod
     def basis(self, freq_upper: float) -> ModalBasis:
@@ -400,7 +400,7 @@ class Pickup(Plugin[P]):
     """A group of output channels."""
 
     kind = "pickup"
-    effects = (OUTPUTS,)
+    effects: ClassVar[tuple[Effect, ...]] = (OUTPUTS,)
 
     @property
     @abstractmethod
