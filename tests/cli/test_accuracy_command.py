@@ -90,6 +90,7 @@ def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "tonewood", "accuracy", "--json", tmp_path / "a.json"],
         stdout=subprocess.PIPE, stderr=writer,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
     )  # fmt: skip
     os.close(writer)
     seen = b""

@@ -33,6 +33,7 @@ def test_ctrl_c_leaves_no_file_and_code_130(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [*TONEWOOD, "render", write(tmp_path / "long.mid", events), "-i", "monochord", "-o", tmp_path / "out.wav"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
     )  # fmt: skip
     deadline = time.monotonic() + 60
     while not list(tmp_path.glob(".out.wav*")):  # it has begun to write
