@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
 import warnings
+import weakref
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -120,17 +121,16 @@ class SoundWriter:
             raise OutputError(f"there is no folder {str(folder)!r}", file=path)
         if self.path.is_dir():
             raise OutputError("is a folder", file=path)
+        self._part = folder / f".{self.path.name}.{secrets.token_hex(4)}.part"
+        # before the file exists: an interruption anywhere from here on, even between two statements, leaves nothing
+        self._discard = weakref.finalize(self, _remove, self._part)
         try:
-            handle, name = tempfile.mkstemp(prefix=f".{self.path.name}.", suffix=".part", dir=folder)
-            os.close(handle)
-        except OSError as error:
-            raise OutputError(f"cannot be written: {error.strerror}", file=path) from None
-        self._part = Path(name)
-        try:
-            self._file = sf.SoundFile(name, "w", fs, n_channels, subtype=self.subtype, format=container)
+            self._part.touch(mode=0o600, exist_ok=False)
+            self._file = sf.SoundFile(str(self._part), "w", fs, n_channels, subtype=self.subtype, format=container)
         except (sf.LibsndfileError, OSError) as error:
-            self._part.unlink(missing_ok=True)
-            raise OutputError(f"cannot be written: {error}", file=path) from None
+            self._discard()
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise OutputError(f"cannot be written: {reason}", file=path) from None
 
     @property
     def keeps_peaks(self) -> bool:
@@ -175,7 +175,11 @@ class SoundWriter:
         except (sf.LibsndfileError, OSError) as fault:
             raise OutputError(f"cannot be written: {fault}", file=self.path) from None
         finally:
-            self._part.unlink(missing_ok=True)
+            self._discard()
+
+
+def _remove(path: Path) -> None:
+    path.unlink(missing_ok=True)
 
 
 def _umask() -> int:
