@@ -83,7 +83,7 @@ class ModalRadiation(Pickup[ModalRadiationParameters]):
         )
 
     def basis(self, freq_upper: float) -> ModalBasis:
-        """Modes below `freq_upper` (Hz), each twice: driven by the heave, and by the moment.
+        """Modes below `freq_upper` (Hz), once for each channel.
 
         Points ``heave`` and ``moment`` take forces (N), the channels give pressure (Pa).
         """
@@ -107,13 +107,15 @@ class ModalRadiation(Pickup[ModalRadiationParameters]):
         if p.low_cut is not None:
             residues = {key: cut_low(poles, np.asarray(r), p.low_cut) for key, r in residues.items()}
             poles = np.concatenate([poles, -_cut_rates(p.low_cut)])
-        zero, one = np.zeros_like(poles), np.ones_like(poles)
-        right = {"heave": np.concatenate([zero, zero]), "moment": np.concatenate([zero, zero])}
-        left = {"heave": np.concatenate([one, zero]), "moment": np.concatenate([zero, one])}
-        for c in p.channels:
-            right[c] = np.concatenate([residues[c, ""], residues[c, "_moment"]])
-            left[c] = np.concatenate([zero, zero])
-        return ModalBasis.complex(np.concatenate([poles, poles]), right, left)
+        # a channel's modes answer to it alone, so that each is read once and one that nobody records is not stepped
+        n, points = len(poles), ("heave", "moment", *p.channels)
+        right = {point: np.zeros(n * len(p.channels), dtype=np.complex128) for point in points}
+        left = {point: array.copy() for point, array in right.items()}
+        for i, c in enumerate(p.channels):
+            own = slice(i * n, (i + 1) * n)
+            right[c][own] = 1.0
+            left["heave"][own], left["moment"][own] = residues[c, ""], residues[c, "_moment"]
+        return ModalBasis.complex(np.tile(poles, len(p.channels)), right, left)
 
 
 def _cut_rates(freq: float) -> NDArray[np.float64]:

@@ -99,8 +99,7 @@ class Fingerboard:
         for component, compiled in new.items():
             basis = old_whole[component]
             q, v = to_motion(basis, _resized(old[component].basis, basis, modes[component], pull[component]))
-            transfer = string.transfer(component, basis, new_whole[component])
-            q, v = (matrix @ motion for matrix, motion in zip(transfer, (q, v), strict=True))
+            q, v = string.carried(component, basis, new_whole[component], q, v)
             n = compiled.basis.n_modes
             out[component] = from_motion(compiled.basis, q[:n], v[:n])
         return out
