@@ -237,6 +237,13 @@ public:
         s.a.assign(a.data(), a.data() + n), s.half.assign(half.data(), half.data() + n);
         s.reading.assign(reading.data(), reading.data() + n), s.kick.assign(kick.data(), kick.data() + 2 * n);
         s.most_half = *std::max_element(half.data(), half.data() + n);
+        s.weight.assign(n, T(0)), s.gain.assign(2 * n, T(0));
+        for (std::size_t k = 0; k < n; ++k) {
+            const double r = reading.data()[k];
+            if (r == 0.0) continue;
+            s.weight[k] = T(a.data()[k] * r * r);
+            s.gain[k] = T(kick.data()[k] / r), s.gain[n + k] = T(kick.data()[n + k] / r);
+        }
         s.phi.assign(p * n, T(0)), s.c.assign(p * n, T(0));
         for (std::size_t q = 0; q < p; ++q)
             for (std::size_t k = 0; k < n; ++k) {
@@ -344,7 +351,7 @@ public:
         job.last_force = last_force.data(), job.controls = moved.data(), job.n_controls = int(moved.size());
         if (!laid_out_) {
             lay_out();
-            arrange(components_, solve_, tensions_, capacity_, nonlinear_, space_);
+            arrange(components_, solve_, layout_, tensions_, capacity_, nonlinear_, space_);
             arrange(components_, nonlinear_);
             prepare(components_, nonlinear_, layout_, capacity_, workspace_);
         }

@@ -85,7 +85,7 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
     std::vector<std::vector<Input<T>>> known(n_components);
     std::vector<Array<double>> known_values(job.n_injections);
     NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known);
-    TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job);
+    TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job, known);
     TenseContacts<T> both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
     const bool tense = !tensions.strings.empty();
     const bool direct = !tense && !nonlinear.k && int(layout.own_port.size()) == m;
@@ -114,8 +114,8 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             double* now = force.data() + std::size_t(b) * force_width;
             double* const f_out = job.forces + (start + b) * m;
             if (tense) {
-                const bool found = nonlinear.k ? both.step(b, lines.data(), known, f.data(), now)
-                                               : stretched.step(b, lines.data(), known, f.data(), now);
+                const bool found = nonlinear.k ? both.step(b, lines.data(), f.data(), now)
+                                               : stretched.step(b, lines.data(), f.data(), now);
                 if (!found) return {Fault::kUnsolved, start + b};
             } else if (direct) {
                 std::copy(layout.direct_constant.begin(), layout.direct_constant.end(), now);
