@@ -35,7 +35,7 @@ def test_ctrl_c_leaves_no_file_and_code_130(tmp_path: Path) -> None:
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
     )  # fmt: skip
-    while not list(tmp_path.glob(".out.wav*")):  # it has begun to write
+    while not list(tmp_path.glob(".out.*")):  # it has begun to write
         assert process.poll() is None
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
