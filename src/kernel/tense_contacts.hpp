@@ -58,15 +58,18 @@ private:
             ts_.tension[s] = std::max(ts_.at[s], tensions_.strings[s].kappa * ts_.stretch[s]);
             for (const int i : tensions_.strings[s].components) ready(i);
         }
-        bool done = false;
         int iterations = 0;
-        while (!done && iterations++ < kMaxTensionIterations) {
-            if (!forces(f)) break;
-            laws_.distribute(b, f, now);
-            done = stretched_.correct(iterations, [&](int i, double& after, double& slope, double& size) {
-                move_stretch(i, b, ts_.tension[ts_.ports.string_of[i]], now + layout_.port[i], after, slope, size);
-            });
-        }
+        const bool done = settle(nl_, ws_, [&] {
+            bool found = false;
+            for (int turn = 1; !found && turn <= kMaxTensionIterations; ++turn, ++iterations) {
+                if (!forces(f)) break;
+                laws_.distribute(b, f, now);
+                found = stretched_.correct(turn, [&](int i, double& after, double& slope, double& size) {
+                    move_stretch(i, b, ts_.tension[ts_.ports.string_of[i]], now + layout_.port[i], after, slope, size);
+                });
+            }
+            return found;
+        });
         stretched_.book(iterations, done);
         return done;
     }
