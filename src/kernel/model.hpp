@@ -58,6 +58,27 @@ struct Guarded {
     std::vector<double> pulled;
 };
 
+// Modes that are read by one row each, kept in what it reads of them while no known force acts (weave.hpp), in chunks of
+// kChunk modes: trace (or kappa), det, the two numbers that move, and two numbers per port.
+constexpr int kWeave = 4;  // blocks from going in to coming out
+
+template <class T>
+constexpr int kChunk = 64 / int(sizeof(T));
+
+template <class T>
+struct Woven {
+    struct Strand {      // neighbouring modes of one row that recur the same way
+        int first, count, padded, row;
+        bool slow;
+        std::size_t chunk;  // its first
+    };
+    static constexpr int n_doors = 8;
+    int n_ports = 0;
+    std::size_t step = 0;        // numbers per chunk
+    std::vector<Strand> strands; // none where a mode cannot be told from what its row reads
+    Array<T> data, doors;        // doors: (2, 2) from the modes' numbers, (2, 2) back
+};
+
 // A string's polarization whose tension rises with amplitude, in mass-normalised coordinates y.
 constexpr int kMaxStretchedPorts = 32;
 
@@ -103,6 +124,7 @@ struct Component {
     std::vector<char> difference;            // by readout row: (y+ - y) instead of y
     Guarded<T> guarded;
     Stretched<T> stretched;
+    Woven<T> woven;
 };
 
 // f = constant - G (g_free + gamma g), the forces of the connections from their gaps.
@@ -136,11 +158,18 @@ struct Layout {
     Array<double> constant;                // (f_width)
     Array<double> pull;                    // (2 port_rows, f_width)
     Array<double> push;                    // (m, force_width)
-    // the same at once: port forces = direct_constant + direct^T (line(b), line(b + 1)); a connection's force is then
-    // that of a port which it alone acts on (none if one of them has no such port)
-    Array<double> direct_constant, direct;  // (force_width), (2 width, force_width)
-    std::vector<int> own_port;              // (m)
-    Array<double> own_factor;               // (m)
+    // the same at once: port forces = direct_constant + direct^T (y_free(b + 1) + mix y(b)) + direct_old^T y(b), the
+    // last for connections that count what was before otherwise than by mix; a connection's force is then that of a
+    // port which it alone acts on (none if one of them has no such port)
+    struct Segment {
+        int row, port, n;  // n ports, the first one at a row of the line
+    };
+    std::vector<Segment> segments;
+    double mix = 0.0;
+    Array<double> direct_constant, direct, direct_old;  // (force_width), (port_rows, force_width) twice
+    std::vector<int> own_port;                          // (m)
+    Array<double> own_factor;                           // (m)
+    bool own_in_order = false;                          // connection j has port j
     struct Heard {
         int channel, connection;
         double weight;
@@ -371,7 +400,7 @@ struct Fault {
 };
 
 template <class T>
-using Run = Fault (*)(const std::vector<Component<T>>&, const Layout&, const Solve&, const Nonlinear&, const Tensions&,
+using Run = Fault (*)(std::vector<Component<T>>&, const Layout&, const Solve&, const Nonlinear&, const Tensions&,
                       Workspace&, TensionSpace&, Statistics&, const Job<T>&);
 
 // Entry points of one instruction set's translation unit.
