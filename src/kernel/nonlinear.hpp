@@ -463,8 +463,12 @@ private:
     }
 
     bool solve() {
-        int iterations = 0;
-        return found(find_forces(nl_, ws_, nl_.z.data(), iterations), iterations);
+        const bool done = settle(nl_, ws_, [&] {
+            int iterations = 0;
+            return found(find_forces(nl_, ws_, nl_.z.data(), iterations), iterations);
+        });
+        statistics_.failures += !done;
+        return done;
     }
 
     // Books a solve.
@@ -472,7 +476,6 @@ private:
         ++statistics_.solves;
         statistics_.iterations += iterations;
         statistics_.most_iterations = std::max<std::int64_t>(statistics_.most_iterations, iterations);
-        statistics_.failures += !done;
         for (const int j : ws_.active)
             if (nl_.series[j] >= 0 && ws_.law_force[j] != 0.0) ws_.series_alive[nl_.series[j]] = ws_.any_alive = true;
         return done;
@@ -510,12 +513,17 @@ private:
         distribute(b, f, now);
     }
 
+    // No nonlinear connection acts in sample b.
+    void let_go(int b) {
+        for (std::size_t i = 0; i < components_.size(); ++i)
+            for (const int p : ws_.loaded[i]) ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b] = 0.0;
+    }
+
     // Port forces of sample b.
     void distribute(int b, const double* f, double* now) {
         std::fill_n(now, layout_.force_width, 0.0);
         add_product(layout_.push.data(), layout_.force_width, f, m_, now);
-        for (std::size_t i = 0; i < components_.size(); ++i)
-            for (const int p : ws_.loaded[i]) ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b] = 0.0;
+        let_go(b);
         for (const int j : ws_.active) {
             const double force = ws_.law_force[j];
             for (const Term& t : nl_.driven[j]) now[layout_.port[t.component] + t.port] += t.factor * force;
