@@ -7,6 +7,7 @@ depends on what is played alone, so its samples are the same however they are as
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -51,11 +52,13 @@ class Snapshot:
 
 @dataclass(eq=False)
 class Ticker:
-    """What an engine did, for summaries."""
+    """What an engine did, for summaries; seconds of computing in steps and between them."""
 
     exchanges: int = 0
     peak_modes: int = 0
     strings_played: set[str] = field(default_factory=set)
+    stepping_s: float = 0.0
+    control_s: float = 0.0
 
 
 class Engine:
@@ -133,10 +136,14 @@ class Engine:
         """Step n_ticks intervals of the control grid; returns (n_ticks * GRID, n_channels)."""
         out, end = [], self.state.sample + n_ticks * GRID
         while self.state.sample < end:
+            began = time.perf_counter()
             self._control()
             steps = min(self._next_event(), end) - self.state.sample
             before = self.state.copy() if self.books else None
+            ready = time.perf_counter()
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
+            self.ticker.stepping_s += time.perf_counter() - ready
+            self.ticker.control_s += ready - began
             if self.books and before:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
@@ -163,7 +170,7 @@ class Engine:
 
     @property
     def _sleeps(self) -> bool:
-        return not self.watching and self.sleeper.promising(self.state.sample)
+        return self.sleeper.promising(self.state.sample)
 
     def _samples(self, time: float) -> float:
         return samples(time, self.dt)
@@ -327,7 +334,11 @@ class Engine:
         """Take strings to other levels of sleep."""
         changes: dict[str, Compiled] = {}
         carried: dict[str, Floats] = {}
-        stored = {name: sum(string_energy(self.system, self.state, name)) for name in levels if name in self.tense}
+        stored = {
+            name: sum(string_energy(self.system, self.state, name))
+            for name in levels
+            if name in self.tense and not self.watching
+        }
         deeper = {name for name, level in levels.items() if level > self.sleeper.state.level[name]}
         for name, level in levels.items():
             modes = {

@@ -113,7 +113,7 @@ class Sleeper:
     def __post_init__(self) -> None:
         model = self.model
         self.enabled = model.choice.mode == "auto" and model.choice.budget_db > -math.inf
-        self.names = tuple(model.strings)
+        self.names, self._n_modes = tuple(model.strings), model.n_modes
         self.components = tuple(c for s in model.strings.values() for c in s.components)
         self._owner = np.array([i for i, s in enumerate(model.strings.values()) for _ in s.components], dtype=np.intp)
         n, r = len(self.components), len(model.system.readouts)
@@ -166,7 +166,7 @@ class Sleeper:
         if not self.enabled:
             return False
         seconds = self._until(self._all_events, now * self.model.system.dt)
-        return bool(self.sleeping) or self.model.n_modes * seconds * self.model.fs >= self.worth * len(self.names)
+        return bool(self.sleeping) or self._n_modes * seconds * self.model.fs >= self.worth * len(self.names)
 
     @staticmethod
     def _until(times: Floats, now: float) -> float:
