@@ -89,8 +89,9 @@ public:
             if (!ws_.quiet[g]) weigh(g);
     }
 
-    // All forces of sample b. `f` (f_width) holds those of the linear connections if there were no others; it takes
-    // what they are, and `now` the forces on all fixed ports. False if the nonlinear ones were not found.
+    // All forces of sample b, for the motion that the lines tell; `commit` makes them stand. `f` (f_width) holds those of
+    // the linear connections if there were no others; it takes what they are, and `now` the forces on all fixed ports.
+    // False if the nonlinear ones were not found.
     bool forces(int b, double* f, double* now) {
         std::copy_n(f, layout_.f_width, ws_.f0.data());
         begin_sample(b);
@@ -102,8 +103,21 @@ public:
             wake_by(b);
             if (!add_touching()) break;
         }
-        commit(b);
         return true;
+    }
+
+    // The forces of sample b stand: what they leave behind for the next.
+    void commit(int b) {
+        for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
+        double* forces = job_.law_forces + (start_ + b) * nl_.k;
+        for (const int j : ws_.active) {
+            forces[j] = ws_.last_force[j] = ws_.law_force[j];
+            if (nl_.laws[j].kind == Law::friction) ws_.slip[j] = ws_.slip_after[j];
+            ws_.touching[j] = 0;
+        }
+        if (ws_.any_alive) move_series();
+        std::swap(ws_.previous, ws_.active);
+        for (std::size_t index = 0; index < nl_.groups.size(); ++index) ws_.level[index] = ws_.level_after[index];
     }
 
     // What the forces of sample b do to guarded rows, and guarded forces to all rows, in the rest of the block.
@@ -167,6 +181,7 @@ private:
             ws_.velocity[j] = values[2 * job_.n], ws_.scale[j] = values[3 * job_.n];
         }
         sample_ = b;
+        for (const int j : ws_.active) ws_.touching[j] = 0;  // of an attempt that did not stand
         ws_.active.clear();
         for (const int j : ws_.awake_list) {
             meet(j, b);
@@ -539,20 +554,6 @@ private:
         auto& list = ws_.loaded[t.component];
         list.insert(std::upper_bound(list.begin(), list.end(), t.port), t.port);
         if (nl_.group_of[t.component] >= 0) weigh(nl_.group_of[t.component]);
-    }
-
-    // The forces of sample b stand: what they leave behind for the next.
-    void commit(int b) {
-        for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
-        double* forces = job_.law_forces + (start_ + b) * nl_.k;
-        for (const int j : ws_.active) {
-            forces[j] = ws_.last_force[j] = ws_.law_force[j];
-            if (nl_.laws[j].kind == Law::friction) ws_.slip[j] = ws_.slip_after[j];
-            ws_.touching[j] = 0;
-        }
-        if (ws_.any_alive) move_series();
-        std::swap(ws_.previous, ws_.active);
-        for (std::size_t index = 0; index < nl_.groups.size(); ++index) ws_.level[index] = ws_.level_after[index];
     }
 
     // Displacement of the residual compliance after the step, under the forces tried.
