@@ -154,7 +154,7 @@ def cosine_products(n: int, n_cosines: int) -> Floats:
     if n == 0:
         return np.diag(np.where(i == 0, 1.0, 0.5))
     out = np.zeros((n_cosines, n_cosines))
-    distant, mirrored = i[1 : n_cosines - n], i[1:n]
+    distant, mirrored = i[1 : max(n_cosines - n, 1)], i[1:n]
     out[distant, distant + n] = out[distant + n, distant] = 0.5
     mirrored = mirrored[(mirrored < n_cosines) & (n - mirrored < n_cosines)]
     out[mirrored, n - mirrored] = 0.5
@@ -267,9 +267,22 @@ class GeometricSolve:
             answers[at] = (part.reading * c.W[:, : part.n, 0]).T @ s.incidence(slot).T
         return own - answers @ s.solve.G @ gaps
 
+    @cached_property
+    def yields(self) -> Floats:
+        """(n,) coordinates after a step per own modal force, without connections."""
+        return np.concatenate([part.reading * part.kick[:, 0] for _, part, _ in self._all()])
+
     def coordinates(self, x: Sequence[Floats]) -> Floats:
         """(n,) of states by component slot."""
         return np.concatenate([part.coordinates(x[slot]) for slot, part, _ in self._all()])
+
+    def by_component(self, force: Floats) -> dict[str, Floats]:
+        """Component -> (n_modes,) modal forces."""
+        out = {}
+        for slot, part, at in self._all():
+            out[self.system.names[slot]] = np.zeros(self.system.compiled[slot].basis.n_modes)
+            out[self.system.names[slot]][: part.n] = force[at]
+        return out
 
     def pushed(self, free: Sequence[Floats], force: Floats) -> list[Floats]:
         """States after modal forces (n,)."""
@@ -289,7 +302,12 @@ class GeometricSolve:
         return np.array([s.energy(y) for s, y in zip(self.strings, pieces, strict=True)])
 
     def find(
-        self, x: Sequence[Floats], free: Sequence[Floats], attempt: Callable[[list[Floats]], Sequence[Floats]]
+        self,
+        x: Sequence[Floats],
+        free: Sequence[Floats],
+        attempt: Callable[[list[Floats]], Sequence[Floats]],
+        *,
+        joined: bool = True,
     ) -> tuple[Floats, int, bool]:
         """Find the modal forces of a step.
 
@@ -297,13 +315,15 @@ class GeometricSolve:
         ----------
         x, free : states before, and after a step without forces.
         attempt : states without connection forces -> states with them.
+        joined : whether `attempt` lets the connections answer.
 
         Returns
         -------
         forces (n,), iterations, and whether they were found.
         """
+        compliance = self.compliance if joined else np.diag(self.yields)
         before = self.coordinates(x)
-        size = np.sqrt(np.concatenate([part.reading * part.kick[:, 0] for _, part, _ in self._all()]))
+        size = np.sqrt(self.yields)
         F = self.force(before, self.coordinates(attempt(list(free))))
         last = np.inf
         for iteration in range(1, MAX_ITERATIONS + 1):
@@ -322,5 +342,5 @@ class GeometricSolve:
                     for s, a, b in zip(self.strings, self.starts[:-1], self.starts[1:], strict=True)
                 )
             )
-            F = F + sla.solve(np.eye(len(F)) - slope @ self.compliance, wrong)
+            F = F + sla.solve(np.eye(len(F)) - slope @ compliance, wrong)
         return F, MAX_ITERATIONS, False
