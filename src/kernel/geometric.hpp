@@ -15,6 +15,7 @@ namespace tonewood {
 namespace {
 
 constexpr double kGeometricTolerance = 1e-12;  // of the forces' norm, in displacements they make
+constexpr double kBelowRounding = 1e-16;        // of the coordinates before the step: nothing a string could show
 constexpr int kMaxGeometricIterations = 400;
 constexpr int kGeometricMemory = 14;           // differences kept; then they are forgotten at once
 
@@ -64,21 +65,29 @@ public:
         for (String& s : strings_) begin(s, b, lines, known);
         bool found = false;
         int iteration = 0;
+        bool all_looked_at = false;
         while (!found && iteration++ < kMaxGeometricIterations) {
-            for (String& s : strings_) place(s, b, lines);
+            for (String& s : strings_)
+                if (!s.settled) place(s, b, lines);
             if (!connect(now)) return false;
             found = true;
+            bool passed_over = false;
+            // a string that has settled is left alone until all have, and then looked at under the final port forces
             for (String& s : strings_) {
+                if (s.settled && !all_looked_at) {
+                    passed_over = true;
+                    continue;
+                }
                 evaluate(s, now);
                 const double left = norm(s, s.wrong), all = norm(s, s.F);
                 if (!std::isfinite(left)) return book(iteration, false);
                 const bool still = left >= 0.5 * s.left && left <= 1e3 * kGeometricTolerance * all;
                 s.left = left;
-                if (left <= kGeometricTolerance * all || still) continue;
-                found = false;
+                s.settled = left <= kGeometricTolerance * all || left <= kBelowRounding * s.motion || still;
+                if (!s.settled) advance(s), found = false;
             }
-            if (found) break;
-            for (String& s : strings_) advance(s);
+            all_looked_at = found && passed_over;
+            if (all_looked_at) found = false;
         }
         if (found)
             for (String& s : strings_)
@@ -105,8 +114,8 @@ private:
     struct String {
         const Geometric::String* given = nullptr;
         int n = 0, kept = 0;
-        bool fresh = true, has_last = false;
-        double left = 0;
+        bool fresh = true, has_last = false, settled = false;
+        double left = 0, motion = 0;
         std::vector<Part> parts;                              // the longitudinal one last
         Array<double> old_sums, sums, old_strain, strain, pull;  // s_n and l_n before and after, tension by n
         Array<double> F, made, wrong, last_made, last_wrong;  // forces, what the motion makes of them, the difference
@@ -172,7 +181,12 @@ private:
         }
         strain(s, s.parts.back().before, s.old_strain);
         respond(s);
-        s.F = s.made, s.kept = 0, s.fresh = true, s.has_last = false, s.left = INFINITY;
+        s.F = s.made, s.kept = 0, s.fresh = true, s.has_last = s.settled = false, s.left = INFINITY;
+        s.motion = 0.0;
+        for (const Part& part : s.parts)
+            for (int k = 0; k < part.given->n; ++k)
+                s.motion += part.before[k] * part.before[k] / part.given->yields[k];
+        s.motion = std::sqrt(s.motion);
     }
 
     // Port rows of line b + 1 under the modal forces, without port forces.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
@@ -70,12 +72,11 @@ def integrated() -> Floats:
 
     def rates(t: float, state: Floats) -> Floats:
         q, v = np.split(state, 2)
-        y, z, u = (q[a:b] for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+        y, z, u = (q[a:b] for a, b in pairwise(sizes))
         square = project @ (0.5 * (across @ y) ** 2 + 0.5 * (across @ z) ** 2)
         pull = AXIAL * (square + along @ u)
-        force = np.concatenate([
-            -across.T @ (pull * (across @ y)) * dx, -across.T @ (pull * (across @ z)) * dx, -AXIAL * along.T @ square * dx
-        ])  # fmt: skip
+        on_y, on_z = (-across.T @ (pull * (across @ q)) * dx for q in (y, z))
+        force = np.concatenate([on_y, on_z, -AXIAL * along.T @ square * dx])
         return np.concatenate([v, force - stiffness * q - damping * v])
 
     begin = np.concatenate(start(system))

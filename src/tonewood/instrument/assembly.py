@@ -213,7 +213,9 @@ def assemble(
             )
         )
     groups.sort(key=lambda g: wanted.index(g.name))
-    system = System.build(components, connections, readouts, dt=1.0 / fs, drives=drives, tensions=tensions, geometric=geometric)
+    system = System.build(
+        components, connections, readouts, dt=1.0 / fs, drives=drives, tensions=tensions, geometric=geometric
+    )
     return Model(
         instrument=instrument,
         fs=fs,

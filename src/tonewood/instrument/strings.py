@@ -281,7 +281,11 @@ class StringModel:
         """One motion, modal coordinates q and q', carried from one stop's basis to another's."""
         self._own(component)
         if self._is_along(component):
-            return (q, velocity) if old.metadata["length"] == new.metadata["length"] else string_carry(old, new, q, velocity)
+            return (
+                (q, velocity)
+                if old.metadata["length"] == new.metadata["length"]
+                else string_carry(old, new, q, velocity)
+            )
         if self.stopping.finger is not None:
             displacement, moving = laid_down(old, new)
             return displacement @ q, moving @ velocity

@@ -74,13 +74,13 @@ def step_again(
                 path[t + 1, spans[name]] = after
         if along is not None:
             none = np.zeros((0, 2))
-            before, free = ([p[spans[n]] if n in spans else none for n in system.names] for p in path[t : t + 2])
-            force, _, found = along.find(before, free, list, joined=False)
+            earlier, later = ([p[spans[n]] if n in spans else none for n in system.names] for p in path[t : t + 2])
+            force, _, found = along.find(earlier, later, list, joined=False)
             if not found:
                 raise NumericalError(f"the forces of a string were not found again at {(sample + t) * system.dt:.6f} s")
             for name, pull in along.by_component(force).items():
                 pulls[name][t] = pull
-            moved = along.pushed(free, force)
+            moved = along.pushed(later, force)
             for name in stretched:
                 path[t + 1, spans[name]] = moved[system.slot(name)]
     return {name: path[:, spans[name]] for name in names}, pulls

@@ -215,7 +215,7 @@ class GeometricString:
         pulls = self.forms @ mean
         s = 0.25 * (self.forms @ before @ before + self.forms @ after @ after)
         tension = self.weights * (s + self.strains @ mean)
-        return -(tension @ pulls + (self.weights * s) @ self.strains)
+        return np.asarray(-(tension @ pulls + (self.weights * s) @ self.strains))
 
     def slope(self, before: Floats, after: Floats) -> Floats:
         """(n, n) derivative of `force` with `after`."""
@@ -225,7 +225,7 @@ class GeometricString:
         ds = 0.5 * (self.forms @ after)
         pulls = self.weights[:, None] * (self.forms @ mean)
         out = pulls.T @ (ds + 0.5 * self.strains) + 0.5 * np.einsum("n,nij->ij", tension, self.forms)
-        return -(out + (self.weights[:, None] * self.strains).T @ ds)
+        return np.asarray(-(out + (self.weights[:, None] * self.strains).T @ ds))
 
 
 class GeometricSolve:

@@ -245,7 +245,8 @@ class KernelStepper:
             if slot >= 0:
                 raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
             names = ", ".join(self.system.connections[on[j]].name for j in self._kernel.active())
-            names = names or ", ".join(t.name for t in (*self.system.tensions, *self.system.geometric))
+            strings = [t.name for t in self.system.tensions] + [g.name for g in self.system.geometric]
+            names = names or ", ".join(strings)
             raise NumericalError(f"the forces of {names} were not found at {t:.6f} s")
         forces = np.zeros((n, m))
         forces[:, self._active] = active_forces
@@ -280,17 +281,16 @@ def _geometric(
     system: System, slots: Sequence[int], wiring: Sequence[_Wires]
 ) -> tuple[float, list[tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]]]:
     """EA L, and the parts of a string whose longitudinal motion is stepped, as module.cpp reads them."""
-    scale, parts = 0.0, []
+    scale = 0.0
+    parts: list[tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]] = []
     for slot in slots:
         compiled, ports = system.compiled[slot], wiring[slot].fixed
         if (part := compiled.geometric) is not None:
             scale = part.scale
             moved = np.einsum("pmx,mx->pm", compiled.rows[ports][:, : part.n], part.kick)
             called = part.reading * compiled.W[ports][:, : part.n, 0]
-            arrays = (
-                part.slopes, part.reading, part.reading * part.kick[:, 0], part.kick.T, moved, called,
-            )  # fmt: skip
-            parts.append((slot, *(np.ascontiguousarray(a) for a in arrays)))
+            yields, kick = part.reading * part.kick[:, 0], np.ascontiguousarray(part.kick.T)
+            parts.append((slot, part.slopes, part.reading, yields, kick, moved, called))
     return scale, parts
 
 

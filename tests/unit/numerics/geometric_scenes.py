@@ -1,4 +1,4 @@
-"""Strings that move along themselves: a plain steel string (0.305 mm, 0.645 m) with held ends, plucked or in two modes."""
+"""Strings that move along themselves: a plain steel string with held ends, plucked or in two modes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ LENGTH, TENSION, DENSITY, AXIAL = 0.645, 104.1, 5.735e-4, 14613.0
 BENDING = 8.5e-5
 
 
-def transverse(n_modes: int | None = None, *, fs: float = 48000.0, bending: float = 0.0, eta: float = 0.0) -> ModalBasis:
+def transverse(
+    n_modes: int | None = None, *, fs: float = 48000.0, bending: float = 0.0, eta: float = 0.0
+) -> ModalBasis:
     upper = None if n_modes else 0.45 * fs
     basis = string_basis(
         LENGTH, TENSION, DENSITY, bending, lambda w, k: np.full_like(w, eta), n_modes=n_modes, freq_upper=upper
