@@ -15,7 +15,7 @@ SOURCES = ROOT / "src" / "tonewood"
 #: bottom to top; what stands in one set may not import each other
 LAYERS = (
     {"errors", "_kernel", "_methods"},
-    {"units", "params", "yaml_io"},
+    {"units", "params", "yaml_io", "whole_files"},
     {"numerics"},
     {"score"},
     {"instrument"},

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 def test_every_public_name_is_there_and_typed() -> None:
     for name in tw.__all__:
         assert getattr(tw, name) is not None
-    text = (ROOT / "src" / "tonewood" / "__init__.py").read_text()
+    text = (ROOT / "src" / "tonewood" / "__init__.py").read_text(encoding="utf-8")
     typed = set(re.findall(r"import (\w+) as \1", text))
     assert typed == set(tw.__all__) - {"__version__"}
     with pytest.raises(AttributeError, match="no attribute 'rendre'"):
@@ -35,10 +35,10 @@ def test_importing_costs_nothing() -> None:
 
 
 def test_versions_agree() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert tw.__version__ == project["version"]
-    assert f"version: {project['version']}" in (ROOT / "CITATION.cff").read_text()
-    assert f"## [{project['version']}]" in (ROOT / "CHANGELOG.md").read_text()
+    assert f"version: {project['version']}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"## [{project['version']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert project["license"] == "MIT AND CC-BY-4.0"
 
 

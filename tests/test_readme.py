@@ -12,7 +12,7 @@ import soundfile as sf
 from tonewood.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[1]
-README = (ROOT / "README.md").read_text()
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_python_in_it_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -28,7 +28,7 @@ def test_the_python_in_it_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.parametrize("document", ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"])
 def test_links_lead_somewhere(document: str) -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", (ROOT / document).read_text()):
+    for target in re.findall(r"\]\(([^)#]+)\)", (ROOT / document).read_text(encoding="utf-8")):
         assert target.startswith("https://") or (ROOT / target).exists(), target
 
 
@@ -37,7 +37,7 @@ def test_every_command_is_named() -> None:
 
 
 def test_files_named_by_the_architecture_exist() -> None:
-    text = (ROOT / "ARCHITECTURE.md").read_text()
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
     for name in re.findall(r"\b([a-z_]+\.py)\b", text):
         assert list(ROOT.glob(f"src/tonewood/**/{name}")) or list(ROOT.glob(f"tests/**/{name}")), name
     for folder in re.findall(r"`(tests/[a-z/]+)`", text):
@@ -45,10 +45,10 @@ def test_files_named_by_the_architecture_exist() -> None:
 
 
 def test_the_first_commands_are_those_of_continuous_integration() -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     assert 'pip install -e ".[test]" && python -m pytest -n 2' in README
     assert {"pytest>=8", "pytest-xdist>=3"} <= set(extras["test"])
-    ci = (ROOT / ".ci" / "run").read_text()
+    ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     assert "[test,dev]" in ci
     assert re.search(r"python -m pytest .*-n 2", ci)
     score = re.search(r"tonewood render (\S+) -i classical_guitar", README)

@@ -93,7 +93,8 @@ inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, doubl
     return false;
 }
 
-// Finds ws.law_force of the connections in ws.active; they start from what stands there. `z` (k, k): gaps per force.
+// Finds ws.law_force of the connections in ws.active, friction on the branches of ws.branch, those open decided on the
+// way; they start from what stands there. `z` (k, k): gaps per force.
 inline bool find_forces(const Nonlinear& nl, Workspace& ws, const double* z, int& iterations) {
     const int k = nl.k, n = int(ws.active.size());
     double* f = ws.law_force.data();
@@ -117,8 +118,20 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, const double* z, int
                 if (i != j) p -= z[std::size_t(j) * k + i] * f[i];
             const double mobility = z[std::size_t(j) * k + j] / nl.dt;
             const double without = -(p - ws.old_p[j]) / nl.dt - ws.velocity[j];
-            const double v = velocity_after(law, without, mobility * law.a[0] * ws.scale[j], ws.slip[j]);
-            ws.slip_after[j] = v;
+            const double load = mobility * law.a[0] * ws.scale[j];
+            Branch& branch = ws.branch[j];
+            double v = 0.0;
+            switch (branch) {
+                case Branch::open:
+                    v = velocity_after(law, without, load, ws.slip[j]);
+                    branch = v == 0.0 ? Branch::stuck : v > 0.0 ? Branch::ahead : Branch::behind;
+                    break;
+                case Branch::stuck: break;
+                case Branch::ahead: v = slide_on(law, without, load); break;
+                case Branch::behind: v = -slide_on(law, -without, load); break;
+                case Branch::held: v = ws.held[j];
+            }
+            ws.slip_after[j] = v, ws.without[j] = without, ws.load[j] = load;
             f[j] = mobility > 0.0 ? (v - without) / mobility : 0.0;
         }
         if (n_stored) {
@@ -144,6 +157,67 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, const double* z, int
         if (moved <= kTolerance * made + noise) return true;
     }
     return false;
+}
+
+// A friction law whose branch is none of its own under the motion found, moved to the one that is; -1 if there is none.
+inline int misfit(const Nonlinear& nl, Workspace& ws) {
+    for (const int j : ws.sliding) {
+        const double free = ws.without[j], load = ws.load[j];
+        const Branch branch = ws.branch[j];
+        const bool may_stick = std::abs(free) <= load * nl.laws[j].a[1];
+        if (branch == Branch::held || (branch == Branch::stuck && may_stick)) continue;
+        if (branch != Branch::stuck && slide(nl.laws[j], branch == Branch::ahead ? free : -free, load) > 0.0) continue;
+        const Branch next = may_stick ? Branch::stuck : free > 0.0 ? Branch::ahead : Branch::behind;
+        if (next == branch) continue;
+        ws.branch[j] = next;
+        return j;
+    }
+    return -1;
+}
+
+// Friction j at the velocity where its curve meets the force that the rest of the step asks for, by halving.
+template <class Solve>
+bool halve(const Nonlinear& nl, Workspace& ws, int j, const Solve& solve) {
+    const Law& law = nl.laws[j];
+    const double load = law.a[0] * ws.scale[j], fixed = law.a[1], moving = law.a[2];
+    const auto hold = [&](double v) {
+        ws.branch[j] = Branch::held, ws.held[j] = v;
+        return solve();
+    };
+    if (!hold(0.0)) return false;
+    const double force = ws.law_force[j];
+    if (std::abs(force) <= load * fixed) return true;
+    const double side = force < 0.0 ? 1.0 : -1.0;
+    double low = 0.0, high = std::abs(ws.without[j]);
+    bool bracketed = false;
+    for (int turn = 0; turn < 200; ++turn) {
+        const double v = bracketed ? 0.5 * (low + high) : high;
+        if (v == low || (bracketed && v == high)) break;
+        if (!hold(side * v)) return false;
+        const bool is_short = side * ws.law_force[j] + load * (moving + (fixed - moving) / (1 + v / law.a[3])) < 0.0;
+        bracketed = bracketed || !is_short;
+        (is_short ? low : high) = v;
+        if (!bracketed) high = 2 * v;
+    }
+    return bracketed;
+}
+
+// A step with friction: solve() finds all else, friction on its branches. What slides at one tension or force of a
+// contact may stick at the next, and so on for ever; so a branch is kept until all else is found, and only then looked
+// at. For a velocity given the rest is a monotone problem, its force on friction rises with that velocity, and where it
+// cannot stick the curve is met on the way to the velocity without friction: halving finds what changing does not.
+template <class Solve>
+bool settle(const Nonlinear& nl, Workspace& ws, const Solve& solve) {
+    for (const int j : ws.active) ws.branch[j] = Branch::open;
+    const int patience = 4;
+    for (int turn = 0;; ++turn) {
+        if (!solve()) return false;
+        const int j = misfit(nl, ws);
+        if (j < 0) return true;
+        const int n = int(ws.sliding.size());
+        if (turn >= (patience + 1) * n) return false;
+        if (turn >= patience * n && !halve(nl, ws, j, solve)) return false;
+    }
 }
 
 }  // namespace

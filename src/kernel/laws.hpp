@@ -143,6 +143,12 @@ inline double slide(const Law& law, double free, double load) {
     return v > 0.0 ? v : 0.0;
 }
 
+// The same, going on where there is no such v from where it ceases: continuous in `free` and `load`.
+inline double slide_on(const Law& law, double free, double load) {
+    const double v = slide(law, free, load), a = law.a[3];
+    return v > 0.0 ? v : std::max(std::sqrt(load * (law.a[1] - law.a[2]) * a) - a, 0.0);
+}
+
 // Relative velocity over the step, 0 for sticking; the branch of the step before is kept while it has a solution.
 inline double velocity_after(const Law& law, double free, double load, double before) {
     if (before != 0.0) {

@@ -202,11 +202,17 @@ struct Nonlinear {
     int n_guarded = 0;
 };
 
+// Where on its curve friction is during a step: to be seen, sticking, sliding either way, at a velocity given.
+enum class Branch : char { open, stuck, ahead, behind, held };
+
 // What a run with nonlinear connections moves besides, and its buffers: nothing is allocated while stepping.
 struct Workspace {
     // by connection (k)
     Array<double> old_p, free_p, law_force, last_force, series, series_after, slip, slip_after, offset, offset_after,
         velocity, scale, size, clearance, slack, rest_p;
+    // of friction (k): its branch; relative velocity it is held at; velocity without it; what a coefficient of 1 takes
+    std::vector<Branch> branch;
+    Array<double> held, without, load;
     std::vector<char> awake, touching;
     std::vector<int> awake_list, active, previous;
     std::vector<char> series_alive;  // by series group

@@ -478,8 +478,12 @@ private:
     }
 
     bool solve() {
-        int iterations = 0;
-        return found(find_forces(nl_, ws_, nl_.z.data(), iterations), iterations);
+        const bool done = settle(nl_, ws_, [&] {
+            int iterations = 0;
+            return found(find_forces(nl_, ws_, nl_.z.data(), iterations), iterations);
+        });
+        statistics_.failures += !done;
+        return done;
     }
 
     // Books a solve.
@@ -487,7 +491,6 @@ private:
         ++statistics_.solves;
         statistics_.iterations += iterations;
         statistics_.most_iterations = std::max<std::int64_t>(statistics_.most_iterations, iterations);
-        statistics_.failures += !done;
         for (const int j : ws_.active)
             if (nl_.series[j] >= 0 && ws_.law_force[j] != 0.0) ws_.series_alive[nl_.series[j]] = ws_.any_alive = true;
         return done;

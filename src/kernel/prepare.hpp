@@ -225,8 +225,10 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, c
     const std::size_t k = nl.k, n = components.size(), n_guarded = nl.n_guarded;
     for (Array<double>* a :
          {&ws.old_p, &ws.free_p, &ws.law_force, &ws.last_force, &ws.series, &ws.series_after, &ws.slip, &ws.slip_after,
-          &ws.offset, &ws.offset_after, &ws.velocity, &ws.scale, &ws.size, &ws.clearance, &ws.slack, &ws.rest_p})
+          &ws.offset, &ws.offset_after, &ws.velocity, &ws.scale, &ws.size, &ws.clearance, &ws.slack, &ws.rest_p,
+          &ws.held, &ws.without, &ws.load})
         a->assign(k, 0.0);
+    ws.branch.assign(k, Branch::open);
     ws.awake.assign(k, 0), ws.touching.assign(k, 0);
     for (std::vector<int>* list : {&ws.awake_list, &ws.active, &ws.previous, &ws.stored, &ws.sliding})
         list->clear(), list->reserve(k);

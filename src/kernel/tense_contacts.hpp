@@ -52,16 +52,19 @@ private:
     // Tensions and all forces, the active connections given.
     bool joint_step(int b, double* f, double* now) {
         find_ports();
-        bool done = false;
         int iterations = 0;
-        while (!done && iterations++ < kMaxTensionIterations) {
-            if (!forces(b, iterations, f)) break;
-            laws_.distribute(b, f, now);
-            done = stretched_.correct(iterations, [&](int i, double& after, double& slope, double& size) {
-                push(i, b);
-                move_stretch(i, now + layout_.port[i], after, slope, size);
-            });
-        }
+        const bool done = settle(nl_, ws_, [&] {
+            bool found = false;
+            for (int turn = 1; !found && turn <= kMaxTensionIterations; ++turn, ++iterations) {
+                if (!forces(b, turn, f)) break;
+                laws_.distribute(b, f, now);
+                found = stretched_.correct(turn, [&](int i, double& after, double& slope, double& size) {
+                    push(i, b);
+                    move_stretch(i, now + layout_.port[i], after, slope, size);
+                });
+            }
+            return found;
+        });
         stretched_.book(iterations, done);
         return done;
     }

@@ -97,7 +97,7 @@ def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
     while b"comparing" not in seen:
         seen += os.read(reader, 4096)
     process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=120)
+    out, _ = process.communicate(timeout=600)
     while b"nothing was written" not in seen:
         seen += os.read(reader, 4096)
     os.close(reader)

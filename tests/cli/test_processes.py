@@ -35,17 +35,34 @@ def test_ctrl_c_leaves_no_file_and_code_130(tmp_path: Path) -> None:
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
     )  # fmt: skip
-    deadline = time.monotonic() + 60
-    while not list(tmp_path.glob(".out.wav*")):  # it has begun to write
+    while not list(tmp_path.glob(".out.*")):  # it has begun to write
         assert process.poll() is None
-        assert time.monotonic() < deadline
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=600)
     assert process.returncode == 130
     assert out == ""
     assert err == "tonewood: interrupted; nothing was written\n"
     assert [p.name for p in tmp_path.iterdir()] == ["long.mid"]
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        "tonewood.cli.app.import_module = stop",  # before there is a command
+        "typer.Typer.__call__ = stop",
+        "tonewood.cli.listing.print = stop",
+    ],
+)
+def test_ctrl_c_at_any_time_is_one_line_and_code_130(where: str) -> None:
+    """Through a call of exec, as when modules are imported: CPython itself would then end by the signal."""
+    program = (
+        "import sys, typer, typer.core, tonewood.cli.app, tonewood.cli.listing\n"
+        "def stop(*_, **__):\n    exec('raise KeyboardInterrupt')\n"
+        f"{where}\nfrom tonewood.cli.main import run\nrun(['list'])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "tonewood: interrupted; nothing was written\n")
 
 
 def test_a_full_disk_is_one_line_and_no_file(tmp_path: Path, score: Path) -> None:
@@ -74,13 +91,13 @@ def test_from_another_folder_with_relative_paths_and_a_pipe(tmp_path: Path, scor
 
 def test_a_terminal_gets_a_progress_bar(tmp_path: Path, score: Path) -> None:
     ours, theirs = pty.openpty()
-    subprocess.run(
+    process = subprocess.Popen(
         [*TONEWOOD, "render", score, "-i", "monochord", "-o", tmp_path / "out.wav", "--max-duration", "0.5"],
-        check=True, stdout=subprocess.PIPE, stderr=theirs, env={**os.environ, "TERM": "xterm"},
+        stdout=subprocess.DEVNULL, stderr=theirs, env={**os.environ, "TERM": "xterm"},
     )  # fmt: skip
     os.close(theirs)
     shown = b""
-    while True:
+    while True:  # while it runs: a terminal that nobody reads holds a few thousand characters and then blocks
         try:
             part = os.read(ours, 4096)
         except OSError:  # the other end is closed
@@ -89,6 +106,7 @@ def test_a_terminal_gets_a_progress_bar(tmp_path: Path, score: Path) -> None:
             break
         shown += part
     os.close(ours)
+    assert process.wait() == 0
     assert b"rendering" in shown
     assert b"%" in shown
 

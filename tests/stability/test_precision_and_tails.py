@@ -64,14 +64,16 @@ def test_single_precision_decays_as_double_does():
     assert abs(10 * np.log10(energy(system, state) / energy(system, exact))) < 0.01
 
 
+@pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("precision", ["f64", "f32"])
-def test_tails_do_not_end_in_denormals(precision):
+def test_tails_do_not_end_in_denormals(precision, isa):
     """What decays below the smallest normal number is flushed: no slow numbers are left in the state.
 
-    Of a coupled instrument some numbers stay within a thousand of the smallest one, where forces flush what moves.
+    Some numbers stay near the smallest one for ever: in a step a mode of 20 Hz changes by 1e-3 to 1e-5 of itself, and
+    below a thousand to a hundred thousand times the smallest number it is that change which is flushed.
     """
     system = guitar(eta=0.05, zeta=0.5)
-    stepper = KernelStepper(system, precision=precision)
+    stepper = KernelStepper(system, precision=precision, isa=isa)
     tiny = float(np.finfo(stepper.dtype).tiny)
     state, quiet = stepper.start(), displaced(system).modes
     # a tail that has come down to some orders above the smallest number already
@@ -81,19 +83,19 @@ def test_tails_do_not_end_in_denormals(precision):
         stepper.run(state, 4800)
         left = np.abs(state.modes[state.modes != 0])
         assert np.all(left >= tiny)
-    assert left.max(initial=0.0) < 1e3 * tiny
-    # without joints too; a number near the smallest may turn in place, by how the compiler fuses products
+    assert left.max(initial=0.0) < 1e5 * tiny
+    # without joints too
     alone = undamped(64)
     dying = alone.with_basis(
         "a", ModalBasis.real(np.sqrt(alone.compiled[0].basis.stiffness), np.full(64, 200.0), {"p": np.ones(64)})
     )
-    stepper = KernelStepper(dying, precision=precision)
+    stepper = KernelStepper(dying, precision=precision, isa=isa)
     state = stepper.start()
     state.modes[0, :64] = tiny * 1e6
     stepper.run(state, 24_000)
     left = np.abs(state.modes[state.modes != 0])
     assert np.all(left >= tiny)
-    assert left.max(initial=0.0) < 1e3 * tiny
+    assert left.max(initial=0.0) < 1e5 * tiny
 
 
 def test_flushing_is_left_at_the_kernels_door():

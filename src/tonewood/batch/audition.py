@@ -10,7 +10,7 @@ from tonewood.batch.layout import Group
 from tonewood.batch.manifest import Manifest
 from tonewood.batch.pictures import CAPTION, HEIGHT, WIDTH
 from tonewood.batch.production import PICTURES, SoundFile
-from tonewood.batch.store import whole_file
+from tonewood.whole_files import whole_file
 
 FILE = "audition.html"
 
@@ -54,7 +54,7 @@ def audition_page(manifest: Manifest, groups: Sequence[Group], files: dict[str, 
 
 def write_audition(folder: Path, page: str) -> None:
     """Write the page into the batch's folder."""
-    with whole_file(folder / FILE) as stream:
+    with whole_file(folder / FILE, make_folder=True) as stream:
         stream.write(page.encode())
 
 

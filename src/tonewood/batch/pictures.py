@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.batch.stimuli import Audio
-from tonewood.batch.store import whole_file
+from tonewood.whole_files import whole_file
 
 WIDTH, WAVE_HEIGHT, SPECTRUM_HEIGHT, GAP = 700, 96, 220, 4
 HEIGHT = WAVE_HEIGHT + GAP + SPECTRUM_HEIGHT
@@ -36,7 +36,7 @@ def write_picture(path: Path, audio: Audio, fs: int) -> None:
     image = np.full((HEIGHT, WIDTH, 4), 255, dtype=np.uint8)
     image[:WAVE_HEIGHT] = _waveform(audio)
     image[WAVE_HEIGHT + GAP :] = _spectrogram(audio.mean(axis=1), fs)
-    with whole_file(path) as stream:
+    with whole_file(path, make_folder=True) as stream:
         # None takes the writer's name and version out, which the stubs do not know
         imsave(stream, image, format="png", metadata={"Software": None})  # type: ignore[dict-item]
 

@@ -17,9 +17,10 @@ from tonewood.batch.layout import ANCHOR_ROLES, Group, Stimulus
 from tonewood.batch.manifest import Stimuli
 from tonewood.batch.pictures import write_picture
 from tonewood.batch.seeds import generator
-from tonewood.batch.store import Rendered, Store, whole_file
+from tonewood.batch.store import Rendered, Store
 from tonewood.batch.workers import Workers
 from tonewood.errors import TonewoodError
+from tonewood.whole_files import whole_file
 
 SERVED = "serve"
 SOUNDS = f"{SERVED}/stimuli"
@@ -214,7 +215,7 @@ def write_wav(path: Path, samples: Any, fs: int, subtype: str) -> None:
     import soundfile
 
     whole = samples if subtype == "PCM_16" else samples << 8  # soundfile wants 24 bits at the top of 32
-    with whole_file(path) as stream:
+    with whole_file(path, make_folder=True) as stream:
         soundfile.write(stream, whole, fs, subtype=subtype, format="WAV")
 
 

@@ -14,7 +14,7 @@ from tonewood.batch.conditions import Condition
 from tonewood.batch.layout import Group
 from tonewood.batch.manifest import Manifest
 from tonewood.batch.production import Fault, SoundFile
-from tonewood.batch.store import whole_file
+from tonewood.whole_files import whole_file
 
 KEY_SCHEMA = "tonewood-key/1"
 RECORD_SCHEMA = "tonewood-record/1"
@@ -108,7 +108,7 @@ def batch_record(
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write readable JSON, as a whole file."""
-    with whole_file(path) as stream:
+    with whole_file(path, make_folder=True) as stream:
         stream.write((json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode())
 
 
@@ -120,7 +120,7 @@ def write_csv(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
     writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    with whole_file(path) as stream:
+    with whole_file(path, make_folder=True) as stream:
         stream.write(text.getvalue().encode())
 
 

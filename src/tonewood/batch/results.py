@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.batch.answers import HELPERS, Answer, Kind, ResultsError, read_answers, read_key
-from tonewood.batch.store import whole_file
+from tonewood.whole_files import whole_file
 
 LIMIT_SCORE = 90.0
 LIMIT_SHARE = 0.15

@@ -1,21 +1,21 @@
-"""Finished work on disk: rendered sounds by content, and files that are either whole or not there."""
+"""Finished work on disk: rendered sounds by content."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
+from tonewood.whole_files import whole_file
 
 SCHEMA = "tonewood-render/1"
 
@@ -42,28 +42,6 @@ def content_key(identity: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-@contextlib.contextmanager
-def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """A file opened for writing that appears under its name only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The disk is full or the place cannot be written; what stood under the name before is untouched.
-    """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("wb") as stream:
-            yield stream
-        part.replace(path)
-    except OSError as fault:
-        raise OutputError(f"cannot be written: {fault.strerror or fault}", file=path) from fault
-    finally:
-        with contextlib.suppress(OSError):  # mostly it is not there any more
-            part.unlink()
-
-
 class Store:
     """Rendered sounds in one folder, each under the hash of what it was rendered from."""
 
@@ -87,7 +65,7 @@ class Store:
         facts = json.dumps(
             {"fs": rendered.fs, "frames": len(rendered.samples), "info": rendered.info}, allow_nan=False
         ).encode()
-        with whole_file(self.path(key)) as stream:
+        with whole_file(self.path(key), make_folder=True) as stream:
             np.savez(stream, samples=rendered.samples, facts=np.frombuffer(facts, dtype=np.uint8))
 
     def load(self, key: str) -> Rendered:
@@ -117,5 +95,5 @@ class Store:
 
     def clear_parts(self) -> None:
         """Remove what an earlier run had to leave half-written."""
-        for part in self.folder.glob(".*.part"):
+        for part in self.folder.glob(".*.part.npz"):
             part.unlink(missing_ok=True)

@@ -17,7 +17,7 @@ from tonewood.batch.layout import Group, Trial
 from tonewood.batch.manifest import Bs1116Page, HtmlPage, Manifest, MushraPage, PairedPage
 from tonewood.batch.production import SoundFile
 from tonewood.batch.seeds import generator
-from tonewood.batch.store import whole_file
+from tonewood.whole_files import whole_file
 
 FILE = "webmushra.yaml"
 LONGEST = 12.0  # s, of a stimulus on a page webMUSHRA checks strictly
@@ -55,7 +55,7 @@ def experiment(manifest: Manifest, groups: Sequence[Group], files: dict[str, Sou
 
 def write_experiment(folder: Path, experiment: dict[str, Any]) -> None:
     """Write the YAML file into the served folder."""
-    with whole_file(folder / FILE) as stream:
+    with whole_file(folder / FILE, make_folder=True) as stream:
         stream.write(("\n".join(_yaml(experiment, 0)) + "\n").encode())
 
 

@@ -55,7 +55,8 @@ def accuracy(
         _require_matplotlib()
 
     from tonewood.lab.accuracy import dial, tables, timing
-    from tonewood.lab.accuracy.report import HEADLINE, SHORT, Study, write
+    from tonewood.lab.accuracy.report import HEADLINE, SHORT, Study
+    from tonewood.whole_files import write_whole
 
     more: dict[str, tuple[str, object]] = {}
     with progress("comparing", 1.05) as advance:
@@ -83,7 +84,7 @@ def accuracy(
         seen = None if plot is None else Path(os.path.relpath(plot, report.absolute().parent)).as_posix()
         contents.append((report, study.markdown(seen)))
     for path, content in contents:
-        write(path, content)
+        write_whole(path, content)
     print(study.machine_line)
     for outcome in outcomes:
         print(f"\n{tables.section(outcome)}", end="")
@@ -100,7 +101,7 @@ def _stability(system: str | None, quick: bool, json: Path | None, plot: Path | 
     from json import dumps
 
     from tonewood.lab.accuracy import stability
-    from tonewood.lab.accuracy.report import write
+    from tonewood.whole_files import write_whole
 
     if system is not None or plot is not None:
         raise TonewoodError(
@@ -111,9 +112,9 @@ def _stability(system: str | None, quick: bool, json: Path | None, plot: Path | 
     with progress("stability", 1.0) as advance:
         grid = stability.run(quick, advance)
     if json is not None:
-        write(json, dumps(grid.to_json(), allow_nan=False))
+        write_whole(json, dumps(grid.to_json(), allow_nan=False))
     if report is not None:
-        write(report, grid.markdown())
+        write_whole(report, grid.markdown())
     print(grid.table(), end="")
     for path in (json, report):
         if path is not None:

@@ -46,8 +46,7 @@ def batch(
         try:
             report = run_batch(manifest, output, EngineRenderer(), place, bars)
         except KeyboardInterrupt:
-            print("tonewood: interrupted; finished renders are kept, run it again to go on", file=sys.stderr)
-            return 130
+            raise KeyboardInterrupt("finished renders are kept, run it again to go on") from None
     print(json.dumps(report.summary())) if as_json else _print_report(report)
     return 0 if report.ok else 1
 

@@ -12,9 +12,12 @@ import typer
 from tonewood.cli.common import Json, Overrides, load
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
+from tonewood.whole_files import whole_file
 
 if TYPE_CHECKING:
     from tonewood.instrument.assembly import Model
+
+_PICTURES = (".png", ".pdf", ".svg")
 
 
 def modes(
@@ -40,6 +43,8 @@ def modes(
         raise TonewoodError(f"there is no string {string!r}; there are {', '.join(model.strings)}", key="--string")
     if count < 1:
         raise TonewoodError(f"is {count}; 1 or more is allowed", key="--count")
+    if plot is not None and plot.suffix.lower() not in _PICTURES:
+        raise TonewoodError(f"is {plot.name!r}; a name ending in {', '.join(_PICTURES)} is allowed", key="--plot")
     if plot is not None and not plot.parent.is_dir():
         raise OutputError(f"there is no folder {str(plot.parent)!r}", file=plot)
     names = [string] if string else list(model.strings)
@@ -119,9 +124,6 @@ def _plot(model: Model, names: list[str], path: Path) -> None:
     axes.title.set_fontsize("medium")
     axes.grid(alpha=0.3, which="both")
     axes.legend(title="bridge at", fontsize="small")
-    try:
-        figure.savefig(path, dpi=120)
-    except (OSError, ValueError) as fault:
-        raise OutputError(f"cannot be written: {fault}", file=path) from None
-    finally:
-        pyplot.close(figure)
+    with whole_file(path) as stream:
+        figure.savefig(stream, format=path.suffix[1:].lower(), dpi=120)
+    pyplot.close(figure)

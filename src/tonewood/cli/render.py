@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import tempfile
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -26,7 +25,7 @@ from tonewood.cli.common import (
     progress,
     warn,
 )
-from tonewood.errors import OutputError, TonewoodError
+from tonewood.errors import TonewoodError
 from tonewood.units import decibel
 
 if TYPE_CHECKING:
@@ -152,6 +151,7 @@ def _write(
     clipped, peak : samples beyond full scale, and the largest one, of what was written.
     """
     from tonewood.output.audio import SoundWriter
+    from tonewood.whole_files import Part
 
     channels, fs = len(renderer.channels), renderer.fs
     frames = math.ceil(renderer.expected_duration * fs)
@@ -165,19 +165,22 @@ def _write(
             return writer.clipped, writer.peak
         import soundfile as sf
 
-        if not output.parent.is_dir():
-            raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
-        with tempfile.TemporaryDirectory(prefix=".tonewood-", dir=output.parent) as folder:
-            scratch = Path(folder) / "scratch.rf64"
-            with SoundWriter(scratch, fs, channels, "DOUBLE", frames=frames) as writer:
+        scratch = Part(output.with_suffix(".rf64"))
+        try:
+            with SoundWriter(scratch.path, fs, channels, "DOUBLE", frames=frames) as writer:
                 for samples in renderer.blocks(block):
                     writer.write(samples)
                     advance(renderer.time)
             factor = 10 ** (normalize / 20) / writer.peak if writer.peak > 0 else 1.0
-            with SoundWriter(output, fs, channels, subtype, frames=frames) as final, sf.SoundFile(scratch) as source:
+            with (
+                SoundWriter(output, fs, channels, subtype, frames=frames) as final,
+                sf.SoundFile(scratch.path) as source,
+            ):
                 for samples in source.blocks(65536, dtype="float64", always_2d=True):
                     final.write(samples * factor)
-            return final.clipped, final.peak
+        finally:
+            scratch.discard()
+        return final.clipped, final.peak
 
 
 def _told(summary: Summary) -> list[str]:

@@ -42,8 +42,7 @@ def woken(system: System, resting: Mapping[str, Connection], active: Sequence[Ac
     laws = {}
     for connection in system.connections:
         if connection.name in resting:
-            asleep = replace(connection, law=SpringDashpot())
-            law = resting[connection.name] if connection.name in wanted else asleep
-            if law.law != connection.law:
-                laws[connection.name] = law
+            law = resting[connection.name].law if connection.name in wanted else SpringDashpot()
+            if law != connection.law:
+                laws[connection.name] = replace(connection, law=law)
     return system.with_laws(laws) if laws else system

@@ -333,7 +333,7 @@ class StringModel:
         if finger is None or stop == 0:
             return None
         x, left = self._under_finger(stop, finger), self._untuned(0.0).residual_at
-        return 0.0 if left is None else left(x, x)
+        return 0.0 if left is None else float(left(x, x))
 
     def _ideal_tension(self, stop: int) -> float:
         return self._tune(float(stop))[1]

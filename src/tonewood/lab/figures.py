@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tonewood.errors import TonewoodError
+from tonewood.whole_files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,6 +26,6 @@ def figure(
 
 def save(fig: Figure, path: Path) -> Path:
     """Write a PNG, making its directory where needed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fig.savefig(path, dpi=110)
+    with whole_file(path, make_folder=True) as stream:
+        fig.savefig(stream, dpi=110)
     return path

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.lab.row import Row
+from tonewood.whole_files import write_whole
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -79,10 +80,7 @@ def draw(directory: Path, only: Sequence[str] | None = None) -> list[Path]:
 def write_json(rows: Sequence[Row], path: Path) -> None:
     """``{"schema": ..., "rows": [...]}``; a value that is not a number becomes null."""
     plain = [{key: _plain(value) for key, value in row.to_dict().items()} for row in rows]
-    try:
-        path.write_text(json.dumps({"schema": SCHEMA, "rows": plain}, indent=1) + "\n", encoding="utf-8")
-    except OSError as fault:
-        raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
+    write_whole(path, json.dumps({"schema": SCHEMA, "rows": plain}, indent=1) + "\n")
 
 
 def table(name: str, rows: Sequence[Row]) -> Table:

@@ -208,8 +208,11 @@ def nonlinear_solve(
     chosen = tuple(law for law in laws if not isinstance(law, (Rigid, SpringDashpot)))
     series = np.array([law.residual for law in chosen], dtype=bool)
     R = residual[np.ix_(index, index)] * np.outer(series, series)
-    answer = linear.G @ compliance[:, index]
-    Z = compliance[np.ix_(index, index)] - compliance[index] @ answer + R / SERIES
+    # most connections are no linear ones: only those have a force to answer with
+    on = np.flatnonzero(linear.G.any(axis=1))
+    answer = np.zeros((len(compliance), index.size))
+    answer[on] = linear.G[on[:, None], on] @ compliance[on[:, None], index]
+    Z = compliance[np.ix_(index, index)] - compliance[index[:, None], on] @ answer[on] + R / SERIES
     return NonlinearSolve(index, chosen, 0.5 * (Z + Z.T), compliance[index], answer, R)
 
 

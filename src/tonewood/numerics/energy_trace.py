@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,8 +100,11 @@ class EnergyTrace:
             "worst_cumulative_residual": self.worst_cumulative_residual,
         }
 
-    def plot(self, file: str | Path) -> None:
-        """Draw stored energy, powers and the balance residual into a picture file; needs matplotlib."""
+    def plot(self, file: str | Path | BinaryIO) -> None:
+        """Draw stored energy, powers and the balance residual into a picture; needs matplotlib.
+
+        What is open for writing gets a PNG; a name decides by its suffix.
+        """
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(9, 8), layout="constrained")

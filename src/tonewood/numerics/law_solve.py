@@ -7,12 +7,20 @@ Laws with a potential see p = offset - g and are solved together by Newton's met
 
 which never inverts Z, made safe by a search along the step: the slope of the convex function behind the equation,
 (Z df) . (f - f(p)), must have shrunk or turned. Friction is solved gap by gap, exactly, in between.
+
+Friction's curve falls, and what slides under one force of a contact, or one tension of its string, may stick under the
+next, and so on for ever. So each friction law keeps to a branch of its curve (`Grip`) until all else is found, and only
+then it is asked whether that branch is its own (`settle`). At a given velocity the rest of the step is a monotone
+problem, with one solution, and the force it asks of friction rises with that velocity; where friction cannot stick, its
+curve is met on the way to the velocity without friction. Where changing branches goes on for too long, halving that
+interval finds the meeting.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +28,117 @@ from numpy.typing import NDArray
 from tonewood.numerics.laws import Friction, NonlinearLaw, PotentialLaw
 
 Floats = NDArray[np.float64]
+Found = TypeVar("Found")
 
 #: of the displacement that the forces make, and of the gaps themselves (rounding)
 TOLERANCE, ROUNDING = 1e-12, 4e-16
 MAX_ITERATIONS, MAX_SWEEPS = 100, 200
+#: changes of each friction law's branch before its velocity is halved for
+PATIENCE = 4
+
+
+#: where on its curve friction is held while all else is found: to be seen, sticking, sliding either way, at a velocity
+#: given
+Branch = Literal["open", "stuck", "ahead", "behind", "held"]
+
+
+@dataclass(eq=False)
+class Grip:
+    """A friction law during one step.
+
+    Attributes
+    ----------
+    law : of the connection.
+    scale : factor on its force.
+    slip : m/s, relative velocity in the step before.
+    branch : where it is held.
+    held : m/s, velocity on the branch "held".
+    free, load, velocity, force : what the last solve found: m/s without this force; m/s that a friction coefficient
+        of 1 takes; m/s; N.
+    """
+
+    law: Friction
+    scale: float
+    slip: float
+    branch: Branch = "open"
+    held: float = 0.0
+    free: float = 0.0
+    load: float = 0.0
+    velocity: float = 0.0
+    force: float = 0.0
+
+    def meet(self, free: float, mobility: float) -> None:
+        """Velocity and force at a velocity without friction (m/s), and m/s that a newton makes."""
+        self.free, self.load = free, mobility * self.law.normal_force * self.scale
+        match self.branch:
+            case "open":
+                self.velocity = self.law.velocity_after(free, self.load, self.slip)
+                self.branch = "ahead" if self.velocity > 0 else "behind" if self.velocity < 0 else "stuck"
+            case "stuck":
+                self.velocity = 0.0
+            case "ahead":
+                self.velocity = self.law.slide_on(free, self.load)
+            case "behind":
+                self.velocity = -self.law.slide_on(-free, self.load)
+            case "held":
+                self.velocity = self.held
+        self.force = (self.velocity - free) / mobility if mobility > 0 else 0.0
+
+    def changes(self) -> bool:
+        """Goes over to the branch that is its own under the motion found; False if it is there."""
+        may_stick = abs(self.free) <= self.load * self.law.static
+        if self.branch == "held" or (self.branch == "stuck" and may_stick):
+            return False
+        side = 1.0 if self.branch == "ahead" else -1.0
+        if self.branch != "stuck" and self.law.slide(side * self.free, self.load) is not None:
+            return False
+        before = self.branch
+        self.branch = "stuck" if may_stick else "ahead" if self.free > 0 else "behind"
+        return self.branch != before
+
+
+def settle(grips: Sequence[Grip], solve: Callable[[], Found]) -> Found:
+    """Call `solve`, which finds all else with friction on its branches, until each is on its own; see the module.
+
+    Raises
+    ------
+    ValueError : they are not found.
+    """
+    for turn in range((PATIENCE + 1) * len(grips) + 1):
+        found = solve()
+        changed = next((grip for grip in grips if grip.changes()), None)
+        if changed is None:
+            return found
+        if turn >= PATIENCE * len(grips):
+            _halve(changed, solve)
+    raise ValueError("friction finds no branch")
+
+
+def _halve(grip: Grip, solve: Callable[[], object]) -> None:
+    """Hold friction at the velocity where its curve meets the force that the rest of the step asks for."""
+    law, pressed = grip.law, grip.law.normal_force * grip.scale
+
+    def hold(v: float) -> None:
+        grip.branch, grip.held = "held", v
+        solve()
+
+    hold(0.0)
+    if abs(grip.force) <= pressed * law.static:
+        return
+    side = 1.0 if grip.force < 0 else -1.0
+    low, high, bracketed = 0.0, abs(grip.free), False
+    for _ in range(200):
+        v = 0.5 * (low + high) if bracketed else high
+        if v == low or (bracketed and v == high):
+            break
+        hold(side * v)
+        coefficient = law.dynamic + (law.static - law.dynamic) / (1 + v / law.speed)
+        if side * grip.force + pressed * coefficient < 0:
+            low, high = v, high if bracketed else 2 * v
+        else:
+            high, bracketed = v, True
+    if not bracketed:
+        raise ValueError("friction finds no branch")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,17 +160,16 @@ class Drives:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Forces (k,) N, relative velocities of friction laws (k,) m/s, Newton iterations, and whether they converged."""
+    """Forces (k,) N, Newton iterations, and whether they converged."""
 
     forces: Floats
-    slip: Floats
     iterations: int
     converged: bool
 
 
 def find_forces(
     laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, drives: Drives, guess: Floats,
-    slip: Floats,
+    grips: Mapping[int, Grip],
 ) -> Solution:  # fmt: skip
     """Find the forces of all laws over one step.
 
@@ -65,23 +179,20 @@ def find_forces(
     Z : (k, k) m/N.
     free, gap : (k,) m, g_u and g.
     guess : (k,) N, where to start: the forces of the step before.
-    slip : (k,) m/s, relative velocities of the step before.
+    grips : of the friction laws, by connection; what is open on them is decided.
     """
-    sliding = [j for j, law in enumerate(laws) if isinstance(law, Friction)]
     stored = np.array([j for j, law in enumerate(laws) if not isinstance(law, Friction)], dtype=np.intp)
     potentials = [law for law in laws if not isinstance(law, Friction)]
-    f, velocities, iterations, converged = guess.copy(), slip.copy(), 0, True
+    f, iterations, converged = guess.copy(), 0, True
+    sliding = list(grips)
     old = (drives.offset - gap)[stored]
     noise = ROUNDING * float(np.max(np.abs([free, gap, drives.offset_after]), initial=0.0))
     for _sweep in range(MAX_SWEEPS):
         before = f.copy()
-        for j in sliding:
-            law = laws[j]
-            assert isinstance(law, Friction)
-            mobility, normal = Z[j, j] / dt, law.normal_force * drives.scale[j]
+        for j, grip in grips.items():
             without = (free[j] + Z[j] @ f - Z[j, j] * f[j] - gap[j]) / dt - drives.velocity[j]
-            velocities[j] = law.velocity_after(without, mobility * normal, slip[j])
-            f[j] = (velocities[j] - without) / mobility if mobility > 0 else 0.0
+            grip.meet(float(without), float(Z[j, j]) / dt)
+            f[j] = grip.force
         if stored.size:
             rest = drives.offset_after - free
             if sliding:
@@ -97,7 +208,7 @@ def find_forces(
             break
     else:
         converged = False
-    return Solution(f, velocities, iterations, converged)
+    return Solution(f, iterations, converged)
 
 
 def newton(

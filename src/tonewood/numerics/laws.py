@@ -383,6 +383,13 @@ class Friction:
         v = 0.5 * (root - linear) if linear <= 0.0 else -2 * constant / (linear + root)
         return v if v > 0.0 else None
 
+    def slide_on(self, free: float, load: float) -> float:
+        """`slide`, going on where there is none from where it ceases: continuous in `free` and `load`."""
+        v = self.slide(free, load)
+        if v is not None:
+            return v
+        return max(math.sqrt(load * (self.static - self.dynamic) * self.speed) - self.speed, 0.0)
+
     def velocity_after(self, free: float, load: float, before: float) -> float:
         """Relative velocity over the step, 0 for sticking; `before` is that of the last step."""
         if before != 0.0:

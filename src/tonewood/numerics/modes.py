@@ -42,7 +42,8 @@ class ModalBasis:
     right, left : (n_points, n_modes) complex shapes.
     residual : (n_points, n_points) m/N, symmetric: static compliance of the modes that were left out.
     shape : places between the named points, m -> (n_modes,) real shape; None where there are only named points.
-    residual_at : (x, y) in m -> m/N, residual compliance between two places; None as above.
+    residual_at : (x, y) in m -> m/N, residual compliance between two places, of arrays element by element; None as
+        above.
     places : point name -> place in m, where `shape` is given.
     metadata : what the maker of the basis wants to remember of it (its plugin reads it when a stop changes).
     """
@@ -56,7 +57,7 @@ class ModalBasis:
     left: Complexes
     residual: Floats
     shape: Callable[[float], Floats] | None = None
-    residual_at: Callable[[float, float], float] | None = None
+    residual_at: Callable[[ArrayLike, ArrayLike], Floats] | None = None
     places: Mapping[str, float] = field(default_factory=dict)
     metadata: Mapping[str, object] = field(default_factory=dict)
 
@@ -119,16 +120,17 @@ class ModalBasis:
         slow = np.sqrt(np.maximum(sigma**2 - omega**2, 0.0))
         poles = np.where(block & (sigma >= omega), -sigma + slow, -sigma + 1j * damped).astype(np.complex128)
         gain = np.where(block, 1.0, -0.5j / np.where(block, 1.0, damped))
-        kept_residual = None
+        kept_residual: Callable[[ArrayLike, ArrayLike], Floats] | None = None
         if static_compliance is not None:
-            full, soft = static_compliance, omega > 0
+            full, soft, shape_at = static_compliance, omega > 0, normal_shape
 
-            def kept_residual(x: float, y: float) -> float:
-                assert normal_shape is not None
-                kept = np.sum(normal_shape(x)[soft] * normal_shape(y)[soft] / omega[soft] ** 2)
+            def left_over(x: float, y: float) -> float:
+                assert shape_at is not None
+                kept = np.sum(shape_at(x)[soft] * shape_at(y)[soft] / omega[soft] ** 2)
                 return float(full(x, y) - kept)
 
-            residual = [[kept_residual(x, y) for y in places.values()] for x in places.values()]
+            kept_residual = np.vectorize(left_over, otypes=[np.float64])
+            residual = [[left_over(x, y) for y in places.values()] for x in places.values()]
         return cls(
             poles=poles,
             kind=np.where(block, BLOCK, PAIR).astype(np.uint8),
@@ -249,10 +251,11 @@ class ModalBasis:
         residual = np.zeros((p + n, p + n))
         residual[:p, :p] = self.residual
         if self.residual_at is not None:
-            xs = [self.places[name] for name in self.points] + list(new.values())
-            for i in range(p + n):
-                for j in range(max(i, p), p + n):
-                    residual[i, j] = residual[j, i] = self.residual_at(xs[i], xs[j])
+            xs = np.array([self.places[name] for name in self.points] + list(new.values()))
+            between = self.residual_at(xs[:, None], xs[p:])
+            residual[:, p:] = between
+            residual[p:, :p] = between[:p].T
+            residual[p:, p:] = 0.5 * (between[p:] + between[p:].T)
         return replace(
             self,
             points=self.points + tuple(new),
@@ -279,9 +282,11 @@ class ModalBasis:
             if (whole_at := self.residual_at) and (every := self.shape):
                 drop = ~keep
 
-                def residual_at(x: float, y: float) -> float:
+                def softer(x: float, y: float) -> float:
                     extra = np.sum(every(x)[drop] * every(y)[drop] / self.stiffness[drop])
                     return float(whole_at(x, y) + extra)
+
+                residual_at = np.vectorize(softer, otypes=[np.float64])
 
         return replace(
             self,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from tonewood.errors import NumericalError
 from tonewood.numerics.connections import SERIES, LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
 from tonewood.numerics.geometric import GeometricSolve
-from tonewood.numerics.law_solve import Drives, find_forces
+from tonewood.numerics.law_solve import Drives, Grip, find_forces, settle
 from tonewood.numerics.laws import Friction
 from tonewood.numerics.propagator import apply
 from tonewood.numerics.system import Control, Injection, State, System
@@ -149,21 +149,45 @@ class NumpyStepper:
         drives: Drives, time: float,
     ) -> tuple[_Attempt, Floats]:  # fmt: skip
         """Find tensions and forces of one step; `tension` (n_tensions,) is where to start."""
+        grips = {}
+        if (nonlinear := self.system.nonlinear) is not None:
+            pairs = zip(nonlinear.laws, nonlinear.index, strict=True)
+            for i, (law, j) in enumerate(pairs):
+                if isinstance(law, Friction):
+                    grips[i] = Grip(law, float(drives.scale[i]), float(slip[j]))
+        start = [guess]  # of the forces: those tried last
+
+        def solve() -> tuple[_Attempt, Floats]:
+            done = self._tensions(x, free, start[0], series, slip, tension, drives, grips, time)
+            start[0] = done[0].forces
+            return done
+
+        try:
+            return settle(list(grips.values()), solve)
+        except ValueError as fault:
+            self.statistics.failures += 1
+            raise NumericalError(f"{fault} at {time:.6f} s") from None
+
+    def _tensions(
+        self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, tension: Floats,
+        drives: Drives, grips: dict[int, Grip], time: float,
+    ) -> tuple[_Attempt, Floats]:  # fmt: skip
+        """Find tensions and forces, friction on its branches."""
         s = self.system
         strings = [
             (t, [s.slot(name) for name in law.components]) for t, law in enumerate(s.tensions) if s.tension_on[t]
         ]
         if self._geometric:
-            return self._geometric_step(self._geometric, x, free, guess, series, slip, drives, time)
+            return self._geometric_step(self._geometric, x, free, guess, series, slip, drives, grips, time)
         if not strings:
-            return self._attempt(x, free, guess, series, slip, {}, drives, time), np.zeros(len(s.tensions))
+            return self._attempt(x, free, guess, series, slip, {}, drives, grips, time), np.zeros(len(s.tensions))
         parts = {i: part for _, slots in strings for i in slots if (part := s.compiled[i].tension) is not None}
         kappa = {t: parts[slots[0]].kappa for t, slots in strings}
         old = {t: sum(parts[i].stretch(x[i]) for i in slots) for t, slots in strings}
         T = {t: max(float(tension[t]), kappa[t] * old[t]) for t, _ in strings}
         for iteration in range(1, MAX_TENSION_ITERATIONS + 1):
-            done = self._attempt(x, free, guess, series, slip, {i: T[t] for t, slots in strings for i in slots}, drives,
-                                 time)  # fmt: skip
+            tensions = {i: T[t] for t, slots in strings for i in slots}
+            done = self._attempt(x, free, guess, series, slip, tensions, drives, grips, time)
             converged = True
             for t, slots in strings:
                 excess = T[t] - kappa[t] * (sum(parts[i].stretch(done.x[i]) for i in slots) + old[t])
@@ -181,14 +205,14 @@ class NumpyStepper:
 
     def _geometric_step(
         self, solve: GeometricSolve, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats,
-        drives: Drives, time: float,
+        drives: Drives, grips: dict[int, Grip], time: float,
     ) -> tuple[_Attempt, Floats]:  # fmt: skip
         """One step of strings whose longitudinal motion is stepped."""
         done: list[_Attempt] = []
 
         def attempt(pushed: list[Floats]) -> list[Floats]:
             start = done[-1].forces if done else guess
-            done[:] = [self._attempt(x, pushed, start, series, slip, {}, drives, time)]
+            done[:] = [self._attempt(x, pushed, start, series, slip, {}, drives, grips, time)]
             return done[0].x
 
         _, iterations, found = solve.find(x, free, attempt)
@@ -202,7 +226,7 @@ class NumpyStepper:
 
     def _attempt(
         self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats,
-        tension: dict[int, float], drives: Drives, time: float,
+        tension: dict[int, float], drives: Drives, grips: dict[int, Grip], time: float,
     ) -> _Attempt:  # fmt: skip
         """One step at given tensions (by component slot)."""
         s = self.system
@@ -228,7 +252,7 @@ class NumpyStepper:
             lag = (1 - SERIES) / SERIES * series[on]
             found = find_forces(
                 nonlinear.laws, nonlinear.Z, gap_free[on] + nonlinear.from_linear @ f - lag, gap[on] + series[on],
-                s.dt, drives, guess[on], slip[on],
+                s.dt, drives, guess[on], grips,
             )  # fmt: skip
             self.statistics.solves += 1
             self.statistics.iterations += found.iterations
@@ -239,7 +263,9 @@ class NumpyStepper:
                 raise NumericalError(f"the forces of {names} were not found at {time:.6f} s")
             f = f - nonlinear.answer @ found.forces
             f[on] = found.forces
-            series[on], slip[on] = nonlinear.residual @ found.forces / SERIES - lag, found.slip
+            series[on] = nonlinear.residual @ found.forces / SERIES - lag
+            for i, grip in grips.items():
+                slip[on[i]] = grip.velocity
         after = [
             free[i] + np.einsum("p,pmx->mx", s.incidence(i).T @ f, W[i]) for i in range(len(s.names))
         ]  # fmt: skip

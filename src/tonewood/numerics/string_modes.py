@@ -92,9 +92,10 @@ def string_basis(
     def shape(x: float) -> Floats:
         return np.asarray((1 - x / length) * vec[0] + np.sin(k * x) @ vec[1:])
 
-    def residual_at(x: float, y: float) -> float:
-        sines = np.sum(np.sin(k * x) * np.sin(k * y) / (tension * k**2 + bending_stiffness * k**4))
-        return held_string_compliance(x, y, length, tension, bending_stiffness) - float(2 / length * sines)
+    def residual_at(x: ArrayLike, y: ArrayLike) -> Floats:
+        at_x, at_y = (np.sin(np.asarray(place)[..., None] * k) for place in (x, y))
+        sines = np.sum(at_x * (at_y / (tension * k**2 + bending_stiffness * k**4)), axis=-1)
+        return np.asarray(held_string_compliance(x, y, length, tension, bending_stiffness) - 2 / length * sines)
 
     basis = ModalBasis.real(
         natural_freq_rad=omega,
@@ -116,20 +117,22 @@ def string_basis(
     return replace(basis, residual_at=residual_at)
 
 
-def held_string_compliance(x: float, y: float, length: float, tension: float, bending_stiffness: float) -> float:
+def held_string_compliance(
+    x: ArrayLike, y: ArrayLike, length: float, tension: float, bending_stiffness: float
+) -> Floats:
     """Deflection at x under a unit force at y of a stiff string held at both ends, without moments there, m/N.
 
     (1/T) [ a (L - b) / L - sinh(q a) sinh(q (L - b)) / (q sinh(q L)) ],  a = min(x, y), b = max(x, y),
-    q^2 = T / EI: the closed form of 2/L sum sin(k x) sin(k y) / (T k^2 + EI k^4).
+    q^2 = T / EI: the closed form of 2/L sum sin(k x) sin(k y) / (T k^2 + EI k^4). Arrays go element by element.
     """
-    a, b = min(x, y), max(x, y)
+    a, b = np.minimum(x, y), np.maximum(x, y)
     string = a * (length - b) / length
     if bending_stiffness == 0:
-        return string / tension
+        return np.asarray(string / tension)
     q = float(np.sqrt(tension / bending_stiffness))
     # both sinh written with their growing exponential taken out: q L is often some hundreds
     stiff = np.exp(-q * (b - a)) * np.expm1(-2 * q * a) * np.expm1(-2 * q * (length - b))
-    return float((string + stiff / (2 * q * np.expm1(-2 * q * length))) / tension)
+    return np.asarray((string + stiff / (2 * q * np.expm1(-2 * q * length))) / tension)
 
 
 def _count_below(limit: float, length: float, tension: float, linear_density: float, bending_stiffness: float) -> int:

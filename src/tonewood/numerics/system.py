@@ -367,7 +367,9 @@ class System:
     def with_laws(self, laws: Mapping[str, Connection]) -> System:
         """Exchange laws of connections (their terms must stay)."""
         connections = tuple(laws.get(c.name, c) for c in self.connections)
-        if any(new.terms != old.terms for new, old in zip(connections, self.connections, strict=True)):
+        if any(
+            new is not old and new.terms != old.terms for new, old in zip(connections, self.connections, strict=True)
+        ):
             raise ValueError("a connection's terms cannot change, only its law")
         return replace(self, connections=connections, linear=None)._solved()
 

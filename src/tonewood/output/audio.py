@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import secrets
 import warnings
-import weakref
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
 from tonewood.numerics.energy_trace import EnergyTrace
+from tonewood.whole_files import Part
 
 Floats = NDArray[np.float64]
 
@@ -116,21 +115,12 @@ class SoundWriter:
         self.path = Path(path)
         container, self.subtype = file_format(path, subtype, float(frames) * n_channels)
         self.clipped, self.frames, self.peak = 0, 0, 0.0
-        folder = self.path.parent
-        if not folder.is_dir():
-            raise OutputError(f"there is no folder {str(folder)!r}", file=path)
-        if self.path.is_dir():
-            raise OutputError("is a folder", file=path)
-        self._part = folder / f".{self.path.name}.{secrets.token_hex(4)}.part"
-        # before the file exists: an interruption anywhere from here on, even between two statements, leaves nothing
-        self._discard = weakref.finalize(self, _remove, self._part)
+        self._part = Part(path)
         try:
-            self._part.touch(mode=0o600, exist_ok=False)
-            self._file = sf.SoundFile(str(self._part), "w", fs, n_channels, subtype=self.subtype, format=container)
+            self._file = sf.SoundFile(str(self._part.path), "w", fs, n_channels, subtype=self.subtype, format=container)
         except (sf.LibsndfileError, OSError) as error:
-            self._discard()
-            reason = error.strerror if isinstance(error, OSError) else error
-            raise OutputError(f"cannot be written: {reason}", file=path) from None
+            self._part.discard()
+            raise OutputError(f"cannot be written: {error}", file=path) from None
 
     @property
     def keeps_peaks(self) -> bool:
@@ -166,23 +156,12 @@ class SoundWriter:
         try:
             self._file.close()
             # libsndfile does not tell of a disk that filled up in its last buffer
-            complete = kind is None and sf.info(str(self._part)).frames == self.frames
+            complete = kind is None and sf.info(str(self._part.path)).frames == self.frames
             if kind is None and not complete:
                 raise OutputError("is incomplete on disk (is it full?)", file=self.path)
             if complete:
-                self._part.chmod(0o666 & ~_umask())
-                os.replace(self._part, self.path)
+                self._part.complete()
         except (sf.LibsndfileError, OSError) as fault:
             raise OutputError(f"cannot be written: {fault}", file=self.path) from None
         finally:
-            self._discard()
-
-
-def _remove(path: Path) -> None:
-    path.unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current
+            self._part.discard()

@@ -5,12 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
-import tempfile
 from pathlib import Path
 
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.numerics.energy_trace import EnergyTrace
+from tonewood.whole_files import whole_file, write_whole
 
 _ENDINGS = (".json", ".csv", ".png")
 _KINDS = ("stored", "supplied", "booked", "lost")
@@ -55,15 +54,8 @@ def save_energy(trace: EnergyTrace, path: Path) -> None:
     """
     check_energy_file(path)
     ending = path.suffix.lower()
-    try:
-        with tempfile.TemporaryDirectory(prefix=".tonewood-", dir=path.absolute().parent) as folder:
-            part = Path(folder) / f"part{ending}"
-            if ending == ".png":
-                trace.plot(part)
-            elif ending == ".csv":
-                part.write_text(energy_csv(trace), encoding="utf-8")
-            else:
-                part.write_text(json.dumps(trace.to_dict(), allow_nan=False), encoding="utf-8")
-            os.replace(part, path)
-    except OSError as fault:
-        raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
+    if ending == ".png":
+        with whole_file(path) as stream:
+            trace.plot(stream)
+    else:
+        write_whole(path, energy_csv(trace) if ending == ".csv" else json.dumps(trace.to_dict(), allow_nan=False))

@@ -60,10 +60,14 @@ def given(draw: Draw, note: Note) -> float | None:
 
 
 class FakeRenderer:
-    """Sums of decaying sines; `sleep` makes each render take that long, `log` counts them in a file."""
+    """Sums of decaying sines.
 
-    def __init__(self, sleep: float = 0.0, log: Path | None = None, version: str = "1"):
-        self.sleep, self.log, self.version = sleep, log, version
+    `sleep` makes each render take that long, `log` counts them in a file, the conditions named in `never` are never
+    finished.
+    """
+
+    def __init__(self, sleep: float = 0.0, log: Path | None = None, version: str = "1", never: tuple[str, ...] = ()):
+        self.sleep, self.log, self.version, self.never = sleep, log, version, never
 
     def identity(self, condition: Condition) -> dict[str, Any]:
         if condition.overrides.get("body.t60") == "unknown":
@@ -78,6 +82,8 @@ class FakeRenderer:
             with self.log.open("a") as stream:
                 stream.write(condition.name + "\n")
         time.sleep(self.sleep)
+        while condition.name in self.never:
+            time.sleep(1.0)
         t60 = condition.overrides.get("body.t60", 0.5)
         if t60 == "unstable":
             raise NumericalError("not finite at 0.1 s")

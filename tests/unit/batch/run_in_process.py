@@ -11,5 +11,5 @@ from tonewood.batch.runner import run_batch
 from tonewood.batch.workers import Workers
 
 if __name__ == "__main__":
-    manifest, folder, log, jobs = sys.argv[1:]
-    run_batch(Path(manifest), Path(folder), FakeRenderer(sleep=0.05, log=Path(log)), Workers(int(jobs), "threads"))
+    manifest, folder, jobs, *never = sys.argv[1:]
+    run_batch(Path(manifest), Path(folder), FakeRenderer(never=tuple(never)), Workers(int(jobs), "threads"))

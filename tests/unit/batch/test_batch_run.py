@@ -23,7 +23,7 @@ from tonewood.batch.conditions import expand
 from tonewood.batch.layout import lay_out
 from tonewood.batch.manifest import check_manifest
 from tonewood.batch.runner import Report, plan_batch, run_batch
-from tonewood.batch.store import Rendered, Store, content_key, whole_file
+from tonewood.batch.store import Rendered, Store, content_key
 from tonewood.batch.workers import Workers
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.yaml_io import load_yaml
@@ -180,29 +180,28 @@ def test_the_plan_writes_nothing(tmp_path: Path) -> None:
     assert plan_batch(path, tmp_path / "out", FakeRenderer()).summary()["to_render"] == 0
 
 
-@pytest.mark.parametrize("jobs", [2])
-def test_killed_in_the_middle_and_taken_up_again(tmp_path: Path, jobs: int) -> None:
+def test_killed_in_the_middle_and_taken_up_again(tmp_path: Path) -> None:
     levels = {f"l{i}": 0.1 + 0.01 * i for i in range(30)}
     page = {"type": "mushra", "reference": {"damping": "l0"}, "strict": False}
     data = fakes.manifest(**SMALL | {"factors": {"damping": {"path": "body.t60", "levels": levels}}, "pages": [page]})
-    path, log, out = fakes.write(tmp_path, data), tmp_path / "log", tmp_path / "out"
+    path, out = fakes.write(tmp_path, data), tmp_path / "out"
     script = Path(__file__).with_name("run_in_process.py")
-    command = [sys.executable, str(script), str(path), str(out), str(log), str(jobs)]
+    # both workers stop somewhere on their way, so that there is a middle however slow whoever is
+    never = [f"harp.low.damping=l{i}" for i in (20, 21)]
+    command = [sys.executable, str(script), str(path), str(out), "2", *never]
     process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
-    deadline = time.monotonic() + 60
     while len(list((out / "work").glob("*.npz"))) < 5:
         assert process.poll() is None
-        assert time.monotonic() < deadline
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     process.wait()
     kept = len(list((out / "work").glob("*.npz")))
-    assert 5 <= kept < 30
-    (out / "work" / ".half.npz.1.part").write_bytes(b"half a render")
+    assert 5 <= kept <= 28
+    (out / "work" / ".half.0badcafe.part.npz").write_bytes(b"half a render")
     report = run_batch(path, out, FakeRenderer())
     assert report.reused == kept
     assert report.rendered == 30 - kept
-    assert not list(out.rglob("*.part"))
+    assert not list(out.rglob("*.part*"))
     run_batch(path, tmp_path / "unbroken", FakeRenderer())
     assert sounds(out) == sounds(tmp_path / "unbroken")
 
@@ -349,25 +348,6 @@ def test_page_order() -> None:
     assert sorted(order("seeded", 1)) == listed
     assert order("seeded", 1) == order("seeded", 1)
     assert len({tuple(order("seeded", seed)) for seed in (1, 2, 3)}) > 1
-
-
-def test_whole_files(tmp_path: Path) -> None:
-    path = tmp_path / "deep" / "file"
-    with whole_file(path) as stream:
-        stream.write(b"first")
-        assert not path.exists()
-
-    def broken() -> None:
-        with whole_file(path) as stream:
-            stream.write(b"second, broken")
-            raise RuntimeError
-
-    with pytest.raises(RuntimeError):
-        broken()
-    assert path.read_bytes() == b"first"
-    assert [p.name for p in path.parent.iterdir()] == ["file"]
-    with pytest.raises(OutputError, match="cannot be written"), whole_file(path / "below"):
-        pass
 
 
 def test_store(tmp_path: Path) -> None:

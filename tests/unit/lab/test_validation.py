@@ -72,7 +72,7 @@ def test_json_holds_every_row(toys, tmp_path, capsys):
 
 
 def test_what_cannot_be_written_is_one_line(toys, tmp_path, capsys):
-    with pytest.raises(TonewoodError, match="cannot be written"):
+    with pytest.raises(TonewoodError, match="there is no folder"):
         validate(json=tmp_path / "nowhere" / "rows.json", only=["good"])
     blocked = tmp_path / "file"
     blocked.write_text("")

@@ -134,7 +134,7 @@ def sliding_string(string: ExactString, freq_upper: float, *, residual: bool) ->
 
     def static(x: float, y: float) -> float:
         # ramp of the free end under a force at y, and the held string's own deflection
-        return (1 - x / L) * (1 - y / L) * L / T + held_string_compliance(x, y, L, T, EI)
+        return (1 - x / L) * (1 - y / L) * L / T + float(held_string_compliance(x, y, L, T, EI))
 
     return ModalBasis.real(
         omega,

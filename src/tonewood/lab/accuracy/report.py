@@ -5,13 +5,9 @@ from __future__ import annotations
 import base64
 import html
 import json
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
-from tonewood.errors import OutputError
 from tonewood.lab.accuracy.catalogue import Outcome
 from tonewood.lab.accuracy.tables import SCHEMA, expectation, headline_tables, section, summary_table, to_json
 
@@ -168,25 +164,3 @@ def _inline(text: str) -> str:
     text = "".join(f"<b>{part}</b>" if i % 2 else part for i, part in enumerate(parts))
     parts = text.split("`")
     return "".join(f"<code>{part}</code>" if i % 2 else part for i, part in enumerate(parts))
-
-
-def write(path: Path, content: str | bytes) -> None:
-    """Write a file that appears only when it is complete.
-
-    Raises
-    ------
-    OutputError : it cannot be written.
-    """
-    data = content.encode() if isinstance(content, str) else content
-    try:
-        handle, part = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
-            Path(part).chmod(0o644)
-            os.replace(part, path)
-        except BaseException:
-            Path(part).unlink(missing_ok=True)
-            raise
-    except OSError as fault:
-        raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tonewood.lab.assembled import free_motion
+from tonewood.lab.figures import save
 from tonewood.lab.interpolatory import P0, P1, P2, SIMPSON, TRAPEZOIDAL, respond
 from tonewood.lab.newmark import HHT
 from tonewood.lab.systems.chinnakonda_problems import (
@@ -52,10 +53,8 @@ def plots(directory: Path, reduction: Mapping[int, Mapping[str, float]]) -> list
     }
     paths = []
     for name, figure in drawn.items():
-        path = directory / f"{name}.png"
-        figure.savefig(path, dpi=110)
+        paths.append(save(figure, directory / f"{name}.png"))
         plt.close(figure)
-        paths.append(path)
     return paths
 
 

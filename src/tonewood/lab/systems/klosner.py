@@ -15,6 +15,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.lab.figures import save
 from tonewood.lab.klosner_forms import MainStructure, fixed_base_form, free_free_form
 from tonewood.lab.row import Row
 from tonewood.lab.systems.klosner_modes import MOUNTINGS, WAYS, errors, modes_needed
@@ -253,8 +254,7 @@ def plots(directory: Path) -> list[Path]:
     axes[0, 1].legend(fontsize=7, loc="upper left", bbox_to_anchor=(0.0, -0.12), ncols=3)
     for axis in axes[-1]:
         axis.set_xlabel("time, s")
-    path = directory / "klosner_problems.png"
-    figure.savefig(path, dpi=110)
+    path = save(figure, directory / "klosner_problems.png")
     plt.close(figure)
     return [path, _plot_modes(directory)]
 
@@ -276,7 +276,6 @@ def _plot_modes(directory: Path) -> Path:
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("error of the mounting's force")
     axes[0].legend(fontsize=8)
-    path = directory / "klosner_modes.png"
-    figure.savefig(path, dpi=110)
+    path = save(figure, directory / "klosner_modes.png")
     plt.close(figure)
     return path

@@ -1,0 +1,60 @@
+"""The typer application: all commands, or the one that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from importlib import import_module
+from typing import Annotated, Any
+
+import typer
+
+from tonewood.cli.main import COMMANDS, InterruptError
+
+# typer may carry its own copy of click: its errors are found through it
+_UsageError = typer.BadParameter.__bases__[0]
+ClickError: type[Exception] = _UsageError.__bases__[0]
+ABORTED: type[Exception] = typer.Abort
+
+
+def application(first: str | None) -> typer.Typer:
+    """The command asked for, or all of them where there is none; modules import what they need when they run."""
+    app = typer.Typer(
+        name="tonewood",
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        help="Physical sound synthesis: render and play scores on modelled instruments, and look into them.",
+    )
+    for name in [first] if first in COMMANDS else COMMANDS:
+        module, _, function = COMMANDS[name].partition(":")
+        app.command(name)(_interruptible(getattr(import_module(f"tonewood.cli.{module}"), function)))
+    # with a single command typer would leave its name out
+    app.callback()(_options)
+    return app
+
+
+def _interruptible(command: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(command)
+    def wrapped(*args: Any, **options: Any) -> Any:
+        try:
+            return command(*args, **options)
+        except KeyboardInterrupt as error:
+            raise InterruptError(*error.args) from None
+
+    return wrapped
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from tonewood import __version__
+
+        print(f"tonewood {__version__}")
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="print the version and exit", is_eager=True, callback=_print_version)
+    ] = False,
+) -> None:
+    """Options before the command."""

@@ -1,0 +1,101 @@
+"""Files that are whole or not there: written under a name of their own beside the final one, renamed when complete."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from tonewood.errors import OutputError
+
+
+class Part:
+    """A file on its way to its name.
+
+    Whatever comes before `complete`, an error or Ctrl-C between any two statements, leaves nothing behind, and what
+    stood under the name before as it was.
+
+    Parameters
+    ----------
+    path : final name; a link leads to the file that is replaced.
+
+    Attributes
+    ----------
+    path : where to write; an empty file of that name, with the suffix of the final one, is there already.
+    discard : call it to give up what was written; after `complete` it does nothing.
+
+    Raises
+    ------
+    OutputError : there is no such folder, it cannot be written to, or the name is that of a folder or a device.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]):
+        self._named = path
+        self._final = Path(path).resolve()
+        folder = self._final.parent
+        if not folder.is_dir():
+            raise OutputError(f"there is no folder {str(Path(path).parent)!r}", file=path)
+        if self._final.is_dir():
+            raise OutputError("is a folder", file=path)
+        if self._final.exists() and not self._final.is_file():
+            raise OutputError("is no file but a device", file=path)
+        self.path = folder / f".{self._final.stem}.{secrets.token_hex(4)}.part{self._final.suffix}"
+        # known before it exists; called when nobody holds this object any more, or at the end of the program
+        self.discard = weakref.finalize(self, _remove, self.path)
+        try:
+            self.path.touch(exist_ok=False)
+        except OSError as fault:
+            raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
+
+    def complete(self) -> None:
+        """Give it its name.
+
+        Raises
+        ------
+        OutputError : it cannot be renamed.
+        """
+        try:
+            os.replace(self.path, self._final)
+        except OSError as fault:
+            raise OutputError(f"cannot be written: {fault.strerror}", file=self._named) from None
+        self.discard.detach()
+
+
+def _remove(path: Path) -> None:
+    path.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_file(path: str | os.PathLike[str], *, make_folder: bool = False) -> Iterator[BinaryIO]:
+    """A file opened for writing that appears under its name only when it is complete.
+
+    Parameters
+    ----------
+    make_folder : make its folder, and those above, if need be.
+
+    Raises
+    ------
+    OutputError : the disk is full or the place cannot be written; what stood under the name before is untouched.
+    """
+    try:
+        if make_folder:
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+        part = Part(path)
+        try:
+            with part.path.open("wb") as stream:
+                yield stream
+            part.complete()
+        finally:
+            part.discard()
+    except OSError as fault:
+        raise OutputError(f"cannot be written: {fault.strerror or fault}", file=path) from None
+
+
+def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
+    """Write a file in one go; text as UTF-8; see `whole_file` for what can go wrong."""
+    with whole_file(path) as stream:
+        stream.write(content.encode() if isinstance(content, str) else content)

@@ -1,0 +1,105 @@
+"""Files that are whole or not there, whatever comes between."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tonewood.errors import OutputError
+from tonewood.whole_files import Part, whole_file, write_whole
+
+
+def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "file.txt"
+    with whole_file(path, make_folder=True) as stream:
+        stream.write(b"first")
+        assert not path.exists()
+    assert path.read_bytes() == b"first"
+    write_whole(path, "µ")
+    assert path.read_bytes() == "µ".encode()
+    assert [p.name for p in path.parent.iterdir()] == ["file.txt"]
+
+
+@pytest.mark.parametrize("stop", [RuntimeError, KeyboardInterrupt])
+def test_what_is_broken_off_leaves_the_old_file(tmp_path: Path, stop: type[BaseException]) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"first")
+
+    def broken() -> None:
+        with whole_file(path) as stream:
+            stream.write(b"second, broken")
+            raise stop
+
+    with pytest.raises(stop):
+        broken()
+    assert path.read_bytes() == b"first"
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("statement", range(1, 12))
+def test_ctrl_c_between_any_two_statements_leaves_nothing(tmp_path: Path, statement: int) -> None:
+    """An interruption before the n-th line executed in the module, wherever that is."""
+    counted = 0
+
+    def trace(frame: object, event: str, _: object) -> object:
+        nonlocal counted
+        if frame.f_code.co_filename.endswith("whole_files.py"):  # type: ignore[attr-defined]  # a frame
+            if event == "line":
+                counted += 1
+                if counted == statement:
+                    raise KeyboardInterrupt
+            return trace
+        return None
+
+    def begun() -> None:
+        part = Part(tmp_path / "file")
+        assert part.path.exists()
+        raise KeyboardInterrupt  # no statement was left
+
+    sys.settrace(trace)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            begun()
+    finally:
+        sys.settrace(None)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_end_of_the_program_removes_what_is_incomplete(tmp_path: Path) -> None:
+    program = f"from tonewood.whole_files import Part\nkept = Part({str(tmp_path / 'a')!r})\nassert kept.path.exists()"
+    subprocess.run([sys.executable, "-c", program], check=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_links_lead_to_the_file_and_permissions_are_those_of_any_file(tmp_path: Path) -> None:
+    (tmp_path / "far").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "far" / "file")
+    before = os.umask(0o027)
+    try:
+        write_whole(tmp_path / "link", b"1")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "far" / "file").read_bytes() == b"1"
+    assert (tmp_path / "far" / "file").stat().st_mode & 0o777 == 0o640
+
+
+def test_what_cannot_be_a_file_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"1")
+    for path, said in (
+        (tmp_path / "nowhere" / "file", "there is no folder"),
+        (tmp_path / "file" / "below", "there is no folder"),
+        (tmp_path, "is a folder"),
+        (Path("/dev/null"), "is no file but a device"),
+        (tmp_path / ("long" * 100), "cannot be written: File name too long"),
+    ):
+        with pytest.raises(OutputError, match=said) as error:
+            write_whole(path, b"2")
+        assert str(error.value).startswith(f"{path}: ")
+    with pytest.raises(OutputError, match="cannot be written"), whole_file(tmp_path / "file" / "x", make_folder=True):
+        pass
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
