@@ -57,12 +57,16 @@ public:
         }
     }
 
-    // Sample b of a block: modal forces, forces of the connections and ports as `connect(now)` finds them from the
-    // lines; moves the strings. False if they were not found.
-    template <class Connect>
-    bool step(int b, double* lines, const std::vector<std::vector<Input<T>>>& known, double* now,
-              const Connect& connect) {
+    // Free motion of the strings in sample b of a block.
+    void begin_sample(int b, double* lines, const std::vector<std::vector<Input<T>>>& known) {
         for (String& s : strings_) begin(s, b, lines, known);
+    }
+
+    // Modal forces of sample b, and the forces of connections and ports as `connect(now)` finds them from the lines.
+    // False if they were not found.
+    template <class Connect>
+    bool solve(int b, double* lines, double* now, const Connect& connect) {
+        for (String& s : strings_) s.kept = 0, s.has_last = s.settled = false, s.left = INFINITY;
         bool found = false;
         int iteration = 0;
         bool all_looked_at = false;
@@ -89,10 +93,13 @@ public:
             all_looked_at = found && passed_over;
             if (all_looked_at) found = false;
         }
-        if (found)
-            for (String& s : strings_)
-                for (Part& part : s.parts) move(s, part, now);
         return book(iteration, found);
+    }
+
+    // Moves the strings, all forces known.
+    void finish_sample(const double* now) {
+        for (String& s : strings_)
+            for (Part& part : s.parts) move(s, part, now);
     }
 
     // Rows of the strings at the end of a block.
@@ -181,7 +188,7 @@ private:
         }
         strain(s, s.parts.back().before, s.old_strain);
         respond(s);
-        s.F = s.made, s.kept = 0, s.fresh = true, s.has_last = s.settled = false, s.left = INFINITY;
+        s.F = s.made, s.fresh = true;
         s.motion = 0.0;
         for (const Part& part : s.parts)
             for (int k = 0; k < part.given->n; ++k)

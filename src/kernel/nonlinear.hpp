@@ -106,6 +106,18 @@ public:
         return true;
     }
 
+    // Finds a step in which `solve` asks for the forces many times over: friction keeps to its branches meanwhile.
+    template <class Solve>
+    bool keeping_branches(const Solve& solve) {
+        if (!nl_.k) return solve();
+        std::fill(ws_.branch.begin(), ws_.branch.end(), Branch::open);
+        ws_.sliding.clear();
+        kept_ = true;
+        const bool done = settle(nl_, ws_, solve);
+        kept_ = false;
+        return done;
+    }
+
     // The forces of sample b stand: what they leave behind for the next.
     void commit(int b) {
         for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
@@ -478,6 +490,12 @@ private:
     }
 
     bool solve() {
+        if (kept_) {
+            int iterations = 0;
+            const bool done = found(find_forces(nl_, ws_, nl_.z.data(), iterations), iterations);
+            statistics_.failures += !done;
+            return done;
+        }
         const bool done = settle(nl_, ws_, [&] {
             int iterations = 0;
             return found(find_forces(nl_, ws_, nl_.z.data(), iterations), iterations);
@@ -591,7 +609,7 @@ private:
     Statistics& statistics_;
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
-    bool any_tense_ = false;
+    bool any_tense_ = false, kept_ = false;
     std::int64_t start_ = 0;
     int nb_ = 0, sample_ = 0;
     double* lines_ = nullptr;

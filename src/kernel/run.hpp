@@ -139,9 +139,13 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
                 add_product(layout.direct.data(), force_width, lines.data() + std::size_t(b) * width, 2 * width, now);
                 for (int j = 0; j < m; ++j) f_out[j] = layout.own_factor[j] * now[layout.own_port[j]];
             } else if (longitudinal) {
-                if (!along.step(b, lines.data(), known, now, [&](double* to) { return connect(b, to); }))
-                    return {Fault::kUnsolved, start + b};
+                along.begin_sample(b, lines.data(), known);
+                const bool found = laws.keeping_branches([&] {
+                    return along.solve(b, lines.data(), now, [&](double* to) { return connect(b, to); });
+                });
+                if (!found) return {Fault::kUnsolved, start + b};
                 if (nonlinear.k) laws.commit(b);
+                along.finish_sample(now);
             } else {
                 if (!connect(b, now)) return {Fault::kUnsolved, start + b};
                 if (nonlinear.k) laws.commit(b);
