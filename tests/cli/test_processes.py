@@ -119,6 +119,26 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     assert result.stderr == ""
 
 
+@pytest.mark.parametrize(
+    ("where", "code", "said"),
+    [
+        ("list > /dev/full", 2, "tonewood: standard output: cannot be written: No space left on device\n"),
+        ("list >&-", 0, ""),
+        ("render absent.mid -i monochord -o a.wav 2>&-", 2, ""),
+        ("render absent.mid -i monochord -o a.wav 2> /dev/full", 2, ""),
+    ],
+)
+def test_nowhere_to_write_to(where: str, code: int, said: str) -> None:
+    result = subprocess.run(f"{' '.join(TONEWOOD)} {where}", shell=True, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout, result.stderr) == (code, "", said)
+
+
+def test_rendering_without_standard_error(tmp_path: Path, score: Path) -> None:
+    command = f"{' '.join(TONEWOOD)} render {score} -i monochord -o {tmp_path / 'a.wav'} --max-duration 0.1 --json 2>&-"
+    result = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
+    assert json.loads(result.stdout)["frames"] == 4800
+
+
 def test_rendering_imports_nothing_heavy_it_does_not_need(tmp_path: Path, score: Path) -> None:
     """What a cold start costs is imports above all."""
     program = (

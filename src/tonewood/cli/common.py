@@ -68,7 +68,14 @@ def allow(option: str, value: float, low: float, high: float, unit: str) -> None
     TonewoodError : names the option and what is allowed.
     """
     if not low <= value <= high:
-        raise TonewoodError(f"is {value:g} {unit}; {low:g} to {high:g} are allowed", key=option)
+        raise TonewoodError(f"is {value:.12g} {unit}; {low:.12g} to {high:.12g} are allowed", key=option)
+
+
+def allow_rate(fs: int) -> None:
+    """Refuse a sampling rate outside `FS_RANGE`; raises as `allow`."""
+    from tonewood.output.render import FS_RANGE
+
+    allow("--fs", fs, *FS_RANGE, "Hz")
 
 
 def chosen_effects(text: str | None, budget_db: float | None, budget_cents: float | None) -> str | list[str] | None:

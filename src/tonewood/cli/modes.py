@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import Json, Overrides, load
+from tonewood.cli.common import Json, Overrides, allow_rate, load
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
 from tonewood.whole_files import whole_file
@@ -37,6 +37,7 @@ def modes(
     from tonewood.instrument.assembly import assemble
     from tonewood.instrument.inspection import mobility_peaks, partials, pitches
 
+    allow_rate(fs)
     bundle = load(instrument, settings)
     model = assemble(bundle, fs)
     if string is not None and string not in model.strings:

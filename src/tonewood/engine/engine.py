@@ -161,7 +161,8 @@ class Engine:
             times.append(grid if self.awaited else now // self._look * self._look + self._look)
         due = int(np.ceil(min(times) / GRID)) * GRID if times else grid + 63 * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
-        return min([max(due, grid), *steps])
+        # back to the grid first: the kernel counts from where a run begins
+        return min([max(due, grid) if now % GRID == 0 else grid, *steps])
 
     def _control(self) -> None:
         """Take what is due: at a grid point bases and injections are exchanged, between them fingers' dashpots only."""
