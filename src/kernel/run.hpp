@@ -144,7 +144,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, lines.data() + layout.row[i], width, 1};
             if (woven[i]) {
-                if (place == 0) visit<T, Visit::enter>(c.woven, x, y, nullptr, 0, rows);
+                if (place == 0) weave<T, Passage::in>(c.woven, x, y, nullptr, 0, rows);
             } else if (known[i].empty() && nb == kBlock)
                 recur_read(c, x, y, rows);
             else
@@ -208,9 +208,9 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             if (!c.driven && woven[i]) {
                 const Rows<T> rows{nullptr, nullptr, c.n_rows, nullptr, next_lines.data() + layout.row[i], width, 1};
                 if (place + 1 == kWeave) {
-                    visit<T, Visit::leave>(c.woven, x, y, forces, force_width, rows);
+                    weave<T, Passage::out>(c.woven, x, y, forces, force_width, rows);
                 } else {
-                    visit<T, Visit::pass>(c.woven, x, y, forces, force_width, rows);
+                    weave<T, Passage::on>(c.woven, x, y, forces, force_width, rows);
                     std::copy_n(&lines[std::size_t(kBlock) * width + layout.row[i]], c.n_rows, rows.value);
                 }
                 continue;
@@ -230,7 +230,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             double* const driven = driven_lines[i].data();
             const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, driven, c.n_rows, 1};
             if (woven[i]) {
-                if (place == 0) visit<T, Visit::enter>(c.woven, x, y, nullptr, 0, rows);
+                if (place == 0) weave<T, Passage::in>(c.woven, x, y, nullptr, 0, rows);
                 answer(driven);
             } else if (recurs) {
                 recur_read(c, x, y, rows);
@@ -243,10 +243,10 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             emit(c, driven, c.n_rows, start, nb, job);
             if (!woven[i]) continue;
             if (place + 1 == kWeave) {
-                visit<T, Visit::leave>(c.woven, x, y, forces, force_width, rows);
+                weave<T, Passage::out>(c.woven, x, y, forces, force_width, rows);
             } else {
                 std::copy_n(driven + kBlock * c.n_rows, c.n_rows, driven);
-                visit<T, Visit::pass>(c.woven, x, y, forces, force_width, rows);
+                weave<T, Passage::on>(c.woven, x, y, forces, force_width, rows);
             }
         }
 

@@ -171,20 +171,20 @@ inline void pass(Woven<T>& woven, const typename Woven<T>::Strand& strand, std::
     at.set(2, thread.s), at.set(3, thread.t);
 }
 
-enum class Visit { enter, pass, leave };
+enum class Passage { in, on, out };
 
-// Enter: from the modes' numbers (x, y), reading samples 0 .. kBlock. Pass: under port forces[b * stride + port] of the
-// block that ends, reading samples 1 .. kBlock of the next one. Leave: the same without reading, to (x, y).
-template <class T, Visit kind>
-void visit(Woven<T>& woven, T* x, T* y, const double* forces, std::ptrdiff_t stride, const Rows<T>& rows) {
-    T* const acc = kind == Visit::leave ? nullptr : accumulators<T>(rows.count);
+// In: from the modes' numbers (x, y), reading samples 0 .. kBlock. On: under port forces[b * stride + port] of the
+// block that ends, reading samples 1 .. kBlock of the next one. Out: the same without reading, to (x, y).
+template <class T, Passage kind>
+void weave(Woven<T>& woven, T* x, T* y, const double* forces, std::ptrdiff_t stride, const Rows<T>& rows) {
+    T* const acc = kind == Passage::out ? nullptr : accumulators<T>(rows.count);
     for (const auto& strand : woven.strands) {
         T* const to = acc + std::size_t(strand.row) * (kBlock + 1) * Simd<T>::width;
         const auto go = [&]<bool slow>() {
             in_packs<T, kPack>(std::size_t(strand.padded), [&]<int N>(std::size_t k) {
-                if constexpr (kind == Visit::enter)
+                if constexpr (kind == Passage::in)
                     enter<T, N, slow>(woven, strand, k, x, y, to);
-                else if constexpr (kind == Visit::pass)
+                else if constexpr (kind == Passage::on)
                     pass<T, N, slow>(woven, strand, k, forces, stride, to);
                 else
                     leave<T, N, slow>(woven, strand, k, x, y, forces, stride);
@@ -195,7 +195,7 @@ void visit(Woven<T>& woven, T* x, T* y, const double* forces, std::ptrdiff_t str
         else
             go.template operator()<false>();
     }
-    if constexpr (kind != Visit::leave) reduce(acc, rows, kBlock, kind == Visit::enter ? 0 : 1);
+    if constexpr (kind != Passage::out) reduce(acc, rows, kBlock, kind == Passage::in ? 0 : 1);
 }
 
 }  // namespace
