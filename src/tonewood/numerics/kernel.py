@@ -117,7 +117,8 @@ class KernelStepper:
             # nobody asks for the motion of a driven component's ports
             readouts = np.arange(len(compiled.ports), len(compiled.rows))
             fixed, guarded, incidence = wires.fixed, wires.guarded, wires.incidence
-            if not one_way and compiled.geometric is None and not any(slot == at and not on_guarded for _, at, _, on_guarded, _ in terms):
+            kept = one_way or compiled.geometric is not None
+            if not kept and not any(slot == at and not on_guarded for _, at, _, on_guarded, _ in terms):
                 fixed, incidence = _independent(compiled, fixed, incidence)
             rows = readouts if one_way else np.concatenate([fixed, readouts])
             E = _pack((compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)).reshape(-1, 4)[None])[0]
