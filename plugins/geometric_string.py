@@ -24,7 +24,7 @@ from tonewood.instrument.contract import Longitudinal
 from tonewood.instrument.effects import LONGITUDINAL
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.string_modes import string_basis
-from tonewood.params import described, quantity
+from tonewood.params import quantity
 
 
 class GeometricParameters(TensionModulatedParameters):
@@ -34,11 +34,12 @@ class GeometricParameters(TensionModulatedParameters):
     freq_coupled: float = quantity(
         "Hz", low=20.0, high=1e5, default=4000.0, doc="transverse modes below it drive the longitudinal ones"
     )
-    longitudinal_loss: float = described("loss factor of longitudinal modes, 2 sigma / omega", default=2e-3, ge=0, le=1)
-    bridge_leverage: float = described(
-        "displacement of the string's end along the string per displacement of the body's point",
-        default=0.1, ge=-2, le=2,
-    )  # fmt: skip
+    longitudinal_loss: float = quantity(
+        "1", low=0.0, high=1.0, default=2e-3, doc="loss factor of longitudinal modes, 2 sigma / omega"
+    )
+    bridge_leverage: float = quantity(
+        "1", low=-2.0, high=2.0, default=0.1, doc="motion of the string's end along it per motion of the body's point"
+    )
 
 
 class GeometricString(TensionModulatedString):
