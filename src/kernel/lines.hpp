@@ -8,14 +8,14 @@
 namespace tonewood {
 namespace {
 
-// Columns k .. k + N vectors of sum += matrix^T x. Each number of x is fetched once for all of them, and four sums stand
+// Columns k .. k + N vectors of sum = start + matrix^T x. Each number of x is fetched once for all of them, and four sums stand
 // side by side in each: a chain of additions would wait for itself.
 template <int N>
 inline void add_columns(const double* __restrict matrix, int width, const double* __restrict x, int n,
-                        double* __restrict sum) {
+                        const double* start, double* sum) {
     using S = Simd<double>;
     S::V part[4][N];
-    for (int j = 0; j < N; ++j) part[0][j] = S::load(sum + j * S::width), part[1][j] = part[2][j] = part[3][j] = S::V{};
+    for (int j = 0; j < N; ++j) part[0][j] = S::load(start + j * S::width), part[1][j] = part[2][j] = part[3][j] = S::V{};
     int i = 0;
     for (; i + 4 <= n; i += 4)
         for (int q = 0; q < 4; ++q, matrix += width)
@@ -26,15 +26,45 @@ inline void add_columns(const double* __restrict matrix, int width, const double
         S::store(sum + j * S::width, (part[0][j] + part[1][j]) + (part[2][j] + part[3][j]));
 }
 
-// sum += matrix^T x over the rows of a (n, width) matrix, width a multiple of kLane
+// sum = start + matrix^T x over the rows of a (n, width) matrix, width a multiple of kLane
 inline void add_product(const double* __restrict matrix, int width, const double* __restrict x, int n,
-                        double* __restrict sum) {
+                        const double* start, double* sum) {
     constexpr int lanes = Simd<double>::width, most = kPack - 1;
     static_assert(kLane % lanes == 0);
     int k = 0;
-    for (; k + most * lanes <= width; k += most * lanes) add_columns<most>(matrix + k, width, x, n, sum + k);
-    for (; k < width; k += lanes) add_columns<1>(matrix + k, width, x, n, sum + k);
+    for (; k + most * lanes <= width; k += most * lanes) add_columns<most>(matrix + k, width, x, n, start + k, sum + k);
+    if (most > 2 && k + 2 * lanes <= width) add_columns<2>(matrix + k, width, x, n, start + k, sum + k), k += 2 * lanes;
+    for (; k < width; k += lanes) add_columns<1>(matrix + k, width, x, n, start + k, sum + k);
 }
+inline void add_product(const double* __restrict matrix, int width, const double* __restrict x, int n, double* sum) {
+    add_product(matrix, width, x, n, sum, sum);
+}
+
+// Port forces of sample b from lines b and b + 1, where nothing but linear connections acts; see Layout::direct.
+class Direct {
+    using S = Simd<double>;
+
+public:
+    explicit Direct(const Layout& layout)
+        : l_(layout), now_(layout.width + S::width), before_(layout.direct_old.empty() ? 0 : layout.width + S::width) {}
+
+    void operator()(const double* __restrict line, double* __restrict force) {
+        // rows that are no port's, and padding, are overwritten by the next segment or lie beyond the last one
+        for (const Layout::Segment& segment : l_.segments)
+            for (int i = 0; i < segment.n; i += S::width) {
+                const double* at = line + segment.row + i;
+                S::store(&now_[segment.port + i], S::load(at + l_.width) + S::load(at) * l_.mix);
+                if (!before_.empty()) S::store(&before_[segment.port + i], S::load(at));
+            }
+        const int n = int(l_.port_rows.size());
+        add_product(l_.direct.data(), l_.force_width, now_.data(), n, l_.direct_constant.data(), force);
+        if (!before_.empty()) add_product(l_.direct_old.data(), l_.force_width, before_.data(), n, force);
+    }
+
+private:
+    const Layout& l_;
+    Array<double> now_, before_;
+};
 
 // What port forces do to every row in the rest of a block: the next lines, within a span of kSpan samples, hear of each
 // force at once, the lines beyond of all forces of the span together when it ends.
@@ -55,29 +85,49 @@ public:
 
 private:
     void near(const double* __restrict force, int n, double* __restrict lines) const {
+        static_assert(kSpan == 8);
+        switch (n) {
+            case 8: return near_lines<8>(force, lines);
+            case 7: return near_lines<7>(force, lines);
+            case 6: return near_lines<6>(force, lines);
+            case 5: return near_lines<5>(force, lines);
+            case 4: return near_lines<4>(force, lines);
+            case 3: return near_lines<3>(force, lines);
+            case 2: return near_lines<2>(force, lines);
+            case 1: return near_lines<1>(force, lines);
+        }
+    }
+
+    template <int N>
+    void near_lines(const double* __restrict force, double* __restrict lines) const {
         for (int i = 0; i < l_.single_width; i += S::width) {
             const S::V f = S::load(force + i);
             const double* h = l_.single_history.data() + i;
-            for (int k = 0; k < n; ++k) {
+            for (int k = 0; k < N; ++k) {
                 double* line = lines + std::size_t(k) * l_.width + i;
                 S::store(line, S::load(line) + S::load(h + std::size_t(k) * l_.single_width) * f);
             }
         }
         for (const Layout::Several& c : l_.several) {
             const double* __restrict f = force + c.force;
-            for (int i = 0; i < c.width; i += S::width)
-                for (int k = 0; k < n; ++k) {
-                    const double* column = c.history.data() + std::size_t(k) * c.n_ports * c.width + i;
-                    double* line = lines + std::size_t(k) * l_.width + c.row + i;
-                    S::V even = S::load(line), odd{};
-                    int p = 0;
-                    for (; p + 1 < c.n_ports; p += 2, column += 2 * c.width) {
-                        even += S::load(column) * f[p];
-                        odd += S::load(column + c.width) * f[p + 1];
-                    }
-                    if (p < c.n_ports) even += S::load(column) * f[p];
-                    S::store(line, even + odd);
+            const std::ptrdiff_t step = std::ptrdiff_t(c.n_ports) * c.width;
+            for (int i = 0; i < c.width; i += S::width) {
+                const double* column = c.history.data() + i;
+                double* line = lines + c.row + i;
+                S::V sum[N], odd{};  // the first line is waited for
+                for (int k = 0; k < N; ++k) sum[k] = S::load(line + std::size_t(k) * l_.width);
+                int p = 0;
+                for (; p + 1 < c.n_ports; p += 2, column += 2 * c.width) {
+                    sum[0] += S::load(column) * f[p];
+                    odd += S::load(column + c.width) * f[p + 1];
+                    for (int k = 1; k < N; ++k) sum[k] += S::load(column + k * step) * f[p];
+                    for (int k = 1; k < N; ++k) sum[k] += S::load(column + k * step + c.width) * f[p + 1];
                 }
+                if (p < c.n_ports)
+                    for (int k = 0; k < N; ++k) sum[k] += S::load(column + k * step) * f[p];
+                sum[0] += odd;
+                for (int k = 0; k < N; ++k) S::store(line + std::size_t(k) * l_.width, sum[k]);
+            }
         }
     }
 

@@ -58,6 +58,27 @@ struct Guarded {
     std::vector<double> pulled;
 };
 
+// Modes that are read by one row each, kept in what it reads of them while no known force acts (weave.hpp), in chunks of
+// kChunk modes: trace (or kappa), det, the two numbers that move, and two numbers per port.
+constexpr int kWeave = 4;  // blocks from going in to coming out
+
+template <class T>
+constexpr int kChunk = 64 / int(sizeof(T));
+
+template <class T>
+struct Woven {
+    struct Strand {      // neighbouring modes of one row that recur the same way
+        int first, count, padded, row;
+        bool slow;
+        std::size_t chunk;  // its first
+    };
+    static constexpr int n_doors = 8;
+    int n_ports = 0;
+    std::size_t step = 0;        // numbers per chunk
+    std::vector<Strand> strands; // none where a mode cannot be told from what its row reads
+    Array<T> data, doors;        // doors: (2, 2) from the modes' numbers, (2, 2) back
+};
+
 // A string's polarization whose tension rises with amplitude, in mass-normalised coordinates y.
 constexpr int kMaxStretchedPorts = 32;
 
@@ -68,6 +89,9 @@ struct Stretched {
     Array<T> a, half;        // (n): weights of S; w a / 2, w the displacement per modal force held over a step
     Array<T> reading;        // (n): y = reading * first number
     Array<T> kick;           // (2, n): state per modal force held over a step
+    // the same in the first numbers x themselves: S = sum weight x^2; state per sum of row * port force, row that of the
+    // port's displacement
+    Array<T> weight, gain;   // (n), (2, n)
     Array<T> phi, c;         // (n_ports, n): port displacement per y, y per port force
     Array<T> guarded_phi, guarded_c;  // the same of guarded ports
 };
@@ -100,6 +124,7 @@ struct Component {
     std::vector<char> difference;            // by readout row: (y+ - y) instead of y
     Guarded<T> guarded;
     Stretched<T> stretched;
+    Woven<T> woven;
 };
 
 // f = constant - G (g_free + gamma g), the forces of the connections from their gaps.
@@ -133,11 +158,18 @@ struct Layout {
     Array<double> constant;                // (f_width)
     Array<double> pull;                    // (2 port_rows, f_width)
     Array<double> push;                    // (m, force_width)
-    // the same at once: port forces = direct_constant + direct^T (line(b), line(b + 1)); a connection's force is then
-    // that of a port which it alone acts on (none if one of them has no such port)
-    Array<double> direct_constant, direct;  // (force_width), (2 width, force_width)
-    std::vector<int> own_port;              // (m)
-    Array<double> own_factor;               // (m)
+    // the same at once: port forces = direct_constant + direct^T (y_free(b + 1) + mix y(b)) + direct_old^T y(b), the
+    // last for connections that count what was before otherwise than by mix; a connection's force is then that of a
+    // port which it alone acts on (none if one of them has no such port)
+    struct Segment {
+        int row, port, n;  // n ports, the first one at a row of the line
+    };
+    std::vector<Segment> segments;
+    double mix = 0.0;
+    Array<double> direct_constant, direct, direct_old;  // (force_width), (port_rows, force_width) twice
+    std::vector<int> own_port;                          // (m)
+    Array<double> own_factor;                           // (m)
+    bool own_in_order = false;                          // connection j has port j
     struct Heard {
         int channel, connection;
         double weight;
@@ -265,18 +297,61 @@ struct Tensions {
     std::vector<Pair> pairs;
 };
 
+// The fixed ports of stretched components, and how their compliances change with the tensions: as Taylor's polynomials
+// about the beginning of the cell that a tension lies in, which tells all of them.
+constexpr int kTaylor = 8;
+constexpr int kSharedSums = 4, kPortSums = 6;  // of a pass over modes, by string and by port
+
+struct TensePorts {
+    struct Port {
+        int component, port, string;
+        int line, force, place;  // of its displacement in a line, of its force among all ports', in `y` below
+    };
+    struct Pair {  // of ports of one component, to <= from
+        int component, string, to, from;
+    };
+    struct Cell {
+        int index = -1;
+        double most = 0;         // largest relative change of a mode's stiffness per newton
+        double low = 0, high = 0;  // tensions it reaches from and to
+    };
+    std::vector<Port> ports;
+    std::vector<Pair> pairs;           // if `single`, one for each port, in the same order
+    std::vector<int> first, string_of; // by component: its first port among all; its string
+    bool single = true;                // no component has more than one
+    int width = 0, pair_width = 0;     // padded to kLane
+    std::vector<Cell> cells;           // by string
+    Array<double> changes;             // (kTaylor, pair_width): compliances less those at rest
+    Array<double> onto_forces;         // (ports, force_width): port forces per displacement of a port by itself
+    Array<double> onto_linear;         // (ports, f_width): the same for forces of linear connections
+    // sums of a pass: shared by a string's components, then six for each port
+    std::vector<std::size_t> shared, own;  // by string, by component: the first one
+    Array<char> lanes;                 // of the sums, as T
+    Array<double> sums;
+    // of a sample
+    Array<double> of_port[kPortSums], alone, moved, force, wrong;  // by port
+    Array<double> change, slope, off;                              // by pair
+    Array<double> y, linear, fixed_part, base;
+    Array<double> inverse;             // (ports, ports)
+    std::vector<int> pivots;
+};
+
 struct TensionSpace {
     Array<char> u, y, yields;  // of modes, as T
     Array<double> kept_at;   // by component: tension that yields are of
-    std::vector<Array<double>> sums, guess;  // by component
-    Array<double> stretch, old_stretch, tension, used, last_tension, last_excess, fixed, matrix, inverse, right, scale, solution, wrong;
+    std::vector<char> pending;  // by component: its last step is still to be made
+    TensePorts ports;
+    // by string
+    Array<double> stretch, tension, used, at, after, steepness, pushed, sharp, last_tension, last_excess;
+    Array<double> fixed, matrix, inverse, right, scale, solution, wrong;
     std::vector<char> done;
+    bool inverted = false;   // in this block
     // with nonlinear connections
     struct Wire {
         int index, port;  // among linear connections, then active ones; among the ports in use
         double factor;
     };
-    Array<char> after;       // y after the step, of modes, as T
+    Array<char> moved;       // y after the step, of modes, as T
     std::vector<std::vector<Wire>> wires;         // by component
     std::vector<std::vector<int>> active_ports;   // by component: guarded ports of active contacts
     Array<double> free, compliance;               // of one component's ports in use
@@ -325,7 +400,7 @@ struct Fault {
 };
 
 template <class T>
-using Run = Fault (*)(const std::vector<Component<T>>&, const Layout&, const Solve&, const Nonlinear&, const Tensions&,
+using Run = Fault (*)(std::vector<Component<T>>&, const Layout&, const Solve&, const Nonlinear&, const Tensions&,
                       Workspace&, TensionSpace&, Statistics&, const Job<T>&);
 
 // Entry points of one instruction set's translation unit.

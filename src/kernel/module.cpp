@@ -237,6 +237,13 @@ public:
         s.a.assign(a.data(), a.data() + n), s.half.assign(half.data(), half.data() + n);
         s.reading.assign(reading.data(), reading.data() + n), s.kick.assign(kick.data(), kick.data() + 2 * n);
         s.most_half = *std::max_element(half.data(), half.data() + n);
+        s.weight.assign(n, T(0)), s.gain.assign(2 * n, T(0));
+        for (std::size_t k = 0; k < n; ++k) {
+            const double r = reading.data()[k];
+            if (r == 0.0) continue;
+            s.weight[k] = T(a.data()[k] * r * r);
+            s.gain[k] = T(kick.data()[k] / r), s.gain[n + k] = T(kick.data()[n + k] / r);
+        }
         s.phi.assign(p * n, T(0)), s.c.assign(p * n, T(0));
         for (std::size_t q = 0; q < p; ++q)
             for (std::size_t k = 0; k < n; ++k) {
@@ -344,7 +351,7 @@ public:
         job.last_force = last_force.data(), job.controls = moved.data(), job.n_controls = int(moved.size());
         if (!laid_out_) {
             lay_out();
-            arrange(components_, solve_, tensions_, capacity_, nonlinear_, space_);
+            arrange(components_, solve_, layout_, tensions_, capacity_, nonlinear_, space_);
             arrange(components_, nonlinear_);
             prepare(components_, nonlinear_, layout_, capacity_, workspace_);
         }
@@ -391,6 +398,76 @@ private:
             for (int i = 0; i < 4; ++i) c.e_block[i * n + k] = turn[i];
         }
         c.slopes = slopes_of(n, e, rows, c.n_rows), c.w_slope = w_slopes_of(c, e, w, c.n_ports);
+        c.woven = {};
+        if constexpr (sizeof(T) == sizeof(double)) weave(c, e, rows, w);
+    }
+
+    // See weave.hpp; nothing is woven where a mode has several rows or cannot be told from what its row reads.
+    static void weave(Component<T>& c, const double* e, const double* rows, const double* w) {
+        constexpr std::size_t chunk = kChunk<T>, doors = Woven<T>::n_doors;
+        const std::size_t n = c.n;
+        if (c.n_ports < 1 || c.n_ports > 2 || c.n_rows == 0) return;
+        Woven<T> woven;
+        woven.n_ports = c.n_ports, woven.step = (4 + 2 * c.n_ports) * chunk;
+        std::vector<int> row(n, -1);
+        for (std::size_t k = 0; k < n; ++k) {
+            bool dead = true;
+            for (int i = 0; i < 4; ++i) dead = dead && e[i * n + k] == 0.0;
+            for (int r = 0; r < c.n_rows; ++r)
+                if (rows[2 * r * n + k] != 0.0 || rows[(2 * r + 1) * n + k] != 0.0) {
+                    if (row[k] >= 0) return;
+                    row[k] = r;
+                }
+            if (row[k] < 0 && !dead) return;
+        }
+        const auto slow = [&](std::size_t k) { return c.kappa[k] < T(0.02); };
+        for (std::size_t k = 0; k < n;) {
+            if (row[k] < 0) {
+                ++k;
+                continue;
+            }
+            // by whole chunks, as many alike as there are
+            const auto of_chunk = [&](std::size_t from) {
+                bool any = false;
+                for (std::size_t i = from; i < std::min(from + chunk, n) && row[i] == row[k]; ++i) any = any || slow(i);
+                return any;
+            };
+            const bool is_slow = of_chunk(k);
+            std::size_t end = k;
+            while (end < n && row[end] == row[k] && of_chunk(end) == is_slow)
+                for (const std::size_t stop = std::min(end + chunk, n); end < stop && row[end] == row[k];) ++end;
+            std::size_t n_chunks = (end - k + chunk - 1) / chunk;
+            if (n_chunks % 4 == 3) ++n_chunks;  // a pack of four takes no longer than one of two and one of one
+            const std::size_t at = woven.data.size() / woven.step;
+            woven.strands.push_back({int(k), int(end - k), int(n_chunks * chunk), row[k], is_slow, at});
+            woven.data.resize((at + n_chunks) * woven.step, T(0));
+            woven.doors.resize((at + n_chunks) * chunk * doors, T(0));
+            for (; k < end; ++k) {
+                const std::size_t i = k - woven.strands.back().first;
+                T* const data = &woven.data[(at + i / chunk) * woven.step + i % chunk];
+                T* const door = &woven.doors[(at + i / chunk) * chunk * doors + i % chunk];
+                const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
+                const double rx = rows[2 * row[k] * n + k], ry = rows[(2 * row[k] + 1) * n + k], one = is_slow;
+                const double tx = rx * (a - one) + ry * g, ty = rx * b + ry * (d - one);
+                data[0] = is_slow ? c.kappa[k] : c.trace[k], data[chunk] = c.det[k];
+                bool first_only = b == 0.0 && g == 0.0 && ry == 0.0;
+                for (int p = 0; p < c.n_ports; ++p) {
+                    const double wx = w[2 * p * n + k], wy = w[(2 * p + 1) * n + k];
+                    first_only = first_only && wy == 0.0;
+                    data[(4 + 2 * p) * chunk] = T(rx * wx + ry * wy), data[(5 + 2 * p) * chunk] = T(tx * wx + ty * wy);
+                }
+                door[0] = T(rx), door[chunk] = T(ry), door[2 * chunk] = T(tx), door[3 * chunk] = T(ty);
+                if (first_only) {  // a real mode, whose second number is none
+                    door[4 * chunk] = T(1 / rx);
+                    continue;
+                }
+                const double det = rx * ty - ry * tx;
+                if (std::abs(det) < 0.02 * (std::abs(rx * ty) + std::abs(ry * tx)) || det == 0.0) return;
+                door[4 * chunk] = T(ty / det), door[5 * chunk] = T(-ry / det);
+                door[6 * chunk] = T(-tx / det), door[7 * chunk] = T(rx / det);
+            }
+        }
+        c.woven = std::move(woven);
     }
 
     // rows (E - I), of `count` rows of n modes
@@ -495,11 +572,24 @@ private:
                     l.own_factor[shares[0].connection] = 1.0 / shares[0].factor;
                 }
         if (std::find(l.own_port.begin(), l.own_port.end(), -1) != l.own_port.end()) l.own_port.clear();
-        l.direct.assign(std::size_t(2 * l.width) * l.force_width, 0.0);
+        l.own_in_order = true;
+        for (int j = 0; j < m && !l.own_port.empty(); ++j) l.own_in_order = l.own_in_order && l.own_port[j] == j;
         const std::size_t n_rows = l.port_rows.size();
-        for (std::size_t p = 0; p < 2 * n_rows; ++p)
-            pushed(&l.pull[p * l.f_width],
-                   &l.direct[std::size_t(l.port_rows[p % n_rows] + (p < n_rows ? 0 : l.width)) * l.force_width]);
+        l.mix = m ? solve_.gamma[0] : 0.0;
+        l.direct.assign(n_rows * l.force_width, 0.0), l.direct_old.assign(n_rows * l.force_width, 0.0);
+        bool mixed_alike = true;
+        for (std::size_t p = 0; p < n_rows; ++p) {
+            Array<double> old(&l.pull[p * l.f_width], &l.pull[(p + 1) * l.f_width]);
+            for (int j = 0; j < m; ++j) old[j] -= l.mix * l.pull[(n_rows + p) * l.f_width + j];
+            for (const double x : old) mixed_alike = mixed_alike && x == 0.0;
+            pushed(&l.pull[(n_rows + p) * l.f_width], &l.direct[p * l.force_width]);
+            pushed(old.data(), &l.direct_old[p * l.force_width]);
+            if (p && l.port_rows[p] == l.port_rows[p - 1] + 1 && l.port_rows[p] == l.segments.back().row + l.segments.back().n)
+                ++l.segments.back().n;
+            else
+                l.segments.push_back({l.port_rows[p], int(p), 1});
+        }
+        if (mixed_alike) l.direct_old.clear();
         laid_out_ = true;
     }
 

@@ -513,12 +513,17 @@ private:
         distribute(b, f, now);
     }
 
+    // No nonlinear connection acts in sample b.
+    void let_go(int b) {
+        for (std::size_t i = 0; i < components_.size(); ++i)
+            for (const int p : ws_.loaded[i]) ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b] = 0.0;
+    }
+
     // Port forces of sample b.
     void distribute(int b, const double* f, double* now) {
         std::fill_n(now, layout_.force_width, 0.0);
         add_product(layout_.push.data(), layout_.force_width, f, m_, now);
-        for (std::size_t i = 0; i < components_.size(); ++i)
-            for (const int p : ws_.loaded[i]) ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b] = 0.0;
+        let_go(b);
         for (const int j : ws_.active) {
             const double force = ws_.law_force[j];
             for (const Term& t : nl_.driven[j]) now[layout_.port[t.component] + t.port] += t.factor * force;

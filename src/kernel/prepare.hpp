@@ -160,10 +160,58 @@ void arrange(const std::vector<Component<T>>& components, Nonlinear& nl) {
     }
 }
 
+// The fixed ports of stretched components, and what a displacement of one calls up in the linear connections.
+template <class T>
+void arrange_ports(const std::vector<Component<T>>& components, const Layout& l, const Tensions& tensions,
+                   TensePorts& to) {
+    const auto padded = [](std::size_t n) { return int((n + kLane - 1) / kLane * kLane); };
+    to = TensePorts{};
+    to.first.assign(components.size(), 0), to.string_of = to.first, to.own.assign(components.size(), 0);
+    to.cells.assign(tensions.strings.size(), {});
+    std::vector<int> place(components.size(), 0);
+    for (std::size_t i = 0, n = 0; i < components.size(); ++i) {
+        place[i] = int(n);
+        if (!components[i].driven) n += components[i].n_ports;
+    }
+    std::size_t n_sums = 0;
+    for (int s = 0; s < int(tensions.strings.size()); ++s) {
+        to.shared.push_back(n_sums);
+        n_sums += kSharedSums;
+        for (const int i : tensions.strings[s].components) {
+            const int n_ports = components[i].n_ports, first = to.first[i] = int(to.ports.size());
+            to.string_of[i] = s;
+            to.cells[s].most = std::max({to.cells[s].most, double(components[i].stretched.most_half), 1e-300});
+            to.own[i] = n_sums, n_sums += std::size_t(kPortSums) * n_ports;
+            to.single = to.single && n_ports <= 1;
+            for (int p = 0; p < n_ports; ++p) {
+                to.ports.push_back({i, p, s, l.row[i] + p, l.port[i] + p, place[i] + p});
+                for (int q = p; q < n_ports; ++q) to.pairs.push_back({i, s, first + p, first + q});
+            }
+        }
+    }
+    const std::size_t n = to.ports.size(), n_places = l.port_rows.size();
+    to.width = padded(n), to.pair_width = padded(to.pairs.size());
+    to.changes.assign(std::size_t(kTaylor) * to.pair_width, 0.0);
+    n_sums = (n_sums + kPadding - 1) / kPadding * kPadding;
+    to.lanes.assign(n_sums * 64, 0), to.sums.assign(n_sums, 0.0);
+    to.y.assign(2 * n_places, 0.0), to.linear.assign(l.f_width, 0.0), to.fixed_part.assign(l.force_width, 0.0);
+    to.base = to.fixed_part;
+    for (Array<double>& a : to.of_port) a.assign(to.width, 0.0);
+    for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.wrong}) a->assign(to.width, 0.0);
+    for (Array<double>* a : {&to.change, &to.slope, &to.off}) a->assign(to.pair_width, 0.0);
+    to.inverse.assign(n * n, 0.0), to.pivots.assign(n, 0);
+    for (const auto& port : to.ports) {
+        const double* linear = &l.pull[(n_places + port.place) * l.f_width];
+        const double* forces = &l.direct[std::size_t(l.width + port.line) * l.force_width];
+        to.onto_linear.insert(to.onto_linear.end(), linear, linear + l.f_width);
+        to.onto_forces.insert(to.onto_forces.end(), forces, forces + l.force_width);
+    }
+}
+
 // Which linear connections see stretched strings, and how.
 template <class T>
-void arrange(std::vector<Component<T>>& components, const Solve& solve, Tensions& tensions, std::size_t capacity,
-             const Nonlinear& nl, TensionSpace& ws) {
+void arrange(std::vector<Component<T>>& components, const Solve& solve, const Layout& layout, Tensions& tensions,
+             std::size_t capacity, const Nonlinear& nl, TensionSpace& ws) {
     const std::size_t m = solve.m, n = components.size();
     tensions.components.clear(), tensions.terms.clear(), tensions.pairs.clear();
     for (Component<T>& c : components) c.stretched.on = false;
@@ -193,19 +241,16 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, Tensions
             }
     }
     for (Array<char>* a : {&ws.u, &ws.y, &ws.yields}) a->assign(capacity * sizeof(T), 0);
-    ws.kept_at.assign(n, 0.0);
-    ws.sums.assign(n, {}), ws.guess.assign(n, {});
-    for (std::size_t i = 0; i < n; ++i) {
-        const std::size_t p = components[i].n_ports;
-        ws.sums[i].assign(2 + 2 * p + p * (p + 1), 0.0), ws.guess[i].assign(std::max<std::size_t>(p, 1), 0.0);
-    }
-    ws.stretch.assign(n, 0.0);
-    for (Array<double>* a : {&ws.old_stretch, &ws.tension, &ws.used, &ws.last_tension, &ws.last_excess}) a->assign(tensions.strings.size(), 0.0);
+    ws.kept_at.assign(n, 0.0), ws.pending.assign(n, 0);
+    for (Array<double>* a : {&ws.stretch, &ws.tension, &ws.used, &ws.at, &ws.after, &ws.steepness, &ws.pushed, &ws.sharp,
+                             &ws.last_tension, &ws.last_excess})
+        a->assign(tensions.strings.size(), 0.0);
+    arrange_ports(components, layout, tensions, ws.ports);
     for (Array<double>* a : {&ws.fixed, &ws.right, &ws.scale, &ws.solution, &ws.wrong}) a->assign(m, 0.0);
     ws.matrix.assign(m * m, 0.0), ws.inverse.assign(m * m, 0.0), ws.done.assign(m, 0);
     if (!nl.k) return;
     const std::size_t k = nl.k;
-    ws.after.assign(capacity * sizeof(T), 0);
+    ws.moved.assign(capacity * sizeof(T), 0);
     ws.wires.resize(n), ws.active_ports.resize(n);
     std::size_t most = 0;
     for (const int i : tensions.components) {

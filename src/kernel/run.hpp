@@ -16,6 +16,7 @@
 #include "sweep.hpp"
 #include "tense_contacts.hpp"
 #include "tension.hpp"
+#include "weave.hpp"
 
 namespace tonewood {
 namespace {
@@ -48,6 +49,16 @@ void gather(const Job<T>& job, const std::vector<Component<T>>& components, std:
     }
 }
 
+// Whether a known force acts on a component in the n samples from `start`.
+template <class T>
+bool touched(const Job<T>& job, int slot, std::int64_t start, std::int64_t n) {
+    for (int q = 0; q < job.n_injections; ++q) {
+        const Injection<T>& in = job.injections[q];
+        if (in.slot == slot && start + n > in.first && start < in.first + in.length) return true;
+    }
+    return false;
+}
+
 inline bool finite(const double* x, int n) {
     double sum = 0.0;
     for (int i = 0; i < n; ++i) sum += x[i];
@@ -69,7 +80,7 @@ void emit(const Component<T>& c, const double* rows, int stride, std::int64_t st
 }
 
 template <class T>
-Fault run(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
+Fault run(std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
           const Nonlinear& nonlinear, const Tensions& tensions, Workspace& workspace, TensionSpace& space,
           Statistics& statistics, const Job<T>& job) {
     const FlushDenormals guard;
@@ -77,30 +88,47 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
     const int force_width = layout.force_width, n_ports = int(layout.port_rows.size());
 
     Array<double> lines(std::size_t(kBlock + 1) * width);       // rows at samples 0 .. kBlock: free, then moved
-    Array<double> driven_lines;                                 // rows of one driven component
+    Array<double> next_lines(std::size_t(kBlock + 1) * width);  // free rows of the next block, of what is woven
+    std::vector<Array<double>> driven_lines(n_components);      // rows of driven components, likewise
     Array<double> force(std::size_t(kBlock) * force_width);     // of ports, a line per sample
     Array<double> f(layout.f_width);
     Spread spread(layout);
+    Direct at_once(layout);
     Array<double> y(2 * n_ports);  // port displacements at the step's beginning, then free at its end
     std::vector<std::vector<Input<T>>> known(n_components);
     std::vector<Array<double>> known_values(job.n_injections);
     NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known);
-    TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job);
+    TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job, known);
     TenseContacts<T> both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
     const bool tense = !tensions.strings.empty();
     const bool direct = !tense && !nonlinear.k && int(layout.own_port.size()) == m;
 
+    std::vector<char> woven(n_components, 0);
+    for (int i = 0; i < n_components; ++i)
+        if (components[i].driven) driven_lines[i].assign(std::size_t(kBlock + 1) * components[i].n_rows, 0.0);
+
     for (std::int64_t start = 0; start < job.n; start += kBlock) {
+        const int place = int(start / kBlock % kWeave);  // of the block between going in and coming out
+        if (place == 0)
+            for (int i = 0; i < n_components; ++i) {
+                const Component<T>& c = components[i];
+                woven[i] = !c.woven.strands.empty() && !c.stretched.on && !c.guarded.n &&
+                           start + kWeave * kBlock <= job.n && !touched(job, i, start, kWeave * kBlock);
+            }
+        else
+            lines.swap(next_lines);
         const int nb = int(job.n - start < kBlock ? job.n - start : kBlock);
         for (auto& list : known) list.clear();
         gather(job, components, start, nb, known, known_values);
 
         for (int i = 0; i < n_components; ++i) {
-            const Component<T>& c = components[i];
+            Component<T>& c = components[i];
             if (c.driven || c.stretched.on) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, lines.data() + layout.row[i], width, 1};
-            if (known[i].empty() && nb == kBlock)
+            if (woven[i]) {
+                if (place == 0) weave<T, Passage::in>(c.woven, x, y, nullptr, 0, rows);
+            } else if (known[i].empty() && nb == kBlock)
                 recur_read(c, x, y, rows);
             else
                 turn<T, true, false>(c, x, y, known[i].data(), int(known[i].size()), nb, rows);
@@ -114,13 +142,15 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
             double* now = force.data() + std::size_t(b) * force_width;
             double* const f_out = job.forces + (start + b) * m;
             if (tense) {
-                const bool found = nonlinear.k ? both.step(b, lines.data(), known, f.data(), now)
-                                               : stretched.step(b, lines.data(), known, f.data(), now);
+                const bool found = nonlinear.k ? both.step(b, lines.data(), f.data(), now)
+                                               : stretched.step(b, lines.data(), f.data(), now);
                 if (!found) return {Fault::kUnsolved, start + b};
             } else if (direct) {
-                std::copy(layout.direct_constant.begin(), layout.direct_constant.end(), now);
-                add_product(layout.direct.data(), force_width, lines.data() + std::size_t(b) * width, 2 * width, now);
-                for (int j = 0; j < m; ++j) f_out[j] = layout.own_factor[j] * now[layout.own_port[j]];
+                at_once(lines.data() + std::size_t(b) * width, now);
+                if (layout.own_in_order)
+                    for (int j = 0; j < m; ++j) f_out[j] = layout.own_factor[j] * now[j];
+                else
+                    for (int j = 0; j < m; ++j) f_out[j] = layout.own_factor[j] * now[layout.own_port[j]];
             } else {
                 const double* line = lines.data() + std::size_t(b) * width;
                 for (int p = 0; p < n_ports; ++p) {
@@ -150,15 +180,29 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
 
         // the correction: inputs known by now move the state; what is driven one way is read on the way
         for (int i = 0; i < n_components; ++i) {
-            const Component<T>& c = components[i];
+            Component<T>& c = components[i];
             if (c.stretched.on) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             auto& inputs = known[i];
             const double* forces = force.data() + layout.port[i];
             const bool recurs = inputs.empty() && nb == kBlock;
             const Ports<T> ports{c.w.data(), c.w_slope.data(), c.n_ports, nullptr, forces, force_width, 1};
-            for (int p = 0; p < c.n_ports; ++p)
-                inputs.push_back({&c.w[std::size_t(2 * p) * c.n], forces + p, force_width});
+            const auto answer = [&](double* to) {
+                respond(layout.driven_history[i].data(), c.n_ports, c.n_rows, forces, force_width, to);
+            };
+            if (!c.driven && woven[i]) {
+                const Rows<T> rows{nullptr, nullptr, c.n_rows, nullptr, next_lines.data() + layout.row[i], width, 1};
+                if (place + 1 == kWeave) {
+                    weave<T, Passage::out>(c.woven, x, y, forces, force_width, rows);
+                } else {
+                    weave<T, Passage::on>(c.woven, x, y, forces, force_width, rows);
+                    std::copy_n(&lines[std::size_t(kBlock) * width + layout.row[i]], c.n_rows, rows.value);
+                }
+                continue;
+            }
+            if (!(recurs && woven[i]))
+                for (int p = 0; p < c.n_ports; ++p)
+                    inputs.push_back({&c.w[std::size_t(2 * p) * c.n], forces + p, force_width});
             if (nb < kBlock) laws.add_inputs(i, inputs);
             if (!c.driven) {
                 if (recurs)
@@ -168,17 +212,27 @@ Fault run(const std::vector<Component<T>>& components, const Layout& layout, con
                 if (nb == kBlock) laws.push_modes(i, x, y);
                 continue;
             }
-            driven_lines.assign(std::size_t(kBlock + 1) * c.n_rows, 0.0);
-            const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, driven_lines.data(), c.n_rows, 1};
-            if (recurs) {
+            double* const driven = driven_lines[i].data();
+            const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, driven, c.n_rows, 1};
+            if (woven[i]) {
+                if (place == 0) weave<T, Passage::in>(c.woven, x, y, nullptr, 0, rows);
+                answer(driven);
+            } else if (recurs) {
                 recur_read(c, x, y, rows);
-                respond(layout.driven_history[i].data(), c.n_ports, c.n_rows, forces, force_width, driven_lines.data());
+                answer(driven);
                 recur_store<T, true>(c, x, y, ports);
             } else {
                 turn<T, true, true>(c, x, y, inputs.data(), int(inputs.size()), nb, rows);
             }
-            if (!finite(driven_lines.data() + std::size_t(nb) * c.n_rows, c.n_rows)) return {i, start};
-            emit(c, driven_lines.data(), c.n_rows, start, nb, job);
+            if (!finite(driven + std::size_t(nb) * c.n_rows, c.n_rows)) return {i, start};
+            emit(c, driven, c.n_rows, start, nb, job);
+            if (!woven[i]) continue;
+            if (place + 1 == kWeave) {
+                weave<T, Passage::out>(c.woven, x, y, forces, force_width, rows);
+            } else {
+                std::copy_n(driven + kBlock * c.n_rows, c.n_rows, driven);
+                weave<T, Passage::on>(c.woven, x, y, forces, force_width, rows);
+            }
         }
 
         for (int i = 0; i < n_components; ++i) {

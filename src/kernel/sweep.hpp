@@ -70,11 +70,12 @@ typename Simd<T>::V sums(const T* acc) {
 }
 
 template <class T>
-void reduce(const T* acc, const Rows<T>& rows, int nb) {
+void reduce(const T* acc, const Rows<T>& rows, int nb, int first = 0) {
     constexpr int width = Simd<T>::width;
     for (int r = 0; r < rows.count; ++r) {
         double* to = rows.value + std::ptrdiff_t(rows[r]) * rows.row_stride;
-        int s = 0;
+        int s = first;
+        acc += first * width;
         for (; s + width <= nb + 1; s += width, acc += width * width) {
             const auto all = sums<T, width>(acc);
             for (int i = 0; i < width; ++i) to[std::ptrdiff_t(s + i) * rows.sample_stride] = double(all[i]);

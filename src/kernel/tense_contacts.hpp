@@ -27,14 +27,15 @@ public:
           ts_(space), statistics_(statistics), laws_(laws), stretched_(stretched) {}
 
     // As TensionStep::step; `lines` and the guarded values hold the motion of the other components.
-    bool step(int b, double* lines, const std::vector<std::vector<Input<T>>>& known, double* f, double* now) {
-        stretched_.begin_sample(b, lines, known);
+    bool step(int b, double* lines, double* f, double* now) {
+        stretched_.begin_sample(b, lines);
         laws_.begin_sample(b);
+        std::fill(is_ready_.begin(), is_ready_.end(), 0);
         for (;;) {
             if (ws_.active.empty()) {
-                if (!stretched_.linear_step(b, f, now)) return false;
-                laws_.distribute(b, f, now);
-            } else if (!joint_step(b, f, now)) {
+                if (!stretched_.linear_step(f, now)) return false;
+                laws_.let_go(b);
+            } else if (!joint_step(b, lines, f, now)) {
                 return false;
             }
             note_pulls(b);
@@ -43,24 +44,28 @@ public:
         }
         laws_.commit(b);
         for (const int i : tensions_.components) push(i, b);
-        stretched_.finish_sample(b, known, now);
+        stretched_.finish_sample(now);
         for (const int i : tensions_.components) stretched_.pushed_[i].clear();
         return true;
     }
 
 private:
     // Tensions and all forces, the active connections given.
-    bool joint_step(int b, double* f, double* now) {
+    bool joint_step(int b, const double* lines, double* f, double* now) {
         find_ports();
+        stretched_.gaps_at_start(lines);
+        for (int s = 0; s < int(tensions_.strings.size()); ++s) {
+            ts_.tension[s] = std::max(ts_.at[s], tensions_.strings[s].kappa * ts_.stretch[s]);
+            for (const int i : tensions_.strings[s].components) ready(i);
+        }
         int iterations = 0;
         const bool done = settle(nl_, ws_, [&] {
             bool found = false;
             for (int turn = 1; !found && turn <= kMaxTensionIterations; ++turn, ++iterations) {
-                if (!forces(b, turn, f)) break;
+                if (!forces(f)) break;
                 laws_.distribute(b, f, now);
                 found = stretched_.correct(turn, [&](int i, double& after, double& slope, double& size) {
-                    push(i, b);
-                    move_stretch(i, now + layout_.port[i], after, slope, size);
+                    move_stretch(i, b, ts_.tension[ts_.ports.string_of[i]], now + layout_.port[i], after, slope, size);
                 });
             }
             return found;
@@ -124,10 +129,8 @@ private:
         using V = typename S::V;
         const Component<T>& c = components_[i];
         const T* u = stretched_.buffer(ts_.u, i);
-        T* kept = stretched_.buffer(ts_.yields, i);
-        ts_.kept_at[i] = tension;
-        for (int k = 0; k < c.n; k += S::width)
-            S::store(kept + k, T(1) / (T(1) + S::load(&c.stretched.half[k]) * T(tension)));
+        const T* kept = stretched_.buffer(ts_.yields, i);
+        stretched_.keep(i, tension);
         const int count = c.n_ports + int(ts_.active_ports[i].size());
         for (int p = 0; p < count; ++p) {
             const T* at = phi(i, p);
@@ -145,7 +148,7 @@ private:
     }
 
     // Forces of all connections at the tensions tried.
-    bool forces(int b, int iteration, double* f) {
+    bool forces(double* f) {
         const int m = m_, a = int(ws_.active.size()), k = nl_.k;
         const std::size_t w = m + a;
         double *all = ts_.all.data(), *v = ts_.right.data(), *M = ts_.matrix.data();
@@ -183,11 +186,11 @@ private:
             }
         for (int i = 0; i < m; ++i) std::copy_n(all + i * w, m, M + std::size_t(i) * m);
         std::fill_n(f, layout_.f_width, 0.0);
-        if (!stretched_.solve_linear(M, v, f, b == 0 && iteration == 1, false)) return false;
+        if (!stretched_.solve_linear(M, v, f)) return false;
         for (int s = 0; s < a; ++s) {
             double* x = &ts_.called[std::size_t(s) * m];
             for (int q = 0; q < m; ++q) v[q] = all[q * w + m + s];
-            if (!stretched_.solve_linear(M, v, x, false, false)) return false;
+            if (!stretched_.solve_linear(M, v, x)) return false;
         }
         for (int s = 0; s < a; ++s) {
             const int j = ws_.active[s];
@@ -235,26 +238,32 @@ private:
         list.clear();
         for (const int p : ws_.loaded[i]) {
             const double force = ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b];
-            if (force != 0.0) list.push_back({&c.stretched.guarded_c[p * n], &c.guarded.w[2 * p * n], T(force)});
+            if (force != 0.0) list.push_back({&c.guarded.rows[2 * p * n], T(force)});
         }
     }
 
-    // Coordinates after the step in ts.after, under port forces f and those of push(); what the stretch gains.
-    void move_stretch(int i, const double* f, double& after, double& slope, double& size) {
+    // Coordinates of component i in this sample.
+    void ready(int i) {
+        if (!is_ready_[i]) stretched_.coordinates(i);
+        is_ready_[i] = 1;
+    }
+
+    // Coordinates after the step in ts.moved, under port forces f and those on guarded ports; what the stretch gains.
+    void move_stretch(int i, int b, double tension, const double* f, double& after, double& slope, double& size) {
         using S = Simd<T>;
         using V = typename S::V;
         const Component<T>& c = components_[i];
         const Stretched<T>& s = c.stretched;
         const std::size_t n = c.n;
         const T *u = stretched_.buffer(ts_.u, i), *here = stretched_.buffer(ts_.y, i);
-        const T* yields = stretched_.buffer(ts_.yields, i);
-        T* to = stretched_.buffer(ts_.after, i);
+        T* to = stretched_.buffer(ts_.moved, i);
         V gained{}, slopes{}, sizes{};
         for (std::size_t k = 0; k < n; k += S::width) {
             V D = S::load(u + k);
             for (int p = 0; p < c.n_ports; ++p) D += S::load(&s.c[p * n + k]) * T(f[p]);
-            for (const auto& in : stretched_.pushed_[i]) D += S::load(in.per_force + k) * in.force;
-            const V yield = S::load(yields + k), a = S::load(&s.a[k]), y = S::load(here + k);
+            for (const int p : ws_.loaded[i])
+                D += S::load(&s.guarded_c[p * n + k]) * T(ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b]);
+            const V yield = T(1) / (T(1) + S::load(&s.half[k]) * T(tension)), a = S::load(&s.a[k]), y = S::load(here + k);
             D *= yield;
             S::store(to + k, D - y);
             const V aD = a * D;
@@ -294,12 +303,12 @@ private:
         if (c.stretched.on) {
             if (!is_moved_[i]) {
                 double unused[3] = {};
-                push(i, b);
-                move_stretch(i, now + layout_.port[i], unused[0], unused[1], unused[2]);
+                ready(i);
+                move_stretch(i, b, ts_.used[ts_.ports.string_of[i]], now + layout_.port[i], unused[0], unused[1], unused[2]);
                 is_moved_[i] = 1;
             }
             return dot(t.guarded ? &c.stretched.guarded_phi[port * n] : &c.stretched.phi[port * n],
-                       stretched_.buffer(ts_.after, i), c.n);
+                       stretched_.buffer(ts_.moved, i), c.n);
         }
         double y = t.guarded ? laws_.value(i, t.port)[b + 1] : laws_.line_of(t)[std::size_t(b + 1) * layout_.width];
         for (std::size_t p = 0; p < std::size_t(c.n_ports); ++p)
@@ -321,7 +330,7 @@ private:
     Statistics& statistics_;
     NonlinearStep<T>& laws_;
     TensionStep<T>& stretched_;
-    std::vector<char> is_moved_ = std::vector<char>(components_.size());
+    std::vector<char> is_moved_ = std::vector<char>(components_.size()), is_ready_ = is_moved_;
 };
 
 }  // namespace

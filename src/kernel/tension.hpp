@@ -1,11 +1,11 @@
 // Strings whose tension rises with amplitude, sample by sample; the equations are in tonewood.numerics.tension.
 //
-// Given the tensions T of a step the system is linear, with other compliances. One pass over a string's modes finds,
-// with u = y_free + y, U = u / (1 + w a T / 2), C_p = w phi_p / (1 + w a T / 2),
-//     port displacement  sum phi_p U + sum_q (sum phi_p C_q) f_q - its old value,
-//     S+ = S + sum a U (U - 2 y) + sum_p f_p 2 sum a C_p (U - y) + sum_pq f_p f_q sum a C_p C_q,
-// so that the forces and the new S come out of small sums; Newton's method on T - kappa (S+ + S) goes over the modes
-// once per iteration.
+// What other components and connections do is linear in the displacements d_p that a stretched component's ports would
+// come to by themselves, less what their compliance at rest gives for their forces:
+//     d = sum r (U - x) + (Z(T) - Z(0)) f,      all port forces = fixed part + onto^T d.
+// So the forces are a fixed point that shrinks by the relative rise of the tension in each turn; T obeys
+// T = kappa (S+ + S). A visit to the modes (tense_ports.hpp) tells both near the tension foreseen: as a rule one visit
+// makes the step before and settles this one.
 #pragma once
 
 #include <algorithm>
@@ -13,6 +13,7 @@
 
 #include "lines.hpp"
 #include "nonlinear.hpp"
+#include "tense_ports.hpp"
 
 namespace tonewood {
 namespace {
@@ -21,66 +22,15 @@ template <class T>
 constexpr double kTensionTolerance = sizeof(T) == sizeof(double) ? 1e-11 : 1e-5;  // of the tension
 template <class T>
 constexpr double kForceTolerance = sizeof(T) == sizeof(double) ? 1e-14 : 1e-7;  // of the largest force
-constexpr int kMaxTensionIterations = 200;
-
-// Sums of one pass over the modes of a component, with P ports (P < 0: any number): S part, slope, then A and Q by
-// port, then Z and R by pair p <= q.
-// `yields` (n) keeps 1 / (1 + w a T / 2) from pass to pass: `corrections` of Newton's steps bring it up to the tension,
-// 0 divides anew.
-template <class T, int P>
-void stretch_pass(const Component<T>& c, const T* u, const T* y, T* kept, double tension, int corrections,
-                  const double* f, double* sums) {
-    using S = Simd<T>;
-    using V = typename S::V;
-    const int n_ports = P < 0 ? c.n_ports : P;
-    const std::size_t n = c.n;
-    // in locals: what is stored below could otherwise be taken for them
-    const T *const weights = c.stretched.a.data(), *const halves = c.stretched.half.data();
-    const T *const phis = c.stretched.phi.data(), *const per_force = c.stretched.c.data();
-    constexpr int kMost = P < 0 ? kMaxStretchedPorts : (P > 0 ? P : 1);
-    constexpr int kPairs = kMost * (kMost + 1) / 2;
-    V part{}, slope{}, A[kMost] = {}, Q[kMost] = {}, Z[kPairs] = {}, R[kPairs] = {};
-    const T t = T(tension);
-    T force[kMost] = {};
-    for (int p = 0; p < n_ports; ++p) force[p] = T(f[p]);
-    if (corrections == 0) {
-        for (std::size_t k = 0; k < n; k += S::width) S::store(kept + k, T(1) / (T(1) + S::load(halves + k) * t));
-    } else {
-        for (std::size_t k = 0; k < n; k += S::width) {
-            const V stiff = T(1) + S::load(halves + k) * t;
-            V yields = S::load(kept + k);
-            for (int step = 0; step < corrections; ++step) yields *= T(2) - stiff * yields;
-            S::store(kept + k, yields);
-        }
-    }
-    for (std::size_t k = 0; k < n; k += S::width) {
-        const V a = S::load(weights + k), half = S::load(halves + k), here = S::load(y + k), both = S::load(u + k);
-        const V yields = S::load(kept + k);
-        const V U = both * yields;
-        V C[kMost], D = U;
-        for (int p = 0; p < n_ports; ++p) {
-            C[p] = S::load(per_force + p * n + k) * yields;
-            D += C[p] * force[p];
-        }
-        const V aU = a * U;
-        part += aU * (U - here - here);
-        slope += a * half * yields * D * (D - here);
-        int pair = 0;
-        for (int p = 0; p < n_ports; ++p) {
-            const V phi = S::load(phis + p * n + k), aC = a * C[p];
-            A[p] += phi * U;
-            Q[p] += aC * (U - here);
-            for (int q = p; q < n_ports; ++q, ++pair) {
-                Z[pair] += phi * C[q];
-                R[pair] += aC * C[q];
-            }
-        }
-    }
-    const auto sum = [](V v) { return S::sum(v); };
-    *sums++ = sum(part), *sums++ = -2 * sum(slope);
-    for (int p = 0; p < n_ports; ++p) *sums++ = sum(A[p]), *sums++ = 2 * sum(Q[p]);
-    for (int pair = 0; pair < n_ports * (n_ports + 1) / 2; ++pair) *sums++ = sum(Z[pair]), *sums++ = sum(R[pair]);
-}
+template <class T>
+constexpr double kSettled = sizeof(T) == sizeof(double) ? 1e-15 : 1e-8;  // of a mode's stiffness, between two turns
+constexpr int kMaxTensionIterations = 200, kMaxTurns = 100;
+// relative change of a mode's stiffness up to which port displacements may be told by three terms, its cube being lost
+template <class T>
+constexpr double kTold = sizeof(T) == sizeof(double) ? 3e-5 : 5e-3;
+constexpr double kFar = 0.1;      // and up to which one visit may go on
+constexpr double kCell = 0.01;    // the same over a cell of compliances
+constexpr double kStrong = 0.05;  // beyond it forces are found by an inverse
 
 template <class T>
 class TensionStep {
@@ -88,83 +38,390 @@ class TensionStep {
 
 public:
     TensionStep(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
-                const Tensions& tensions, TensionSpace& space, Statistics& statistics, const Job<T>& job)
-        : components_(components), layout_(layout), solve_(solve), tensions_(tensions), ws_(space),
-          statistics_(statistics), job_(job), pushed_(components.size()) {
-        for (const int i : tensions_.components) pushed_[i].reserve(components[i].guarded.n);
+                const Tensions& tensions, TensionSpace& space, Statistics& statistics, const Job<T>& job,
+                const std::vector<std::vector<Input<T>>>& known)
+        : components_(components), layout_(layout), solve_(solve), tensions_(tensions), ws_(space), ports_(space.ports),
+          statistics_(statistics), job_(job), known_(known), pushed_(components.size()), forces_(space.ports.ports.size()) {
+        for (const int i : tensions_.components) pushed_[i].reserve(components[i].guarded.n), ws_.pending[i] = 0;
     }
 
     // Sample b of a block: rows of the stretched components, tensions, forces of the linear connections in f, port
-    // forces in now; moves the stretched components. False if the tensions were not found.
-    bool step(int b, double* lines, const std::vector<std::vector<Input<T>>>& known, double* f, double* now) {
-        begin_sample(b, lines, known);
-        if (!linear_step(b, f, now)) return false;
-        finish_sample(b, known, now);
+    // forces in now. The stretched components move by the next sample, or the end of the block. False if the tensions
+    // were not found.
+    bool step(int b, double* lines, double* f, double* now) {
+        begin_sample(b, lines);
+        if (!linear_step(f, now)) return false;
+        finish_sample(now);
         return true;
     }
 
-    // Rows of the stretched components at the end of a block.
+    // The last step and the rows of the stretched components at the end of a block.
     void finish_block(int nb, double* lines) {
-        for (const int i : tensions_.components) rows(i, nb, lines);
+        for (const int i : tensions_.components) {
+            make(i);
+            rows(i, 0, nb, lines);
+        }
     }
 
 private:
+    using V = typename Simd<T>::V;
+    static constexpr int kWidth = Simd<T>::width;
+
     T* x(int i) const { return job_.modes[0] + components_[i].offset; }
     T* y(int i) const { return job_.modes[1] + components_[i].offset; }
+    T* kept(int i) const { return buffer(ws_.yields, i); }
+    T* lanes(std::size_t sum) const { return reinterpret_cast<T*>(ports_.lanes.data()) + sum * kWidth; }
+    T* forces_on(int i) { return forces_.data() + ports_.first[i]; }
+    int n_strings() const { return int(tensions_.strings.size()); }
 
-    // Coordinates of the stretched components, and where to start.
-    void begin_sample(int b, double* lines, const std::vector<std::vector<Input<T>>>& known) {
-        for (const int i : tensions_.components) {
-            begin(i, b, lines, known[i]);
-            if (b == 0) ws_.kept_at[i] = INFINITY;  // a block depends on nothing but the state it begins with
+    // The stretched components come to sample b; what they are there, and what pulls at them from outside.
+    void begin_sample(int b, double* lines) {
+        sample_ = b;
+        if (b == 0) {  // a block depends on nothing but the state it begins with
+            ws_.inverted = false;
+            for (const int i : tensions_.components) ws_.kept_at[i] = INFINITY;
+            std::fill(ports_.force.begin(), ports_.force.end(), 0.0);
         }
-        const double* last = job_.tension;
-        for (int s = 0; s < int(tensions_.strings.size()); ++s) {
-            double stretch = 0.0;
-            for (const int i : tensions_.strings[s].components) stretch += ws_.stretch[i];
-            ws_.old_stretch[s] = stretch;
-            const double* t = last + 3 * tensions_.strings[s].index;
-            // three last means, going on as a parabola
-            ws_.tension[s] = std::max(3 * t[0] - 3 * t[1] + t[2], tensions_.strings[s].kappa * stretch);
+        for (int s = 0; s < n_strings(); ++s) {
+            const double* t = job_.tension + 3 * tensions_.strings[s].index;
+            ws_.at[s] = std::max(3 * t[0] - 3 * t[1] + t[2], 0.0);  // three last means, going on as a parabola
+            look(s);
         }
-        gaps_at_start(b, lines);
+        fold();
+        double* line = lines + std::size_t(b) * layout_.width;
+        for (std::size_t p = 0; p < ports_.ports.size(); ++p) line[ports_.ports[p].line] = ports_.of_port[0][p];
+        for (const int i : tensions_.components) rows(i, components_[i].n_ports, b, lines);
+        const int n = int(layout_.port_rows.size());
+        double* all = ports_.y.data();
+        for (int p = 0; p < n; ++p) {
+            all[p] = line[layout_.port_rows[p]];
+            all[n + p] = line[layout_.width + layout_.port_rows[p]];
+        }
+        for (const auto& port : ports_.ports) all[n + port.place] = 0.0;
+        std::copy(layout_.constant.begin(), layout_.constant.end(), ports_.linear.begin());
+        add_product(layout_.pull.data(), layout_.f_width, all, 2 * n, ports_.linear.data());
+        std::fill(ports_.fixed_part.begin(), ports_.fixed_part.end(), 0.0);
+        add_product(layout_.push.data(), layout_.force_width, ports_.linear.data(), solve_.m, ports_.fixed_part.data());
+    }
+
+    // Visits a string's modes at the tension ws.at, which may make the step that is due.
+    void look(int s) {
+        T* const all = lanes(ports_.shared[s]);
+        std::fill_n(all, kSharedSums * kWidth, T(0));
+        for (const int i : tensions_.strings[s].components) {
+            const Component<T>& c = components_[i];
+            const double at = ws_.at[s], half = c.stretched.most_half;
+            T* const own = lanes(ports_.own[i]);
+            Visit<T> v;
+            v.tried = at, v.begun = sample_;
+            v.inputs = known_[i].data(), v.n_inputs = int(known_[i].size());
+            if (ws_.pending[i] && std::abs(ws_.used[s] - ws_.kept_at[i]) * half < kNear<T> &&
+                std::abs(at - ws_.used[s]) * half < kNear<T>) {
+                v.made = ws_.used[s], v.forces = forces_on(i);
+                visit<T, true, true, true>(c, x(i), y(i), kept(i), v, all, own);
+                ws_.pending[i] = 0;
+            } else {
+                make(i);
+                bring_near(i, at);
+                if (v.n_inputs)
+                    visit<T, false, true, false>(c, x(i), y(i), kept(i), v, all, own);
+                else
+                    visit<T, false, true, true>(c, x(i), y(i), kept(i), v, all, own);
+            }
+            ws_.kept_at[i] = at;
+        }
+    }
+
+    // Makes the step that is due.
+    void make(int i) {
+        if (!ws_.pending[i]) return;
+        Visit<T> v;
+        v.made = ws_.used[ports_.string_of[i]], v.forces = forces_on(i);
+        bring_near(i, v.made);
+        visit<T, true, false, true>(components_[i], x(i), y(i), kept(i), v, nullptr, nullptr);
+        ws_.kept_at[i] = v.made;
+        ws_.pending[i] = 0;
+    }
+
+    // What is kept of a component's modes must be near the next tension.
+    void bring_near(int i, double tension) {
+        const Component<T>& c = components_[i];
+        if (!(std::abs(tension - ws_.kept_at[i]) * c.stretched.most_half < kNear<T>)) keep(i, tension);
+    }
+
+    // 1 / (1 + a T g / 2) of a component's modes, divided.
+    void keep(int i, double tension) {
+        if (ws_.kept_at[i] == tension) return;
+        const Component<T>& c = components_[i];
+        const T *const a = c.stretched.weight.data(), *const gain = c.stretched.gain.data(), half = T(0.5 * tension);
+        T* const to = kept(i);
+        for (int k = 0; k < c.n; k += kWidth)
+            Simd<T>::store(to + k, T(1) / (T(1) + Simd<T>::load(gain + k) * (Simd<T>::load(a + k) * half)));
+        ws_.kept_at[i] = tension;
+    }
+
+    // Sums of a visit, those of ports side by side.
+    void fold() {
+        double* to = ports_.sums.data();
+        const std::size_t n = ports_.sums.size();
+        for (std::size_t k = 0; k < n; k += kWidth) {
+            const V sum = sums<T, kWidth>(lanes(k));
+            for (int i = 0; i < kWidth; ++i) to[k + i] = double(sum[i]);
+        }
+        for (std::size_t p = 0; p < ports_.ports.size(); ++p) {
+            const auto& port = ports_.ports[p];
+            const double* from = to + ports_.own[port.component] + std::size_t(port.port) * kPortSums;
+            for (int i = 0; i < kPortSums; ++i) ports_.of_port[i][p] = from[i];
+        }
+        for (int s = 0; s < n_strings(); ++s) ws_.stretch[s] = to[ports_.shared[s]];
     }
 
     // Tensions and forces where only linear connections act.
-    bool linear_step(int b, double* f, double* now) {
-        int iterations = 0;
-        bool done = false;
-        while (!done && iterations++ < kMaxTensionIterations) {
-            for (int s = 0; s < int(tensions_.strings.size()); ++s)
-                for (const int i : tensions_.strings[s].components) pass(i, ws_.tension[s]);
-            if (!linear_forces(b, iterations, f)) break;
-            std::fill_n(now, layout_.force_width, 0.0);
-            add_product(layout_.push.data(), layout_.force_width, f, solve_.m, now);
-            done = correct(iterations, [&](int i, double& after, double& slope, double& size) {
-                gain(i, now + layout_.port[i], after, slope, size);
-            });
-            for (const int i : tensions_.components)
-                std::copy_n(now + layout_.port[i], components_[i].n_ports, ws_.guess[i].data());
-        }
-        book(iterations, done);
+    bool linear_step(double* f, double* now) {
+        const bool done = find([&](double* forces) {
+            std::copy(ports_.base.begin(), ports_.base.end(), forces);
+            add_product(ports_.onto_forces.data(), layout_.force_width, ports_.moved.data(), int(ports_.ports.size()), forces);
+            return true;
+        }, now);
+        linear_forces(f);
         return done;
     }
 
-    void book(int iterations, bool done) {
+    // Forces of the linear connections, the displacements of the ports known.
+    void linear_forces(double* f) const {
+        std::copy(ports_.linear.begin(), ports_.linear.end(), f);
+        const int n = int(ports_.ports.size());
+        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.alone.data(), n, f);
+        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.moved.data(), n, f);
+    }
+
+    // Tensions, and the port forces in now: `answer` tells them from the displacements ports.moved.
+    template <class Answer>
+    bool find(const Answer& answer, double* now) {
+        int iterations = 0;
+        bool done = false;
+        while (!done && iterations++ < kMaxTensionIterations) {
+            if (iterations == 1) {
+                std::copy(ws_.at.begin(), ws_.at.end(), ws_.tension.begin());
+            } else {
+                for (int s = 0; s < n_strings(); ++s)
+                    if (!close_enough(s)) ws_.at[s] = ws_.tension[s], look(s);
+                fold();
+            }
+            bool told = false;
+            for (int turn = 0; !told && turn < kMaxTurns; ++turn) {
+                if (!displacements()) return book(iterations, false);
+                if (!settle(turn == 0 ? 3 : kMaxTurns, answer, now)) return book(iterations, false);
+                told = !raise_tensions() && turn > 0;
+            }
+            done = told;
+            for (int s = 0; s < n_strings(); ++s) done = done && close_enough(s);
+        }
+        for (int s = 0; s < n_strings(); ++s) ws_.used[s] = ws_.tension[s];
+        return book(iterations, done);
+    }
+
+    bool book(int iterations, bool done) {
         statistics_.tension_iterations += iterations;
         statistics_.most_tension_iterations = std::max<std::int64_t>(statistics_.most_tension_iterations, iterations);
         statistics_.failures += !done;
+        return done;
+    }
+
+    // Where the ports come to by themselves at the tensions tried, and how their compliances differ from those at rest.
+    bool displacements() {
+        const int n = int(ports_.ports.size()), width = ports_.pair_width;
+        strong_ = false;
+        for (int s = 0; s < n_strings(); ++s) {
+            if (!std::isfinite(ws_.tension[s])) return false;
+            enter_cell(s);
+            strong_ = strong_ || ws_.tension[s] * ports_.cells[s].most > kStrong;
+        }
+        const double *old = ports_.of_port[0].data(), *row = ports_.of_port[1].data();
+        const double *first = ports_.of_port[3].data(), *second = ports_.of_port[5].data();
+        double* const to = ports_.alone.data();
+        for (int p = 0; p < n; ++p) {
+            const double by = 0.5 * (ws_.tension[ports_.ports[p].string] - ws_.at[ports_.ports[p].string]);
+            to[p] = row[p] - old[p] - by * (first[p] - by * second[p]);
+        }
+        double *const off = ports_.off.data(), *const change = ports_.change.data(), *const slope = ports_.slope.data();
+        const int n_pairs = int(ports_.pairs.size());
+        for (int q = 0; q < n_pairs; ++q) {
+            const int s = ports_.pairs[q].string;
+            off[q] = ws_.tension[s] - ports_.cells[s].low;
+        }
+        for (int q = 0; q < width; q += Simd<double>::width) {
+            using S = Simd<double>;
+            const S::V by = S::load(off + q);
+            S::V value{}, rise{};
+            for (int j = kTaylor - 1; j >= 0; --j) {
+                rise = rise * by + value;
+                value = value * by + S::load(&ports_.changes[std::size_t(j) * width + q]);
+            }
+            S::store(change + q, value), S::store(slope + q, rise);
+        }
+        std::copy(ports_.fixed_part.begin(), ports_.fixed_part.end(), ports_.base.begin());
+        add_product(ports_.onto_forces.data(), layout_.force_width, to, n, ports_.base.data());
+        if (strong_) invert_ports();
+        return true;
+    }
+
+    // Compliances about the tension of a string, made anew where it leaves their cell.
+    void enter_cell(int s) {
+        auto& cell = ports_.cells[s];
+        const double tension = ws_.tension[s];
+        if (cell.index >= 0 && tension >= cell.low && tension < cell.high) return;
+        const auto begin = [&](int index) { return std::expm1(kCell * index) / cell.most; };
+        int index = int(std::log1p(cell.most * tension) / kCell);
+        while (index > 0 && tension < begin(index)) --index;
+        while (tension >= begin(index + 1)) ++index;
+        cell.index = index, cell.low = begin(index), cell.high = begin(index + 1);
+        for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
+            const auto& pair = ports_.pairs[q];
+            if (pair.string != s) continue;
+            double terms[kTaylor];
+            compliances(components_[pair.component], cell.low, ports_.ports[pair.to].port, ports_.ports[pair.from].port,
+                        terms);
+            for (int j = 0; j < kTaylor; ++j) ports_.changes[std::size_t(j) * ports_.pair_width + q] = terms[j];
+        }
+    }
+
+    // ports.moved = (Z(T) - Z(0)) f
+    void move_ports(const double* force) {
+        const int n = int(ports_.ports.size());
+        double* const to = ports_.moved.data();
+        if (ports_.single) {
+            for (int p = 0; p < n; ++p) to[p] = ports_.change[p] * force[p];
+            return;
+        }
+        std::fill_n(to, n, 0.0);
+        for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
+            const auto& pair = ports_.pairs[q];
+            to[pair.to] += ports_.change[q] * force[pair.from];
+            if (pair.to != pair.from) to[pair.from] += ports_.change[q] * force[pair.to];
+        }
+    }
+
+    // The forces that the displacements call up and that make the displacements, at the tensions tried.
+    template <class Answer>
+    bool settle(int turns, const Answer& answer, double* now) {
+        const int n = int(ports_.ports.size());
+        double* const force = ports_.force.data();
+        for (int turn = 0; turn < turns; ++turn) {
+            move_ports(force);
+            if (!answer(now)) return false;
+            double change = 0.0, size = 0.0;
+            for (int p = 0; p < n; ++p) {
+                const double wrong = now[ports_.ports[p].force] - force[p];
+                ports_.wrong[p] = wrong;
+                change = std::max(change, std::abs(wrong));
+                size = std::max(size, std::abs(now[ports_.ports[p].force]));
+            }
+            if (!(change <= 1e300)) return n == 0;
+            if (change <= kForceTolerance<T> * size) return true;
+            if (strong_) {
+                for (int p = 0; p < n; ++p)
+                    for (int q = 0; q < n; ++q) force[p] += ports_.inverse[std::size_t(p) * n + q] * ports_.wrong[q];
+            } else {
+                for (int p = 0; p < n; ++p) force[p] += ports_.wrong[p];
+            }
+        }
+        return true;
+    }
+
+    // ports.inverse = (I - onto^T (Z(T) - Z(0)))^-1 by Gauss and Jordan: its diagonal dominates as that of 1 + a T w / 2.
+    void invert_ports() {
+        const int n = int(ports_.ports.size());
+        double *const a = ports_.inverse.data(), *const unit = ports_.wrong.data();
+        for (int p = 0; p < n; ++p) {
+            for (int q = 0; q < n; ++q) unit[q] = q == p ? 1.0 : 0.0;
+            move_ports(unit);
+            for (int to = 0; to < n; ++to) {
+                double sum = to == p ? 1.0 : 0.0;
+                for (int q = 0; q < n; ++q)
+                    sum -= ports_.onto_forces[std::size_t(q) * layout_.force_width + ports_.ports[to].force] *
+                           ports_.moved[q];
+                a[std::size_t(to) * n + p] = sum;
+            }
+        }
+        int* const pivots = ports_.pivots.data();
+        for (int p = 0; p < n; ++p) {
+            int best = p;
+            for (int i = p + 1; i < n; ++i)
+                if (std::abs(a[i * n + p]) > std::abs(a[best * n + p])) best = i;
+            pivots[p] = best;
+            for (int j = 0; j < n; ++j) std::swap(a[p * n + j], a[best * n + j]);
+            const double pivot = a[p * n + p];
+            a[p * n + p] = 1.0;
+            for (int j = 0; j < n; ++j) a[p * n + j] /= pivot;
+            for (int i = 0; i < n; ++i) {
+                if (i == p) continue;
+                const double ratio = a[i * n + p];
+                a[i * n + p] = 0.0;
+                for (int j = 0; j < n; ++j) a[i * n + j] -= ratio * a[p * n + j];
+            }
+        }
+        for (int p = n - 1; p >= 0; --p)
+            for (int i = 0; i < n; ++i) std::swap(a[i * n + p], a[i * n + pivots[p]]);
+    }
+
+    // Newton's step of every tension, at the forces found; true if one of them changed.
+    bool raise_tensions() {
+        bool changed = false;
+        const double* const force = ports_.force.data();
+        for (int s = 0; s < n_strings(); ++s) {
+            const auto& string = tensions_.strings[s];
+            const double *all = &ports_.sums[ports_.shared[s]], by = ws_.tension[s] - ws_.at[s];
+            ws_.after[s] = all[1] - by * all[2], ws_.steepness[s] = all[2], ws_.pushed[s] = ws_.sharp[s] = 0.0;
+        }
+        for (std::size_t p = 0; p < ports_.ports.size(); ++p) {
+            const int s = ports_.ports[p].string;
+            const double by = ws_.tension[s] - ws_.at[s], f = force[p];
+            const double steep = 2 * ports_.of_port[5][p] - ports_.of_port[4][p];
+            ws_.after[s] += f * (2 * (ports_.of_port[3][p] - ports_.of_port[2][p]) - by * steep);
+            ws_.steepness[s] += f * steep;
+        }
+        for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
+            const auto& pair = ports_.pairs[q];
+            const double both = force[pair.to] * force[pair.from] * (pair.to == pair.from ? 1.0 : 2.0);
+            ws_.pushed[pair.string] -= 2 * both * ports_.slope[q];
+            ws_.sharp[pair.string] += std::abs(both * ports_.changes[3 * std::size_t(ports_.pair_width) + q]);
+        }
+        for (int s = 0; s < n_strings(); ++s) {
+            const double kappa = tensions_.strings[s].kappa, old = ws_.stretch[s];
+            const double excess = ws_.tension[s] - kappa * (old + ws_.after[s] + ws_.pushed[s]);
+            const double reach = kFar * (ws_.at[s] + 1 / ports_.cells[s].most);
+            double next = ws_.tension[s] - excess / std::max(1 + kappa * ws_.steepness[s], 0.5);
+            next = std::clamp(next, ws_.at[s] - reach, ws_.at[s] + reach);
+            next = std::max(next, kappa * old);
+            const double still = kSettled<T> * std::max(1 / ports_.cells[s].most, 20 * next);
+            if (!(std::abs(next - ws_.tension[s]) <= still)) changed = true;
+            ws_.tension[s] = next;
+        }
+        return changed;
+    }
+
+    // Whether the sums of the visit tell the motion of a string at the tension found: what their polynomials leave out
+    // is bounded by Cauchy's inequality.
+    bool close_enough(int s) const {
+        const double kappa = tensions_.strings[s].kappa, by = std::abs(ws_.tension[s] - ws_.at[s]);
+        const double most = ports_.cells[s].most, near = by * most / (1 + most * std::min(ws_.tension[s], ws_.at[s]));
+        const double own = ports_.sums[ports_.shared[s] + 3];
+        const double lost = by * by * (own + 6 * std::sqrt(own * ws_.sharp[s]));
+        const double size = ws_.stretch[s] + ws_.after[s] + std::abs(ws_.pushed[s]);
+        return near <= kTold<T> &&
+               kappa * lost <= 0.5 * kTensionTolerance<T> * (ws_.tension[s] + 1e-2 * kappa * size);
     }
 
     // Newton's step of every tension; true if they were right already. `gain_of` adds what a component's stretch gains.
     template <class Gain>
     bool correct(int iteration, const Gain& gain_of) {
         bool found = true;
-        for (int s = 0; s < int(tensions_.strings.size()); ++s) {
+        for (int s = 0; s < n_strings(); ++s) {
             const auto& string = tensions_.strings[s];
-            double after = ws_.old_stretch[s], slope = 0.0, size = after;
+            double after = ws_.stretch[s], slope = 0.0, size = after;
             for (const int i : string.components) gain_of(i, after, slope, size);
-            const double excess = ws_.tension[s] - string.kappa * (after + ws_.old_stretch[s]);
+            const double excess = ws_.tension[s] - string.kappa * (after + ws_.stretch[s]);
             ws_.used[s] = ws_.tension[s];
             if (!(std::abs(excess) <= kTensionTolerance<T> * (ws_.tension[s] + 1e-2 * string.kappa * size))) found = false;
             // the slope at constant forces first, then the secant, which knows how the forces answer
@@ -174,101 +431,71 @@ private:
                 if (secant > 0.5 * steepness && secant < 2 * steepness) steepness = secant;
             }
             ws_.last_excess[s] = excess, ws_.last_tension[s] = ws_.tension[s];
-            ws_.tension[s] = std::max(string.kappa * ws_.old_stretch[s], ws_.tension[s] - excess / steepness);
+            ws_.tension[s] = std::max(string.kappa * ws_.stretch[s], ws_.tension[s] - excess / steepness);
         }
         return found;
     }
 
-    // Moves the stretched components, the port forces known.
-    void finish_sample(int b, const std::vector<std::vector<Input<T>>>& known, const double* now) {
-        double* last = job_.tension;
-        for (int s = 0; s < int(tensions_.strings.size()); ++s) {
-            double* t = last + 3 * tensions_.strings[s].index;
+    // The step is found, the port forces known. It is made at once where more than fixed ports and springs push.
+    void finish_sample(const double* now) {
+        for (int s = 0; s < n_strings(); ++s) {
+            double* t = job_.tension + 3 * tensions_.strings[s].index;
             t[2] = t[1], t[1] = t[0], t[0] = ws_.used[s];
-            for (const int i : tensions_.strings[s].components) move(i, b, known[i], ws_.used[s], now + layout_.port[i]);
+            for (const int i : tensions_.strings[s].components) {
+                for (int p = 0; p < components_[i].n_ports; ++p) forces_on(i)[p] = T(now[layout_.port[i] + p]);
+                if (known_[i].empty() && pushed_[i].empty()) {
+                    ws_.pending[i] = 1;
+                    continue;
+                }
+                Visit<T> v;
+                v.made = ws_.used[s], v.forces = forces_on(i), v.made_in = sample_;
+                v.inputs = known_[i].data(), v.n_inputs = int(known_[i].size());
+                v.loads = pushed_[i].data(), v.n_loads = int(pushed_[i].size());
+                bring_near(i, v.made);
+                visit<T, true, false, false>(components_[i], x(i), y(i), kept(i), v, nullptr, nullptr);
+                ws_.kept_at[i] = v.made;
+            }
         }
     }
 
-    void rows(int i, int b, double* lines) {
+    // Rows of a component from the first-th on.
+    void rows(int i, int first, int b, double* lines) {
         using S = Simd<T>;
         const Component<T>& c = components_[i];
         double* line = lines + std::size_t(b) * layout_.width + layout_.row[i];
         const T *sx = x(i), *sy = y(i);
-        for (int r = 0; r < c.n_rows; ++r) {
+        for (int r = first; r < c.n_rows; ++r) {
             const T *rx = &c.rows[2 * std::size_t(r) * c.n], *ry = rx + c.n;
-            typename S::V sum{}, more{};
-            if (r < c.n_ports) {  // a displacement of real modes: of the first number alone
-                for (int k = 0; k < c.n; k += S::width) sum += S::load(rx + k) * S::load(sx + k);
-            } else {
-                for (int k = 0; k < c.n; k += S::width) {
-                    sum += S::load(rx + k) * S::load(sx + k);
-                    more += S::load(ry + k) * S::load(sy + k);
-                }
+            V sum{}, more{};
+            for (int k = 0; k < c.n; k += kWidth) {
+                sum += S::load(rx + k) * S::load(sx + k);
+                more += S::load(ry + k) * S::load(sy + k);
             }
             line[r] = S::sum(sum + more);
         }
     }
 
-    // Coordinates before the step and after it without forces, in ws.y and ws.u (their sum).
-    void begin(int i, int b, double* lines, const std::vector<Input<T>>& known) {
+    // Coordinates before the step in ws.y, and in ws.u their sum with those after it without forces.
+    void coordinates(int i) {
         using S = Simd<T>;
-        using V = typename S::V;
         const Component<T>& c = components_[i];
-        rows(i, b, lines);
         const int n = c.n;
         const T *const sx = x(i), *const sy = y(i), *const readings = c.stretched.reading.data();
-        const T *const e00 = c.e.data(), *const e01 = e00 + n, *const weights = c.stretched.a.data();
+        const T *const e00 = c.e.data(), *const e01 = e00 + n;
         T *const here = buffer(ws_.y, i), *const both = buffer(ws_.u, i);
-        const Input<T>* const inputs = known.data();
-        const int n_inputs = int(known.size());
-        V stretch{};
-        for (int k = 0; k < n; k += S::width) {
-            const V a = S::load(sx + k), d = S::load(sy + k), reading = S::load(readings + k);
-            V free = S::load(e00 + k) * a + S::load(e01 + k) * d;
-            for (int j = 0; j < n_inputs; ++j)
-                free += S::load(inputs[j].vector + k) * T(inputs[j].values[b * inputs[j].stride]);
-            const V q = reading * a;
-            S::store(here + k, q);
-            S::store(both + k, q + reading * free);
-            stretch += S::load(weights + k) * q * q;
+        for (int k = 0; k < n; k += kWidth) {
+            const V a = S::load(sx + k), reading = S::load(readings + k);
+            V free = S::load(e00 + k) * a + S::load(e01 + k) * S::load(sy + k);
+            for (const Input<T>& in : known_[i]) free += S::load(in.vector + k) * T(in.values[sample_ * in.stride]);
+            S::store(here + k, reading * a);
+            S::store(both + k, reading * (a + free));
         }
-        ws_.stretch[i] = S::sum(stretch);
-    }
-
-    void pass(int i, double tension) {
-        const Component<T>& c = components_[i];
-        const T *u = buffer(ws_.u, i), *here = buffer(ws_.y, i);
-        T* kept = buffer(ws_.yields, i);
-        double *f = ws_.guess[i].data(), *sums = ws_.sums[i].data();
-        // relative error of what is kept: each correction squares it
-        const double far = std::abs(tension - ws_.kept_at[i]) * c.stretched.most_half;
-        const int corrections = far < 1e-4 ? 2 : far < 1e-2 ? 3 : 0;
-        ws_.kept_at[i] = tension;
-        switch (c.n_ports) {
-            case 0: stretch_pass<T, 0>(c, u, here, kept, tension, corrections, f, sums); break;
-            case 1: stretch_pass<T, 1>(c, u, here, kept, tension, corrections, f, sums); break;
-            case 2: stretch_pass<T, 2>(c, u, here, kept, tension, corrections, f, sums); break;
-            default: stretch_pass<T, -1>(c, u, here, kept, tension, corrections, f, sums);
-        }
-    }
-
-    // Adds what a component's stretch gains under port forces f, its slope with the tension, and the size of the terms.
-    void gain(int i, const double* f, double& after, double& slope, double& size) const {
-        const int n = components_[i].n_ports;
-        const double* sums = ws_.sums[i].data();
-        const auto add = [&](double term) { after += term, size += std::abs(term); };
-        slope += sums[1];
-        add(sums[0]);
-        for (int p = 0; p < n; ++p) add(f[p] * sums[3 + 2 * p]);
-        const double* pair = sums + 2 + 2 * n;
-        for (int p = 0; p < n; ++p)
-            for (int q = p; q < n; ++q, pair += 2) add((p == q ? 1.0 : 2.0) * f[p] * f[q] * pair[1]);
     }
 
     // The part of the gaps that the tensions do not change, gamma g - offset.
-    void gaps_at_start(int b, const double* lines) {
+    void gaps_at_start(const double* lines) {
         std::fill(ws_.fixed.begin(), ws_.fixed.end(), 0.0);
-        const double* line = lines + std::size_t(b) * layout_.width;
+        const double* line = lines + std::size_t(sample_) * layout_.width;
         for (const auto& t : tensions_.terms) {
             const double old = line[layout_.row[t.component] + t.port];
             ws_.fixed[t.connection] += solve_.gamma[t.connection] * t.factor * old;
@@ -278,25 +505,6 @@ private:
                 ws_.fixed[t.connection] += t.factor * line[layout_.width + layout_.row[t.component] + t.port];
         }
         for (int j = 0; j < solve_.m; ++j) ws_.fixed[j] -= tensions_.offset[j];
-    }
-
-    // f = -M(T)^-1 (g_free + gamma g - offset): by an inverse that is a few samples old, and corrections with M itself.
-    bool linear_forces(int b, int iteration, double* f) {
-        const int m = solve_.m;
-        double *M = ws_.matrix.data(), *v = ws_.right.data();
-        std::copy(tensions_.matrix.begin(), tensions_.matrix.end(), M);
-        std::copy(ws_.fixed.begin(), ws_.fixed.end(), v);
-        for (const auto& t : tensions_.terms) {
-            if (!components_[t.component].stretched.on) continue;
-            v[t.connection] += t.factor * ws_.sums[t.component][2 + 2 * t.port];
-        }
-        for (const auto& pair : tensions_.pairs) {
-            const double* sums = ws_.sums[pair.component].data();
-            const double moved = sums[2 + 2 * components_[pair.component].n_ports + 2 * pair.place];
-            M[pair.row * m + pair.column] += pair.factor * (moved - pair.rest);
-        }
-        std::fill_n(f, layout_.f_width, 0.0);
-        return solve_linear(M, v, f, b == 0 && iteration == 1);
     }
 
     // In two chains, as many as pay for the few connections of a string.
@@ -310,18 +518,18 @@ private:
         return n < S::width ? rest : S::sum(sums) + rest;
     }
 
-    // f = -M^-1 v; `fresh` makes the inverse anew, `warm` starts from the last solution.
-    bool solve_linear(const double* M, const double* v, double* f, bool fresh, bool warm = true) {
+    // f = -M^-1 v, by an inverse made earlier in the block and corrections with M itself.
+    bool solve_linear(const double* M, const double* v, double* f) {
         const int m = solve_.m;
         double *now = ws_.solution.data(), *wrong = ws_.wrong.data();
-        if (fresh) invert(M);
         for (int attempt = 0; attempt < 2; ++attempt) {
-            if (fresh || !warm || attempt > 0) std::fill_n(now, m, 0.0);
+            const bool fresh = attempt > 0 || !ws_.inverted;
+            if (fresh) invert(M);
+            ws_.inverted = true;
+            std::fill_n(now, m, 0.0);
             for (int correction = 0; correction < 12; ++correction) {
                 double change = 0.0, size = 0.0;
-                for (int i = 0; i < m; ++i) {
-                    wrong[i] = -v[i] - dot(M + std::size_t(i) * m, now, m);
-                }
+                for (int i = 0; i < m; ++i) wrong[i] = -v[i] - dot(M + std::size_t(i) * m, now, m);
                 for (int i = 0; i < m; ++i) {
                     const double sum = dot(&ws_.inverse[std::size_t(i) * m], wrong, m);
                     now[i] += sum;
@@ -333,8 +541,7 @@ private:
                     return true;
                 }
             }
-            // the tension has gone too far from where the inverse was made
-            if (!fresh && attempt == 0) fresh = true, invert(M);
+            if (fresh) break;  // or else the tensions have gone too far from where the inverse was made
         }
         std::copy_n(now, m, f);
         for (int i = 0; i < m; ++i)
@@ -374,45 +581,6 @@ private:
                 a[i * m + j] = ws_.done[i] && ws_.done[j] ? a[i * m + j] / (d[i] * d[j]) : 0.0;
     }
 
-    // The step itself, the tension and the port forces known.
-    void move(int i, int b, const std::vector<Input<T>>& known, double tension, const double* f) {
-        using S = Simd<T>;
-        using V = typename S::V;
-        const Component<T>& c = components_[i];
-        const std::size_t n = c.n;
-        T *const sx = x(i), *const sy = y(i);
-        const T *const u = buffer(ws_.u, i), *const yields = buffer(ws_.yields, i);
-        const T *const e = c.e.data(), *const weights = c.stretched.a.data(), *const kick = c.stretched.kick.data();
-        const T *const per_force = c.stretched.c.data(), *const w = c.w.data();
-        const Input<T>* const inputs = known.data();
-        const Pushed* const pushed = pushed_[i].data();
-        const int n_ports = c.n_ports, n_inputs = int(known.size()), n_pushed = int(pushed_[i].size());
-        T force[kMaxStretchedPorts];
-        for (int p = 0; p < n_ports; ++p) force[p] = T(f[p]);
-        const T half_t = T(-0.5 * tension);
-        for (std::size_t k = 0; k < n; k += S::width) {
-            V D = S::load(u + k);
-            const V a = S::load(sx + k), d = S::load(sy + k);
-            V nx = S::load(e + k) * a + S::load(e + n + k) * d;
-            V ny = S::load(e + 2 * n + k) * a + S::load(e + 3 * n + k) * d;
-            for (int j = 0; j < n_inputs; ++j) {
-                const T value = T(inputs[j].values[b * inputs[j].stride]);
-                nx += S::load(inputs[j].vector + k) * value, ny += S::load(inputs[j].vector + n + k) * value;
-            }
-            for (int p = 0; p < n_ports; ++p) {
-                D += S::load(per_force + p * n + k) * force[p];
-                nx += S::load(w + 2 * p * n + k) * force[p], ny += S::load(w + (2 * p + 1) * n + k) * force[p];
-            }
-            for (int j = 0; j < n_pushed; ++j) {
-                D += S::load(pushed[j].per_force + k) * pushed[j].force;
-                nx += S::load(pushed[j].w + k) * pushed[j].force, ny += S::load(pushed[j].w + n + k) * pushed[j].force;
-            }
-            const V pull = S::load(weights + k) * D * S::load(yields + k) * half_t;
-            S::store(sx + k, nx + S::load(kick + k) * pull);
-            S::store(sy + k, ny + S::load(kick + n + k) * pull);
-        }
-    }
-
     T* buffer(Array<char>& bytes, int i) const { return reinterpret_cast<T*>(bytes.data()) + components_[i].offset; }
 
     const std::vector<Component<T>>& components_;
@@ -420,14 +588,14 @@ private:
     const Solve& solve_;
     const Tensions& tensions_;
     TensionSpace& ws_;
+    TensePorts& ports_;
     Statistics& statistics_;
     const Job<T>& job_;
-    // forces on guarded ports, by component
-    struct Pushed {
-        const T *per_force, *w;
-        T force;
-    };
-    std::vector<std::vector<Pushed>> pushed_;
+    const std::vector<std::vector<Input<T>>>& known_;
+    int sample_ = 0;
+    bool strong_ = false;
+    std::vector<std::vector<Load<T>>> pushed_;  // forces on guarded ports, by component
+    Array<T> forces_;                           // on fixed ports, of the step found last
 };
 
 }  // namespace

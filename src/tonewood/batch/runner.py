@@ -25,7 +25,7 @@ from tonewood.batch.manifest import HtmlPage, Manifest, ManifestError, load_mani
 from tonewood.batch.production import PICTURES, SERVED, SOUNDS, Fault, SoundFile, make_files
 from tonewood.batch.store import Rendered, Store, content_key
 from tonewood.batch.workers import Workers
-from tonewood.errors import NumericalError, TonewoodError
+from tonewood.errors import NumericalError, OutputError, TonewoodError
 
 WORK = "work"
 _FILE_SECONDS = 0.1  # to measure, write and draw one sound file
@@ -200,6 +200,10 @@ def run_batch(
     workers = workers or Workers()
     plan = plan_batch(manifest_path, folder, renderer, workers)
     manifest, store = plan.manifest, Store(folder / WORK)
+    try:
+        store.folder.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:  # better to know before the first render
+        raise OutputError(f"cannot be made: {fault.strerror}", file=folder) from None
     failed = _render_missing(plan, store, renderer, workers, progress)
     renders = {key: store.facts(key) for key in set(plan.keys.values()) - set(failed)}
     keys = {name: key for name, key in plan.keys.items() if key in renders}

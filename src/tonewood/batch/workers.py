@@ -8,6 +8,7 @@ wait for each other there; sound files are the same either way.
 from __future__ import annotations
 
 import contextlib
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
@@ -60,7 +61,10 @@ class Workers:
         with self._backend() as options:
             try:
                 parallel = Parallel(return_as="generator_unordered", pre_dispatch="2*n_jobs", **options)
-                yield from parallel(delayed(function)(item) for item in items)
+                with warnings.catch_warnings():
+                    # why it ends early is told by the error that ends it
+                    warnings.filterwarnings("ignore", message=r"\d+ tasks? which", category=UserWarning)
+                    yield from parallel(delayed(function)(item) for item in items)
             except BrokenProcessPool:
                 raise TonewoodError(
                     "a worker process died (out of memory?); finished work is kept: run again"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import wraps
 from importlib import import_module
@@ -9,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tonewood.cli.main import COMMANDS, InterruptError
+from tonewood.cli.main import COMMANDS, InterruptError, ReaderGoneError
 
 # typer may carry its own copy of click: its errors are found through it
 _UsageError = typer.BadParameter.__bases__[0]
@@ -27,19 +28,23 @@ def application(first: str | None) -> typer.Typer:
     )
     for name in [first] if first in COMMANDS else COMMANDS:
         module, _, function = COMMANDS[name].partition(":")
-        app.command(name)(_interruptible(getattr(import_module(f"tonewood.cli.{module}"), function)))
+        app.command(name)(_command(getattr(import_module(f"tonewood.cli.{module}"), function)))
     # with a single command typer would leave its name out
     app.callback()(_options)
     return app
 
 
-def _interruptible(command: Callable[..., Any]) -> Callable[..., Any]:
+def _command(command: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(command)
     def wrapped(*args: Any, **options: Any) -> Any:
         try:
-            return command(*args, **options)
+            code = command(*args, **options)
+            sys.stdout.flush()
         except KeyboardInterrupt as error:
             raise InterruptError(*error.args) from None
+        except BrokenPipeError:
+            raise ReaderGoneError from None
+        return code
 
     return wrapped
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import Json, Overrides, load
+from tonewood.cli.common import Json, Overrides, allow_rate, load
 
 if TYPE_CHECKING:
     from tonewood.instrument.assembly import Model
@@ -29,6 +29,7 @@ def check(
     from tonewood.instrument.assembly import assemble
     from tonewood.instrument.inspection import TOLERANCE_CENTS, pitches
 
+    allow_rate(fs)
     bundle = load(instrument, settings)
     model = assemble(bundle, fs, outputs=tuple(bundle.pickups))
     body = _body(model)

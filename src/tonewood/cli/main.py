@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from contextlib import suppress
 from typing import NoReturn
 
 from tonewood.errors import TonewoodError
@@ -33,9 +35,16 @@ class InterruptError(Exception):
     """
 
 
+class ReaderGoneError(Exception):
+    """Nobody reads standard output any more, as behind ``| head``; typer would make an exit code of that, too."""
+
+
 def run(arguments: list[str] | None = None) -> None:
     """Run the command line and exit."""
     given = sys.argv[1:] if arguments is None else arguments
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by whoever called
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115  # as long as the process
     try:
         # within the reach of Ctrl-C, as it takes a while
         from tonewood.cli.app import ABORTED, ClickError, application
@@ -56,12 +65,24 @@ def run(arguments: list[str] | None = None) -> None:
         # itself with the signal, whatever the exit code; another call makes it forget.
         exec("")
         _fail(f"interrupted; {str(error) or 'nothing was written'}", _INTERRUPTED)
-    except BrokenPipeError:
-        sys.stderr.close()
+    except ReaderGoneError:
+        _no_more_output()
         sys.exit(0)
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        _no_more_output()
+        _fail(f"standard output: cannot be written: {error.strerror}", 2)
     sys.exit(code if isinstance(code, int) else 0)
 
 
+def _no_more_output() -> None:
+    """What still waits to be written goes nowhere, instead of failing again when the interpreter ends."""
+    with suppress(OSError, ValueError):  # no file at all, as in tests
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _fail(line: str, code: int) -> NoReturn:
-    print(f"tonewood: {line}", file=sys.stderr)
+    with suppress(OSError):  # nowhere to say it
+        print(f"tonewood: {line}", file=sys.stderr)
     sys.exit(code)

@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from tonewood.cli.common import need
+from tonewood.errors import OutputError
+
 
 def validate(
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write all rows to FILE as JSON")] = None,
@@ -19,6 +22,10 @@ def validate(
     ] = None,
 ) -> int:
     """Print one row per checked quantity; exit code 1 if one fails."""
+    if json is not None and not json.absolute().parent.is_dir():
+        raise OutputError(f"there is no folder {str(json.parent)!r}", file=json)
+    if plots is not None:
+        need("plot", "matplotlib")
     from rich.console import Console
 
     from tonewood.lab import validation

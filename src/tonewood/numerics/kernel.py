@@ -1,7 +1,8 @@
 """The C++ kernel behind the same interface as `stepper.NumpyStepper`.
 
 The instruction set is chosen when the module is imported: the widest this machine has, or the one named by the
-environment variable ``TONEWOOD_ISA``. Results are bit-identical for one instruction set, however a run is cut.
+environment variable ``TONEWOOD_ISA``. Results are bit-identical for one instruction set, also where a run
+is cut at multiples of 64 samples.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lstsq, qr
 
 from tonewood import _kernel
 from tonewood.errors import NumericalError, TonewoodError
@@ -112,7 +114,9 @@ class KernelStepper:
             self._loaded[slot] = (compiled, wires.key)
             # nobody asks for the motion of a driven component's ports
             readouts = np.arange(len(compiled.ports), len(compiled.rows))
-            fixed, guarded = wires.fixed, wires.guarded
+            fixed, guarded, incidence = wires.fixed, wires.guarded, wires.incidence
+            if not one_way and not any(slot == at and not on_guarded for _, at, _, on_guarded, _ in terms):
+                fixed, incidence = _independent(compiled, fixed, incidence)
             rows = readouts if one_way else np.concatenate([fixed, readouts])
             E = _pack((compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)).reshape(-1, 4)[None])[0]
             history = compiled.history
@@ -124,7 +128,7 @@ class KernelStepper:
                 _pack(compiled.rows[rows]),
                 _pack(compiled.W[fixed]),
                 np.ascontiguousarray(history[:, fixed][:, :, rows]),
-                wires.incidence,
+                incidence,
                 compiled.readouts.tolist(),
                 compiled.difference.astype(int).tolist(),
             )
@@ -267,6 +271,27 @@ class KernelStepper:
             known = (injection, vectors, np.ascontiguousarray(injection.values))
             self._packed[id(injection)] = known
         return self.system.slot(injection.component), injection.start - state.sample, known[1], known[2]
+
+
+def _independent(compiled: Compiled, ports: NDArray[np.intp], incidence: Floats) -> tuple[NDArray[np.intp], Floats]:
+    """As few ports as move the others with them, and how connections then use those.
+
+    Where p ports of a body move by r < p independent motions (a rigid bridge that heaves and rocks has two), r of them
+    span the rest, u = B u_r, in what they read and in what they push; a force on one is B^T f on those.
+    """
+    if len(ports) < 3 or not len(incidence):
+        return ports, incidence
+    parts = [part[ports].reshape(len(ports), -1) for part in (compiled.rows, compiled.W)]
+    motion = np.hstack([part / (np.max(np.abs(part), initial=0.0) or 1.0) for part in parts])
+    _, R, order = qr(motion.T, mode="economic", pivoting=True)
+    rank = int(np.count_nonzero(np.abs(np.diag(R)) > 1e-13 * np.abs(R[0, 0]))) if R.size else 0
+    if rank in (0, len(ports)):
+        return ports, incidence
+    chosen = np.sort(order[:rank])
+    span = lstsq(motion[chosen].T, motion.T)[0].T
+    if np.max(np.abs(motion - span @ motion[chosen])) > 1e-14 * rank:
+        return ports, incidence
+    return ports[chosen], np.ascontiguousarray(incidence @ span)
 
 
 def _idle(law: object) -> bool:

@@ -376,7 +376,7 @@ def _crossing(excess: Callable[[Floats], Floats], outside: float, inside: float)
     from scipy.optimize import brentq
 
     low, high = min(outside, inside), max(outside, inside)
-    return float(brentq(lambda w: float(excess(np.array([w]))[0]), low, high, xtol=1e-6 * (high - low), rtol=1e-14))
+    return float(brentq(lambda w: float(excess(np.array([w]))[0]), low, high, xtol=1e-14 * high, rtol=1e-14))
 
 
 def _lowest(

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 _TICKS = 8
 #: s over which the decayed tail is judged
 _WINDOW = 0.2
-_FS_RANGE = (8000, 768000)
+FS_RANGE = (8000, 768000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ class Renderer:
         budget_cents: float | None = None,
         energy: bool = False,
     ):
-        low, high = _FS_RANGE
+        low, high = FS_RANGE
         if not low <= fs <= high:
             raise TonewoodError(f"is {fs} Hz; {low} to {high} are allowed", key="fs")
         level = accuracy_level(accuracy)

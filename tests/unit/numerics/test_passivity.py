@@ -11,7 +11,7 @@ from scipy import linalg
 from random_bodies import DAMPING, body, held_step, solve, state_space
 from tonewood.errors import PassivityError
 from tonewood.numerics.mobility import mobility
-from tonewood.numerics.passivity import check
+from tonewood.numerics.passivity import TOLERANCE, check
 
 
 def real_modes(rng, n=30, n_ports=4, zeta=0.01, low=80.0, high=8000.0):
@@ -134,14 +134,17 @@ def test_bands_do_not_depend_on_units_of_ports_or_states(rng):
 
 @given(st.floats(-8, -4), st.floats(-3, 0), st.floats(150, 9000), st.integers(0, 10**6))
 def test_narrow_violations_are_found_with_their_edges(log_zeta, log_excess, freq, seed):
-    """A weak mode of negative mass in a damped body: Re Y < 0 exactly where |x| < sqrt(excess).
+    """A weak mode of negative mass in a damped body: Re Y < 0 between the roots of x^2 + g x - excess.
 
-    Near its pole, a mode of strength a adds -a / (2 sigma (1 + x^2)) to Re Y, x = (omega - omega_d) / sigma.
+    Near its pole, a mode of strength a adds -a / (2 sigma (1 + x^2)) to Re Y, x = (omega - omega_d) / sigma; there,
+    Re Y of the body alone is in proportion to 1 + g x. What is tolerated of |Y|, nearly all of it imaginary, comes off
+    the excess.
     """
     zeta, excess = 10**log_zeta, 10**log_excess
     poles, right, left = real_modes(np.random.default_rng(seed), n=12, n_ports=1, zeta=0.03)
     omega = 2 * np.pi * freq
-    level = mobility(poles, right, left, [omega])[0, 0, 0].real
+    around = mobility(poles, right, left, [omega * (1 - zeta), omega, omega * (1 + zeta)])[:, 0, 0]
+    below, level, above = around.real
     strength = 2 * zeta * omega * level * (1 + excess)
     modes = (
         np.append(poles, omega * (1j - zeta)),
@@ -151,9 +154,10 @@ def test_narrow_violations_are_found_with_their_edges(log_zeta, log_excess, freq
     report = check(*modes)
     assert len(report.violations) == 1
     band = report.violations[0]
-    half = np.sqrt(excess) * zeta * freq
-    assert band.upper_hz - freq == pytest.approx(half, rel=0.02, abs=2e-12 * freq)
-    assert freq - band.lower_hz == pytest.approx(half, rel=0.02, abs=2e-12 * freq)
+    g = (above - below) / (2 * level)
+    half = np.sqrt(excess - TOLERANCE * abs(around[1].imag) / level + g**2 / 4)
+    assert band.upper_hz - freq == pytest.approx((half - g / 2) * zeta * freq, rel=0.01, abs=2e-12 * freq)
+    assert freq - band.lower_hz == pytest.approx((half + g / 2) * zeta * freq, rel=0.01, abs=2e-12 * freq)
 
 
 def test_active_bodies_fail_at_the_right_frequency(rng):
