@@ -113,7 +113,8 @@ void arrange(const std::vector<Component<T>>& components, Nonlinear& nl) {
     }
     // the lines tell nothing of a tense string's fixed ports beforehand
     for (const Nonlinear::Term& t : nl.all_terms)
-        if (!t.guarded && components[t.component].stretched.on) nl.guarded[t.connection] = 0;
+        if (!t.guarded && (components[t.component].stretched.on || components[t.component].geometric))
+            nl.guarded[t.connection] = 0;
     for (int j = 0; j < nl.k; ++j) {
         if (!nl.guarded[j]) continue;
         int to = int(nl.groups.size());
@@ -202,7 +203,7 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
     to.inverse.assign(n * n, 0.0), to.pivots.assign(n, 0);
     for (const auto& port : to.ports) {
         const double* linear = &l.pull[(n_places + port.place) * l.f_width];
-        const double* forces = &l.direct[std::size_t(l.width + port.line) * l.force_width];
+        const double* forces = &l.direct[std::size_t(port.place) * l.force_width];
         to.onto_linear.insert(to.onto_linear.end(), linear, linear + l.f_width);
         to.onto_forces.insert(to.onto_forces.end(), forces, forces + l.force_width);
     }
