@@ -187,6 +187,9 @@ class Ledger:
                 if effect.name == "tension_modulation":
                     if string.resonator.axial_stiffness <= 0:
                         continue
+                    if string.along:  # its tension rises with it
+                        add(effect, name, whole)
+                        continue
                     off = self.samples - self.tense[name].samples
                     bound = self.left_out.get(name, 0.0) if effect.name in choice.names else None
                     saved = off * effect.cost(modes[name]) * per_unit
@@ -197,6 +200,9 @@ class Ledger:
                     there = effect.name in choice.names
                     saved = 0.0 if there else self.samples * effect.cost(modes[name]) * per_unit
                     add(effect, name, whole if there else 0.0, saved, 0.0 if there else None)
+                elif effect.name == "longitudinal":
+                    saved = 0.0 if string.along else self.samples * effect.cost(modes[name]) * per_unit
+                    add(effect, name, whole if string.along else 0.0, saved, 0.0 if string.along else None)
                 elif effect.name in ("high_modes", "sympathetic_strings"):
                     high = effect.name == "high_modes"
                     slept = (self.asleep if high else self.silent)[name].samples

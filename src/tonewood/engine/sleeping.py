@@ -113,6 +113,8 @@ class Sleeper:
     def __post_init__(self) -> None:
         model = self.model
         self.enabled = model.choice.mode == "auto" and model.choice.budget_db > -math.inf
+        # what sleeps is taken to be linear; strings that move along themselves are not, and all stay awake with them
+        self.enabled = self.enabled and not model.system.geometric
         self.names, self._n_modes = tuple(model.strings), model.n_modes
         self.components = tuple(c for s in model.strings.values() for c in s.components)
         self._owner = np.array([i for i, s in enumerate(model.strings.values()) for _ in s.components], dtype=np.intp)

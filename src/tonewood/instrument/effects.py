@@ -120,6 +120,11 @@ TENSION_MODULATION = Effect(
     "the string's energy, which bounds the mean rise of its tension",
     bound=rise_of_tension, cost=lambda n: 8.0 * n,
 )  # fmt: skip
+LONGITUDINAL = Effect(
+    "longitudinal", "motion along the string: partials at sums of transverse ones", "additive",
+    "always, where the string's plugin steps it", "nothing: it is stepped or not from the beginning",
+    cost=lambda n: 60.0 * n,
+)  # fmt: skip
 DAMPERS = Effect(
     "dampers", "fingers that quiet a string while they draw it", "additive", "from touch to release of each pluck",
     "nothing: no finger is on the string otherwise", cost=nothing,
