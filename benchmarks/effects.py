@@ -106,8 +106,8 @@ def row(score: tw.Score, made: tw.Instrument, seconds: float, predict: bool) -> 
         plan = tw.plan(score, made, FS, max_duration=seconds, tail=tw.Tail(cap=2.0))
         foreseen = f"{plan.predicted_s / stream.summary().render_s:.2f}"
     return (
-        f"{n / FS:.0f} | {t_auto:.1f} | {t_all / t_auto:.2f} | {t_auto / t_linear:.2f} | {share} | {100 * awake:.0f} % | {db} "
-        f"| {np.quantile(cents, 0.95):.3f} | {cents.max():.2f} | {foreseen}"
+        f"{n / FS:.0f} | {t_auto:.1f} | {t_all / t_auto:.2f} | {t_auto / t_linear:.2f} | {share} | {100 * awake:.0f} % "
+        f"| {db} | {np.quantile(cents, 0.95):.3f} | {cents.max():.2f} | {foreseen}"
     )
 
 
