@@ -198,7 +198,7 @@ class NonlinearSolve:
         """(m,) displacements in series as this system goes on with those of the one before it.
 
         What no longer yields (a finger that left, a fret behind the stop) has none. What has just come shares what the
-        others make of its place, R_jq R_qq^+ rho_q, which leaves the energy as it is: two laws at one place yield alike.
+        others make of its place, R_jq R_qq^+ rho_q, which leaves the energy as it is: laws at one place yield alike.
         """
         rho, R = series[self.index], self.residual
         rho[np.diag(R) <= 0.0] = 0.0
