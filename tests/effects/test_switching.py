@@ -88,8 +88,7 @@ def test_a_snapshot_between_switches_continues() -> None:
         again = renderer(notes, 1.2, duet())
         again.restore(snapshot)
         left = np.concatenate(list(again.blocks(512)))[-len(rest) :]
-        # tensions are found to 1e-11 of themselves, from where the last ones were
-        assert abs(left - rest).max() < 1e-9 * abs(rest).max()
+        assert np.array_equal(left, rest)
 
 
 def test_energy_falls_through_switches() -> None:

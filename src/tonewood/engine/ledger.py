@@ -80,6 +80,8 @@ class Ledger:
     def __init__(self, model: Model):
         self.model = model
         self.samples = 0
+        #: samples in which any tension rose
+        self.any_tense = 0
         #: steps of single modes
         self.mode_samples = 0
         self._compiled: tuple[Compiled, ...] = ()
@@ -142,6 +144,7 @@ class Ledger:
                 self.silent[name].add(start, n)
         for name in tense:
             self.tense[name].add(start, n)
+        self.any_tense += n if tense else 0
         for name in held:
             self.held[name].add(start, n)
         touched = False
