@@ -143,13 +143,14 @@ class Engine:
             before = self.state.copy() if self.books else None
             ready = time.perf_counter()
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
-            self.ticker.stepping_s += time.perf_counter() - ready
+            seconds = time.perf_counter() - ready
+            self.ticker.stepping_s += seconds
             self.ticker.control_s += ready - began
             if self.books and before:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
             touched = self.ledger.count(
-                self.state.sample - steps, pushes, self.tense, self.holds, self.system, self._missing
+                self.state.sample - steps, pushes, self.tense, self.holds, self.system, self._missing, seconds
             )
             if self.sleeper.enabled:
                 self.sleeper.heard(sound)
