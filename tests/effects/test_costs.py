@@ -54,7 +54,7 @@ def test_no_rate_is_negative() -> None:
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A clock that goes by what is stepped and exchanged."""
     told = SimpleNamespace(now=0.0, exchange=2e-3)
-    told.perf_counter = lambda: told.now
+    told.perf_counter = told.thread_time = lambda: told.now
     for module in (engine_module, plan_module, render_module):
         monkeypatch.setattr(module, "time", told)
     run, exchange = KernelStepper.run, KernelStepper.exchange

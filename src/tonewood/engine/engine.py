@@ -141,10 +141,11 @@ class Engine:
             self._control()
             steps = min(self._next_event(), end) - self.state.sample
             before = self.state.copy() if self.books else None
-            ready = time.perf_counter()
+            ready, alone = time.perf_counter(), time.thread_time()
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
-            seconds = time.perf_counter() - ready
-            self.ticker.stepping_s += seconds
+            # of the processor, for costs: others that use it must not seem to be those of an effect
+            seconds = time.thread_time() - alone
+            self.ticker.stepping_s += time.perf_counter() - ready
             self.ticker.control_s += ready - began
             if self.books and before:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
