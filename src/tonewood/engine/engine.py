@@ -141,6 +141,7 @@ class Engine:
             self._control()
             steps = min(self._next_event(), end) - self.state.sample
             before = self.state.copy() if self.books else None
+            solves = self.stepper.statistics.solves
             ready, alone = time.perf_counter(), time.thread_time()
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
             # of the processor, for costs: others that use it must not seem to be those of an effect
@@ -151,7 +152,14 @@ class Engine:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
             touched = self.ledger.count(
-                self.state.sample - steps, pushes, self.tense, self.holds, self.system, self._missing, seconds
+                self.state.sample - steps,
+                pushes,
+                self.tense,
+                self.holds,
+                self.system,
+                self._missing,
+                seconds,
+                self.stepper.statistics.solves > solves,
             )
             if self.sleeper.enabled:
                 self.sleeper.heard(sound)
@@ -172,10 +180,6 @@ class Engine:
         return {n: (level, sleeper.missing(n, self.frettings[n], level)) for n, level in sleeper.sleeping.items()}
 
     @property
-    def _sleeps(self) -> bool:
-        return self.sleeper.promising(self.state.sample, self._pending)
-
-    @property
     def _pending(self) -> float:
         """When the next change or gesture is due, s."""
         changes, plays = self.timeline.changes, self.timeline.plays
@@ -190,11 +194,12 @@ class Engine:
         now = self.state.sample
         grid = now // GRID * GRID + GRID
         # a thing is done at the last grid point before its time
-        times = [self._samples(self._pending) - GRID + 1] if self._pending < math.inf else []
+        pending = self._pending
+        times = [self._samples(pending) - GRID + 1] if pending < math.inf else []
         times += [self._samples(active.play.stop) for active in self.active]
         if self.switch.enabled:
             times.append(grid if self.awaited else now // self._look * self._look + self._look)
-        if self._sleeps:
+        if self.sleeper.promising(now, pending):
             times.append(self.sleeper.state.following)
         due = int(np.ceil(min(times) / GRID)) * GRID if times else grid + 63 * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
@@ -211,7 +216,8 @@ class Engine:
             self._exchange(woken(self.system, self.model.resting, self.active), "partners that come and go")
             if self.switch.enabled:
                 self._switch(now, fresh)
-            if self._sleeps and (fresh or over or now >= self.sleeper.state.following):
+            due = bool(fresh) or over or now >= self.sleeper.state.following
+            if due and self.sleeper.promising(now, self._pending):
                 self._look_after_sleepers(now, fresh)
         wanted = holds_at(self.active, now)
         if wanted != self.holds:
