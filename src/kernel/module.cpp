@@ -362,12 +362,13 @@ public:
 
     // String `index` of those whose longitudinal motion is stepped, its components just set or unchanged. A part, the
     // longitudinal one last: slot, slopes (cosines, n), reading, yields (n), kick (2, n), to_port, from_port (n_ports, n).
-    void set_geometric(std::size_t index, double scale,
+    // Not `along`: there is no longitudinal one, and in place of the slopes stands the stretch (1, n).
+    void set_geometric(std::size_t index, double scale, bool along,
                        const std::vector<std::tuple<int, In, In, In, In, In, In>>& parts) {
         const auto padded = [](std::size_t n) { return (n + kLane - 1) / kLane * kLane; };
-        if (parts.size() < 2 || index > geometric_.strings.size()) throw std::invalid_argument("no such geometric string");
+        if (parts.size() < (along ? 2 : 1) || index > geometric_.strings.size()) throw std::invalid_argument("no such geometric string");
         Geometric::String string;
-        string.scale = scale;
+        string.scale = scale, string.along = along;
         for (const auto& [slot, slopes, reading, yields, kick, to_port, from_port] : parts) {
             if (slot < 0 || std::size_t(slot) >= components_.size() || slopes.ndim() != 2)
                 throw std::invalid_argument("no such component slot");
@@ -378,14 +379,15 @@ public:
             expect("kick", kick, {2, n});
             expect("to_port", to_port, {p, n});
             expect("from_port", from_port, {p, n});
-            if (c.driven || c.guarded.n || n > std::size_t(c.n) || cosines == 0)
+            if (c.driven || c.guarded.n || n > std::size_t(c.n) || cosines == 0 || (!along && cosines > 1))
                 throw std::invalid_argument("a geometric string does not fit its component");
             Geometric::Part part;
             part.component = slot, part.n = int(n), part.width = int(w), part.cosines = int(cosines);
             part.cosines_width = int(padded(cosines));
             part.slopes.assign(n * part.cosines_width, 0.0), part.back.assign(cosines * w, 0.0);
             part.stretch.assign(w, 0.0);
-            for (std::size_t i = 0; i < cosines; ++i)
+            if (!along) std::copy_n(slopes.data(), n, part.stretch.begin());
+            for (std::size_t i = 0; along && i < cosines; ++i)
                 for (std::size_t k = 0; k < n; ++k) {
                     const double slope = slopes.data()[i * n + k];
                     part.slopes[k * part.cosines_width + i] = part.back[i * w + k] = slope;
@@ -402,7 +404,7 @@ public:
             string.parts.push_back(std::move(part));
         }
         string.order = string.parts.back().cosines - 1;
-        std::fill(string.parts.back().stretch.begin(), string.parts.back().stretch.end(), 0.0);
+        if (along) std::fill(string.parts.back().stretch.begin(), string.parts.back().stretch.end(), 0.0);
         if (index == geometric_.strings.size()) geometric_.strings.emplace_back();
         geometric_.strings[index] = std::move(string);
         laid_out_ = false;

@@ -19,7 +19,7 @@ from tonewood.engine.books import Books
 from tonewood.engine.fretting import Fingerboard, Fretting, pulls
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, samples
 from tonewood.engine.ledger import Ledger
-from tonewood.engine.sleeping import REST, Asleep, Sleeper
+from tonewood.engine.sleeping import Asleep, Sleeper
 from tonewood.engine.surroundings import Surroundings, holds_at, string_of
 from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable, string_energy
 from tonewood.engine.timeline import GRID, Play, Timeline
@@ -32,9 +32,6 @@ from tonewood.numerics.system import Compiled, Control, Injection, State, System
 __all__ = ["GRID", "Engine", "Snapshot", "Ticker"]
 
 Floats = NDArray[np.float64]
-
-#: samples from one look at what may sleep to the next
-_RESTING = GRID * REST
 
 
 @dataclass(eq=False)
@@ -175,18 +172,27 @@ class Engine:
         sleeper = self.sleeper
         return {n: (level, sleeper.missing(n, self.frettings[n], level)) for n, level in sleeper.sleeping.items()}
 
+    @property
+    def _sleeps(self) -> bool:
+        return self.sleeper.promising(self.state.sample, self._pending * self.dt)
+
+    @property
+    def _pending(self) -> float:
+        """Sample at which the next change or gesture is due; infinite if none is."""
+        changes, plays = self._change_samples, self._play_samples
+        change = changes[self._next_change] if self._next_change < len(changes) else math.inf
+        return min(change, plays[self._next_play]) if self._next_play < len(plays) else change
+
     def _next_event(self) -> int:
         """First sample after now at which something has to be looked at: a grid point, or a finger's next step."""
         now = self.state.sample
         grid = now // GRID * GRID + GRID
-        # whoever sleeps, or may by then, is looked at there
-        times: list[float] = [now // _RESTING * _RESTING + _RESTING]
         # a thing is done at the last grid point before its time
-        times += [sample - GRID + 1 for sample in self._change_samples[self._next_change : self._next_change + 1]]
-        times += [sample - GRID + 1 for sample in self._play_samples[self._next_play : self._next_play + 1]]
-        times += [active.stop for active in self.active]
+        times = [grid + 63 * GRID, self._pending - GRID + 1, *(active.stop for active in self.active)]
         if self.switch.enabled:
             times.append(grid if self.awaited else now // self._look * self._look + self._look)
+        if self._sleeps:
+            times.append(self.sleeper.state.following)
         due = math.ceil(min(times) / GRID) * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
         # back to the grid first: the kernel counts from where a run begins
@@ -202,7 +208,7 @@ class Engine:
             self._exchange(self.surroundings.woken(self.system, self.active), "partners that come and go")
             if self.switch.enabled:
                 self._switch(now, fresh)
-            if (fresh or over or now % _RESTING == 0) and self.sleeper.promising(now):
+            if (fresh or over or now >= self.sleeper.state.following) and self._sleeps:
                 self._look_after_sleepers(now, fresh)
         wanted = holds_at(self.active, now)
         if wanted != self.holds:
@@ -320,14 +326,12 @@ class Engine:
 
     def _look_after_sleepers(self, now: int, fresh: Sequence[Play]) -> None:
         """Let bands of strings fall asleep that are not heard, and wake those that might be."""
-        following = now // _RESTING * _RESTING + _RESTING
         plays = [active.play for active in self.active]
         if self.sleeper.shaken(now, plays):
-            wanted = dict.fromkeys(self.sleeper.sleeping, 0)
-            self.sleeper.state.last = now
+            wanted = self.sleeper.all_awake(now)
         else:
             busy = {play.string or "" for play in plays} | set(self.holds)
-            wanted = self.sleeper.look(now, following, self.system, self.state, self.frettings, busy, self.tense, fresh)
+            wanted = self.sleeper.look(now, self.system, self.state, self.frettings, busy, self.tense, fresh)
         self.sleeper.state.touched = False
         self.ledger.unheard = self.sleeper.largest
         if wanted:

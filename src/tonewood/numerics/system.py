@@ -302,7 +302,7 @@ class System:
                 raise ValueError(f"a tension needs two-way components of its own, not {name!r}")
         if tensions and geometric:
             both = f"{tensions[0].name} and {geometric[0].name}"
-            raise ValueError(f"{both}: strings of rising tension and strings that stretch along themselves do not mix")
+            raise ValueError(f"{both}: where a string moves along itself, all rising tensions go into `geometric`")
         names, joined = tuple(components), tuple(connections)
         room = tuple(_padded(max(components[n].n_modes, (capacities or {}).get(n, 0))) for n in names)
         layout = Layout(names, room, joined, tuple(readouts), tuple(drives))
