@@ -454,7 +454,7 @@ private:
 
     // See weave.hpp; nothing is woven where a mode has several rows or cannot be told from what its row reads.
     static void weave(Component<T>& c, const double* e, const double* rows, const double* w) {
-        constexpr std::size_t chunk = kChunk<T>, doors = Woven<T>::n_doors;
+        constexpr std::size_t chunk = kChunk<T>;
         const std::size_t n = c.n;
         if (c.n_ports < 1 || c.n_ports > 2 || c.n_rows == 0) return;
         Woven<T> woven;
@@ -470,32 +470,21 @@ private:
                 }
             if (row[k] < 0 && !dead) return;
         }
-        const auto slow = [&](std::size_t k) { return c.kappa[k] < T(0.02); };
         for (std::size_t k = 0; k < n;) {
             if (row[k] < 0) {
                 ++k;
                 continue;
             }
-            // by whole chunks, as many alike as there are
-            const auto of_chunk = [&](std::size_t from) {
-                bool any = false;
-                for (std::size_t i = from; i < std::min(from + chunk, n) && row[i] == row[k]; ++i) any = any || slow(i);
-                return any;
-            };
-            const bool is_slow = of_chunk(k);
             std::size_t end = k;
-            while (end < n && row[end] == row[k] && of_chunk(end) == is_slow)
-                for (const std::size_t stop = std::min(end + chunk, n); end < stop && row[end] == row[k];) ++end;
-            std::size_t n_chunks = (end - k + chunk - 1) / chunk;
-            if (n_chunks % 4 == 3) ++n_chunks;  // a pack of four takes no longer than one of two and one of one
-            const std::size_t at = woven.data.size() / woven.step;
-            woven.strands.push_back({int(k), int(end - k), int(n_chunks * chunk), row[k], is_slow, at});
-            woven.data.resize((at + n_chunks) * woven.step, T(0));
-            woven.doors.resize((at + n_chunks) * chunk * doors, T(0));
+            bool is_slow = false;
+            for (; end < std::min(k + chunk, n) && row[end] == row[k]; ++end) is_slow = is_slow || c.kappa[end] < T(0.02);
+            const std::size_t first = k, at = woven.chunks.size();
+            woven.chunks.push_back({int(k), int(end - k), row[k], is_slow});
+            woven.data.resize((at + 1) * woven.step, T(0));
+            woven.doors.resize((at + 1) * Woven<T>::door_step, T(0));
             for (; k < end; ++k) {
-                const std::size_t i = k - woven.strands.back().first;
-                T* const data = &woven.data[(at + i / chunk) * woven.step + i % chunk];
-                T* const door = &woven.doors[(at + i / chunk) * chunk * doors + i % chunk];
+                T* const data = &woven.data[at * woven.step + k - first];
+                T* const door = &woven.doors[at * Woven<T>::door_step + k - first];
                 const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
                 const double rx = rows[2 * row[k] * n + k], ry = rows[(2 * row[k] + 1) * n + k], one = is_slow;
                 const double tx = rx * (a - one) + ry * g, ty = rx * b + ry * (d - one);
