@@ -144,15 +144,17 @@ class Engine:
             before = self.state.copy() if self.books else None
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)
-            ready = time.perf_counter()
+            ready, alone = time.perf_counter(), time.thread_time()
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
+            # of the processor, for costs: others that use it must not seem to be those of an effect
+            seconds = time.thread_time() - alone
             self.ticker.stepping_s += time.perf_counter() - ready
             self.ticker.control_s += ready - began
             if self.books and before:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
             touched = self.ledger.count(
-                self.state.sample - steps, pushes, self.tense, self.holds, self.system, self._missing
+                self.state.sample - steps, pushes, self.tense, self.holds, self.system, self._missing, seconds
             )
             if self.sleeper.enabled:
                 self.sleeper.heard(sound)
