@@ -6,9 +6,9 @@ Each score's first seconds are rendered with effects `all`, `auto` and none but 
 turn, on one core; times are those of stepping, in seconds of the processor. `nylon_guitar` is the classical guitar with
 all there is: rising tensions and frets; `steel_guitar` is taken with frets, too. `awake` is the share of modes stepped.
 Errors are those of `auto` against `all`: the largest sample difference with rising tension always on, in dB re the peak
-(additive effects alone), and by how much the fundamentals of the notes are off, in cents (95 % of the windows of 50 ms
-in which they are within 20 dB of their loudest, and the largest). `plan` is the predicted time of `auto` over the real
-one, both by the clock on the wall.
+(additive effects alone), and by how much the fundamentals of the notes are off while they sound, in cents (95 % of the
+windows of 50 ms in which they are within 20 dB of their loudest, and the largest). `plan` is the predicted time of
+`auto` over the real one, both by the clock on the wall.
 """
 
 from __future__ import annotations
@@ -73,11 +73,14 @@ def partial(y: Floats, freq: float, width: float = 0.04) -> NDArray[np.complex12
     return np.asarray(oaconvolve(y * carrier, window / window.sum(), mode="same"))
 
 
-def detuning(a: Floats, b: Floats, freqs: list[float]) -> Floats:
-    """Cents by which fundamentals differ, in all windows in which they are strong."""
+def detuning(a: Floats, b: Floats, notes: list[tuple[float, float, float]]) -> Floats:
+    """Cents by which the fundamentals of notes (Hz, from and to s) differ, in all windows in which they are strong."""
     out, step = [np.zeros(1)], FS // 20
-    for freq in freqs:
-        x, y = (partial(s, freq)[step:-step:step] for s in (a, b))
+    for freq, start, stop in notes:
+        here = slice(round(start * FS), min(round(stop * FS), len(a)))
+        if here.stop - here.start < FS // 4:
+            continue
+        x, y = (partial(s[here], freq)[step:-step:step] for s in (a, b))
         turn = np.angle(y[1:] * np.conj(x[1:]) * np.conj(y[:-1] * np.conj(x[:-1])))
         strong = np.minimum(abs(x), abs(y)) > 0.1 * abs(x).max()
         out.append(abs(turn[strong[1:] & strong[:-1]]) * FS / (2 * np.pi * freq * step) * 1200 / np.log(2))
@@ -90,8 +93,8 @@ def row(score: tw.Score, made: tw.Instrument, seconds: float, predict: bool) -> 
     *_, t_linear = rendered(score, made, seconds, effects=LINEAR)
     n = min(len(auto), len(every))
     strings = stream.model.strings
-    freqs = sorted({round(strings[p.string].freq(p.stop), 1) for p in stream.performance.notes})[:8]
-    cents = detuning(every[:n], auto[:n], freqs)
+    notes = [(strings[p.string].freq(p.stop), p.note.time, p.end) for p in stream.performance.notes]
+    cents = detuning(every[:n], auto[:n], notes)
     short = min(SAMPLES, seconds)
     exact = rendered(score, made, short, effects="auto", budget_cents=0.0)[0]
     m = min(len(exact), n)

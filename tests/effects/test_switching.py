@@ -38,7 +38,6 @@ def test_auto_is_within_its_budget_of_all(scene: str) -> None:
     off = [r for r in streams["auto"].summary().effects if r.name == "tension_modulation"]
     assert any(r.seconds_active < seconds for r in off)  # something was left out
     assert all(r.bound is not None and r.bound <= BUDGET for r in off)
-    assert all(r.seconds_saved > 0 for r in off if r.seconds_active < seconds)
     for freq in freqs:
         cents, level = compared(all_, auto, freq)
         assert len(cents) > 5

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from tonewood.numerics.stored_energy import gaps
 from tonewood.numerics.system import Compiled, State, System
 
 Floats = NDArray[np.float64]
+#: component -> force of its bridge on a string's end, N
+Pull = Callable[[str], float]
 
 #: compiled stops that are kept for use again
 _CACHE = 96
@@ -78,14 +81,14 @@ class Fingerboard:
         return {c.name: c for c in touching if c.name not in self.model.resting}
 
     def carried(
-        self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], pull: Mapping[str, float]
+        self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], pull: Pull
     ) -> dict[str, Floats]:
         """The motion of a string when it is held otherwise.
 
         Parameters
         ----------
         modes : component -> (2, n_modes) as it is stepped before.
-        pull : component -> N, of the bridge on its end, see `pulls`.
+        pull : component -> N, of the bridge on its end, see `pulls`; asked only where modes come back.
 
         Returns
         -------
@@ -93,12 +96,12 @@ class Fingerboard:
         """
         old, new = self.bases(name, before), self.bases(name, after)
         if before.stop == after.stop:
-            return {c: _resized(old[c].basis, new[c].basis, modes[c], pull[c]) for c in new}
+            return {c: _resized(old[c].basis, new[c].basis, modes[c], c, pull) for c in new}
         string, out = self.model.strings[name], {}
         old_whole, new_whole = self._whole(name, before), self._whole(name, after)
         for component, compiled in new.items():
             basis = old_whole[component]
-            q, v = to_motion(basis, _resized(old[component].basis, basis, modes[component], pull[component]))
+            q, v = to_motion(basis, _resized(old[component].basis, basis, modes[component], component, pull))
             q, v = string.carried(component, basis, new_whole[component], q, v)
             n = compiled.basis.n_modes
             out[component] = from_motion(compiled.basis, q[:n], v[:n])
@@ -114,16 +117,21 @@ class Fingerboard:
         return string.bases(fretting.stop, bend_cents=fretting.cents, whole=True)
 
 
-def pulls(system: System, state: State) -> dict[str, float]:
-    """Component -> force of its bridge on a string's end, as the residual compliance holds it (N)."""
-    rigid = np.array([isinstance(c.law, Rigid) for c in system.connections], dtype=bool)
-    R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
-    force = -scaled_pinv(R) @ gaps(system, state)[rigid]
-    held = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
-    return dict(zip(held, force.tolist(), strict=True))
+def pulls(system: System, state: State) -> Pull:
+    """Forces of bridges on strings' ends, as the residual compliance holds them; all found when one is asked for."""
+
+    @cache
+    def found() -> dict[str, float]:
+        rigid = np.array([isinstance(c.law, Rigid) for c in system.connections], dtype=bool)
+        R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
+        force = -scaled_pinv(R) @ gaps(system, state)[rigid]
+        held = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
+        return dict(zip(held, force.tolist(), strict=True))
+
+    return lambda component: found()[component]
 
 
-def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, pull: float) -> Floats:
+def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, component: str, pull: Pull) -> Floats:
     """Numbers of the same shapes at other frequencies or decay rates.
 
     Modes that leave the basis take their energy along and leave their compliance in the residual. Modes that come
@@ -140,5 +148,5 @@ def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, pull: float) -> Fl
         shape = new.right[end, n:].real
         static = shape / new.stiffness[n:]
         softer = old.residual[old_end, old_end] - new.residual[end, end]
-        full_q[n:] = static * (pull * softer / (shape @ static))
+        full_q[n:] = static * (pull(component) * softer / (shape @ static))
     return from_motion(new, full_q, full_v)

@@ -17,7 +17,7 @@ from scipy.linalg import lstsq, qr
 
 from tonewood import _kernel
 from tonewood.errors import NumericalError, TonewoodError
-from tonewood.numerics.connections import SERIES, SpringDashpot
+from tonewood.numerics.connections import SERIES
 from tonewood.numerics.laws import (
     CompiledPotential,
     Contact,
@@ -31,6 +31,7 @@ from tonewood.numerics.stepper import Statistics
 from tonewood.numerics.system import Compiled, Control, Injection, State, System
 
 Floats = NDArray[np.float64]
+_NONE = np.zeros(0, dtype=np.intp)
 #: nonlinear connection, component, port among its fixed or its guarded ones, whether it is guarded, factor
 Term = tuple[int, int, int, bool, float]
 
@@ -81,6 +82,7 @@ class KernelStepper:
         self._wirings: dict[tuple[bytes, bytes, bytes], tuple[list[_Wires], list[Term]]] = {}
         self._guarded, self._steps = guarded, 0
         self._law_forces = np.zeros((0, 0))  # kept at zero between runs
+        self._nonlinear = self._active = _NONE
         self.system = system
         self._load(system)
 
@@ -102,12 +104,53 @@ class KernelStepper:
         return {"blocks": blocks, "rows_read": rows, "woken": woken}
 
     def _load(self, system: System) -> None:
-        nonlinear = system.nonlinear
-        self._nonlinear = np.zeros(0, dtype=np.intp) if nonlinear is None else nonlinear.index
-        idle = np.array([_idle(c.law) for c in system.connections], dtype=bool)
-        idle[self._nonlinear] = True
-        self._active = np.flatnonzero(~idle)
+        nonlinear, solve, before = system.nonlinear, system.solve, self._nonlinear
+        self._nonlinear = _NONE if nonlinear is None else nonlinear.index
+        self._active = on = solve.on
         wiring, terms = self._wired(system)
+        fresh = self._load_components(system, wiring, terms)
+        for index, law in enumerate(system.geometric):
+            slots = [system.slot(name) for name in law.parts]
+            if fresh & set(slots):
+                self._kernel.set_geometric(index, *_geometric(system, slots, wiring))
+        weights = system.force_weights()
+        self._kernel.set_solve(
+            solve.inverse, solve.gamma[on], solve.inverse @ solve.offset[on], weights.take(on, axis=1)
+        )
+        if self._nonlinear.size or before.size:
+            no, none = np.zeros((0, len(on))), np.zeros((0, 0))
+            laws, *arrays = (
+                ((), none, no, no.T, none)
+                if nonlinear is None
+                else (
+                    nonlinear.laws,
+                    nonlinear.Z,
+                    nonlinear.from_linear[:, on],
+                    nonlinear.answer[on],
+                    nonlinear.residual,
+                )
+            )
+            self._kernel.set_nonlinear(
+                [_law(law) for law in laws],
+                terms,
+                system.dt,
+                SERIES,
+                self._guarded,
+                *(np.ascontiguousarray(a) for a in (*arrays, weights[:, self._nonlinear])),
+            )
+        if system.tensions:
+            self._kernel.set_tensions(
+                [
+                    (t, part.kappa, [system.slot(name) for name in string.components])
+                    for t, string in enumerate(system.tensions)
+                    if system.tension_on[t] and (part := system.compiled[system.slot(string.components[0])].tension)
+                ],
+                solve.matrix,
+                solve.offset[on],
+            )
+
+    def _load_components(self, system: System, wiring: Sequence[_Wires], terms: Sequence[Term]) -> set[int]:
+        """Load those that are others, or used otherwise, than before; returns their slots."""
         fresh: set[int] = set()
         for slot, (compiled, one_way, wires) in enumerate(zip(system.compiled, system.driven, wiring, strict=True)):
             if (known := self._loaded[slot]) and known[0] is compiled and known[1] == wires.key:
@@ -149,43 +192,7 @@ class KernelStepper:
                 half = 0.5 * part.reading * part.kick[:, 0] * part.weights
                 alone = [_pack(a[None, :, None])[0, 0] for a in (part.weights, half, part.reading)]
                 self._kernel.set_stretched(slot, alone[0], alone[1], alone[2], _pack(part.kick[None])[0])
-        for index, law in enumerate(system.geometric):
-            slots = [system.slot(name) for name in law.parts]
-            if fresh & set(slots):
-                self._kernel.set_geometric(index, *_geometric(system, slots, wiring))
-        s = system.solve
-        on = self._active
-        self._kernel.set_solve(
-            np.ascontiguousarray(s.G[np.ix_(on, on)]),
-            s.gamma[on],
-            s.constant[on],
-            np.ascontiguousarray(system.force_weights()[:, on]),
-        )
-        no, none = np.zeros((0, len(on))), np.zeros((0, 0))
-        Z, from_linear, answer, residual = (
-            (none, no, no.T, none)
-            if nonlinear is None
-            else (nonlinear.Z, nonlinear.from_linear[:, on], nonlinear.answer[on], nonlinear.residual)
-        )
-        weights = system.force_weights()[:, self._nonlinear]
-        self._kernel.set_nonlinear(
-            [] if nonlinear is None else [_law(law) for law in nonlinear.laws],
-            terms,
-            system.dt,
-            SERIES,
-            self._guarded,
-            *(np.ascontiguousarray(a) for a in (Z, from_linear, answer, residual, weights)),
-        )
-
-        self._kernel.set_tensions(
-            [
-                (t, part.kappa, [system.slot(name) for name in string.components])
-                for t, string in enumerate(system.tensions)
-                if system.tension_on[t] and (part := system.compiled[system.slot(string.components[0])].tension)
-            ],
-            np.ascontiguousarray(s.matrix[np.ix_(on, on)]),
-            s.offset[on],
-        )
+        return fresh
 
     def _wired(self, system: System) -> tuple[list[_Wires], list[Term]]:
         """Ports of every component as the connections now use them; made once for each set of those in use."""
@@ -321,10 +328,6 @@ def _independent(compiled: Compiled, ports: NDArray[np.intp], incidence: Floats)
     if np.max(np.abs(motion - span @ motion[chosen])) > 1e-14 * rank:
         return ports, incidence
     return ports[chosen], np.ascontiguousarray(incidence @ span)
-
-
-def _idle(law: object) -> bool:
-    return isinstance(law, SpringDashpot) and law.stiffness == 0.0 and law.damping == 0.0
 
 
 def _law(law: NonlinearLaw) -> tuple[int, list[float], list[float], list[float], list[tuple[int, int, bool]]]:
