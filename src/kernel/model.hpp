@@ -323,15 +323,16 @@ struct TensePorts {
     std::vector<Cell> cells;           // by string
     Array<double> changes;             // (kTaylor, pair_width): compliances less those at rest
     Array<double> onto_forces;         // (ports, force_width): port forces per displacement of a port by itself
+    Array<double> onto_ports;          // (ports, width): forces on these ports alone
     Array<double> onto_linear;         // (ports, f_width): the same for forces of linear connections
     // sums of a pass: shared by a string's components, then six for each port
     std::vector<std::size_t> shared, own;  // by string, by component: the first one
     Array<char> lanes;                 // of the sums, as T
     Array<double> sums;
     // of a sample
-    Array<double> of_port[kPortSums], alone, moved, force, wrong;  // by port
+    Array<double> of_port[kPortSums], alone, moved, force, next, wrong, base;  // by port
     Array<double> change, slope, off;                              // by pair
-    Array<double> y, linear, fixed_part, base;
+    Array<double> y, linear, fixed_part;
     Array<double> inverse;             // (ports, ports)
     std::vector<int> pivots;
 };

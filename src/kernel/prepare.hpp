@@ -195,16 +195,18 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
     n_sums = (n_sums + kPadding - 1) / kPadding * kPadding;
     to.lanes.assign(n_sums * 64, 0), to.sums.assign(n_sums, 0.0);
     to.y.assign(2 * n_places, 0.0), to.linear.assign(l.f_width, 0.0), to.fixed_part.assign(l.force_width, 0.0);
-    to.base = to.fixed_part;
     for (Array<double>& a : to.of_port) a.assign(to.width, 0.0);
-    for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.wrong}) a->assign(to.width, 0.0);
+    for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.next, &to.wrong, &to.base}) a->assign(to.width, 0.0);
     for (Array<double>* a : {&to.change, &to.slope, &to.off}) a->assign(to.pair_width, 0.0);
+    to.onto_ports.assign(n * to.width, 0.0);
     to.inverse.assign(n * n, 0.0), to.pivots.assign(n, 0);
     for (const auto& port : to.ports) {
         const double* linear = &l.pull[(n_places + port.place) * l.f_width];
-        const double* forces = &l.direct[std::size_t(l.width + port.line) * l.force_width];
+        const double* forces = &l.direct[std::size_t(port.place) * l.force_width];
         to.onto_linear.insert(to.onto_linear.end(), linear, linear + l.f_width);
         to.onto_forces.insert(to.onto_forces.end(), forces, forces + l.force_width);
+        double* own = &to.onto_ports[std::size_t(&port - to.ports.data()) * to.width];
+        for (std::size_t q = 0; q < n; ++q) own[q] = forces[to.ports[q].force];
     }
 }
 

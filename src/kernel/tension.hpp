@@ -41,7 +41,7 @@ public:
                 const Tensions& tensions, TensionSpace& space, Statistics& statistics, const Job<T>& job,
                 const std::vector<std::vector<Input<T>>>& known)
         : components_(components), layout_(layout), solve_(solve), tensions_(tensions), ws_(space), ports_(space.ports),
-          statistics_(statistics), job_(job), known_(known), pushed_(components.size()), forces_(space.ports.ports.size()) {
+          statistics_(statistics), job_(job), known_(known), at_once_(layout), pushed_(components.size()), forces_(space.ports.ports.size()) {
         for (const int i : tensions_.components) pushed_[i].reserve(components[i].guarded.n), ws_.pending[i] = 0;
     }
 
@@ -80,7 +80,7 @@ private:
         if (b == 0) {  // a block depends on nothing but the state it begins with
             ws_.inverted = false;
             for (const int i : tensions_.components) ws_.kept_at[i] = INFINITY;
-            std::fill(ports_.force.begin(), ports_.force.end(), 0.0);
+            for (Array<double>* a : {&ports_.force, &ports_.base}) std::fill(a->begin(), a->end(), 0.0);
         }
         for (int s = 0; s < n_strings(); ++s) {
             const double* t = job_.tension + 3 * tensions_.strings[s].index;
@@ -91,17 +91,24 @@ private:
         double* line = lines + std::size_t(b) * layout_.width;
         for (std::size_t p = 0; p < ports_.ports.size(); ++p) line[ports_.ports[p].line] = ports_.of_port[0][p];
         for (const int i : tensions_.components) rows(i, components_[i].n_ports, b, lines);
+        for (const auto& port : ports_.ports) line[layout_.width + port.line] = 0.0;
+        at_once_(line, ports_.fixed_part.data());
+        line_ = line;
+        linear_known_ = false;
+    }
+
+    // Forces of the linear connections while the ports do not move by themselves.
+    const double* linear_part() {
+        if (linear_known_) return ports_.linear.data();
         const int n = int(layout_.port_rows.size());
-        double* all = ports_.y.data();
         for (int p = 0; p < n; ++p) {
-            all[p] = line[layout_.port_rows[p]];
-            all[n + p] = line[layout_.width + layout_.port_rows[p]];
+            ports_.y[p] = line_[layout_.port_rows[p]];
+            ports_.y[n + p] = line_[layout_.width + layout_.port_rows[p]];
         }
-        for (const auto& port : ports_.ports) all[n + port.place] = 0.0;
         std::copy(layout_.constant.begin(), layout_.constant.end(), ports_.linear.begin());
-        add_product(layout_.pull.data(), layout_.f_width, all, 2 * n, ports_.linear.data());
-        std::fill(ports_.fixed_part.begin(), ports_.fixed_part.end(), 0.0);
-        add_product(layout_.push.data(), layout_.force_width, ports_.linear.data(), solve_.m, ports_.fixed_part.data());
+        add_product(layout_.pull.data(), layout_.f_width, ports_.y.data(), 2 * n, ports_.linear.data());
+        linear_known_ = true;
+        return ports_.linear.data();
     }
 
     // Visits a string's modes at the tension ws.at, which may make the step that is due.
@@ -178,26 +185,38 @@ private:
 
     // Tensions and forces where only linear connections act.
     bool linear_step(double* f, double* now) {
-        const bool done = find([&](double* forces) {
-            std::copy(ports_.base.begin(), ports_.base.end(), forces);
-            add_product(ports_.onto_forces.data(), layout_.force_width, ports_.moved.data(), int(ports_.ports.size()), forces);
+        const bool done = find(kForceTolerance<T>, true, [&](double* force) {
+            std::copy(ports_.base.begin(), ports_.base.end(), force);
+            add_product(ports_.onto_ports.data(), ports_.width, ports_.moved.data(), int(ports_.ports.size()), force);
             return true;
-        }, now);
-        linear_forces(f);
+        });
+        statistics_.failures += !done;
+        add_moved();
+        std::copy(ports_.fixed_part.begin(), ports_.fixed_part.end(), now);
+        add_product(ports_.onto_forces.data(), layout_.force_width, ports_.alone.data(), int(ports_.ports.size()), now);
+        if (layout_.own_port.empty()) {
+            linear_forces(f);
+        } else {
+            for (int j = 0; j < solve_.m; ++j) f[j] = layout_.own_factor[j] * now[layout_.own_port[j]];
+        }
         return done;
     }
 
-    // Forces of the linear connections, the displacements of the ports known.
-    void linear_forces(double* f) const {
-        std::copy(ports_.linear.begin(), ports_.linear.end(), f);
-        const int n = int(ports_.ports.size());
-        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.alone.data(), n, f);
-        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.moved.data(), n, f);
+    // ports.alone becomes all of what ports move by.
+    void add_moved() {
+        for (std::size_t p = 0; p < ports_.ports.size(); ++p) ports_.alone[p] += ports_.moved[p];
     }
 
-    // Tensions, and the port forces in now: `answer` tells them from the displacements ports.moved.
+    // Forces of the linear connections, after that.
+    void linear_forces(double* f) {
+        std::copy_n(linear_part(), layout_.f_width, f);
+        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.alone.data(), int(ports_.ports.size()), f);
+    }
+
+    // Tensions, and the forces on the ports: `answer` tells these from the displacements ports.moved. `plain`: it adds
+    // them to ports.base and nothing else, so that this is close.
     template <class Answer>
-    bool find(const Answer& answer, double* now) {
+    bool find(double tolerance, bool plain, const Answer& answer) {
         int iterations = 0;
         bool done = false;
         while (!done && iterations++ < kMaxTensionIterations) {
@@ -210,8 +229,9 @@ private:
             }
             bool told = false;
             for (int turn = 0; !told && turn < kMaxTurns; ++turn) {
-                if (!displacements()) return book(iterations, false);
-                if (!settle(turn == 0 ? 3 : kMaxTurns, answer, now)) return book(iterations, false);
+                if (!displacements(plain)) return book(iterations, false);
+                if (strong_ && !plain) return book(iterations, false);
+                if (!settle(turn == 0 ? 3 : kMaxTurns, tolerance, answer)) return book(iterations, false);
                 told = !raise_tensions() && turn > 0;
             }
             done = told;
@@ -224,19 +244,19 @@ private:
     bool book(int iterations, bool done) {
         statistics_.tension_iterations += iterations;
         statistics_.most_tension_iterations = std::max<std::int64_t>(statistics_.most_tension_iterations, iterations);
-        statistics_.failures += !done;
         return done;
     }
 
     // Where the ports come to by themselves at the tensions tried, and how their compliances differ from those at rest.
-    bool displacements() {
+    bool displacements(bool plain) {
         const int n = int(ports_.ports.size()), width = ports_.pair_width;
-        strong_ = false;
+        largest_ = 0.0;
         for (int s = 0; s < n_strings(); ++s) {
             if (!std::isfinite(ws_.tension[s])) return false;
             enter_cell(s);
-            strong_ = strong_ || ws_.tension[s] * ports_.cells[s].most > kStrong;
+            largest_ = std::max(largest_, ws_.tension[s] * ports_.cells[s].most);
         }
+        strong_ = largest_ > kStrong;
         const double *old = ports_.of_port[0].data(), *row = ports_.of_port[1].data();
         const double *first = ports_.of_port[3].data(), *second = ports_.of_port[5].data();
         double* const to = ports_.alone.data();
@@ -260,8 +280,13 @@ private:
             }
             S::store(change + q, value), S::store(slope + q, rise);
         }
-        std::copy(ports_.fixed_part.begin(), ports_.fixed_part.end(), ports_.base.begin());
-        add_product(ports_.onto_forces.data(), layout_.force_width, to, n, ports_.base.data());
+        double *const base = ports_.base.data(), *const force = ports_.force.data();
+        if (plain)
+            for (int p = 0; p < n; ++p) force[p] -= base[p];
+        for (int p = 0; p < n; ++p) base[p] = ports_.fixed_part[ports_.ports[p].force];
+        add_product(ports_.onto_ports.data(), ports_.width, to, n, base);
+        if (plain)
+            for (int p = 0; p < n; ++p) force[p] += base[p];
         if (strong_) invert_ports();
         return true;
     }
@@ -302,30 +327,32 @@ private:
         }
     }
 
-    // The forces that the displacements call up and that make the displacements, at the tensions tried.
+    // The forces that the displacements call up and that make the displacements, at the tensions tried. Each turn shrinks
+    // what is wrong by about the largest rise of a mode's stiffness.
     template <class Answer>
-    bool settle(int turns, const Answer& answer, double* now) {
+    bool settle(int turns, double tolerance, const Answer& answer) {
         const int n = int(ports_.ports.size());
-        double* const force = ports_.force.data();
+        double *const force = ports_.force.data(), *const next = ports_.next.data();
+        const double shrinks = strong_ ? 1.0 : std::min(1.0, 2 * largest_);
         for (int turn = 0; turn < turns; ++turn) {
             move_ports(force);
-            if (!answer(now)) return false;
+            if (!answer(next)) return false;
             double change = 0.0, size = 0.0;
             for (int p = 0; p < n; ++p) {
-                const double wrong = now[ports_.ports[p].force] - force[p];
-                ports_.wrong[p] = wrong;
-                change = std::max(change, std::abs(wrong));
-                size = std::max(size, std::abs(now[ports_.ports[p].force]));
+                ports_.wrong[p] = next[p] - force[p];
+                change = std::max(change, std::abs(ports_.wrong[p]));
+                size = std::max(size, std::abs(next[p]));
             }
             if (!(change <= 1e300)) return n == 0;
-            if (change <= kForceTolerance<T> * size) return true;
             if (strong_) {
                 for (int p = 0; p < n; ++p)
                     for (int q = 0; q < n; ++q) force[p] += ports_.inverse[std::size_t(p) * n + q] * ports_.wrong[q];
             } else {
-                for (int p = 0; p < n; ++p) force[p] += ports_.wrong[p];
+                std::copy_n(next, n, force);
             }
+            if (change * shrinks <= tolerance * size) break;
         }
+        move_ports(force);
         return true;
     }
 
@@ -339,8 +366,7 @@ private:
             for (int to = 0; to < n; ++to) {
                 double sum = to == p ? 1.0 : 0.0;
                 for (int q = 0; q < n; ++q)
-                    sum -= ports_.onto_forces[std::size_t(q) * layout_.force_width + ports_.ports[to].force] *
-                           ports_.moved[q];
+                    sum -= ports_.onto_ports[std::size_t(q) * ports_.width + to] * ports_.moved[q];
                 a[std::size_t(to) * n + p] = sum;
             }
         }
@@ -593,7 +619,10 @@ private:
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
     int sample_ = 0;
-    bool strong_ = false;
+    bool strong_ = false, linear_known_ = false;
+    double largest_ = 0.0;  // rise of a mode's stiffness
+    const double* line_ = nullptr;
+    Direct at_once_;
     std::vector<std::vector<Load<T>>> pushed_;  // forces on guarded ports, by component
     Array<T> forces_;                           // on fixed ports, of the step found last
 };
