@@ -124,6 +124,11 @@ def kernel_cost(repeats: int) -> Iterator[Row]:
         f"{100 * share:.0f} %",
         f"{multiply_adds / n_modes:.1f} multiply-adds per mode and sample that the equations need",
     )
+    yield (
+        "  the guitar if it did nothing else, at that peak",
+        f"{peak / (multiply_adds * FS):.0f} x real time",
+        "a bound",
+    )
 
 
 def where_it_goes(repeats: int) -> Iterator[Row]:

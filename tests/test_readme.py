@@ -36,6 +36,12 @@ def test_every_command_is_named() -> None:
     assert set(re.findall(r"`tonewood ([a-z]+)[ `]", README)) == set(COMMANDS)
 
 
+def test_every_instrument_is_named() -> None:
+    table = README.partition("## What is in it")[2].partition("##")[0]
+    named = {name for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)}
+    assert named == {p.parent.name for p in (ROOT / "instruments").glob("*/instrument.yaml")}
+
+
 def test_files_named_by_the_architecture_exist() -> None:
     text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
     for name in re.findall(r"\b([a-z_]+\.py)\b", text):

@@ -124,6 +124,7 @@ struct Component {
     std::vector<char> difference;            // by readout row: (y+ - y) instead of y
     Guarded<T> guarded;
     Stretched<T> stretched;
+    bool geometric = false;  // of a string whose longitudinal motion is stepped: sample by sample
     Woven<T> woven;
 };
 
@@ -359,6 +360,23 @@ struct TensionSpace {
     Array<double> all, called, z;                 // (m + k, m + k) of all gaps; (k, m) M^-1 Z_ln; (k, k)
 };
 
+// Strings whose longitudinal motion is stepped with the transverse one (geometric.hpp).
+struct Geometric {
+    struct Part {  // one component's lowest n modes, those that take part
+        int component = 0, n = 0, width = 0, cosines = 0, cosines_width = 0;  // widths are padded
+        Array<double> slopes, back;         // (n, cosines_width), (cosines, width): slope's cosines per coordinate
+        Array<double> reading, kick;        // (width): coordinate per first number; (2, width): state per modal force
+        Array<double> yields, stretch;      // (width): coordinate per modal force; its own share of twice s_0
+        Array<double> to_port, from_port;   // (n_ports, width): port per modal force, coordinate per port force
+    };
+    struct String {
+        int order = 0;     // P
+        double scale = 0;  // EA L
+        std::vector<Part> parts;  // the longitudinal one last
+    };
+    std::vector<String> strings;
+};
+
 // What stands in for a law's constants during a run: offset before and after each step, velocity, scale.
 struct Control {
     int connection;        // among the nonlinear ones
@@ -402,7 +420,7 @@ struct Fault {
 
 template <class T>
 using Run = Fault (*)(std::vector<Component<T>>&, const Layout&, const Solve&, const Nonlinear&, const Tensions&,
-                      Workspace&, TensionSpace&, Statistics&, const Job<T>&);
+                      const Geometric&, Workspace&, TensionSpace&, Statistics&, const Job<T>&);
 
 // Entry points of one instruction set's translation unit.
 struct Table {

@@ -356,8 +356,56 @@ public:
             prepare(components_, nonlinear_, layout_, capacity_, workspace_);
         }
         nb::gil_scoped_release release;
-        const Fault fault = run_(components_, layout_, solve_, nonlinear_, tensions_, workspace_, space_, statistics_, job);
+        const Fault fault = run_(components_, layout_, solve_, nonlinear_, tensions_, geometric_, workspace_, space_, statistics_, job);
         return {fault.slot, fault.sample};
+    }
+
+    // String `index` of those whose longitudinal motion is stepped, its components just set or unchanged. A part, the
+    // longitudinal one last: slot, slopes (cosines, n), reading, yields (n), kick (2, n), to_port, from_port (n_ports, n).
+    void set_geometric(std::size_t index, double scale,
+                       const std::vector<std::tuple<int, In, In, In, In, In, In>>& parts) {
+        const auto padded = [](std::size_t n) { return (n + kLane - 1) / kLane * kLane; };
+        if (parts.size() < 2 || index > geometric_.strings.size()) throw std::invalid_argument("no such geometric string");
+        Geometric::String string;
+        string.scale = scale;
+        for (const auto& [slot, slopes, reading, yields, kick, to_port, from_port] : parts) {
+            if (slot < 0 || std::size_t(slot) >= components_.size() || slopes.ndim() != 2)
+                throw std::invalid_argument("no such component slot");
+            Component<T>& c = components_[slot];
+            const std::size_t n = slopes.shape(1), cosines = slopes.shape(0), p = c.n_ports, w = padded(n);
+            expect("reading", reading, {n});
+            expect("yields", yields, {n});
+            expect("kick", kick, {2, n});
+            expect("to_port", to_port, {p, n});
+            expect("from_port", from_port, {p, n});
+            if (c.driven || c.guarded.n || n > std::size_t(c.n) || cosines == 0)
+                throw std::invalid_argument("a geometric string does not fit its component");
+            Geometric::Part part;
+            part.component = slot, part.n = int(n), part.width = int(w), part.cosines = int(cosines);
+            part.cosines_width = int(padded(cosines));
+            part.slopes.assign(n * part.cosines_width, 0.0), part.back.assign(cosines * w, 0.0);
+            part.stretch.assign(w, 0.0);
+            for (std::size_t i = 0; i < cosines; ++i)
+                for (std::size_t k = 0; k < n; ++k) {
+                    const double slope = slopes.data()[i * n + k];
+                    part.slopes[k * part.cosines_width + i] = part.back[i * w + k] = slope;
+                    part.stretch[k] += (i == 0 ? 1.0 : 0.5) * slope * slope;
+                }
+            const auto rows = [&](const In& a, std::size_t count) {
+                Array<double> out(count * w, 0.0);
+                for (std::size_t q = 0; q < count; ++q) std::copy_n(a.data() + q * n, n, &out[q * w]);
+                return out;
+            };
+            part.reading = rows(reading, 1), part.yields = rows(yields, 1), part.kick = rows(kick, 2);
+            part.to_port = rows(to_port, p), part.from_port = rows(from_port, p);
+            c.geometric = true;
+            string.parts.push_back(std::move(part));
+        }
+        string.order = string.parts.back().cosines - 1;
+        std::fill(string.parts.back().stretch.begin(), string.parts.back().stretch.end(), 0.0);
+        if (index == geometric_.strings.size()) geometric_.strings.emplace_back();
+        geometric_.strings[index] = std::move(string);
+        laid_out_ = false;
     }
 
     // Connections that acted last, or whose forces were not found.
@@ -609,6 +657,7 @@ private:
     Nonlinear nonlinear_;
     std::size_t nonlinear_m_ = 0;  // linear connections that it was made for
     Tensions tensions_;
+    Geometric geometric_;
     Workspace workspace_;
     TensionSpace space_;
     Statistics statistics_;
@@ -624,6 +673,7 @@ void bind(nb::module_& m, const char* name) {
         .def("set_guarded", &K::set_guarded)
         .def("set_stretched", &K::set_stretched)
         .def("set_tensions", &K::set_tensions)
+        .def("set_geometric", &K::set_geometric)
         .def("set_nonlinear", &K::set_nonlinear)
         // what is written to must be the caller's own array, never a converted copy of it
         .def("run", &K::run, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(),

@@ -89,8 +89,9 @@ public:
             if (!ws_.quiet[g]) weigh(g);
     }
 
-    // All forces of sample b. `f` (f_width) holds those of the linear connections if there were no others; it takes
-    // what they are, and `now` the forces on all fixed ports. False if the nonlinear ones were not found.
+    // All forces of sample b, for the motion that the lines tell; `commit` makes them stand. `f` (f_width) holds those of
+    // the linear connections if there were no others; it takes what they are, and `now` the forces on all fixed ports.
+    // False if the nonlinear ones were not found.
     bool forces(int b, double* f, double* now) {
         std::copy_n(f, layout_.f_width, ws_.f0.data());
         begin_sample(b);
@@ -102,8 +103,33 @@ public:
             wake_by(b);
             if (!add_touching()) break;
         }
-        commit(b);
         return true;
+    }
+
+    // Finds a step in which `solve` asks for the forces many times over: friction keeps to its branches meanwhile.
+    template <class Solve>
+    bool keeping_branches(const Solve& solve) {
+        if (!nl_.k) return solve();
+        std::fill(ws_.branch.begin(), ws_.branch.end(), Branch::open);
+        ws_.sliding.clear();
+        kept_ = true;
+        const bool done = settle(nl_, ws_, solve);
+        kept_ = false;
+        return done;
+    }
+
+    // The forces of sample b stand: what they leave behind for the next.
+    void commit(int b) {
+        for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
+        double* forces = job_.law_forces + (start_ + b) * nl_.k;
+        for (const int j : ws_.active) {
+            forces[j] = ws_.last_force[j] = ws_.law_force[j];
+            if (nl_.laws[j].kind == Law::friction) ws_.slip[j] = ws_.slip_after[j];
+            ws_.touching[j] = 0;
+        }
+        if (ws_.any_alive) move_series();
+        std::swap(ws_.previous, ws_.active);
+        for (std::size_t index = 0; index < nl_.groups.size(); ++index) ws_.level[index] = ws_.level_after[index];
     }
 
     // What the forces of sample b do to guarded rows, and guarded forces to all rows, in the rest of the block.
@@ -167,6 +193,7 @@ private:
             ws_.velocity[j] = values[2 * job_.n], ws_.scale[j] = values[3 * job_.n];
         }
         sample_ = b;
+        for (const int j : ws_.active) ws_.touching[j] = 0;  // of an attempt that did not stand
         ws_.active.clear();
         for (const int j : ws_.awake_list) {
             meet(j, b);
@@ -463,6 +490,12 @@ private:
     }
 
     bool solve() {
+        if (kept_) {
+            int iterations = 0;
+            const bool done = found(find_forces(nl_, ws_, nl_.z.data(), iterations), iterations);
+            statistics_.failures += !done;
+            return done;
+        }
         const bool done = settle(nl_, ws_, [&] {
             int iterations = 0;
             return found(find_forces(nl_, ws_, nl_.z.data(), iterations), iterations);
@@ -549,20 +582,6 @@ private:
         if (nl_.group_of[t.component] >= 0) weigh(nl_.group_of[t.component]);
     }
 
-    // The forces of sample b stand: what they leave behind for the next.
-    void commit(int b) {
-        for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
-        double* forces = job_.law_forces + (start_ + b) * nl_.k;
-        for (const int j : ws_.active) {
-            forces[j] = ws_.last_force[j] = ws_.law_force[j];
-            if (nl_.laws[j].kind == Law::friction) ws_.slip[j] = ws_.slip_after[j];
-            ws_.touching[j] = 0;
-        }
-        if (ws_.any_alive) move_series();
-        std::swap(ws_.previous, ws_.active);
-        for (std::size_t index = 0; index < nl_.groups.size(); ++index) ws_.level[index] = ws_.level_after[index];
-    }
-
     // Displacement of the residual compliance after the step, under the forces tried.
     double series_after(int j) const {
         double pushed = 0.0;
@@ -595,7 +614,7 @@ private:
     Statistics& statistics_;
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
-    bool any_tense_ = false;
+    bool any_tense_ = false, kept_ = false;
     std::int64_t start_ = 0;
     int nb_ = 0, sample_ = 0;
     double* lines_ = nullptr;

@@ -113,7 +113,8 @@ void arrange(const std::vector<Component<T>>& components, Nonlinear& nl) {
     }
     // the lines tell nothing of a tense string's fixed ports beforehand
     for (const Nonlinear::Term& t : nl.all_terms)
-        if (!t.guarded && components[t.component].stretched.on) nl.guarded[t.connection] = 0;
+        if (!t.guarded && (components[t.component].stretched.on || components[t.component].geometric))
+            nl.guarded[t.connection] = 0;
     for (int j = 0; j < nl.k; ++j) {
         if (!nl.guarded[j]) continue;
         int to = int(nl.groups.size());

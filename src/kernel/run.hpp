@@ -11,6 +11,7 @@
 #include <immintrin.h>
 #endif
 
+#include "geometric.hpp"
 #include "lines.hpp"
 #include "nonlinear.hpp"
 #include "sweep.hpp"
@@ -81,8 +82,8 @@ void emit(const Component<T>& c, const double* rows, int stride, std::int64_t st
 
 template <class T>
 Fault run(std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
-          const Nonlinear& nonlinear, const Tensions& tensions, Workspace& workspace, TensionSpace& space,
-          Statistics& statistics, const Job<T>& job) {
+          const Nonlinear& nonlinear, const Tensions& tensions, const Geometric& geometric, Workspace& workspace,
+          TensionSpace& space, Statistics& statistics, const Job<T>& job) {
     const FlushDenormals guard;
     const int n_components = int(components.size()), m = solve.m, width = layout.width;
     const int force_width = layout.force_width, n_ports = int(layout.port_rows.size());
@@ -100,8 +101,24 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known);
     TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job, known);
     TenseContacts<T> both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
-    const bool tense = !tensions.strings.empty();
-    const bool direct = !tense && !nonlinear.k && int(layout.own_port.size()) == m;
+    GeometricStep<T> along(components, layout, geometric, statistics, job);
+    const bool tense = !tensions.strings.empty(), longitudinal = !geometric.strings.empty();
+    const bool direct = !tense && !longitudinal && !nonlinear.k && int(layout.own_port.size()) == m;
+
+    // Forces of sample b from the lines at its beginning and, free of them, at its end.
+    const auto connect = [&](int b, double* now) {
+        const double* line = lines.data() + std::size_t(b) * width;
+        for (int p = 0; p < n_ports; ++p) {
+            y[p] = line[layout.port_rows[p]];
+            y[n_ports + p] = line[width + layout.port_rows[p]];
+        }
+        std::copy(layout.constant.begin(), layout.constant.end(), f.begin());
+        add_product(layout.pull.data(), layout.f_width, y.data(), 2 * n_ports, f.data());
+        if (nonlinear.k) return laws.forces(b, f.data(), now);
+        std::fill(now, now + force_width, 0.0);
+        add_product(layout.push.data(), force_width, f.data(), m, now);
+        return true;
+    };
 
     std::vector<char> woven(n_components, 0);
     for (int i = 0; i < n_components; ++i)
@@ -112,7 +129,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
         if (place == 0)
             for (int i = 0; i < n_components; ++i) {
                 const Component<T>& c = components[i];
-                woven[i] = !c.woven.strands.empty() && !c.stretched.on && !c.guarded.n &&
+                woven[i] = !c.woven.strands.empty() && !c.stretched.on && !c.geometric && !c.guarded.n &&
                            start + kWeave * kBlock <= job.n && !touched(job, i, start, kWeave * kBlock);
             }
         else
@@ -123,7 +140,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
 
         for (int i = 0; i < n_components; ++i) {
             Component<T>& c = components[i];
-            if (c.driven || c.stretched.on) continue;
+            if (c.driven || c.stretched.on || c.geometric) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, lines.data() + layout.row[i], width, 1};
             if (woven[i]) {
@@ -151,20 +168,17 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
                     for (int j = 0; j < m; ++j) f_out[j] = layout.own_factor[j] * now[j];
                 else
                     for (int j = 0; j < m; ++j) f_out[j] = layout.own_factor[j] * now[layout.own_port[j]];
+            } else if (longitudinal) {
+                along.begin_sample(b, lines.data(), known);
+                const bool found = laws.keeping_branches([&] {
+                    return along.solve(b, lines.data(), now, [&](double* to) { return connect(b, to); });
+                });
+                if (!found) return {Fault::kUnsolved, start + b};
+                if (nonlinear.k) laws.commit(b);
+                along.finish_sample(now);
             } else {
-                const double* line = lines.data() + std::size_t(b) * width;
-                for (int p = 0; p < n_ports; ++p) {
-                    y[p] = line[layout.port_rows[p]];
-                    y[n_ports + p] = line[width + layout.port_rows[p]];
-                }
-                std::copy(layout.constant.begin(), layout.constant.end(), f.begin());
-                add_product(layout.pull.data(), layout.f_width, y.data(), 2 * n_ports, f.data());
-                if (nonlinear.k) {
-                    if (!laws.forces(b, f.data(), now)) return {Fault::kUnsolved, start + b};
-                } else {
-                    std::fill(now, now + force_width, 0.0);
-                    add_product(layout.push.data(), force_width, f.data(), m, now);
-                }
+                if (!connect(b, now)) return {Fault::kUnsolved, start + b};
+                if (nonlinear.k) laws.commit(b);
             }
             if (!direct) std::copy(f.begin(), f.begin() + m, f_out);
             spread(b, nb, force.data(), lines.data());
@@ -177,11 +191,12 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
                 job.out[(start + b) * job.n_channels + channel] += weight * job.forces[(start + b) * m + connection];
         laws.emit(start, nb);
         if (tense) stretched.finish_block(nb, lines.data());
+        if (longitudinal) along.finish_block(nb, lines.data());
 
         // the correction: inputs known by now move the state; what is driven one way is read on the way
         for (int i = 0; i < n_components; ++i) {
             Component<T>& c = components[i];
-            if (c.stretched.on) continue;
+            if (c.stretched.on || c.geometric) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             auto& inputs = known[i];
             const double* forces = force.data() + layout.port[i];

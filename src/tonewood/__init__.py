@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from tonewood.instrument.contract import Exciter as Exciter
     from tonewood.instrument.contract import Gesture as Gesture
     from tonewood.instrument.contract import Hold as Hold
+    from tonewood.instrument.contract import Longitudinal as Longitudinal
     from tonewood.instrument.contract import Pickup as Pickup
     from tonewood.instrument.contract import PickupRows as PickupRows
     from tonewood.instrument.contract import Place as Place
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from tonewood.instrument.directions import Direction as Direction
     from tonewood.instrument.directions import unit_vector as unit_vector
     from tonewood.instrument.effects import DAMPERS as DAMPERS
+    from tonewood.instrument.effects import LONGITUDINAL as LONGITUDINAL
     from tonewood.instrument.effects import TENSION_MODULATION as TENSION_MODULATION
     from tonewood.instrument.effects import Effect as Effect
     from tonewood.instrument.effects import Norms as Norms
@@ -117,11 +119,11 @@ _MODULES = {
     "instrument.attached": ("Attached", "Motion", "Site", "loose_mass"),
     "instrument.bundle": ("Instrument", "load_instrument"),
     "instrument.contract": (
-        "Attachment", "Body", "BodyPoint", "BridgeForce", "Event", "Exciter", "Gesture", "Hold", "Pickup", "PickupRows",
-        "Place", "Plugin", "Resonator", "Scene", "Segment", "dot",
+        "Attachment", "Body", "BodyPoint", "BridgeForce", "Event", "Exciter", "Gesture", "Hold", "Longitudinal",
+        "Pickup", "PickupRows", "Place", "Plugin", "Resonator", "Scene", "Segment", "dot",
     ),
     "instrument.directions": ("Direction", "unit_vector"),
-    "instrument.effects": ("DAMPERS", "TENSION_MODULATION", "Effect", "Norms", "contact_effect"),
+    "instrument.effects": ("DAMPERS", "LONGITUDINAL", "TENSION_MODULATION", "Effect", "Norms", "contact_effect"),
     "instrument.gestures": ("Fraction", "StringPlace", "metres", "smooth_step"),
     "instrument.inspection": ("partials", "pitch", "pitches"),
     "instrument.losses": ("LossLaw",),

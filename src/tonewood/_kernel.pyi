@@ -55,6 +55,12 @@ class _Kernel:
         matrix: NDArray[np.float64],
         offset: NDArray[np.float64],
     ) -> None: ...
+    def set_geometric(
+        self,
+        index: int,
+        scale: float,
+        parts: Sequence[tuple[int, *tuple[NDArray[np.float64], ...]]],
+    ) -> None: ...
     def set_nonlinear(
         self,
         laws: Sequence[tuple[int, list[float], list[float], list[float], list[tuple[int, int, bool]]]],

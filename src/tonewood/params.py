@@ -8,12 +8,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, TypeVar, cast, get_args, get_origin
+from collections.abc import Mapping
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tonewood.errors import BundleError
+from tonewood.faults import first_fault
 
 #: a number as it stands in a file: no text, no true/false
 Number = Annotated[float, Field(strict=True)]
@@ -66,60 +67,5 @@ def validated(
     try:
         return model.model_validate(dict(values))
     except ValidationError as fault:
-        where, reason = first_fault(fault, model, values)
+        where, reason = first_fault(fault, model)
         raise error(reason, file=file, key=".".join(part for part in (key, where) if part)) from None
-
-
-def first_fault(fault: ValidationError, model: type[BaseModel], values: object) -> tuple[str, str]:
-    """Dotted key and one-line reason of the first fault pydantic found in `values`."""
-    item = fault.errors(include_url=False)[0]
-    place = _place(item["loc"], values)
-    kind, value = item["type"], item.get("input")
-    if kind == "missing":
-        return ".".join(place), "is missing"
-    if kind == "extra_forbidden":
-        allowed = _allowed(model, place[:-1])
-        return ".".join(place), "is not a known key" + (f"; allowed: {', '.join(allowed)}" if allowed else "")
-    message = item["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
-    shown = repr(value)
-    if isinstance(value, Mapping) or len(shown) > 60:
-        return ".".join(place), message
-    return ".".join(place), f"{message}, not {shown}"
-
-
-def _place(loc: tuple[int | str, ...], values: object) -> list[str]:
-    """Keys as they stand in the file: pydantic's place less the branches of unions it names between them."""
-    place: list[str] = []
-    at = values
-    for i, part in enumerate(loc):
-        member = isinstance(at, Sequence) and isinstance(part, int) and part < len(at)
-        if member or (isinstance(at, Mapping) and part in at):
-            at = cast(Any, at)[part]
-        elif not (i == len(loc) - 1 and isinstance(at, Mapping)):
-            continue
-        place.append(str(part))
-    return place
-
-
-def _allowed(model: type[BaseModel], place: list[str]) -> list[str]:
-    """Keys of the model found by following `place`; empty where it cannot be followed."""
-    current: Any = model
-    for part in place:
-        inner = _model_in(current)
-        if inner is not None:
-            by_key = {field.alias or name: field for name, field in inner.model_fields.items()}
-            current = by_key[part].annotation if part in by_key else None
-        else:
-            current = (get_args(current) or (None,))[-1]  # a member of a list or mapping
-    found = _model_in(current)
-    return [field.alias or name for name, field in found.model_fields.items()] if found else []
-
-
-def _model_in(annotation: Any) -> type[BaseModel] | None:
-    """The one model an annotation names, not counting those inside its lists and mappings."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    if get_origin(annotation) in (list, dict, tuple):
-        return None
-    found = [m for m in map(_model_in, get_args(annotation)) if m is not None]
-    return found[0] if len(found) == 1 else None

@@ -110,7 +110,7 @@ def test_normalize_limiter_and_clipping(tonewood: Run, score: Path, tmp_path: Pa
     assert normal["peak_dbfs"] == pytest.approx(-3.0, abs=1e-9)
     a, b = (sf.read(str(tmp_path / f"{n}.wav"))[0] for n in ("plain", "normal"))
     assert np.allclose(b, a * (10 ** (-3 / 20) / np.abs(a).max()), rtol=1e-12, atol=0)
-    assert not list(tmp_path.glob(".tonewood*"))
+    assert not list(tmp_path.glob(".*"))
     loud = report("loud.wav", "--gain", 60)
     assert loud["clipped"] == int(np.count_nonzero(np.abs(a) * 1000 > 1.0))
     assert any("clipped" in w for w in loud["warnings"])
@@ -221,6 +221,7 @@ def test_list_names_what_is_installed(tonewood: Run) -> None:
     assert {"classical_guitar", "flamenco_guitar", "african_harp", "monochord"} <= {
         i["name"] for i in found["instruments"]
     }
+    assert all((Path(i["folder"]) / "instrument.yaml").is_file() for i in found["instruments"])
     plugins = {p["name"]: p for p in found["plugins"]}
     assert plugins["stiff_string"]["kind"] == "resonator"
     assert plugins["stiff_string"]["package"] == "tonewood"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import multiprocessing
 import os
@@ -65,16 +66,16 @@ def test_ctrl_c_at_any_time_is_one_line_and_code_130(where: str) -> None:
     assert (done.returncode, done.stderr) == (130, "tonewood: interrupted; nothing was written\n")
 
 
-def test_a_full_disk_is_one_line_and_no_file(tmp_path: Path, score: Path) -> None:
+@pytest.mark.parametrize("more", [[], ["--normalize", "-3"]])
+def test_a_full_disk_is_one_line_and_no_file(tmp_path: Path, score: Path, more: list[str]) -> None:
     """Files may grow to 50 kB here, as on a disk with as much left."""
     result = subprocess.run(
-        [*TONEWOOD, "render", score, "-i", "monochord", "-o", tmp_path / "out.wav", "--max-duration", "1.0"],
+        [*TONEWOOD, "render", score, "-i", "monochord", "-o", tmp_path / "out.wav", "--max-duration", "1.0", *more],
         capture_output=True, text=True, check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000)),
     )  # fmt: skip
     assert result.returncode == 2
-    assert result.stderr.startswith(f"tonewood: {tmp_path / 'out.wav'}: ")
-    assert result.stderr.count("\n") == 1
+    assert result.stderr == f"tonewood: {tmp_path / 'out.wav'}: cannot be written: File too large\n"
     assert [p.name for p in tmp_path.iterdir()] == ["score.mid"]
 
 
@@ -137,6 +138,39 @@ def test_rendering_without_standard_error(tmp_path: Path, score: Path) -> None:
     command = f"{' '.join(TONEWOOD)} render {score} -i monochord -o {tmp_path / 'a.wav'} --max-duration 0.1 --json 2>&-"
     result = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
     assert json.loads(result.stdout)["frames"] == 4800
+
+
+@pytest.mark.parametrize(
+    ("arguments", "missing"),
+    [
+        (["batch", "absent.yaml", "-o", "out"], "joblib"),
+        (["batch", "absent.yaml", "-o", "out"], "pyloudnorm"),
+        (["batch", "absent.yaml", "-o", "out", "--cluster", "tcp://here:1"], "distributed"),
+        (["results", "absent.csv", "--key", "absent.json"], "matplotlib"),
+        (["validate", "--only", "klosner", "--plots", "out"], "matplotlib"),
+        (["accuracy", "--system", "klosner_d", "--plot", "a.png"], "matplotlib"),
+        (["modes", "monochord", "--plot", "a.png"], "matplotlib"),
+        (["render", "absent.mid", "-i", "monochord", "-o", "a.wav", "--energy", "a.png"], "matplotlib"),
+    ],
+)
+def test_what_an_extra_would_bring_is_named_before_any_work(
+    arguments: list[str], missing: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    from tonewood.cli.main import run
+
+    monkeypatch.chdir(tmp_path)
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == missing else found(name))
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(SystemExit) as end:
+        run(arguments)
+    assert end.value.code == 2
+    err = capsys.readouterr().err
+    assert f"{missing}" in err
+    assert "pip install" in err
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_rendering_imports_nothing_heavy_it_does_not_need(tmp_path: Path, score: Path) -> None:

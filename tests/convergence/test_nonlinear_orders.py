@@ -1,25 +1,34 @@
-"""Order of nonlinear steps: error against a 16 times finer step falls with the square of the step."""
+"""Order of nonlinear steps: error against 1.536 MHz, 32 times 48 kHz, falls with the square of the step."""
 
 from __future__ import annotations
+
+import ctypes
+import math
 
 import numpy as np
 import pytest
 
 from tonewood.numerics.connections import Connection, Term
 from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.laws import Contact, HardeningSpring, SampledPotential
+from tonewood.numerics.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.system import Probe, Readout, System
 from tonewood.numerics.tension import TensionModulation
 
 LENGTH, TENSION, DENSITY = 0.65, 70.0, 3.6e-3
 N_MODES, DURATION, COARSE = 12, 0.01, 24000
+DOUBLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)
+#: not powers: V = A cosh(d / a), and friction on a partner that is always faster, or holds the string
+POTENTIAL, SLOPE = DOUBLE(lambda d: 4e-4 * math.cosh(d / 5e-4)), DOUBLE(lambda d: 0.8 * math.sinh(d / 5e-4))
 LAWS = {
     "soft contact": Contact(1e5, 1.0, offset=-1e-4),
     "contact": Contact(3e7, 2.3, offset=-1e-4),
     "lossy contact": Contact(3e7, 2.3, loss=0.3, offset=-1e-4),
     "hardening spring": HardeningSpring(1e3, 1e9, 0.3, 2.0),
     "sampled": SampledPotential.from_potential(x := np.linspace(-3e-3, 3e-3, 41), 2e3 * x**2 + 3e8 * x**4, damping=0.1),
+    "compiled": CompiledPotential(POTENTIAL, SLOPE, damping=0.1),
+    "sliding": Friction(0.3, velocity=-3.0, speed=2.0),
+    "sticking": Friction(50.0),
     "tension": None,
 }
 

@@ -1,4 +1,4 @@
-"""Nothing but rising tension is ever left out by `auto`: every other instrument sounds the same to the last bit."""
+"""`auto` against `all` on every instrument: the same but for rising tension, and for what nobody hears."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ def check(score: tw.Score, name: str, seconds: float | None, fs: int) -> None:
     auto, all_ = pair(score, name, seconds, fs)
     a, b = sound(auto), sound(all_)
     if not auto.model.system.tensions:
-        assert np.array_equal(a, b)
+        # what is not heard may sleep, and the tail be judged decayed a moment sooner or later
+        n = min(len(a), len(b))
+        assert abs(n - max(len(a), len(b))) <= 0.3 * fs
+        assert abs(a[:n] - b[:n]).max() <= 10 ** (auto.model.choice.budget_db / 20) * abs(b).max()
         return
     bounds = [r.bound for r in auto.summary().effects if r.name == "tension_modulation"]
     assert all(bound is not None and bound <= auto.model.choice.budget_cents for bound in bounds)
@@ -59,7 +62,7 @@ def test_whole_pieces(name: str, score: Path) -> None:
 def test_a_slow_swell_into_fret_buzz() -> None:
     """The string is drawn down to the frets in a quarter of a second: the contact is there when it is reached."""
     low = {"connections.frets.action_first": 2e-4, "connections.frets.action_twelfth": 5e-4}
-    slow = {**low, "exciters.pluck.ramp_time": 0.25, "exciters.pluck.angle_deg": 180.0}
+    slow = {**low, "exciters.pluck.ramp_time": 0.25, "exciters.pluck.angle_deg": 180.0, "strings.G2.axial_stiffness": 0.0}
     bass = tw.load_instrument("electric_bass").replace(slow)
     score = tw.Score([tw.Note(0.3, 1.0, note=43, force=6.0)])
     made = {m: tw.Renderer(score, bass, 24000, max_duration=0.6, effects=m) for m in ("auto", "all")}

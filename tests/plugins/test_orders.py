@@ -33,14 +33,26 @@ BOARD = {
     "plugin": "fingerboard", "end_from_bridge": 0.2, "action_nut": 1e-4, "action_end": 1e-4, "points": 8,
     "stiffness": 3e6, "exponent": 2.3, "loss": 0.5,
 }  # fmt: skip
+FRETS = {
+    "plugin": "frets", "action_first": 1e-4, "action_twelfth": 3e-4, "stiffness": 3e6, "exponent": 2.3, "loss": 0.5,
+}  # fmt: skip
+BARRIER = {
+    "plugin": "bridge_barrier", "start": 0.01, "stop": 0.04, "top": 0.02, "radius": 0.5, "below": 2e-5,
+    "stiffness": 3e6, "exponent": 2.3, "loss": 0.5, "points": 6,
+    "thread": {"from_bridge": 0.05, "width": 4e-3, "stiffness": 500.0, "damping": 0.1},
+}  # fmt: skip
+STRETCHED = {"plugin": "tension_modulated_string", "axial_stiffness": 5e4}
 SCENES: dict[str, dict[str, Any]] = {
     "linear": {},
-    "rising tension": {"string": {"plugin": "tension_modulated_string", "axial_stiffness": 5e4}},
+    "rising tension": {"string": STRETCHED},
     "hammer": {"exciter": HAMMER},
     "lossy hammer": {"exciter": {**HAMMER, "loss": 0.3}},
     "finger": {"exciter": FINGER},
     "rattle": {"part": RING},
     "fingerboard": {"part": BOARD},
+    "frets": {"part": FRETS},
+    "barrier": {"part": BARRIER},
+    "frets, a finger, rising tension": {"string": STRETCHED, "exciter": FINGER, "part": FRETS},
 }
 
 
@@ -50,7 +62,8 @@ def motion(scene: dict[str, Any], folder: Path, fs: int) -> Floats:
     if "exciter" in scene:
         parts["exciters"] = {"it": scene["exciter"]}
     if "part" in scene:
-        parts["connections"] = {"it": scene["part"]}
+        parts["connections"] = {"part": scene["part"]}
+        parts["stops"] = {"kind": "frets", "count": 12}
     made = instrument(folder, {**STRING, **scene.get("string", {})}, **parts)
     name = next(iter(parts["exciters"]))
     force = {"force": 4.0} if "force" in type(made.exciters[name].parameters).model_fields else {}
@@ -72,8 +85,8 @@ def bare(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def errors(name: str, folder: Path) -> Floats:
-    """Against a step 32 times finer than the coarsest, relative to the largest displacement."""
-    exact = motion(SCENES[name], folder, 32 * COARSE)
+    """At 24, 48 and 96 kHz against 1.536 MHz, relative to the largest displacement."""
+    exact = motion(SCENES[name], folder, 64 * COARSE)
     found = [motion(SCENES[name], folder, k * COARSE) for k in (1, 2, 4)]
     n = min(len(exact), *map(len, found))
     return np.array([np.abs(f[:n] - exact[:n]).max() for f in found]) / np.abs(exact).max()
@@ -92,10 +105,10 @@ def test_laws_are_of_second_order(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", [n for n in SCENES if n not in ("linear", "rising tension")])
 def test_with_residual_compliance_errors_are_small(tmp_path: Path, name: str) -> None:
     """In series with a one-sided law it is stepped with a weight of .6 ahead, which costs an order and little else:
-    here, with all modes above 1.5 kHz in it, less than 2e-4 at 24 kHz.
+    here, with all modes above 1.5 kHz in it, less than 5e-4 at 24 kHz.
     """
     found = errors(name, tmp_path)
-    assert found[0] < 2e-4
+    assert found[0] < 5e-4
     assert np.all(np.log2(found[:-1] / found[1:]) > 0.9)
 
 

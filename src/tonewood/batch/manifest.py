@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from tonewood.batch.faults import first_fault
 from tonewood.errors import TonewoodError
+from tonewood.faults import first_fault
 from tonewood.score.note import Note
 from tonewood.yaml_io import load_yaml
 

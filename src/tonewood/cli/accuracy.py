@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from tonewood.cli.common import progress
+from tonewood.cli.common import need, progress
 from tonewood.errors import OutputError, TonewoodError
 
 
@@ -52,7 +52,7 @@ def accuracy(
         return
     drawing = plot is not None or (report is not None and report.suffix.lower() == ".html")
     if drawing:
-        _require_matplotlib()
+        need("plot", "matplotlib")
 
     from tonewood.lab.accuracy import dial, tables, timing
     from tonewood.lab.accuracy.report import HEADLINE, SHORT, Study
@@ -119,10 +119,3 @@ def _stability(system: str | None, quick: bool, json: Path | None, plot: Path | 
     for path in (json, report):
         if path is not None:
             print(path)
-
-
-def _require_matplotlib() -> None:
-    try:
-        import matplotlib  # noqa: F401  # the charts come last; better to know now
-    except ImportError:
-        raise TonewoodError('pictures need matplotlib: pip install "tonewood[plot]"', key="--plot") from None

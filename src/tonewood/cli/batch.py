@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tonewood.cli.common import Advance, Json, progress, warn
+from tonewood.cli.common import Advance, Json, need, progress, warn
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
@@ -29,6 +29,9 @@ def batch(
     as_json: Json = False,
 ) -> int:
     """Render all conditions of MANIFEST and write stimuli, pages, key and records."""
+    need("batch", "joblib", "pyloudnorm", "matplotlib")
+    if cluster is not None:
+        need("cluster", "dask", "distributed")
     from tonewood.batch.rendering import EngineRenderer
     from tonewood.batch.runner import plan_batch, run_batch
     from tonewood.batch.workers import Workers

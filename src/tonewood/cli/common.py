@@ -60,6 +60,20 @@ def load(name: str, overrides: list[str] | None) -> Instrument:
     return instrument.replace(dict(map(parse_assignment, overrides))) if overrides else instrument
 
 
+def need(extra: str, *modules: str) -> None:
+    """Find out before any work whether the modules of an extra are installed.
+
+    Raises
+    ------
+    TonewoodError : names the first that is missing, and how to get them all.
+    """
+    from importlib.util import find_spec
+
+    for name in modules:
+        if find_spec(name) is None:
+            raise TonewoodError(f"this needs {name}, which is not installed: pip install 'tonewood[{extra}]'")
+
+
 def allow(option: str, value: float, low: float, high: float, unit: str) -> None:
     """Refuse an option's value outside its range, or not a number.
 

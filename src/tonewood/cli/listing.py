@@ -18,7 +18,12 @@ def list_installed(as_json: Json = False) -> None:
     from tonewood.instrument.bundle import Instrument
 
     instruments = [
-        {**_owner(entry), "title": (found := Instrument.load(name)).spec.title, "licence": found.spec.licence}
+        {
+            **_owner(entry),
+            "title": (found := Instrument.load(name)).spec.title,
+            "licence": found.spec.licence,
+            "folder": str(found.folder),
+        }
         for name, entry in registry.entries(registry.INSTRUMENTS).items()
     ]
     plugins = []

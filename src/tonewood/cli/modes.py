@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import Json, Overrides, allow_rate, load
+from tonewood.cli.common import Json, Overrides, allow_rate, load, need
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
 from tonewood.whole_files import whole_file
@@ -46,6 +46,8 @@ def modes(
         raise TonewoodError(f"is {count}; 1 or more is allowed", key="--count")
     if plot is not None and plot.suffix.lower() not in _PICTURES:
         raise TonewoodError(f"is {plot.name!r}; a name ending in {', '.join(_PICTURES)} is allowed", key="--plot")
+    if plot is not None:
+        need("plot", "matplotlib")
     if plot is not None and not plot.parent.is_dir():
         raise OutputError(f"there is no folder {str(plot.parent)!r}", file=plot)
     names = [string] if string else list(model.strings)
@@ -102,10 +104,7 @@ def _finite(value: float) -> float | None:
 
 def _plot(model: Model, names: list[str], path: Path) -> None:
     """Mobility of the body at each string's end, strings away."""
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise OutputError("a plot needs matplotlib: pip install 'tonewood[plot]'", file=path) from None
+    import matplotlib as mpl
     import numpy as np
 
     mpl.use("Agg")

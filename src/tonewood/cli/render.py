@@ -25,7 +25,7 @@ from tonewood.cli.common import (
     progress,
     warn,
 )
-from tonewood.errors import TonewoodError
+from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
 
 if TYPE_CHECKING:
@@ -178,6 +178,8 @@ def _write(
             ):
                 for samples in source.blocks(65536, dtype="float64", always_2d=True):
                     final.write(samples * factor)
+        except OutputError as error:
+            raise OutputError(error.reason, file=output) from None
         finally:
             scratch.discard()
         return final.clipped, final.peak

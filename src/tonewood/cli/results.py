@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tonewood.cli.common import Json, warn
+from tonewood.cli.common import Json, need, warn
 
 if TYPE_CHECKING:
     from tonewood.batch.results import Mean, Rate, Results
@@ -24,6 +24,7 @@ def results(
     as_json: Json = False,
 ) -> None:
     """Means, confidence intervals, post-screening and a plot of RESULTS."""
+    need("batch", "matplotlib")
     from tonewood.batch.results import analyse, write_plot
 
     found = analyse(table, key, confidence=confidence, screening=screening)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from tonewood.cli.common import need
 from tonewood.errors import OutputError
 
 
@@ -23,6 +24,8 @@ def validate(
     """Print one row per checked quantity; exit code 1 if one fails."""
     if json is not None and not json.absolute().parent.is_dir():
         raise OutputError(f"there is no folder {str(json.parent)!r}", file=json)
+    if plots is not None:
+        need("plot", "matplotlib")
     from rich.console import Console
 
     from tonewood.lab import validation

@@ -17,8 +17,9 @@ from tonewood.engine.books import Books
 from tonewood.engine.fretting import Fingerboard, Fretting, pulls
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, samples
 from tonewood.engine.ledger import Ledger
+from tonewood.engine.sleeping import REST, Asleep, Sleeper
 from tonewood.engine.surroundings import held, holds_at, string_of, woken
-from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable
+from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable, string_energy
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.numerics.connections import Connection
@@ -43,6 +44,7 @@ class Snapshot:
     holds: dict[str, float]
     tense: frozenset[str]
     awaited: frozenset[str]
+    asleep: Asleep
     next_change: int
     next_play: int
 
@@ -78,6 +80,7 @@ class Engine:
         self.stepper = KernelStepper(self.system, precision=precision)
         self.state = self.stepper.start()
         self.fingerboard = Fingerboard(model)
+        self.sleeper = Sleeper(model, self.fingerboard, timeline)
         self.frettings = {name: Fretting() for name in model.strings}
         self.active: list[Active] = []
         self.injections: list[Injection] = []
@@ -89,6 +92,7 @@ class Engine:
         self._next_change = self._next_play = 0
         self._dampers = all(model.choice.keeps(e, "dampers") for e in model.exciters.values())
         self.state.sample = int(np.floor(timeline.start / self.dt / GRID)) * GRID
+        self.sleeper.state.last = self.state.sample
         self.books = Books(self.system, self.state, model) if energy else None
 
     @property
@@ -104,7 +108,7 @@ class Engine:
         """Copy of all that moves; an account of energy begins anew where it is restored."""
         return Snapshot(
             self.state.copy(), dict(self.frettings), list(self.active), list(self.injections), list(self.controls),
-            dict(self.holds), self.tense, self.awaited, self._next_change, self._next_play,
+            dict(self.holds), self.tense, self.awaited, self.sleeper.state.copy(), self._next_change, self._next_play,
         )  # fmt: skip
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -114,7 +118,12 @@ class Engine:
         self.active, self.injections, self.controls = list(s.active), list(s.injections), list(s.controls)
         self.tense, self.awaited = s.tense, s.awaited
         self._next_change, self._next_play = s.next_change, s.next_play
+        self.sleeper.state = s.asleep.copy()
         system = self._fretted(self.system.with_tensions(s.tense), self.frettings, self.frettings)
+        changes: dict[str, Compiled] = {}
+        for name, level in self.sleeper.sleeping.items():
+            changes |= self.sleeper.compiled(name, self.frettings[name], level)
+        system = system.with_compiled(changes) if changes else system
         self.system = held(woken(system, self.model.resting, self.active), self.holds)
         self.stepper.exchange(self.system)
         if self.books:
@@ -131,9 +140,12 @@ class Engine:
             if self.books and before:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
-            self.ledger.count(
-                self.state.sample - steps, pushes, self.tense, self.holds, self.system.nonlinear is not None
+            touched = self.ledger.count(
+                self.state.sample - steps, pushes, self.tense, self.holds, self.system, self._missing
             )
+            if self.sleeper.enabled:
+                self.sleeper.heard(sound)
+                self.sleeper.state.touched |= touched
             self.injections = [i for i in self.injections if i.stop > self.state.sample]
             self.controls = [c for c in self.controls if c.stop > self.state.sample]
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
@@ -142,6 +154,16 @@ class Engine:
     def _look(self) -> int:
         """Samples between looks at the strings."""
         return GRID * (LOOK if self.tense else SELDOM)
+
+    @property
+    def _missing(self) -> dict[str, tuple[int, int]]:
+        """Strings that sleep -> their level, and how many modes do."""
+        sleeper = self.sleeper
+        return {n: (level, sleeper.missing(n, self.frettings[n], level)) for n, level in sleeper.sleeping.items()}
+
+    @property
+    def _sleeps(self) -> bool:
+        return not self.watching and self.sleeper.promising(self.state.sample)
 
     def _samples(self, time: float) -> float:
         return samples(time, self.dt)
@@ -159,6 +181,8 @@ class Engine:
         times += [self._samples(active.play.stop) for active in self.active]
         if self.switch.enabled:
             times.append(grid if self.awaited else now // self._look * self._look + self._look)
+        if self._sleeps:
+            times.append(now // (GRID * REST) * (GRID * REST) + GRID * REST)
         due = int(np.ceil(min(times) / GRID)) * GRID if times else grid + 63 * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
         # back to the grid first: the kernel counts from where a run begins
@@ -168,10 +192,14 @@ class Engine:
         """Take what is due: at a grid point bases and injections are exchanged, between them fingers' dashpots only."""
         now = self.state.sample
         if now % GRID == 0:
+            before = len(self.active)
             fresh = self._take(now)
+            over = len(self.active) < before + len(fresh)
             self._exchange(woken(self.system, self.model.resting, self.active), "partners that come and go")
             if self.switch.enabled:
                 self._switch(now, fresh)
+            if self._sleeps and (fresh or over or now % (GRID * REST) == 0):
+                self._look_after_sleepers(now, fresh)
         wanted = holds_at(self.active, now)
         if wanted != self.holds:
             self.holds = wanted
@@ -211,6 +239,9 @@ class Engine:
         """Hold strings as they are due to be held, and begin the gestures due to begin; these are returned."""
         wanted, fresh = self._due(now)
         moved = {name for name in wanted if wanted[name] != self.frettings[name]}
+        called = moved | {play.string for play in fresh if play.string is not None}
+        if risen := {name: 0 for name in self.sleeper.sleeping if name in called}:
+            self._rest(risen)
         if moved:
             self._refret({name: self.fingerboard.playable(name, wanted[name]) for name in moved})
         # a string is held by one finger at a time: a new gesture ends the one before it; a gesture whose string changed
@@ -261,17 +292,69 @@ class Engine:
                 restopped[name] = fretting
         self.frettings |= wanted
         self.system = self._fretted(self.system, wanted, restopped)
-        for component, modes_after in carried.items():
-            slot = self.system.slot(component)
-            start = self.system.offsets[slot]
-            self.state.modes[:, start : start + self.system.capacities[slot]] = 0.0
-            self.system.modes_of(self.state, component)[:] = modes_after
+        self._put(carried)
         if restopped:
             share_velocities(self.system, self.state)
         self.ticker.exchanges += len(wanted)
         self.stepper.exchange(self.system)
         if self.books:
             self.books.changed("stops, bends and dampers", self.system, self.state)
+
+    def _put(self, carried: Mapping[str, Floats]) -> None:
+        """Write the motion of components that have other bases now."""
+        for component, modes in carried.items():
+            slot = self.system.slot(component)
+            start = self.system.offsets[slot]
+            self.state.modes[:, start : start + self.system.capacities[slot]] = 0.0
+            self.system.modes_of(self.state, component)[:] = modes
+
+    def _look_after_sleepers(self, now: int, fresh: Sequence[Play]) -> None:
+        """Let bands of strings fall asleep that are not heard, and wake those that might be."""
+        following = now // (GRID * REST) * (GRID * REST) + GRID * REST
+        plays = [active.play for active in self.active]
+        if self.sleeper.shaken(now, plays):
+            wanted = dict.fromkeys(self.sleeper.sleeping, 0)
+            self.sleeper.state.last = now
+        else:
+            busy = {play.string or "" for play in plays} | set(self.holds)
+            wanted = self.sleeper.look(now, following, self.system, self.state, self.frettings, busy, self.tense, fresh)
+        self.sleeper.state.touched = False
+        self.ledger.unheard = self.sleeper.largest
+        if wanted:
+            self._rest(wanted)
+
+    def _rest(self, levels: Mapping[str, int]) -> None:
+        """Take strings to other levels of sleep."""
+        changes: dict[str, Compiled] = {}
+        carried: dict[str, Floats] = {}
+        stored = {name: sum(string_energy(self.system, self.state, name)) for name in levels if name in self.tense}
+        deeper = {name for name, level in levels.items() if level > self.sleeper.state.level[name]}
+        for name, level in levels.items():
+            modes = {
+                c: np.array(self.system.modes_of(self.state, c), dtype=np.float64)
+                for c in self.model.strings[name].components
+            }
+            carried |= self.sleeper.carried(name, self.frettings[name], level, modes)
+            changes |= self.sleeper.compiled(name, self.frettings[name], level)
+            self.sleeper.moved(name, level)
+        self.system = self.system.with_compiled(changes)
+        self._put(carried)
+        if deeper:
+            joints = [string_of(c.name) in deeper and c.name.endswith(".bridge") for c in self.system.connections]
+            share_velocities(self.system, self.state, np.array(joints, dtype=bool))
+        # a string's stretch is not quite the same for fewer modes: what it takes more is paid, or waited for
+        poor = set()
+        for name, before in stored.items():
+            if not affordable(self.system, self.state, name, before - string_energy(self.system, self.state, name)[0]):
+                poor.add(name)
+        if poor:
+            self.tense -= poor
+            self.awaited |= poor
+            self.system = self.system.with_tensions(self.tense)
+        self.ticker.exchanges += len(levels)
+        self.stepper.exchange(self.system)
+        if self.books:
+            self.books.changed("strings that sleep and wake", self.system, self.state)
 
     def _fretted(self, system: System, frettings: Mapping[str, Fretting], restopped: Mapping[str, Fretting]) -> System:
         """A system with strings held like this; `restopped` ones get the laws of their stop, too."""

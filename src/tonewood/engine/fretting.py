@@ -108,7 +108,8 @@ class Fingerboard:
         """Bases with the modes that lie above the limit at this tension."""
         compiled = {c: part.basis for c, part in self.bases(name, fretting).items()}
         string = self.model.strings[name]
-        if all(basis.n_modes == string.n_modes(fretting.stop) for basis in compiled.values()):
+        whole = string.n_modes(fretting.stop)
+        if all(compiled[p.component].n_modes == whole for p in string.polarizations):
             return compiled
         return string.bases(fretting.stop, bend_cents=fretting.cents, whole=True)
 

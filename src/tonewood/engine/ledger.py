@@ -11,12 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.engine.rungs import BANDS
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
 from tonewood.instrument.effects import TENSION_MODULATION, Effect
 from tonewood.numerics.connections import SpringDashpot
+from tonewood.numerics.system import Compiled, System
 
 Floats = NDArray[np.float64]
+
+#: re the loudest sample: as good as silence
+_NOTHING = 1e-20
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +80,16 @@ class Ledger:
     def __init__(self, model: Model):
         self.model = model
         self.samples = 0
+        #: steps of single modes
+        self.mode_samples = 0
+        self._compiled: tuple[Compiled, ...] = ()
+        self._stepped = 0
+        #: string -> when some of its modes slept, when all did, and how many steps of them that saved
+        self.asleep: dict[str, Spans] = defaultdict(Spans)
+        self.silent: dict[str, Spans] = defaultdict(Spans)
+        self.left_to_sleep: dict[str, int] = defaultdict(int)
+        #: string -> bound on what it would have added meanwhile, ratio to the loudest sample
+        self.unheard: dict[str, float] = defaultdict(float)
         #: string -> when its tension rose, when a finger held it; (string, part) -> when they touched
         self.tense: dict[str, Spans] = defaultdict(Spans)
         self.held: dict[str, Spans] = defaultdict(Spans)
@@ -96,19 +111,47 @@ class Ledger:
     def _parts(self) -> Mapping[str, Plugin[Any]]:
         return {**self.model.instrument.attachments, **self.model.exciters}
 
-    def count(self, start: int, forces: Floats, tense: Collection[str], held: Collection[str], nonlinear: bool) -> None:
-        """Enter a run from sample `start`: connection forces (n, m), strings whose tension rises or fingers hold."""
+    def count(
+        self,
+        start: int,
+        forces: Floats,
+        tense: Collection[str],
+        held: Collection[str],
+        system: System,
+        asleep: Mapping[str, tuple[int, int]],
+    ) -> bool:
+        """Enter a run from sample `start`, and tell whether a contact acted in it.
+
+        Parameters
+        ----------
+        forces : (n, m) of connections.
+        tense, held : strings whose tension rises, or fingers hold.
+        system : what was stepped.
+        asleep : strings that sleep -> their level, and how many modes do.
+        """
         n = len(forces)
         self.samples += n
+        if system.compiled is not self._compiled:
+            self._compiled = system.compiled
+            self._stepped = sum(compiled.basis.n_modes for compiled in system.compiled)
+        self.mode_samples += n * self._stepped
+        for name, (level, modes) in asleep.items():
+            self.asleep[name].add(start, n)
+            self.left_to_sleep[name] += n * modes
+            if level == BANDS:
+                self.silent[name].add(start, n)
         for name in tense:
             self.tense[name].add(start, n)
         for name in held:
             self.held[name].add(start, n)
-        if nonlinear:
+        touched = False
+        if system.nonlinear is not None:
             acted: NDArray[np.bool_] = np.any(forces != 0.0, axis=0)
             for key, columns in self.contacts.items():
                 if np.any(acted[columns]):
+                    touched = True
                     self.touched[key].add(start, n)
+        return touched
 
     def rises(self, rises: Mapping[str, float], tense: Collection[str]) -> None:
         """Enter a look at the strings: cents by which each would rise, and which do."""
@@ -126,7 +169,7 @@ class Ledger:
         model, fs = self.model, self.model.fs
         whole = self.samples / fs
         modes = {name: self.n_modes(name) for name in model.strings}
-        units = self.samples * model.n_modes + sum(
+        units = self.mode_samples + sum(
             spans.samples * TENSION_MODULATION.cost(modes[name]) for name, spans in self.tense.items()
         )
         per_unit = render_s / units if units else 0.0
@@ -141,6 +184,9 @@ class Ledger:
                 if effect.name == "tension_modulation":
                     if string.resonator.axial_stiffness <= 0:
                         continue
+                    if string.along:  # its tension rises with it
+                        add(effect, name, whole)
+                        continue
                     off = self.samples - self.tense[name].samples
                     bound = self.left_out.get(name, 0.0) if effect.name in choice.names else None
                     saved = off * effect.cost(modes[name]) * per_unit
@@ -151,6 +197,15 @@ class Ledger:
                     there = effect.name in choice.names
                     saved = 0.0 if there else self.samples * effect.cost(modes[name]) * per_unit
                     add(effect, name, whole if there else 0.0, saved, 0.0 if there else None)
+                elif effect.name == "longitudinal":
+                    saved = 0.0 if string.along else self.samples * effect.cost(modes[name]) * per_unit
+                    add(effect, name, whole if string.along else 0.0, saved, 0.0 if string.along else None)
+                elif effect.name in ("high_modes", "sympathetic_strings"):
+                    high = effect.name == "high_modes"
+                    slept = (self.asleep if high else self.silent)[name].samples
+                    saved = self.left_to_sleep[name] * effect.cost(1) * per_unit if high else 0.0
+                    lost = 20 * math.log10(max(self.unheard[name], _NOTHING)) if slept else 0.0
+                    add(effect, name, (self.samples - slept) / fs, saved, lost)
                 else:
                     add(effect, name, whole)
         for part, plugin in self._parts.items():

@@ -129,7 +129,7 @@ class TensionSwitch:
         if gesture.motions or gesture.on is not None or not gesture.segments:
             return math.inf
         name = play.string or ""
-        force = max(_largest(s) for s in gesture.segments)
+        force = max(largest(s) for s in gesture.segments)
         compliance = self.compliance(name, fretting)
         foreseen = (math.sqrt(max(energy, 0.0)) + force * math.sqrt(0.5 * compliance)) ** 2
         return self.rise(name, fretting.stop, foreseen)
@@ -142,33 +142,50 @@ class TensionSwitch:
         return x * (length - x) / (string.tension(fretting.stop) * length)
 
 
-def affordable(system: System, state: State, name: str) -> bool:
-    """Whether a string can pay for its tension's rise, and if so, let it: velocities fall by as much as is needed."""
+def string_energy(system: System, state: State, name: str) -> tuple[float, float]:
+    """Energy of a string's modes, and of its tension if that rises, J."""
     tension = next(t for t in system.tensions if t.name == name)
-    stretch = kinetic = kappa = 0.0
-    motions = []
+    total = stretch = kappa = 0.0
     for component in tension.components:
         compiled = system.compiled[system.slot(component)]
         x = np.asarray(system.modes_of(state, component), dtype=np.float64)
         q, v = to_motion(compiled.basis, x)
-        motions.append((component, compiled.basis, q, v))
-        kinetic += 0.5 * float(v @ v)
+        total += 0.5 * float(v @ v + compiled.basis.stiffness @ (q * q))
         if compiled.tension is not None:
             stretch += compiled.tension.stretch(x.T)
             kappa = compiled.tension.kappa
-    cost = 0.5 * kappa * stretch**2
+    return total, 0.5 * kappa * stretch**2
+
+
+def affordable(system: System, state: State, name: str, given: float = 0.0) -> bool:
+    """Whether a string can pay for its tension's rise, and if so, let it: velocities fall by as much as is needed.
+
+    Parameters
+    ----------
+    given : J, that need not be paid.
+    """
+    tension = next(t for t in system.tensions if t.name == name)
+    cost = string_energy(system, state, name)[1] - given
+    if cost <= 0.0:
+        return True
+    motions = []
+    kinetic = 0.0
+    for component in tension.components:
+        basis = system.compiled[system.slot(component)].basis
+        q, v = to_motion(basis, np.asarray(system.modes_of(state, component), dtype=np.float64))
+        motions.append((component, basis, q, v))
+        kinetic += 0.5 * float(v @ v)
     if cost > _AFFORDABLE * kinetic:
         return False
-    if cost > 0.0:
-        less = math.sqrt(1.0 - cost / kinetic)
-        for component, basis, q, v in motions:
-            system.modes_of(state, component)[:] = from_motion(basis, q, less * v)
-        ends = {f"{component}.bridge" for component in tension.components}
-        share_velocities(system, state, np.array([c.name in ends for c in system.connections], dtype=bool))
+    less = math.sqrt(1.0 - cost / kinetic)
+    for component, basis, q, v in motions:
+        system.modes_of(state, component)[:] = from_motion(basis, q, less * v)
+    ends = {f"{component}.bridge" for component in tension.components}
+    share_velocities(system, state, np.array([c.name in ends for c in system.connections], dtype=bool))
     return True
 
 
-def _largest(piece: Segment) -> float:
+def largest(piece: Segment) -> float:
     """Largest |F| of a piece of force, N."""
     length = piece.stop - piece.start
     turn = -piece.c1 / (2 * piece.c2) if piece.c2 else 0.0

@@ -8,15 +8,17 @@ from typing import Any
 
 from tonewood.errors import BundleError
 from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.contract import BodyPoint, BridgeForce, Exciter, PickupRows, Place, Scene, dot
+from tonewood.instrument.contract import BodyPoint, BridgeForce, Exciter, Longitudinal, PickupRows, Place, Scene, dot
+from tonewood.instrument.directions import unit_vector
 from tonewood.instrument.effects import Choice, declared
 from tonewood.instrument.gestures import Fraction
 from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import Playing, StringPart
-from tonewood.instrument.strings import Polarization, Stopping, StringModel
+from tonewood.instrument.strings import Along, Polarization, Stopping, StringModel
 from tonewood.instrument.tuning import body_ports
 from tonewood.numerics.basis_passivity import check_basis
 from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.numerics.geometric import GeometricStretch
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.system import Drive, Readout, System
 from tonewood.numerics.tension import TensionModulation
@@ -135,14 +137,14 @@ def assemble(
         name: _string(instrument, name, body, body_points, limit, instrument.exciters[exciter], choice)
         for name in instrument.string_names
     }
-    driven = {point for string in strings.values() for p in string.polarizations for point in p.ends}
+    driven = {point for string in strings.values() for p in string.ends for point in p.ends}
     driven |= {e.at.partition(".")[2] for e in instrument.exciters.values() if e.at is not None}
     check_basis(body, sorted(driven), dt=1.0 / fs).require(file=str(file), key="body")
     components: dict[str, ModalBasis] = {"body": body}
     connections: list[Connection] = []
     for string in strings.values():
         components.update(string.bases())
-        for p in string.polarizations:
+        for p in string.ends:
             moved = tuple(Term("body", point, -factor) for point, factor in p.ends.items())
             connections.append(Connection(f"{p.component}.bridge", (Term(p.component, "bridge"), *moved), Rigid()))
     for string in strings.values():
@@ -156,8 +158,26 @@ def assemble(
     stretching = [
         s
         for s in strings.values()
-        if s.resonator.axial_stiffness > 0 and choice.keeps(s.resonator, "tension_modulation")
+        if s.resonator.axial_stiffness > 0 and not s.along and choice.keeps(s.resonator, "tension_modulation")
     ]
+    geometric = [
+        GeometricStretch(
+            s.name,
+            tuple(p.component for p in s.polarizations),
+            s.along.component,
+            s.resonator.axial_stiffness,
+            s.along.motion.freq_coupled,
+        )
+        for s in strings.values()
+        if s.along
+    ]
+    if geometric and stretching:
+        raise BundleError(
+            f"moves along itself while the tension of {stretching[0].name} only rises: give all strings of rising "
+            "tension the same plugin",
+            file=file,
+            key=f"strings.{geometric[0].name}.plugin",
+        )
     tensions = [TensionModulation(s.name, s.components, s.resonator.axial_stiffness) for s in stretching]
     scene = _scene(strings, body_points, limit)
     names = list(instrument.pickups)
@@ -193,7 +213,9 @@ def assemble(
             )
         )
     groups.sort(key=lambda g: wanted.index(g.name))
-    system = System.build(components, connections, readouts, dt=1.0 / fs, drives=drives, tensions=tensions)
+    system = System.build(
+        components, connections, readouts, dt=1.0 / fs, drives=drives, tensions=tensions, geometric=geometric
+    )
     return Model(
         instrument=instrument,
         fs=fs,
@@ -239,6 +261,12 @@ def _string(
         compensate=spec.tuning.at if spec.tuning.compensate == "coupled" else "none",
         finger=stops.finger if stops.model == "finger" else None,
     )
+    motion, along = resonator.longitudinal, None
+    if motion is not None and choice.keeps(resonator, "longitudinal"):
+        x, y, z = unit_vector(part.axis)
+        to_nut = (-x, -y, -z)
+        ends = [part.end] if isinstance(part.end, str) else part.end
+        along = Along(f"{name}.longitudinal", to_nut, _end_shares(to_nut, ends, body_points, motion), motion)
     points = {
         point: at.from_bridge.fraction * resonator.length if isinstance(at.from_bridge, Fraction) else at.from_bridge
         for point, at in part.points.items()
@@ -265,6 +293,7 @@ def _string(
             **{n: e for n, e in instrument.exciters.items() if e.at is None},
         },
         pluck_from_bridge=usual.fraction * resonator.length if isinstance(usual, Fraction) else float(usual),
+        along=along,
     )
     shortest = string.length(count)
     for point, x in points.items():
@@ -291,13 +320,27 @@ def _shares(direction: Vector, ends: Sequence[str], body_points: Mapping[str, Bo
     return {point: factor for point, factor in shares.items() if factor != 0.0}
 
 
+def _end_shares(
+    to_nut: Vector, ends: Sequence[str], body_points: Mapping[str, BodyPoint], motion: Longitudinal
+) -> dict[str, float]:
+    """Body point -> share of its displacement in the string's end, along the string.
+
+    What its inclination makes of each, and the leverage of the point that moves most across the string.
+    """
+    points = [end.partition(".")[2] for end in ends]
+    shares = {point: dot(to_nut, body_points[point].direction) for point in points}
+    most = min(points, key=lambda point: abs(shares[point]))
+    shares[most] += motion.bridge_leverage
+    return {point: factor for point, factor in shares.items() if abs(factor) > 1e-12}
+
+
 def _scene(strings: Mapping[str, StringModel], body_points: Mapping[str, BodyPoint], limit: float) -> Scene:
     bridge_forces, string_points, end_forces = [], {}, {}
     for name, string in strings.items():
-        end_forces[name] = tuple((f"{p.component}.bridge", p.direction) for p in string.polarizations)
+        end_forces[name] = tuple((f"{p.component}.bridge", p.direction) for p in string.ends)
         for point in ("bridge", "pluck", *string.points):
             string_points[f"{name}.{point}"] = tuple((p.component, point, p.direction) for p in string.polarizations)
-        for p in string.polarizations:
+        for p in string.ends:
             # the connection pulls the string's end by +f, and the body by -f along the polarization
             bridge_forces += [BridgeForce(f"{p.component}.bridge", pt, -factor) for pt, factor in p.ends.items()]
     return Scene(body_points, tuple(bridge_forces), string_points, end_forces, limit)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -94,6 +94,24 @@ class Plugin(ABC, Generic[P]):
         return BundleError(reason, file=self.files.manifest, key=".".join(k for k in (self.key, key) if k))
 
 
+@dataclass(frozen=True, slots=True)
+class Longitudinal:
+    """Motion along a string, stepped with the transverse one; see `tonewood.numerics.geometric`.
+
+    Attributes
+    ----------
+    basis : highest frequency (Hz) and stop (m from the nut) -> modes along the string with its bridge end free, made by
+        `tw.string_basis` with EA as tension.
+    freq_coupled : Hz, transverse modes below it take part.
+    bridge_leverage : displacement of the string's end towards the nut per displacement of the body's point, beside
+        what the string's inclination makes of it.
+    """
+
+    basis: Callable[[float, float], ModalBasis]
+    freq_coupled: float
+    bridge_leverage: float
+
+
 class Resonator(Plugin[P]):
     """A string in one polarization: held at the nut or a stop, moved by a body at the bridge.
 
@@ -121,6 +139,11 @@ class Resonator(Plugin[P]):
         `tw.string_basis` do.
         """
         return 0.0
+
+    @property
+    def longitudinal(self) -> Longitudinal | None:
+        """Motion along the string where it is stepped; needs an axial stiffness."""
+        return None
 
     @abstractmethod
     def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ModalBasis:

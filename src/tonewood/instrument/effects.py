@@ -101,7 +101,8 @@ class Effect:
 
 HIGH_MODES = Effect(
     "high_modes", "a string's partials up to the highest that the sampling rate allows", "additive",
-    "always", "nothing: all are stepped", basic=True,
+    "always, until they have decayed", "a bound on what they, and what the body puts into them, "
+    "would add: octaves of them sleep while it is within the budget", basic=True,
 )  # fmt: skip
 SECOND_POLARIZATION = Effect(
     "second_polarization", "motion across the first plane: two decays in one sound", "additive",
@@ -109,7 +110,8 @@ SECOND_POLARIZATION = Effect(
 )  # fmt: skip
 SYMPATHETIC_STRINGS = Effect(
     "sympathetic_strings", "strings that ring with others, and what they do to others' pitch and decay", "additive",
-    "always", "nothing: every string stays attached", basic=True,
+    "always, while anything is heard of them", "the bound of high modes: a string of which nothing is heard is left "
+    "its static shape", basic=True,
 )  # fmt: skip
 TENSION_MODULATION = Effect(
     "tension_modulation", "tension that rises with amplitude: glides, turning planes", "detuning",
@@ -117,6 +119,11 @@ TENSION_MODULATION = Effect(
     "moves a mass, a bow or a finger",
     "the string's energy, which bounds the mean rise of its tension",
     bound=rise_of_tension, cost=lambda n: 8.0 * n,
+)  # fmt: skip
+LONGITUDINAL = Effect(
+    "longitudinal", "motion along the string: partials at sums of transverse ones", "additive",
+    "always, where the string's plugin steps it", "nothing: it is stepped or not from the beginning",
+    cost=lambda n: 60.0 * n,
 )  # fmt: skip
 DAMPERS = Effect(
     "dampers", "fingers that quiet a string while they draw it", "additive", "from touch to release of each pluck",

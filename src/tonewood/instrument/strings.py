@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.attached import Attached, Site
-from tonewood.instrument.contract import Attachment, Exciter, Resonator
+from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Resonator
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
 from tonewood.instrument.tuning import StringOnBody, TunedStop, tune
 from tonewood.numerics.connections import Connection
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.receptance import Joint, Ports
-from tonewood.numerics.string_transfer import retuned
+from tonewood.numerics.string_transfer import retuned, string_carry, string_transfer
 from tonewood.params import Vector
 from tonewood.units import cents, ratio_of_cents
 
@@ -46,6 +46,24 @@ class Polarization:
     direction: Vector
     ends: Mapping[str, float]
     detune: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Along:
+    """Motion along a string.
+
+    Attributes
+    ----------
+    component : its name in the system, ``STRING.longitudinal``.
+    direction : unit vector from the bridge to the nut.
+    ends : body point -> share of that point's displacement in the string's end.
+    motion : as the resonator gives it.
+    """
+
+    component: str
+    direction: Vector
+    ends: Mapping[str, float]
+    motion: Longitudinal
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +95,7 @@ class StringModel:
     polarizations : one or two, the first is the one kept when effects are left out.
     open_note : note number of the open string.
     stopping : its stops.
+    along : its longitudinal motion, if that is stepped.
     pluck_from_bridge : m, where it is plucked if nobody says where.
     """
 
@@ -96,8 +115,10 @@ class StringModel:
         tilt_deg: float,
         pluck_from_bridge: float,
         touching: Mapping[str, Attachment[Any] | Exciter[Any]] | None = None,
+        along: Along | None = None,
     ):
         self.name, self.resonator, self.polarizations = name, resonator, polarizations
+        self.along = along
         self.open_note, self.stopping, self.points = open_note, stopping, dict(points)
         self.pluck_from_bridge = pluck_from_bridge
         self._body, self._freq_upper, self._freq_limit = body, freq_upper, freq_limit
@@ -107,11 +128,17 @@ class StringModel:
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._bases: dict[float, ModalBasis] = {}
         self._gains: dict[float, float] = {}
+        self._along: dict[float, ModalBasis] = {}
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Names of its components in the system, the first polarization first."""
-        return tuple(p.component for p in self.polarizations)
+        """Names of its components in the system, the first polarization first, longitudinal motion last."""
+        return (*(p.component for p in self.polarizations), *([self.along.component] if self.along else []))
+
+    @property
+    def ends(self) -> tuple[Polarization | Along, ...]:
+        """All that moves at the bridge."""
+        return (*self.polarizations, *([self.along] if self.along else []))
 
     @property
     def n_stops(self) -> int:
@@ -221,6 +248,8 @@ class StringModel:
             if added_damping:
                 basis = retuned(basis, np.sqrt(basis.stiffness), basis.damping_rate + added_damping)
             out[polarization.component] = with_still_points(basis.with_places(here), beyond)
+        if self.along:
+            out[self.along.component] = self._longitudinal(end, self.along.motion, added_damping)
         return out
 
     def n_modes(self, stop: float = 0) -> int:
@@ -240,6 +269,8 @@ class StringModel:
     def transfer(self, component: str, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         """Matrices that carry modal displacement and velocity from one stop's basis to another's."""
         self._own(component)
+        if self._is_along(component):
+            return string_transfer(old, new)
         if self.stopping.finger is not None:
             return laid_down(old, new)
         return self.resonator.transfer(old, new)
@@ -249,10 +280,30 @@ class StringModel:
     ) -> tuple[Floats, Floats]:
         """One motion, modal coordinates q and q', carried from one stop's basis to another's."""
         self._own(component)
+        if self._is_along(component):
+            return (
+                (q, velocity)
+                if old.metadata["length"] == new.metadata["length"]
+                else string_carry(old, new, q, velocity)
+            )
         if self.stopping.finger is not None:
             displacement, moving = laid_down(old, new)
             return displacement @ q, moving @ velocity
         return self.resonator.carried(old, new, q, velocity)
+
+    def _is_along(self, component: str) -> bool:
+        return self.along is not None and component == self.along.component
+
+    def _longitudinal(self, stop: float, motion: Longitudinal, added_damping: float) -> ModalBasis:
+        """Modes along the string; few, and bends leave them as they are."""
+        if stop not in self._along:
+            if len(self._along) >= _PASSING_STOPS:
+                del self._along[next(iter(self._along))]
+            self._along[stop] = motion.basis(self._freq_limit, self.position(stop))
+        basis = self._along[stop]
+        if not added_damping:
+            return basis
+        return retuned(basis, np.sqrt(basis.stiffness), basis.damping_rate + added_damping)
 
     def _end(self, stop: float) -> float:
         """Stop at which the string's modes end: a soft finger leaves them those of the open string."""

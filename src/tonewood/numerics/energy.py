@@ -25,6 +25,7 @@ from tonewood.numerics.energy_laws import LawEnergies
 from tonewood.numerics.energy_path import step_again
 from tonewood.numerics.energy_steps import KnownForce, over_steps
 from tonewood.numerics.energy_trace import EnergyTrace
+from tonewood.numerics.geometric import GeometricSolve
 from tonewood.numerics.passivity_storage import Storage, storage_matrix
 from tonewood.numerics.system import Compiled, Control, Injection, State, System
 
@@ -176,6 +177,12 @@ class EnergyAccount:
             stretch = [(part.reading * x[..., 0]) ** 2 @ part.weights for part, x in parts if on and part is not None]
             if stretch and parts[0][0] is not None:
                 out[f"{law.name}.tension"] = 0.5 * parts[0][0].kappa * np.sum(stretch, axis=0) ** 2
+        if self.system.geometric:
+            solve, steps = GeometricSolve(self.system), len(next(iter(path.values())))
+            none = np.zeros((steps, 0, 2))
+            along = [solve.energy([path.get(name, none)[t] for name in self.system.names]) for t in range(steps)]
+            strings = zip(self.system.geometric, np.transpose(along), strict=True)
+            out |= {f"{law.name}.stretch": np.array(values) for law, values in strings}
         return out
 
     def _gaps(self, path: Mapping[str, Floats]) -> Floats:

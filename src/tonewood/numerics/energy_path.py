@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import NumericalError
+from tonewood.numerics.geometric import GeometricSolve
 from tonewood.numerics.system import Injection, System
 from tonewood.numerics.tension import TensionPart
 
@@ -31,7 +32,7 @@ def step_again(
     Returns
     -------
     states : name -> (T + 1, n_modes, 2).
-    pulls : name -> (T, n_modes) modal forces of rising tension, for the strings that have it.
+    pulls : name -> (T, n_modes) modal forces of rising tension and of longitudinal motion, for strings that have it.
     """
     names, T = list(start), len(forces)
     slots = [system.slot(name) for name in names]
@@ -57,6 +58,9 @@ def step_again(
         if on
     ]
     pulls = {name: np.zeros((T, part.weights.size)) for string in strings for name, part in string}
+    along = GeometricSolve(system) if system.geometric else None
+    stretched = [name for law in system.geometric for name in law.parts]
+    pulls |= {name: np.zeros((T, system.compiled[system.slot(name)].basis.n_modes)) for name in stretched}
     for t in range(T):
         x, y = path[t, :, 0], path[t, :, 1]
         path[t + 1, :, 0] += e00 * x + e01 * y
@@ -68,6 +72,17 @@ def step_again(
                 after = part.step(before, free, np.zeros((0, *free.shape)), tension)[0]
                 pulls[name][t] = -0.5 * tension * part.weights * part.reading * (before[:, 0] + after[:, 0])
                 path[t + 1, spans[name]] = after
+        if along is not None:
+            none = np.zeros((0, 2))
+            earlier, later = ([p[spans[n]] if n in spans else none for n in system.names] for p in path[t : t + 2])
+            force, _, found = along.find(earlier, later, list, joined=False)
+            if not found:
+                raise NumericalError(f"the forces of a string were not found again at {(sample + t) * system.dt:.6f} s")
+            for name, pull in along.by_component(force).items():
+                pulls[name][t] = pull
+            moved = along.pushed(later, force)
+            for name in stretched:
+                path[t + 1, spans[name]] = moved[system.slot(name)]
     return {name: path[:, spans[name]] for name in names}, pulls
 
 

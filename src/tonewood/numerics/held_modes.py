@@ -189,7 +189,7 @@ def _decaying(damping_rate: Floats, shares: Floats, wanted: Floats) -> Floats:
 
 
 #: arrays of metadata that are quadratic forms of a mode's shape, diagonal in the modes
-_FORMS = ("tension_part", "bending_part")
+_FORMS = ("tension_part", "bending_part", "stretch_part")
 
 
 def _metadata(basis: ModalBasis, vectors: Floats) -> dict[str, object]:

@@ -108,14 +108,17 @@ class KernelStepper:
         idle[self._nonlinear] = True
         self._active = np.flatnonzero(~idle)
         wiring, terms = self._wired(system)
+        fresh: set[int] = set()
         for slot, (compiled, one_way, wires) in enumerate(zip(system.compiled, system.driven, wiring, strict=True)):
             if (known := self._loaded[slot]) and known[0] is compiled and known[1] == wires.key:
                 continue
             self._loaded[slot] = (compiled, wires.key)
+            fresh.add(slot)
             # nobody asks for the motion of a driven component's ports
             readouts = np.arange(len(compiled.ports), len(compiled.rows))
             fixed, guarded, incidence = wires.fixed, wires.guarded, wires.incidence
-            if not one_way and not any(slot == at and not on_guarded for _, at, _, on_guarded, _ in terms):
+            kept = one_way or compiled.geometric is not None
+            if not kept and not any(slot == at and not on_guarded for _, at, _, on_guarded, _ in terms):
                 fixed, incidence = _independent(compiled, fixed, incidence)
             rows = readouts if one_way else np.concatenate([fixed, readouts])
             E = _pack((compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)).reshape(-1, 4)[None])[0]
@@ -146,6 +149,10 @@ class KernelStepper:
                 half = 0.5 * part.reading * part.kick[:, 0] * part.weights
                 alone = [_pack(a[None, :, None])[0, 0] for a in (part.weights, half, part.reading)]
                 self._kernel.set_stretched(slot, alone[0], alone[1], alone[2], _pack(part.kick[None])[0])
+        for index, law in enumerate(system.geometric):
+            slots = [system.slot(name) for name in law.parts]
+            if fresh & set(slots):
+                self._kernel.set_geometric(index, *_geometric(system, slots, wiring))
         s = system.solve
         on = self._active
         self._kernel.set_solve(
@@ -193,7 +200,8 @@ class KernelStepper:
                 acts = incidence != 0.0
                 touched = np.any(acts[self._nonlinear], axis=0)
                 needed = np.any(acts[always], axis=0)
-                guarded = np.flatnonzero(touched & ~needed & (not one_way))
+                may_sleep = not one_way and system.compiled[slot].geometric is None
+                guarded = np.flatnonzero(touched & ~needed & may_sleep)
                 fixed = np.flatnonzero((touched | needed) & ~np.isin(np.arange(acts.shape[1]), guarded))
                 for j, port in zip(*np.nonzero(acts[self._nonlinear]), strict=True):
                     among, factor = (guarded if port in guarded else fixed), incidence[self._nonlinear[j], port]
@@ -242,7 +250,8 @@ class KernelStepper:
             if slot >= 0:
                 raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
             names = ", ".join(self.system.connections[on[j]].name for j in self._kernel.active())
-            names = names or ", ".join(t.name for t in self.system.tensions)
+            strings = [t.name for t in self.system.tensions] + [g.name for g in self.system.geometric]
+            names = names or ", ".join(strings)
             raise NumericalError(f"the forces of {names} were not found at {t:.6f} s")
         forces = np.zeros((n, m))
         forces[:, self._active] = active_forces
@@ -271,6 +280,23 @@ class KernelStepper:
             known = (injection, vectors, np.ascontiguousarray(injection.values))
             self._packed[id(injection)] = known
         return self.system.slot(injection.component), injection.start - state.sample, known[1], known[2]
+
+
+def _geometric(
+    system: System, slots: Sequence[int], wiring: Sequence[_Wires]
+) -> tuple[float, list[tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]]]:
+    """EA L, and the parts of a string whose longitudinal motion is stepped, as module.cpp reads them."""
+    scale = 0.0
+    parts: list[tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]] = []
+    for slot in slots:
+        compiled, ports = system.compiled[slot], wiring[slot].fixed
+        if (part := compiled.geometric) is not None:
+            scale = part.scale
+            moved = np.einsum("pmx,mx->pm", compiled.rows[ports][:, : part.n], part.kick)
+            called = part.reading * compiled.W[ports][:, : part.n, 0]
+            yields, kick = part.reading * part.kick[:, 0], np.ascontiguousarray(part.kick.T)
+            parts.append((slot, part.slopes, part.reading, yields, kick, moved, called))
+    return scale, parts
 
 
 def _independent(compiled: Compiled, ports: NDArray[np.intp], incidence: Floats) -> tuple[NDArray[np.intp], Floats]:

@@ -6,7 +6,8 @@ One step: propagate every component without connections, read the gaps, find the
 
 Nonlinear connections see what the linear ones leave of their gaps (`connections`), and their forces are found together
 (`law_solve`). A string whose tension rises is, at a given tension, a linear component with another x_u and W; its
-tension is found around all this (`tension`).
+tension is found around all this (`tension`), and so are the modal forces of strings that stretch along themselves
+(`geometric`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from tonewood.errors import NumericalError
 from tonewood.numerics.connections import SERIES, LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
+from tonewood.numerics.geometric import GeometricSolve
 from tonewood.numerics.law_solve import Drives, Grip, find_forces, settle
 from tonewood.numerics.laws import Friction
 from tonewood.numerics.propagator import apply
@@ -69,6 +71,7 @@ class NumpyStepper:
     def __init__(self, system: System):
         self.system = system
         self.statistics = Statistics()
+        self._geometric = GeometricSolve(system) if system.geometric else None
 
     def run(
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
@@ -174,6 +177,8 @@ class NumpyStepper:
         strings = [
             (t, [s.slot(name) for name in law.components]) for t, law in enumerate(s.tensions) if s.tension_on[t]
         ]
+        if self._geometric:
+            return self._geometric_step(self._geometric, x, free, guess, series, slip, drives, grips, time)
         if not strings:
             return self._attempt(x, free, guess, series, slip, {}, drives, grips, time), np.zeros(len(s.tensions))
         parts = {i: part for _, slots in strings for i in slots if (part := s.compiled[i].tension) is not None}
@@ -197,6 +202,27 @@ class NumpyStepper:
             guess = done.forces
         self.statistics.failures += 1
         raise NumericalError(f"the tensions of {', '.join(t.name for t in s.tensions)} were not found at {time:.6f} s")
+
+    def _geometric_step(
+        self, solve: GeometricSolve, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats,
+        drives: Drives, grips: dict[int, Grip], time: float,
+    ) -> tuple[_Attempt, Floats]:  # fmt: skip
+        """One step of strings whose longitudinal motion is stepped."""
+        done: list[_Attempt] = []
+
+        def attempt(pushed: list[Floats]) -> list[Floats]:
+            start = done[-1].forces if done else guess
+            done[:] = [self._attempt(x, pushed, start, series, slip, {}, drives, grips, time)]
+            return done[0].x
+
+        _, iterations, found = solve.find(x, free, attempt)
+        if not found:
+            self.statistics.failures += 1
+            names = ", ".join(g.name for g in self.system.geometric)
+            raise NumericalError(f"the forces of {names} were not found at {time:.6f} s")
+        self.statistics.tension_iterations += iterations
+        self.statistics.most_tension_iterations = max(self.statistics.most_tension_iterations, iterations)
+        return done[0], np.zeros(len(self.system.tensions))
 
     def _attempt(
         self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats,

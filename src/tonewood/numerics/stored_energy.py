@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.numerics.connections import Rigid, SpringDashpot, scaled_pinv
+from tonewood.numerics.geometric import GeometricSolve
 from tonewood.numerics.laws import Friction
 from tonewood.numerics.motion import to_motion
 from tonewood.numerics.system import State, System
@@ -22,7 +23,8 @@ class Energy:
     Attributes
     ----------
     modes : kinetic and potential energy of all two-way components.
-    tension : EA/(8 L) S^2 of the strings whose tension modulation is on.
+    tension : EA/(8 L) S^2 of the strings whose tension modulation is on; of strings that stretch along themselves, what
+        they store beside their modes, which may be negative.
     connections : of springs and nonlinear potentials.
     residual : of residual compliance, of rigid joints and in series with nonlinear laws.
     """
@@ -72,6 +74,9 @@ def stored_energy(system: System, state: State) -> Energy:
                 stretch[t] += compiled.tension.stretch(x.T)
                 kappa[t] = compiled.tension.kappa
     tension = float(np.sum(0.5 * kappa * stretch**2 * np.array(system.tension_on, dtype=np.float64)))
+    if system.geometric:
+        states = [np.asarray(system.modes_of(state, name), dtype=np.float64).T for name in system.names]
+        tension += float(np.sum(GeometricSolve(system).energy(states)))
     gap = gaps(system, state)
     laws = [c.law for c in system.connections]
     rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.numerics.connections import Connection, LinearLaws, LinearSolve, NonlinearSolve, nonlinear_solve
+from tonewood.numerics.geometric import GeometricPart, GeometricStretch
 from tonewood.numerics.laws import Friction
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.propagator import RealForm, apply, flow, real_form
@@ -87,6 +88,7 @@ class Compiled:
     compliance, residual : (g, g) m/N, its share of these gaps' compliance over one step, and of their residual
         compliance.
     tension : its share of a tension, if it belongs to one.
+    geometric : its share of a string whose longitudinal motion is stepped, likewise.
     """
 
     basis: ModalBasis
@@ -102,6 +104,7 @@ class Compiled:
     compliance: Floats
     residual: Floats
     tension: TensionPart | None = None
+    geometric: GeometricPart | None = None
 
     @cached_property
     def velocity(self) -> Floats:
@@ -228,6 +231,7 @@ class System:
     nonlinear: NonlinearSolve | None = None
     tensions: tuple[TensionModulation, ...] = ()
     tension_on: tuple[bool, ...] = ()
+    geometric: tuple[GeometricStretch, ...] = ()
     wiring: tuple[Floats, ...] = ()
     linear: LinearLaws | None = None
     places: NDArray[np.intp] | None = None
@@ -243,6 +247,7 @@ class System:
         drives: Sequence[Drive] = (),
         capacities: Mapping[str, int] | None = None,
         tensions: Sequence[TensionModulation] = (),
+        geometric: Sequence[GeometricStretch] = (),
     ) -> System:
         """Compile.
 
@@ -251,6 +256,7 @@ class System:
         components : name -> basis. One that `drives` name is driven one way: no connection may act on it.
         capacities : name -> modes to leave room for, where a component may later take a larger basis.
         tensions : strings whose tension rises with their amplitude; all are on.
+        geometric : strings whose longitudinal motion is stepped with the transverse one.
 
         Raises
         ------
@@ -275,10 +281,13 @@ class System:
         for probe in (p for r in readouts for p in r.probes):
             if probe.component not in components:
                 raise ValueError(f"no component {probe.component!r} to read")
-        stretched = [name for t in tensions for name in t.components]
+        stretched = [name for t in tensions for name in t.components] + [name for g in geometric for name in g.parts]
         for name in stretched:
             if name not in components or name in driven or stretched.count(name) > 1:
                 raise ValueError(f"a tension needs two-way components of its own, not {name!r}")
+        if tensions and geometric:
+            both = f"{tensions[0].name} and {geometric[0].name}"
+            raise ValueError(f"{both}: strings of rising tension and strings that stretch along themselves do not mix")
         names = tuple(components)
         system = cls(
             dt=dt,
@@ -291,6 +300,7 @@ class System:
             solve=LinearSolve(np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros((0, 0))),
             tensions=tuple(tensions),
             tension_on=(True,) * len(tensions),
+            geometric=tuple(geometric),
         )
         compiled = tuple(system.compile(name, components[name]) for name in names)
         wiring = tuple(system._incidence(name) for name in names)
@@ -333,9 +343,11 @@ class System:
         compliance = a @ history[0, :, : len(ports)].T @ a.T
         residual = a @ basis.residual[ports][:, ports] @ a.T
         tension = next((t.part(name, basis, self.dt, held) for t in self.tensions if name in t.components), None)
+        geometric = next((g.part(name, basis, held) for g in self.geometric if name in g.parts), None)
         return Compiled(
             basis, form, ports, E, W, all_rows, history,
             np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, compliance, residual, tension,
+            geometric,
         )  # fmt: skip
 
     def with_compiled(self, changes: Mapping[str, Compiled]) -> System:

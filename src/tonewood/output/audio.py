@@ -119,8 +119,9 @@ class SoundWriter:
         try:
             self._file = sf.SoundFile(str(self._part.path), "w", fs, n_channels, subtype=self.subtype, format=container)
         except (sf.LibsndfileError, OSError) as error:
+            reason = _reason(self._part.path, error)
             self._part.discard()
-            raise OutputError(f"cannot be written: {error}", file=path) from None
+            raise OutputError(f"cannot be written: {reason}", file=path) from None
 
     @property
     def keeps_peaks(self) -> bool:
@@ -147,7 +148,7 @@ class SoundWriter:
         try:
             self._file.write(block)
         except (sf.LibsndfileError, OSError) as error:
-            raise OutputError(f"cannot be written: {error}", file=self.path) from None
+            raise OutputError(f"cannot be written: {_reason(self._part.path, error)}", file=self.path) from None
         self.frames += len(block)
 
     def __exit__(
@@ -162,6 +163,16 @@ class SoundWriter:
             if complete:
                 self._part.complete()
         except (sf.LibsndfileError, OSError) as fault:
-            raise OutputError(f"cannot be written: {fault}", file=self.path) from None
+            raise OutputError(f"cannot be written: {_reason(self._part.path, fault)}", file=self.path) from None
         finally:
             self._part.discard()
+
+
+def _reason(path: Path, error: Exception) -> str:
+    """Why a file could not be written: libsndfile speaks of system errors, the system says which."""
+    try:
+        with path.open("ab") as stream:
+            stream.write(bytes(1 << 20))
+    except OSError as fault:
+        return fault.strerror or str(fault)
+    return str(error)

@@ -152,7 +152,7 @@ def _excerpt(
 def _check_time(notes: Sequence[Note], path: Path, findings: Findings) -> None:
     """Report silence between notes, and refuse too much of it, or too long a piece."""
     silence = sounding = 0.0
-    way_out = "render a part of it with start and stop"
+    way_out = "tw.read_midi takes a part of it, by start and stop"
     for note in notes:
         gap = note.time - sounding
         if gap > LONG_GAP:

@@ -35,6 +35,9 @@ OWN = {
         ]
     ),
     "clavichord": tw.Score([tw.Note(0.0, 0.05, note=57, force=1.0), tw.Note(0.0617, 0.03, note=59, force=1.0)]),
+    "struck_monochord": tw.Score(
+        [tw.Note(0.0, 0.05, note=60, velocity_midi=110), tw.Note(0.0617, 0.03, note=62, velocity_midi=90)]
+    ),
     "tanpura": tw.Score([tw.Note(0.0, 0.05, note=48, force=1.0), tw.Note(0.0617, 0.03, note=48, force=1.0)]),
 }
 
@@ -62,6 +65,7 @@ def balanced(trace: EnergyTrace) -> None:
         "sitar",
         "clavichord",
         "tanpura",
+        pytest.param("struck_monochord", marks=pytest.mark.validate),
         pytest.param("steel_guitar", marks=pytest.mark.validate),
         pytest.param("electric_bass", marks=pytest.mark.validate),
     ],

@@ -58,11 +58,11 @@ def put(values: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
     [
         ("schema", "tonewood-instrument/2", "schema: Input should be 'tonewood-instrument/1'"),
         ("title", None, "title: is missing"),
-        ("tittle", "x", "tittle: is not a known key; allowed: schema, name, title"),
+        ("tittle", "x", "tittle: is not a known key; did you mean title? allowed: schema, name, title"),
         ("strings.A2.tension", "tight", "strings.A2.tension: Input should be a valid number, not 'tight'"),
         ("strings.A2.tension", True, "strings.A2.tension"),
         ("strings.A2.tension", 1e9, "strings.A2.tension: Input should be less than or equal to 2000"),
-        ("strings.A2.tensoin", 7.0, "strings.A2.tensoin: is not a known key; allowed: length, tension"),
+        ("strings.A2.tensoin", 7.0, "strings.A2.tensoin: is not a known key; did you mean tension?"),
         ("strings.A2.note", "H2", "strings.A2.note: 'H2' is not a note"),
         ("strings.A2.note", None, "strings.A2: either `note` or `freq` is wanted"),
         ("strings.A2.end", "body.wings", "strings.A2.end: there is no point 'body.wings'; there are body.bridge"),

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tonewood.errors import OutputError, TonewoodError
+from tonewood.errors import TonewoodError
 from tonewood.lab.accuracy import catalogue, report, tables
 from tonewood.lab.accuracy.catalogue import Outcome
 from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_errors
@@ -195,12 +194,3 @@ def test_charts_are_drawn() -> None:
     from tonewood.lab.accuracy.picture import pareto_png
 
     assert pareto_png([outcome()] * 3, dpi=30).startswith(b"\x89PNG")
-
-
-def test_nothing_is_left_of_a_file_that_cannot_be_written(tmp_path: Path) -> None:
-    (tmp_path / "taken").mkdir()
-    with pytest.raises(OutputError, match="taken"):
-        report.write(tmp_path / "taken", "text")
-    assert [p.name for p in tmp_path.iterdir()] == ["taken"]
-    report.write(tmp_path / "page.md", "text")
-    assert (tmp_path / "page.md").read_text() == "text"

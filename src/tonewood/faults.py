@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+
+_PLACE = re.compile(r"([\w.*-]+): ")
+_CONTAINERS = (dict, list, tuple, Mapping, Sequence)
+#: what pydantic puts before the text of a check's own error
+_RAISED = re.compile(r"^(Value error|Assertion failed), ")
 
 
 def first_fault(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
@@ -19,21 +25,22 @@ def first_fault(error: ValidationError, model: type[BaseModel]) -> tuple[str, st
     faults = error.errors(include_url=False)
     fault = faults[0]
     keys, owners = _walk(fault["loc"], model)
-    kind, reason = fault["type"], fault["msg"]
+    kind, reason = fault["type"], _RAISED.sub("", fault["msg"])
     if kind == "extra_forbidden":
         return ".".join(keys), _unknown(str(fault["loc"][-1]), owners)
     if kind == "missing":
         return ".".join(keys), "is missing"
     if kind == "union_tag_not_found":
-        return ".".join([*keys, "type"]), "is missing"
+        return ".".join([*keys, _discriminator(fault)]), "is missing"
     if kind == "union_tag_invalid":
         context = fault["ctx"]
-        return ".".join([*keys, "type"]), f"{context['tag']} is not one of {context['expected_tags']}"
-    if not keys and ": " in reason:  # a check over several keys that names its own place
-        place, _, rest = reason.partition(": ")
-        return place, rest
+        return ".".join([*keys, _discriminator(fault)]), f"{context['tag']} is not one of {context['expected_tags']}"
+    named = None if keys else _PLACE.match(reason)  # a check over several keys that names its own place
+    if named:
+        return named[1], reason[named.end() :]
     same_place = [f["msg"] for f in faults if _walk(f["loc"], model)[0] == keys]  # members of a union
-    return ".".join(keys), "; or ".join(_lower_first(text) for text in dict.fromkeys(same_place)) + _shown(fault)
+    first, *others = dict.fromkeys(_RAISED.sub("", text) for text in same_place)
+    return ".".join(keys), "; or ".join([first, *map(_lower_first, others)]) + _shown(fault)
 
 
 def _walk(loc: Sequence[int | str], model: type[BaseModel]) -> tuple[list[str], list[type[BaseModel]]]:
@@ -49,7 +56,7 @@ def _walk(loc: Sequence[int | str], model: type[BaseModel]) -> tuple[list[str], 
         elif tagged := [m for m in models if part in _tags(m)]:
             owners = here = tagged
             continue
-        elif containers := [a for a in here if get_origin(a) in (dict, list)]:
+        elif containers := [a for a in here if get_origin(a) in _CONTAINERS]:
             here = [t for c in containers for t in _members(get_args(c)[-1])]
         elif models:
             owners, here = models, []
@@ -64,8 +71,8 @@ def _fields(model: type[BaseModel]) -> dict[int | str, Any]:
 
 
 def _tags(model: type[BaseModel]) -> tuple[Any, ...]:
-    tag = model.model_fields.get("type")
-    return get_args(tag.annotation) if tag is not None else ()
+    fields = [f.annotation for f in model.model_fields.values()]
+    return tuple(value for a in fields if get_origin(a) is Literal for value in get_args(a))
 
 
 def _members(annotation: Any) -> list[Any]:
@@ -80,7 +87,7 @@ def _unknown(key: str, owners: list[type[BaseModel]]) -> str:
     allowed = list(dict.fromkeys(str(k) for m in owners for k in _fields(m)))
     close = difflib.get_close_matches(key, allowed, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
-    return f"unknown key; {hint}allowed: {', '.join(allowed)}"
+    return f"is not a known key; {hint}allowed: {', '.join(allowed)}"
 
 
 def _lower_first(text: str) -> str:
@@ -89,4 +96,9 @@ def _lower_first(text: str) -> str:
 
 def _shown(fault: Any) -> str:
     value = fault["input"]
-    return f", not {value!r}" if isinstance(value, (str, int, float)) and len(repr(value)) < 80 else ""
+    plain = isinstance(value, (str, int, float)) or value is None
+    return f", not {value!r}" if plain and len(repr(value)) <= 60 else ""
+
+
+def _discriminator(fault: Any) -> str:
+    return str(fault["ctx"]["discriminator"]).strip("'")

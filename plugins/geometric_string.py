@@ -1,0 +1,71 @@
+"""A string that moves along itself too: `tension_modulated_string` with longitudinal waves and phantom partials.
+
+    strain e = u_x + (v_x^2 + w_x^2) / 2,   potential EA/2 int_0^L e^2 dx beside the tension at rest,
+
+the exact string to fourth order in its motion (`tonewood.numerics.geometric`: equations, energy, what is left out).
+The square of the slope has partials at sums and differences of the transverse frequencies, f_m + f_n; it drives the
+longitudinal modes, n / (2 L) sqrt(EA / mu), and the bridge hears them: Conklin's phantom partials, strong near a
+longitudinal mode (Bank & Sujbert 2005). The string's end moves along the string by what its inclination makes of the
+body's motion, and by `bridge_leverage` times the body's motion: break angle and rocking of the saddle; the body feels
+as much of the longitudinal force.
+
+Longitudinal modes are those below 0.45 of the sampling rate; higher ones follow at once and add nothing. Transverse
+modes up to `freq_coupled` take part in the coupling, the others move as on `stiff_string`: their share of the squared
+slope is small, and cost goes with the square of their number. Valid for slopes up to some 0.3, and where the string is
+nowhere slack. A step whose solution is not found ends the render with one line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from tonewood.plugins.tension_modulated_string import TensionModulatedParameters, TensionModulatedString
+
+from tonewood.instrument.contract import Longitudinal
+from tonewood.instrument.effects import LONGITUDINAL
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.string_modes import string_basis
+from tonewood.params import quantity
+
+
+class GeometricParameters(TensionModulatedParameters):
+    """Of the open string."""
+
+    axial_stiffness: float = quantity("N", low=1.0, high=1e7, doc="E A")
+    freq_coupled: float = quantity(
+        "Hz", low=20.0, high=1e5, default=4000.0, doc="transverse modes below it drive the longitudinal ones"
+    )
+    longitudinal_loss: float = quantity(
+        "1", low=0.0, high=1.0, default=2e-3, doc="loss factor of longitudinal modes, 2 sigma / omega"
+    )
+    bridge_leverage: float = quantity(
+        "1", low=-2.0, high=2.0, default=0.1, doc="motion of the string's end along it per motion of the body's point"
+    )
+
+
+class GeometricString(TensionModulatedString):
+    """The string; see the module."""
+
+    api = 1
+    effects = (*TensionModulatedString.effects, LONGITUDINAL)
+    Parameters = GeometricParameters
+    parameters: GeometricParameters
+
+    @property
+    def longitudinal(self) -> Longitudinal:
+        """Motion along the string."""
+        return Longitudinal(self._along, self.parameters.freq_coupled, self.parameters.bridge_leverage)
+
+    def _along(self, freq_upper: float, stop: float) -> ModalBasis:
+        p = self.parameters
+
+        def loss(freq_rad: np.ndarray, wavenumber: np.ndarray) -> np.ndarray:
+            return np.full_like(freq_rad, p.longitudinal_loss)
+
+        try:
+            return string_basis(p.length - stop, p.axial_stiffness, p.linear_density, 0.0, loss, freq_upper=freq_upper)
+        except ValueError:
+            raise self.fault(
+                f"has no longitudinal mode below {freq_upper:g} Hz where it is {p.length - stop:g} m long: use "
+                "tension_modulated_string, or more samples per second",
+                "axial_stiffness",
+            ) from None

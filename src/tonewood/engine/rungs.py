@@ -1,0 +1,202 @@
+"""A string as it is held, with all its modes or the lower ones only: what may sleep of it, octave by octave.
+
+What sleeps are modes of the string held at its bridge (`numerics.held_modes`): those are its partials, and without the
+highest of them the others keep their pitch. Bands are the same for all strings, so that what one of them does in a band
+can wake the others there: band b lies between ``cuts[b]`` and ``cuts[b - 1]``, and at level b all bands up to it sleep.
+At the last level nothing is left but the string's static shape, which moves with its bridge.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.engine.transfer import Transfer
+from tonewood.instrument.assembly import Model
+from tonewood.numerics.connections import Connection, SpringDashpot
+from tonewood.numerics.held_modes import Condensed, HeldModes, condensed
+from tonewood.numerics.laws import Contact
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.motion import from_motion, to_motion
+from tonewood.numerics.system import Compiled
+
+Floats = NDArray[np.float64]
+
+#: bands, an octave each but for the last one, which holds all that is left
+BANDS = 6
+#: mean of |sin|: a velocity seen at any moment is this share of its amplitude
+_MEAN = 2 / math.pi
+#: modes from which on a band's velocities tell its amplitude by their mean
+_MANY = 12
+
+
+def cuts(model: Model) -> Floats:
+    """(BANDS + 1,) rad/s, from infinity down to 0."""
+    top = max(float(c.basis.stiffness.max(initial=0.0)) for c in model.system.compiled) ** 0.5
+    return np.array([np.inf, *(top / 2.0**b for b in range(1, BANDS)), 0.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One component of a string as it is held now.
+
+    Attributes
+    ----------
+    compiled : the whole of it.
+    held : its modes with the bridge held.
+    counts : (BANDS + 1,) held modes kept at each level.
+    push : (n_held,) N at the bridge per velocity of a held mode.
+    heard : (n_readouts, n_held) of the readouts per velocity of a held mode.
+    few : (n_held,) whether its band has only some modes.
+    compliance : largest g^2 / 2 W^2, N/m: N that a mode in tune gathers per metre of the bridge.
+    decay : (BANDS,) 1/s, slowest of each band; infinite where it has no mode.
+    loudest : (n_readouts, BANDS) of the readouts per N of a held mode.
+    spread : m^-1 s, that, times compliance: N per m/s of the bridge for all modes of a band out of tune.
+    """
+
+    compiled: Compiled
+    held: HeldModes
+    counts: NDArray[np.intp]
+    push: Floats
+    heard: Floats
+    few: NDArray[np.bool_]
+    compliance: float
+    decay: Floats
+    loudest: Floats
+    spread: float
+    made: dict[int, tuple[Condensed, Compiled]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, component: str, compiled: Compiled, model: Model, transfer: Transfer, edges: Floats) -> Part:
+        """Look at a component.
+
+        Raises
+        ------
+        ValueError : it cannot be held at its bridge.
+        """
+        basis = compiled.basis
+        held = HeldModes.of(basis, "bridge")
+        w, g = held.freq_rad, held.force
+        per_newton = transfer.heard_at(component, w)
+        for r, readout in enumerate(model.system.readouts):
+            power = {"velocity": 1, "acceleration": 2}.get(readout.quantity, 0)
+            probes = [(p.factor, basis.index(p.point)) for p in readout.probes if p.component == component]
+            for factor, i in probes:
+                per_newton[r] += np.abs(factor * (held.vectors @ basis.right[i].real)) * w**power / g
+        counts = np.array([np.count_nonzero(w < edge) for edge in edges], dtype=np.intp)
+        bands = [slice(counts[b + 1], counts[b]) for b in range(BANDS)]
+        push = g / w
+        few = counts[:-1] - counts[1:] < _MANY
+        gathered = float(np.max(g**2 / (2 * w**2), initial=0.0))
+        apart = float(np.min(np.diff(w), initial=np.inf)) / 2
+        return cls(
+            compiled=compiled,
+            held=held,
+            counts=counts,
+            push=push,
+            heard=per_newton * push,
+            few=np.concatenate([np.full(b.stop - b.start, f) for b, f in zip(bands[::-1], few[::-1], strict=True)]),
+            compliance=gathered,
+            decay=np.array([held.damping_rate[band].min(initial=np.inf) for band in bands]),
+            loudest=np.array([per_newton[:, band].max(axis=1, initial=0.0) for band in bands]).T,
+            spread=gathered * math.log(held.n_modes + 2) / apart,
+        )
+
+    def at(self, component: str, model: Model, level: int) -> tuple[Condensed | None, Compiled]:
+        """What is stepped at a level; made when it is first wanted."""
+        if level == 0:
+            return None, self.compiled
+        if level not in self.made:
+            fewer = condensed(self.compiled.basis, self.held, int(self.counts[level]))
+            self.made[level] = fewer, model.system.compile(component, fewer.basis)
+        return self.made[level]
+
+    @cached_property
+    def _picks(self) -> Floats:
+        """(n_held, n_modes) velocities of the held modes, as they add to the static shape's."""
+        return np.asarray(self.held.vectors * self.held.stiffness / self.held.freq_rad[:, None] ** 2)
+
+    def bands(self, fewer: Condensed | None, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
+        """Forces of each band's modes on the bridge (BANDS,), N, and what of them is heard (n_readouts, BANDS).
+
+        Sums of amplitudes. Where a band has many modes they are told by their velocities alone, in the mean over a
+        period: slow motions of the bridge bend high modes, too, but hardly move them.
+        """
+        pick = self._picks if fewer is None else fewer.held
+        speed = np.abs(pick @ velocity)
+        n = len(speed)
+        few = self.few[:n]
+        speed[~few] /= _MEAN
+        speed[few] = np.hypot(speed[few], self.held.freq_rad[:n][few] * (pick[few] @ q))
+        each = self._banded(np.vstack([self.push[:n], self.heard[:, :n]]) * speed)
+        return each[0], each[1:]
+
+    def plucked(self, shortest: float) -> Floats:
+        """(BANDS,) forces on the bridge per N that is let go at the point ``pluck`` within `shortest` s."""
+        held, w = self.held, self.held.freq_rad
+        bent = np.abs(held.vectors @ self.compiled.basis.right[self.compiled.basis.index("pluck")].real) / w**2
+        each = held.force * bent * np.minimum(1.0, 2.0 / (w * max(shortest, 1e-9)))
+        return np.asarray(self._banded(each[None])[0])
+
+    def _banded(self, each: Floats) -> Floats:
+        """(k, BANDS) sums over the bands of what the lowest n held modes have, (k, n)."""
+        total = np.zeros((len(each), each.shape[1] + 1))
+        np.cumsum(each, axis=1, out=total[:, 1:])
+        at = np.minimum(self.counts, each.shape[1])
+        return np.asarray(total[:, at[:-1]] - total[:, at[1:]])
+
+
+@dataclass(frozen=True, eq=False)
+class Rungs:
+    """A string as it is held now.
+
+    Attributes
+    ----------
+    parts : component -> its modes.
+    quiet : J, energy below which the string cannot reach what it may touch.
+    """
+
+    parts: Mapping[str, Part]
+    quiet: float
+
+    def carried(self, component: str, model: Model, before: int, after: int, modes: Floats) -> Floats:
+        """Motion of a component, (2, n_modes) at one level, as it is stepped at another.
+
+        Taking modes back leaves the motion as it is, leaving modes out takes their energy away.
+        """
+        part = self.parts[component]
+        (old, stepped), (new, then) = (part.at(component, model, level) for level in (before, after))
+        q, v = to_motion(stepped.basis, modes)
+        if old is not None:
+            q, v = old.expand(q, v)
+        if new is not None:
+            q, v = new.reduce(q, v)
+        return from_motion(then.basis, q, v)
+
+
+def quiet_energy(name: str, bases: Mapping[str, ModalBasis], connections: list[Connection]) -> float:
+    """Energy (J) with which a string surely touches nothing; none where it is always in touch.
+
+    Held at its bridge it is displaced by no more than sqrt(2 C E) at a place of compliance C.
+    """
+    compliance = {}
+    for component, basis in bases.items():
+        C, b = basis.static_compliance(), basis.index("bridge")
+        own = np.diag(C) - C[:, b] ** 2 / C[b, b] if C[b, b] > 0 else np.diag(C)
+        compliance[component] = dict(zip(basis.points, np.sqrt(2 * np.maximum(own, 0.0)), strict=True))
+    energy = math.inf
+    for connection in connections:
+        law = connection.law
+        if isinstance(law, SpringDashpot):
+            continue
+        if not isinstance(law, Contact) or any(t.component not in bases for t in connection.terms):
+            return 0.0
+        reach = sum(abs(t.factor) * float(compliance[t.component][t.point]) for t in connection.terms)
+        if reach > 0.0:
+            energy = min(energy, (max(-law.offset, 0.0) / reach) ** 2)
+    return energy

@@ -1,0 +1,362 @@
+"""Strings, and the high modes of every string, that sleep while they are not heard.
+
+A band of modes falls asleep when what it does at the outputs has decayed below the additive budget, re the loudest
+sample so far, shared among the strings. While it sleeps nobody steps it, so it cannot be looked at: what the body would
+have put into it meanwhile is bounded from what the other strings do in its band,
+
+    |F|' <= -sigma |F| + g^2 / (2 W^2) |v|,      |v| <= sum 2 |Y| |F_others|,
+
+as if every partial met a mode exactly in tune; W, g are a held mode's frequency and force, v the velocity of the
+bridge, Y the body's largest mobility in the band. Where that would pass the budget before the next look, the band is
+woken. It wakes at rest: the displacement and the velocity of the string are what they were, and so is its energy.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.engine.fretting import Fingerboard, Fretting
+from tonewood.engine.rungs import BANDS, Part, Rungs, cuts, quiet_energy
+from tonewood.engine.switching import largest
+from tonewood.engine.timeline import Play, Timeline
+from tonewood.engine.transfer import Transfer
+from tonewood.instrument.assembly import Model
+from tonewood.numerics.connections import Rigid, SpringDashpot
+from tonewood.numerics.motion import to_motion
+from tonewood.numerics.system import Compiled, State, System
+
+Floats = NDArray[np.float64]
+
+#: strings as they are held that are kept for use again
+_CACHE = 64
+#: share of the budget below which modes fall asleep; at the whole of it they wake
+_LEAVE = 0.5
+#: steps of one mode that a string's sleep has to save: falling asleep and waking take a few ms
+WORTH = 6e6
+#: what a mode of a string whose tension rises costs in such steps
+_TENSE = 8.0
+#: points of the control grid from one look to the next
+REST = 64
+#: s, for which a string that is not played again is taken to sleep
+_AFTER = 4.0
+#: room for what comes in from the bridge before the next look
+_ROOM = 1.3
+#: a force that sets in shakes the body up to twice as much as it does when it lasts
+_ONSET = 2.0
+#: share of its first size to which the body's slowest mode must decay after a stroke
+_DECAYED = 1e-4
+#: N, more than any bound allows
+_ENDLESS = 1e30
+
+
+@dataclass(eq=False)
+class Asleep:
+    """What is known of strings that sleep; part of an engine's snapshot.
+
+    Attributes
+    ----------
+    level : string -> how many bands sleep, from the highest.
+    own, own_heard : (C, BANDS) N and (R, C, BANDS): what slept off, decaying.
+    driven : (C, BANDS) N, bound on what came in since.
+    force : (C, BANDS) N, all that strings do, at the last look.
+    peak : (R,) largest sample of each readout so far.
+    last : sample of the last look.
+    shaken_until : sample until which all are awake.
+    touched : whether a contact has acted since.
+    """
+
+    level: dict[str, int]
+    own: Floats
+    own_heard: Floats
+    driven: Floats
+    force: Floats
+    peak: Floats
+    last: int = 0
+    shaken_until: int = -(2**62)
+    touched: bool = False
+
+    def copy(self) -> Asleep:
+        """Return an independent copy."""
+        return Asleep(
+            dict(self.level), self.own.copy(), self.own_heard.copy(), self.driven.copy(), self.force.copy(),
+            self.peak.copy(), self.last, self.shaken_until, self.touched,
+        )  # fmt: skip
+
+
+@dataclass(eq=False)
+class Sleeper:
+    """Says which bands of which strings sleep.
+
+    Parameters
+    ----------
+    model : of the engine.
+    board : its strings as they can be held.
+    timeline : what is going to happen: nothing falls asleep that is played at once.
+    worth : steps of one mode that an exchange has to save.
+    """
+
+    model: Model
+    board: Fingerboard
+    timeline: Timeline
+    worth: float = WORTH
+    state: Asleep = field(init=False)
+    #: string -> largest bound on what it would have added, ratio to the loudest sample
+    largest: dict[str, float] = field(init=False)
+    _known: dict[tuple[str, Fretting], Rungs | None] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        model = self.model
+        self.enabled = model.choice.mode == "auto" and model.choice.budget_db > -math.inf
+        # what sleeps is taken to be linear; strings that move along themselves are not, and all stay awake with them
+        self.enabled = self.enabled and not model.system.geometric
+        self.names = tuple(model.strings)
+        self.components = tuple(c for s in model.strings.values() for c in s.components)
+        self._owner = np.array([i for i, s in enumerate(model.strings.values()) for _ in s.components], dtype=np.intp)
+        n, r = len(self.components), len(model.system.readouts)
+        none = np.zeros((n, BANDS))
+        self.state = Asleep(
+            dict.fromkeys(self.names, 0), none.copy(), np.zeros((r, n, BANDS)), none.copy(), none.copy(), np.zeros(r)
+        )
+        self.largest = dict.fromkeys(self.names, 0.0)
+        if not self.enabled:
+            return
+        self.budget = 10 ** (model.choice.budget_db / 20) / len(self.names)
+        edges = cuts(model)
+        self.transfer, self.edges = Transfer(model), edges
+        between = [self.transfer.mobility_between(low, high) for high, low in itertools.pairwise(edges)]
+        self._mobility = np.stack(between, axis=-1)
+        self._mobility[np.arange(n), np.arange(n)] = 0.0
+        body = model.system.compiled[model.system.slot("body")].basis
+        slowest = float(body.damping_rate[body.damping_rate > 0].min(initial=np.inf))
+        self._shaken = math.ceil(-math.log(_DECAYED) / slowest * model.fs)
+        # connections of each string besides its ends; dashpots and springs among them hold it awake while they act
+        self._touching: dict[str, list[int]] = {name: [] for name in self.names}
+        for j, connection in enumerate(model.system.connections):
+            owners = {t.component.partition(".")[0] for t in connection.terms} & set(self.names)
+            if not isinstance(connection.law, Rigid) or not connection.name.endswith(".bridge"):
+                for name in owners:
+                    self._touching[name].append(j)
+        self._springs = {
+            name: [j for j in found if isinstance(model.system.connections[j].law, SpringDashpot)]
+            for name, found in self._touching.items()
+        }
+        events: dict[str, list[float]] = {name: [] for name in self.names}
+        for play in self.timeline.plays:
+            if play.string is not None:
+                events[play.string].append(play.start)
+        for change in self.timeline.changes:
+            events[change.string].append(change.time)
+        self._events = {name: np.sort(times) for name, times in events.items()}
+        self._all_events = np.sort([t for times in events.values() for t in times])
+
+    @property
+    def sleeping(self) -> dict[str, int]:
+        """Strings with bands that sleep, and how many."""
+        return {name: level for name, level in self.state.level.items() if level}
+
+    def promising(self, now: int) -> bool:
+        """Whether it pays to look: somebody sleeps, or nothing is going to be played for a while.
+
+        While gestures follow each other closely every string is moved by the others, and nothing may sleep for long.
+        """
+        if not self.enabled:
+            return False
+        seconds = self._until(self._all_events, now * self.model.system.dt)
+        return bool(self.sleeping) or self.model.n_modes * seconds * self.model.fs >= self.worth * len(self.names)
+
+    @staticmethod
+    def _until(times: Floats, now: float) -> float:
+        """Seconds from now to the next of these times."""
+        following = np.searchsorted(times, now)
+        return min(float(times[following]) - now, _AFTER) if following < len(times) else _AFTER
+
+    def rungs(self, name: str, fretting: Fretting) -> Rungs | None:
+        """A string as it is held; None if none of it can sleep."""
+        key = (name, fretting)
+        if key not in self._known:
+            if len(self._known) >= _CACHE:
+                self._known.pop(next(iter(self._known)))
+            self._known[key] = self._made(name, fretting)
+        return self._known[key]
+
+    def _made(self, name: str, fretting: Fretting) -> Rungs | None:
+        whole = self.board.bases(name, fretting)
+        laws = self.board.laws(name, fretting)
+        system = self.model.system
+        touching = [laws.get(c.name, c) for j in self._touching[name] for c in [system.connections[j]]]
+        touching = [c for c in touching if c.name not in self.model.resting]
+        quiet = quiet_energy(name, {c: compiled.basis for c, compiled in whole.items()}, touching)
+        if quiet <= 0.0:
+            return None
+        try:
+            parts = {c: Part.of(c, compiled, self.model, self.transfer, self.edges) for c, compiled in whole.items()}
+        except ValueError:
+            return None
+        return Rungs(parts, quiet)
+
+    def missing(self, name: str, fretting: Fretting, level: int) -> int:
+        """How many modes of a string sleep at a level."""
+        rungs = self.rungs(name, fretting)
+        return 0 if rungs is None else sum(int(p.counts[0] - p.counts[level]) for p in rungs.parts.values())
+
+    def compiled(self, name: str, fretting: Fretting, level: int) -> dict[str, Compiled]:
+        """Component -> what is stepped of a string at a level."""
+        rungs = self.rungs(name, fretting)
+        if rungs is None or level == 0:
+            return self.board.bases(name, fretting)
+        return {c: part.at(c, self.model, level)[1] for c, part in rungs.parts.items()}
+
+    def carried(self, name: str, fretting: Fretting, level: int, modes: Mapping[str, Floats]) -> dict[str, Floats]:
+        """The motion of a string taken from its level to another: component -> (2, n_modes)."""
+        rungs = self.rungs(name, fretting)
+        assert rungs is not None
+        return {c: rungs.carried(c, self.model, self.state.level[name], level, modes[c]) for c in modes}
+
+    def moved(self, name: str, level: int) -> None:
+        """Enter that a string is at another level now."""
+        mine = np.isin(np.arange(len(self.components)), np.flatnonzero(self._owner == self.names.index(name)))
+        awake = mine[:, None] & (np.arange(BANDS) >= level)
+        self.state.level[name] = level
+        self.state.own[awake] = self.state.driven[awake] = 0.0
+        self.state.own_heard[:, awake] = 0.0
+
+    def heard(self, out: Floats) -> None:
+        """Take note of what the readouts said, (n, R)."""
+        if len(out):
+            np.maximum(self.state.peak, np.abs(out).max(axis=0), out=self.state.peak)
+
+    def shaken(self, now: int, plays: Collection[Play]) -> bool:
+        """Whether something moves that no bound is known of: strokes on the body, bows and fingers, contacts."""
+        if any(p.string is None for p in plays):
+            self.state.shaken_until = max(self.state.shaken_until, now + self._shaken)
+        unknown = any(p.gesture.on is not None or p.gesture.motions or not p.gesture.segments for p in plays)
+        return self.state.touched or unknown or now < self.state.shaken_until
+
+    def look(
+        self,
+        now: int,
+        following: int,
+        system: System,
+        state: State,
+        frettings: Mapping[str, Fretting],
+        busy: Collection[str],
+        tense: Collection[str],
+        fresh: Sequence[Play] = (),
+    ) -> dict[str, int]:
+        """Strings that are to sleep or wake, and at which level.
+
+        Parameters
+        ----------
+        now, following : samples of this look and, at the latest, of the next one.
+        busy : strings that are played, or damped by a finger.
+        tense : strings whose tension rises.
+        fresh : gestures that begin, of known forces on strings.
+        """
+        s, dt = self.state, self.model.system.dt
+        n, r = len(self.components), len(s.peak)
+        force, heard = np.zeros((n, BANDS)), np.zeros((r, n, BANDS))
+        gathers, spread, decay = np.zeros(n), np.zeros(n), np.full((n, BANDS), np.inf)
+        loudest, free = np.zeros((r, n, BANDS)), {}
+        i = 0
+        for name in self.names:
+            rungs = self.rungs(name, frettings[name])
+            energy = 0.0
+            for c in self.model.strings[name].components:
+                basis = system.compiled[system.slot(c)].basis
+                q, v = to_motion(basis, np.asarray(system.modes_of(state, c), dtype=np.float64))
+                energy += 0.5 * float(v @ v + basis.stiffness @ (q * q))
+                if rungs is not None:
+                    part = rungs.parts[c]
+                    force[i], heard[:, i] = part.bands(part.at(c, self.model, s.level[name])[0], q, v)
+                    gathers[i], spread[i], decay[i], loudest[:, i] = (
+                        part.compliance, part.spread, part.decay, part.loudest
+                    )  # fmt: skip
+                i += 1
+            held = any(_acts(system.connections[j].law) for j in self._springs[name])
+            free[name] = rungs is not None and not held and name not in busy and _ROOM * energy <= rungs.quiet
+        level = np.array([s.level[name] for name in self.names])[self._owner]
+        asleep = np.arange(BANDS) < level[:, None]
+        past, ahead = (now - s.last) * dt, (following - now) * dt
+        faded = np.exp(-np.minimum(decay, 1e6) * past)
+        s.own, s.own_heard = s.own * faded, s.own_heard * faded
+        own = np.where(asleep, s.own, 0.0)
+        lasted = self._driving(np.maximum(force + own + np.where(asleep, s.driven, 0.0), s.force)) * gathers[:, None]
+        s.driven = np.where(asleep, s.driven * faded + lasted * _gathered(decay, past), 0.0)
+        force += own + s.driven
+        for play in fresh:
+            force += self._foreseen(play, frettings[play.string or ""])
+        s.force, s.last = force, now
+        drive = self._driving(force)
+        coming = drive * gathers[:, None]
+        apart = drive * spread[:, None]
+        soon = s.driven * np.exp(-np.minimum(decay, 1e6) * ahead) + coming * _gathered(decay, ahead) + apart
+        lasting = coming * _gathered(decay, 1e9) + apart
+        done = self._levels(s.own_heard + s.driven * loudest)
+        staying = self._levels(s.own_heard + soon * loudest)
+        resting = self._levels(np.where(asleep, s.own_heard, heard) + np.maximum(soon, lasting) * loudest)
+        wanted: dict[str, int] = {}
+        for k, name in enumerate(self.names):
+            before = s.level[name]
+            after = min(before, int(np.count_nonzero(np.cumsum(staying[k]) <= self.budget))) if free[name] else 0
+            if after == before and free[name]:
+                deeper = int(np.count_nonzero(np.cumsum(resting[k]) <= _LEAVE * self.budget))
+                if deeper > before and self._pays(name, frettings[name], before, deeper, now * dt, name in tense):
+                    after = deeper
+            if before:
+                self.largest[name] = max(self.largest[name], float(np.sum(done[k, :before])))
+            if after > before:
+                mine = np.flatnonzero(self._owner == k)
+                s.own[mine, before:after] = force[mine, before:after]
+                s.own_heard[:, mine, before:after] = heard[:, mine, before:after]
+            if after != before:
+                wanted[name] = after
+        return wanted
+
+    def _foreseen(self, play: Play, fretting: Fretting) -> Floats:
+        """(C, BANDS) N, what a gesture's force leaves in its string when it is let go."""
+        out, name = np.zeros((len(self.components), BANDS)), play.string or ""
+        rungs = self.rungs(name, fretting)
+        segments = play.gesture.segments
+        if rungs is None:
+            return np.full_like(out, _ENDLESS)
+        size, shortest = max(largest(s) for s in segments), min(s.stop - s.start for s in segments)
+        for c, weight in self.model.strings[name].weights(play.gesture.angle_deg).items():
+            out[self.components.index(c)] = abs(weight) * size * rungs.parts[c].plucked(shortest)
+        return out
+
+    def _driving(self, force: Floats) -> Floats:
+        """(C, BANDS) m/s, bound on each end's velocity under forces of strings (C, BANDS)."""
+        return _ONSET * np.asarray(np.einsum("cdb,db->cb", self._mobility, force))
+
+    def _levels(self, heard: Floats) -> Floats:
+        """(n_strings, BANDS) what each string does at the outputs, (R, C, BANDS), re the loudest samples."""
+        peak = self.state.peak[:, None, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(heard > 0.0, heard / peak, 0.0).max(axis=0, initial=0.0)
+        each = np.zeros((len(self.names), BANDS))
+        np.add.at(each, self._owner, ratio)
+        return each
+
+    def _pays(self, name: str, fretting: Fretting, before: int, after: int, now: float, tense: bool) -> bool:
+        """Whether falling asleep saves more than it takes."""
+        rungs = self.rungs(name, fretting)
+        assert rungs is not None
+        seconds = self._until(self._events[name] if self.state.peak.any() else self._all_events, now)
+        modes = sum(int(part.counts[before] - part.counts[after]) for part in rungs.parts.values())
+        return modes * (_TENSE if tense else 1.0) * seconds * self.model.fs >= self.worth
+
+
+def _acts(law: object) -> bool:
+    return isinstance(law, SpringDashpot) and (law.stiffness > 0.0 or law.damping > 0.0)
+
+
+def _gathered(decay: Floats, seconds: float) -> Floats:
+    """(1 - exp(-decay seconds)) / decay, s; 0 where there is no mode."""
+    slow = np.maximum(np.minimum(decay, 1e9), 1e-9)
+    return np.where(np.isfinite(decay), -np.expm1(-slow * seconds) / slow, 0.0)

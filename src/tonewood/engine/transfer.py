@@ -1,0 +1,104 @@
+"""What a force at a string's end does at the outputs, and at the ends of the other strings: bounds for what sleeps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.instrument.assembly import Model
+from tonewood.numerics.system import Compiled, System
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+#: frequencies per octave besides the body's own resonances
+_PER_OCTAVE = 24
+_LOWEST = 2 * np.pi * 20.0
+_POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
+
+
+class Transfer:
+    """Sizes of frequency responses from the forces that strings exert on their bridges, strings themselves left out.
+
+    Attributes
+    ----------
+    components : of strings, C of them.
+    freq_rad : (f,) rad/s, the body's resonances among them.
+    heard : (n_readouts, C, f) of each readout per N.
+    mobility : (C, C, f) m/s of each end (first index) along its polarization per N at another.
+    """
+
+    def __init__(self, model: Model):
+        system = model.system
+        self.components = tuple(c for string in model.strings.values() for c in string.components)
+        top = np.pi / system.dt
+        grid = np.geomspace(_LOWEST, top, int(_PER_OCTAVE * np.log2(top / _LOWEST)))
+        body = system.compiled[system.slot("body")]
+        own = np.abs(body.basis.poles.imag)
+        self.freq_rad = np.unique(np.concatenate([grid, own[(own > _LOWEST) & (own < top)]]))
+        ends = [next(c for c in system.connections if c.name == f"{name}.bridge") for name in self.components]
+        entry = np.zeros((len(ends), len(body.basis.points)))
+        for i, end in enumerate(ends):
+            for term in end.terms:
+                if term.component == "body":
+                    entry[i, body.basis.index(term.point)] += term.factor
+        rows, direct = _readout_rows(system, "body", body)
+        respond = response(body, self.freq_rad, np.vstack([entry, rows]), entry)
+        n = len(ends)
+        self.mobility = np.abs(respond[:n] * self.freq_rad)
+        heard = respond[n:] * (1j * self.freq_rad) ** direct[:, None, None]
+        names = [end.name for end in ends]
+        for r, readout in enumerate(system.readouts):
+            for name, factor in readout.forces:
+                if name in names:
+                    heard[r, names.index(name)] += factor
+        for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
+            if one_way:
+                compiled = system.compiled[slot]
+                inputs = np.zeros((n, len(compiled.basis.points)))
+                for drive in system.drives:
+                    if drive.component == name and drive.connection in names:
+                        inputs[names.index(drive.connection), compiled.basis.index(drive.point)] += drive.factor
+                rows, power = _readout_rows(system, name, compiled)
+                heard += response(compiled, self.freq_rad, rows, inputs) * (1j * self.freq_rad) ** power[:, None, None]
+        self.heard = np.abs(heard)
+
+    def heard_at(self, component: str, freq_rad: Floats) -> Floats:
+        """(n_readouts, n) of each readout per N from a string's component, at frequencies of (n,)."""
+        size = self.heard[:, self.components.index(component)]
+        return np.array([np.interp(freq_rad, self.freq_rad, row) for row in size]).reshape(len(size), len(freq_rad))
+
+    def mobility_between(self, low: float, high: float) -> Floats:
+        """(C, C) largest mobility between two frequencies, rad/s."""
+        inside = (self.freq_rad >= low) & (self.freq_rad < high)
+        inside[np.searchsorted(self.freq_rad, [low, min(high, self.freq_rad[-1])]).clip(max=inside.size - 1)] = True
+        return np.asarray(self.mobility[:, :, inside].max(axis=-1))
+
+
+def response(compiled: Compiled, freq_rad: Floats, out: Floats, into: Floats) -> Complexes:
+    """(n_out, n_in, f) displacement per force of combinations of a component's points, residual compliance included.
+
+    Parameters
+    ----------
+    out, into : (n_out, n_points) and (n_in, n_points) weights of the points that are read and driven.
+    """
+    A, B, C = compiled.form.A, compiled.form.B, compiled.form.C
+    rows = np.einsum("op,pmx->omx", out, C)
+    kicks = np.einsum("ip,pmx->imx", into, B)
+    s = 1j * freq_rad[:, None]
+    a, b, c, d = s - A[:, 0, 0], A[:, 0, 1], A[:, 1, 0], s - A[:, 1, 1]
+    det = a * d - b * c
+    inverse = np.stack([np.stack([d, b + 0 * s], -1), np.stack([c + 0 * s, a], -1)], -2) / det[..., None, None]
+    moved = np.einsum("fmxy,imy->fimx", inverse, kicks)
+    flat = moved.reshape(*moved.shape[:2], -1) @ rows.reshape(len(rows), -1).T
+    return np.asarray(flat.transpose(2, 1, 0) + (out @ compiled.basis.residual @ into.T)[..., None])
+
+
+def _readout_rows(system: System, name: str, compiled: Compiled) -> tuple[Floats, NDArray[np.intp]]:
+    """(n_readouts, n_points) weights of a component's points in the readouts, and the power of i omega they take."""
+    rows = np.zeros((len(system.readouts), len(compiled.basis.points)))
+    for r, readout in enumerate(system.readouts):
+        for probe in readout.probes:
+            if probe.component == name:
+                rows[r, compiled.basis.index(probe.point)] += probe.factor
+    return rows, np.array([_POWER.get(readout.quantity, 0) for readout in system.readouts], dtype=np.intp)

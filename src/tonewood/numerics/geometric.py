@@ -1,0 +1,346 @@
+"""Strings whose longitudinal motion is stepped too: phantom partials at sums of transverse ones.
+
+A string moves transversely by v and w and along itself by u. To fourth order in the motion, with the strain
+
+    e = u_x + (v_x^2 + w_x^2) / 2,        V = EA/2 int_0^L e^2 dx,
+
+beside its tension at rest (Bilbao, Numerical Sound Synthesis, 2009, ch. 8; Bank & Sujbert, J. Acoust. Soc. Am. 117,
+2005, Eqs 5-8; Chabassier & Joly, Comput. Methods Appl. Mech. Engrg 199, 2010, whose exact string it approximates).
+Slopes in cosines, v_x = sum c_i cos(i pi x / L), make the strain a series of cosines,
+
+    e_n = s_n + l_n,   s_n = 1/2 sum over polarizations c^T H_n c,   l_n = strain of the longitudinal modes,
+    V = EA L/2 [e_0^2 + 1/2 sum_{n = 1 .. P} e_n^2],
+
+H_n couples c_i with c_j where |i - j| = n or i + j = n. A longitudinal mode above the P-th would follow at once, and
+then its e_n is zero: it is left out together with e_n. With P = 0 and the end held, this is Kirchhoff and Carrier's
+string (`tension`). The squares of l_n are the energy of the longitudinal modes themselves, which are stepped exactly;
+what is left is U = EA L/2 sum g_n (s_n^2 + 2 s_n l_n), g_0 = 1, g_n = 1/2. s_n is quadratic and l_n linear, so that
+
+    U+ - U = EA L sum g_n [mean(e_n) (s_n+ - s_n) + mean(s_n) (l_n+ - l_n)],   s_n+ - s_n = mean(c)^T H_n (c+ - c):
+
+forces made of these means over a step do the work -(U+ - U), whatever the step. U plus the energy of the modes is a
+sum of squares, so nothing can grow without limit.
+
+The step is implicit in all coupled coordinates: F = Phi(y+(F)), y+ linear in F but for contacts. V + tension is convex
+where the string is nowhere slack (T0 + EA e > 0); there the solution is unique.
+
+Left out: terms of fifth order, T0 beside EA (below 1 % for steel, 3 % for nylon), shear and rotation. Transverse modes
+above a frequency that the string's maker chooses do not take part in U; they are stepped as without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import NDArray
+
+from tonewood.numerics.modes import PAIR, ModalBasis
+from tonewood.numerics.propagator import apply
+
+if TYPE_CHECKING:
+    from tonewood.numerics.system import System
+
+Floats = NDArray[np.float64]
+
+#: cosines of the slope beyond the number of modes: the bridge's motion spreads a mode over its neighbours
+MORE_COSINES = 12
+#: of the norm of the forces of a step
+TOLERANCE = 1e-12
+MAX_ITERATIONS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class GeometricStretch:
+    """Couples a string's polarizations with its longitudinal motion.
+
+    Attributes
+    ----------
+    name : of the string.
+    components : its polarizations: components of real modes, made by `string_modes.string_basis`.
+    longitudinal : component of its longitudinal motion: the same, with EA in place of the tension.
+    axial_stiffness : EA, N.
+    freq_coupled : Hz, transverse modes below it take part.
+    """
+
+    name: str
+    components: tuple[str, ...]
+    longitudinal: str
+    axial_stiffness: float
+    freq_coupled: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not (self.axial_stiffness > 0.0 and self.freq_coupled > 0.0 and self.components):
+            raise ValueError(f"{self.name}: a stretched string needs components, and EA and a frequency above 0")
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """All its components, the longitudinal one last."""
+        return (*self.components, self.longitudinal)
+
+    def part(self, component: str, basis: ModalBasis, held: Floats) -> GeometricPart:
+        """Arrays of one component.
+
+        Parameters
+        ----------
+        held : (n_modes, 2, 2) h phi_1(A h), the response to an input held over a step.
+
+        Raises
+        ------
+        ValueError : the component was not made by `string_basis`.
+        """
+        known = basis.metadata
+        if not basis.is_real or "vec" not in known:
+            raise ValueError(f"{self.name}: {component} does not tell its shapes as a ramp and sines")
+        vec, length = cast(Floats, known["vec"]), cast(float, known["length"])
+        along = component == self.longitudinal
+        count = basis.n_modes if along else int(np.searchsorted(basis.natural_freq, self.freq_coupled))
+        rows = len(vec) if along else min(len(vec), count + 1 + MORE_COSINES)
+        wavenumber = np.arange(rows) * np.pi / length
+        wavenumber[0] = -1.0 / length
+        pair = basis.kind == PAIR
+        kick = np.where(pair[:, None], [[0.0, -0.5]] / np.where(pair, basis.poles.imag, 1.0)[:, None], [[0.0, 1.0]])
+        return GeometricPart(
+            slopes=np.ascontiguousarray(wavenumber[:, None] * vec[:rows, :count]),
+            reading=np.where(pair, 2.0, 1.0)[:count],
+            kick=apply(held, kick)[:count],
+            scale=self.axial_stiffness * length,
+            along=along,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class GeometricPart:
+    """One component's share.
+
+    Attributes
+    ----------
+    slopes : (n_cosines, n) cosine coefficients of the slope (of the longitudinal component: strain) per coordinate.
+    reading : (n,) coordinate y = reading times the first number of the mode.
+    kick : (n, 2) state added by a unit modal force held over one step.
+    scale : EA L, N m.
+    along : whether this is the longitudinal component.
+    """
+
+    slopes: Floats
+    reading: Floats
+    kick: Floats
+    scale: float
+    along: bool
+
+    @property
+    def n(self) -> int:
+        """Modes that take part: the lowest ones."""
+        return len(self.reading)
+
+    def coordinates(self, x: Floats) -> Floats:
+        """(n,) y of a state (n_modes, 2)."""
+        return self.reading * x[: self.n, 0]
+
+    def pushed(self, x: Floats, force: Floats) -> Floats:
+        """State after modal forces (n,) held over the step that led to x."""
+        out = x.copy()
+        out[: self.n] += self.kick * force[:, None]
+        return out
+
+
+def cosine_products(n: int, n_cosines: int) -> Floats:
+    """H_n, (n_cosines, n_cosines): n-th cosine coefficient of (sum c_i cos(i theta))^2 / 2 is c^T H_n c / 2."""
+    i = np.arange(n_cosines)
+    if n == 0:
+        return np.diag(np.where(i == 0, 1.0, 0.5))
+    out = np.zeros((n_cosines, n_cosines))
+    distant, mirrored = i[1 : max(n_cosines - n, 1)], i[1:n]
+    out[distant, distant + n] = out[distant + n, distant] = 0.5
+    mirrored = mirrored[(mirrored < n_cosines) & (n - mirrored < n_cosines)]
+    out[mirrored, n - mirrored] = 0.5
+    if n < n_cosines:
+        out[0, n] = out[n, 0] = 1.0
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class GeometricString:
+    """The parts of one string together: its potential U and the forces of a step.
+
+    Coordinates of all parts stand one after another, the longitudinal ones last.
+    """
+
+    parts: tuple[GeometricPart, ...]
+
+    @cached_property
+    def sizes(self) -> NDArray[np.intp]:
+        """Where each part begins, and the end."""
+        return np.cumsum([0, *(p.n for p in self.parts)])
+
+    @property
+    def n(self) -> int:
+        """Coordinates."""
+        return int(self.sizes[-1])
+
+    @cached_property
+    def forms(self) -> Floats:
+        """(P + 1, n, n): s_n = y^T forms_n y / 2."""
+        count = len(self.parts[-1].slopes)
+        out = np.zeros((count, self.n, self.n))
+        for start, part in zip(self.sizes[:-1], self.parts[:-1], strict=False):
+            at = slice(start, start + part.n)
+            for n in range(count):
+                out[n, at, at] = part.slopes.T @ cosine_products(n, len(part.slopes)) @ part.slopes
+        return out
+
+    @cached_property
+    def strains(self) -> Floats:
+        """(P + 1, n): l = strains y."""
+        along = self.parts[-1]
+        return np.hstack([np.zeros((len(along.slopes), self.n - along.n)), along.slopes])
+
+    @cached_property
+    def weights(self) -> Floats:
+        """(P + 1,) EA L g_n, N m."""
+        return self.parts[-1].scale * np.where(np.arange(len(self.strains)) == 0, 1.0, 0.5)
+
+    def energy(self, y: Floats) -> float:
+        """U, J: what coordinates (n,) store besides the energy of the modes."""
+        s = 0.5 * np.einsum("i,nij,j->n", y, self.forms, y)
+        return float(self.weights @ (0.5 * s * s + s * (self.strains @ y)))
+
+    def force(self, before: Floats, after: Floats) -> Floats:
+        """Modal forces (n,) over a step between coordinates `before` and `after`, N / sqrt(kg)."""
+        mean = 0.5 * (before + after)
+        pulls = self.forms @ mean
+        s = 0.25 * (self.forms @ before @ before + self.forms @ after @ after)
+        tension = self.weights * (s + self.strains @ mean)
+        return np.asarray(-(tension @ pulls + (self.weights * s) @ self.strains))
+
+    def slope(self, before: Floats, after: Floats) -> Floats:
+        """(n, n) derivative of `force` with `after`."""
+        mean = 0.5 * (before + after)
+        s = 0.25 * (self.forms @ before @ before + self.forms @ after @ after)
+        tension = self.weights * (s + self.strains @ mean)
+        ds = 0.5 * (self.forms @ after)
+        pulls = self.weights[:, None] * (self.forms @ mean)
+        out = pulls.T @ (ds + 0.5 * self.strains) + 0.5 * np.einsum("n,nij->ij", tension, self.forms)
+        return np.asarray(-(out + (self.weights[:, None] * self.strains).T @ ds))
+
+
+class GeometricSolve:
+    """Finds the forces of one step of all such strings of a system, together with everything else.
+
+    Newton's method on the modal forces F; how the coordinates answer is known once for all: linear connections
+    included, contacts not, with which it converges more slowly.
+    """
+
+    def __init__(self, system: System):
+        self.system = system
+        self.slots = [[system.slot(name) for name in law.parts] for law in system.geometric]
+        self.strings = [GeometricString(tuple(self._part(i) for i in slots)) for slots in self.slots]
+        self.starts = np.cumsum([0, *(s.n for s in self.strings)])
+
+    def _part(self, slot: int) -> GeometricPart:
+        part = self.system.compiled[slot].geometric
+        if part is None:
+            raise ValueError(f"{self.system.names[slot]} was compiled without its stretch")
+        return part
+
+    def _all(self) -> list[tuple[int, GeometricPart, slice]]:
+        """(component slot, part, place of its coordinates)."""
+        out = []
+        for start, string, slots in zip(self.starts[:-1], self.strings, self.slots, strict=True):
+            for slot, part, at in zip(slots, string.parts, start + string.sizes[:-1], strict=True):
+                out.append((slot, part, slice(int(at), int(at) + part.n)))
+        return out
+
+    @cached_property
+    def compliance(self) -> Floats:
+        """(n, n) coordinates after a step per modal force, linear connections included."""
+        s, n = self.system, int(self.starts[-1])
+        own, gaps, answers = np.zeros((n, n)), np.zeros((len(s.connections), n)), np.zeros((n, len(s.connections)))
+        for slot, part, at in self._all():
+            c = s.compiled[slot]
+            own[at, at] = np.diag(part.reading * part.kick[:, 0])
+            gaps[:, at] = s.incidence(slot) @ np.einsum("pmx,mx->pm", c.rows[: len(c.ports), : part.n], part.kick)
+            answers[at] = (part.reading * c.W[:, : part.n, 0]).T @ s.incidence(slot).T
+        return own - answers @ s.solve.G @ gaps
+
+    @cached_property
+    def yields(self) -> Floats:
+        """(n,) coordinates after a step per own modal force, without connections."""
+        return np.concatenate([part.reading * part.kick[:, 0] for _, part, _ in self._all()])
+
+    def coordinates(self, x: Sequence[Floats]) -> Floats:
+        """(n,) of states by component slot."""
+        return np.concatenate([part.coordinates(x[slot]) for slot, part, _ in self._all()])
+
+    def by_component(self, force: Floats) -> dict[str, Floats]:
+        """Component -> (n_modes,) modal forces."""
+        out = {}
+        for slot, part, at in self._all():
+            out[self.system.names[slot]] = np.zeros(self.system.compiled[slot].basis.n_modes)
+            out[self.system.names[slot]][: part.n] = force[at]
+        return out
+
+    def pushed(self, free: Sequence[Floats], force: Floats) -> list[Floats]:
+        """States after modal forces (n,)."""
+        out = list(free)
+        for slot, part, at in self._all():
+            out[slot] = part.pushed(out[slot], force[at])
+        return out
+
+    def force(self, before: Floats, after: Floats) -> Floats:
+        """Modal forces (n,) over a step."""
+        pieces = np.split(np.stack([before, after]), self.starts[1:-1], axis=1)
+        return np.concatenate([s.force(*piece) for s, piece in zip(self.strings, pieces, strict=True)])
+
+    def energy(self, x: Sequence[Floats]) -> Floats:
+        """(n_strings,) U, J."""
+        pieces = np.split(self.coordinates(x), self.starts[1:-1])
+        return np.array([s.energy(y) for s, y in zip(self.strings, pieces, strict=True)])
+
+    def find(
+        self,
+        x: Sequence[Floats],
+        free: Sequence[Floats],
+        attempt: Callable[[list[Floats]], Sequence[Floats]],
+        *,
+        joined: bool = True,
+    ) -> tuple[Floats, int, bool]:
+        """Find the modal forces of a step.
+
+        Parameters
+        ----------
+        x, free : states before, and after a step without forces.
+        attempt : states without connection forces -> states with them.
+        joined : whether `attempt` lets the connections answer.
+
+        Returns
+        -------
+        forces (n,), iterations, and whether they were found.
+        """
+        compliance = self.compliance if joined else np.diag(self.yields)
+        before = self.coordinates(x)
+        size = np.sqrt(self.yields)
+        F = self.force(before, self.coordinates(attempt(list(free))))
+        last = np.inf
+        for iteration in range(1, MAX_ITERATIONS + 1):
+            after = self.coordinates(attempt(self.pushed(free, F)))
+            wrong = self.force(before, after) - F
+            left, all_of_it = float(sla.norm(size * wrong)), float(sla.norm(size * F))
+            if not np.isfinite(left):
+                return F, iteration, False
+            # rounding of the two terms of the strain, which nearly cancel, ends the descent
+            if left <= TOLERANCE * all_of_it or (left >= 0.5 * last and left <= 1e3 * TOLERANCE * all_of_it):
+                return F, iteration, True
+            last = left
+            slope = sla.block_diag(
+                *(
+                    s.slope(before[a:b], after[a:b])
+                    for s, a, b in zip(self.strings, self.starts[:-1], self.starts[1:], strict=True)
+                )
+            )
+            F = F + sla.solve(np.eye(len(F)) - slope @ compliance, wrong)
+        return F, MAX_ITERATIONS, False
