@@ -65,6 +65,7 @@ public:
 
 private:
     using V = typename Simd<T>::V;
+    using S = Simd<double>;
     static constexpr int kWidth = Simd<T>::width;
 
     T* x(int i) const { return job_.modes[0] + components_[i].offset; }
@@ -82,17 +83,30 @@ private:
             for (const int i : tensions_.components) ws_.kept_at[i] = INFINITY;
             for (Array<double>* a : {&ports_.force, &ports_.base}) std::fill(a->begin(), a->end(), 0.0);
         }
+        // S, or the means of T at a block's beginning, going on as a parabola
         for (int s = 0; s < n_strings(); ++s) {
-            const double* t = job_.tension + 3 * tensions_.strings[s].index;
-            ws_.at[s] = std::max(3 * t[0] - 3 * t[1] + t[2], 0.0);  // three last means, going on as a parabola
+            const double *t = job_.tension + 3 * tensions_.strings[s].index, kappa = tensions_.strings[s].kappa;
+            double foreseen = 3 * (t[0] - t[1]) + t[2];
+            if (b > 0 && kappa > 0.0) {
+                const double stretch = t[0] / kappa - ws_.stretch[s];
+                foreseen = kappa * (stretch + 3 * (stretch - ws_.stretch[s]) + ws_.past[s]);
+                ws_.past[s] = ws_.stretch[s];
+            }
+            ws_.at[s] = std::max(foreseen, 0.0);
             look(s);
         }
         fold();
+        for (int s = 0; s < n_strings(); ++s) {
+            const auto& string = tensions_.strings[s];
+            if (b == 0 && string.kappa > 0.0)
+                ws_.past[s] = job_.tension[3 * string.index] / string.kappa - ws_.stretch[s];
+        }
         double* line = lines + std::size_t(b) * layout_.width;
         for (std::size_t p = 0; p < ports_.ports.size(); ++p) line[ports_.ports[p].line] = ports_.of_port[0][p];
         for (const int i : tensions_.components) rows(i, components_[i].n_ports, b, lines);
         for (const auto& port : ports_.ports) line[layout_.width + port.line] = 0.0;
         at_once_(line, ports_.fixed_part.data());
+        for (std::size_t p = 0; p < ports_.ports.size(); ++p) ports_.fixed[p] = ports_.fixed_part[ports_.ports[p].force];
         line_ = line;
         linear_known_ = false;
     }
@@ -231,8 +245,9 @@ private:
             for (int turn = 0; !told && turn < kMaxTurns; ++turn) {
                 if (!displacements(plain)) return book(iterations, false);
                 if (strong_ && !plain) return book(iterations, false);
-                if (!settle(turn == 0 ? 3 : kMaxTurns, tolerance, answer)) return book(iterations, false);
-                told = !raise_tensions() && turn > 0;
+                bool settled = false;
+                if (!settle(turn == 0 ? 3 : kMaxTurns, tolerance, answer, settled)) return book(iterations, false);
+                told = !raise_tensions() && settled;
             }
             done = told;
             for (int s = 0; s < n_strings(); ++s) done = done && close_enough(s);
@@ -257,21 +272,18 @@ private:
             largest_ = std::max(largest_, ws_.tension[s] * ports_.cells[s].most);
         }
         strong_ = largest_ > kStrong;
-        const double *old = ports_.of_port[0].data(), *row = ports_.of_port[1].data();
-        const double *first = ports_.of_port[3].data(), *second = ports_.of_port[5].data();
-        double* const to = ports_.alone.data();
-        for (int p = 0; p < n; ++p) {
-            const double by = 0.5 * (ws_.tension[ports_.ports[p].string] - ws_.at[ports_.ports[p].string]);
-            to[p] = row[p] - old[p] - by * (first[p] - by * second[p]);
-        }
+        double *const by = ports_.by.data(), *const to = ports_.alone.data();
         double *const off = ports_.off.data(), *const change = ports_.change.data(), *const slope = ports_.slope.data();
-        const int n_pairs = int(ports_.pairs.size());
-        for (int q = 0; q < n_pairs; ++q) {
-            const int s = ports_.pairs[q].string;
-            off[q] = ws_.tension[s] - ports_.cells[s].low;
+        for (int s = 0; s < n_strings(); ++s) {
+            const auto& [first, last, first_pair, last_pair] = ports_.ranges[s];
+            for (int p = first; p < last; ++p) by[p] = ws_.tension[s] - ws_.at[s];
+            for (int q = first_pair; q < last_pair; ++q) off[q] = ws_.tension[s] - ports_.cells[s].low;
         }
-        for (int q = 0; q < width; q += Simd<double>::width) {
-            using S = Simd<double>;
+        for (int p = 0; p < ports_.width; p += S::width) {
+            const S::V half = of(ports_.by, p) * 0.5;
+            S::store(to + p, of_port(1, p) - of_port(0, p) - half * (of_port(3, p) - half * of_port(5, p)));
+        }
+        for (int q = 0; q < width; q += S::width) {
             const S::V by = S::load(off + q);
             S::V value{}, rise{};
             for (int j = kTaylor - 1; j >= 0; --j) {
@@ -282,11 +294,10 @@ private:
         }
         double *const base = ports_.base.data(), *const force = ports_.force.data();
         if (plain)
-            for (int p = 0; p < n; ++p) force[p] -= base[p];
-        for (int p = 0; p < n; ++p) base[p] = ports_.fixed_part[ports_.ports[p].force];
-        add_product(ports_.onto_ports.data(), ports_.width, to, n, base);
+            for (int p = 0; p < ports_.width; p += S::width) S::store(force + p, S::load(force + p) - S::load(base + p));
+        add_product(ports_.onto_ports.data(), ports_.width, to, n, ports_.fixed.data(), base);
         if (plain)
-            for (int p = 0; p < n; ++p) force[p] += base[p];
+            for (int p = 0; p < ports_.width; p += S::width) S::store(force + p, S::load(force + p) + S::load(base + p));
         if (strong_) invert_ports();
         return true;
     }
@@ -316,7 +327,7 @@ private:
         const int n = int(ports_.ports.size());
         double* const to = ports_.moved.data();
         if (ports_.single) {
-            for (int p = 0; p < n; ++p) to[p] = ports_.change[p] * force[p];
+            for (int p = 0; p < ports_.width; p += S::width) S::store(to + p, of(ports_.change, p) * S::load(force + p));
             return;
         }
         std::fill_n(to, n, 0.0);
@@ -328,29 +339,34 @@ private:
     }
 
     // The forces that the displacements call up and that make the displacements, at the tensions tried. Each turn shrinks
-    // what is wrong by about the largest rise of a mode's stiffness.
+    // what is wrong by about the largest rise of a mode's stiffness; `settled` once that is below `tolerance`.
     template <class Answer>
-    bool settle(int turns, double tolerance, const Answer& answer) {
+    bool settle(int turns, double tolerance, const Answer& answer, bool& settled) {
         const int n = int(ports_.ports.size());
         double *const force = ports_.force.data(), *const next = ports_.next.data();
         const double shrinks = strong_ ? 1.0 : std::min(1.0, 2 * largest_);
         for (int turn = 0; turn < turns; ++turn) {
             move_ports(force);
             if (!answer(next)) return false;
-            double change = 0.0, size = 0.0;
-            for (int p = 0; p < n; ++p) {
-                ports_.wrong[p] = next[p] - force[p];
-                change = std::max(change, std::abs(ports_.wrong[p]));
-                size = std::max(size, std::abs(next[p]));
+            S::V changes{}, sizes{}, check{};
+            for (int p = 0; p < ports_.width; p += S::width) {
+                const S::V now = S::load(next + p), wrong = now - S::load(force + p);
+                const S::V change = wrong < 0.0 ? -wrong : wrong, size = now < 0.0 ? -now : now;
+                changes = change > changes ? change : changes, sizes = size > sizes ? size : sizes;
+                check += change;
+                S::store(&ports_.wrong[p], wrong);
             }
-            if (!(change <= 1e300)) return n == 0;
+            if (!(S::sum(check) <= 1e300)) return false;
+            double change = 0.0, size = 0.0;
+            for (int p = 0; p < S::width; ++p) change = std::max(change, changes[p]), size = std::max(size, sizes[p]);
             if (strong_) {
                 for (int p = 0; p < n; ++p)
                     for (int q = 0; q < n; ++q) force[p] += ports_.inverse[std::size_t(p) * n + q] * ports_.wrong[q];
             } else {
                 std::copy_n(next, n, force);
             }
-            if (change * shrinks <= tolerance * size) break;
+            settled = change * shrinks <= tolerance * size;
+            if (settled) break;
         }
         move_ports(force);
         return true;
@@ -391,27 +407,35 @@ private:
             for (int i = 0; i < n; ++i) std::swap(a[i * n + p], a[i * n + pivots[p]]);
     }
 
+    static S::V of(const Array<double>& a, int p) { return S::load(&a[p]); }
+    S::V of_port(int sum, int p) const { return S::load(&ports_.of_port[sum][p]); }
+
     // Newton's step of every tension, at the forces found; true if one of them changed.
     bool raise_tensions() {
         bool changed = false;
-        const double* const force = ports_.force.data();
+        double *const gained = ports_.gained.data(), *const steep = ports_.steep.data();
+        double *const pushed = ports_.pushed.data(), *const sharp = ports_.sharp.data();
+        for (int p = 0; p < ports_.width; p += S::width) {
+            const S::V f = of(ports_.force, p), rises = 2.0 * of_port(5, p) - of_port(4, p);
+            S::store(gained + p, f * (2.0 * (of_port(3, p) - of_port(2, p)) - of(ports_.by, p) * rises));
+            S::store(steep + p, f * rises);
+        }
+        if (ports_.single) {
+            for (int p = 0; p < ports_.width; p += S::width) both_pushed(p, of(ports_.force, p) * of(ports_.force, p));
+        } else {
+            for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
+                const auto& pair = ports_.pairs[q];
+                ports_.both[q] = ports_.force[pair.to] * ports_.force[pair.from] * (pair.to == pair.from ? 1.0 : 2.0);
+            }
+            for (int q = 0; q < ports_.pair_width; q += S::width) both_pushed(q, of(ports_.both, q));
+        }
         for (int s = 0; s < n_strings(); ++s) {
-            const auto& string = tensions_.strings[s];
             const double *all = &ports_.sums[ports_.shared[s]], by = ws_.tension[s] - ws_.at[s];
-            ws_.after[s] = all[1] - by * all[2], ws_.steepness[s] = all[2], ws_.pushed[s] = ws_.sharp[s] = 0.0;
-        }
-        for (std::size_t p = 0; p < ports_.ports.size(); ++p) {
-            const int s = ports_.ports[p].string;
-            const double by = ws_.tension[s] - ws_.at[s], f = force[p];
-            const double steep = 2 * ports_.of_port[5][p] - ports_.of_port[4][p];
-            ws_.after[s] += f * (2 * (ports_.of_port[3][p] - ports_.of_port[2][p]) - by * steep);
-            ws_.steepness[s] += f * steep;
-        }
-        for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
-            const auto& pair = ports_.pairs[q];
-            const double both = force[pair.to] * force[pair.from] * (pair.to == pair.from ? 1.0 : 2.0);
-            ws_.pushed[pair.string] -= 2 * both * ports_.slope[q];
-            ws_.sharp[pair.string] += std::abs(both * ports_.changes[3 * std::size_t(ports_.pair_width) + q]);
+            const auto& [first, last, first_pair, last_pair] = ports_.ranges[s];
+            double after = all[1] - by * all[2], steepness = all[2], push = 0.0, sharpness = 0.0;
+            for (int p = first; p < last; ++p) after += gained[p], steepness += steep[p];
+            for (int q = first_pair; q < last_pair; ++q) push += pushed[q], sharpness += sharp[q];
+            ws_.after[s] = after, ws_.steepness[s] = steepness, ws_.pushed[s] = push, ws_.sharp[s] = sharpness;
         }
         for (int s = 0; s < n_strings(); ++s) {
             const double kappa = tensions_.strings[s].kappa, old = ws_.stretch[s];
@@ -421,10 +445,18 @@ private:
             next = std::clamp(next, ws_.at[s] - reach, ws_.at[s] + reach);
             next = std::max(next, kappa * old);
             const double still = kSettled<T> * std::max(1 / ports_.cells[s].most, 20 * next);
-            if (!(std::abs(next - ws_.tension[s]) <= still)) changed = true;
+            if (std::abs(next - ws_.tension[s]) <= std::max(still, 0.2 * kTensionTolerance<T> * next)) continue;
             ws_.tension[s] = next;
+            changed = true;
         }
         return changed;
+    }
+
+    // What pairs of forces give to the stretch: -2 f f' dZ/dT, and how it bends.
+    void both_pushed(int q, S::V both) {
+        const S::V bend = both * S::load(&ports_.changes[3 * std::size_t(ports_.pair_width) + q]);
+        S::store(&ports_.pushed[q], -2.0 * both * of(ports_.slope, q));
+        S::store(&ports_.sharp[q], bend < 0.0 ? -bend : bend);
     }
 
     // Whether the sums of the visit tell the motion of a string at the tension found: what their polynomials leave out
