@@ -3,11 +3,12 @@
     python benchmarks/effects.py SCORE.mid ... [--seconds 8] [--instruments steel_guitar african_harp]
 
 Each score's first seconds are rendered with effects `all`, `auto` and none but the second polarization (linear), in
-turn, on one core; times are those of stepping. `steel_guitar` is taken with frets under its strings besides its rising
-tensions. Errors are those of `auto` against `all`: the largest sample difference with rising tension always on, in dB
-re the peak (additive effects alone), and by how much the fundamentals of the notes are off, in cents (95 % of the
+turn, on one core; times are those of stepping, in seconds of the processor. `nylon_guitar` is the classical guitar with
+all there is: rising tensions and frets; `steel_guitar` is taken with frets, too. `awake` is the share of modes stepped.
+Errors are those of `auto` against `all`: the largest sample difference with rising tension always on, in dB re the peak
+(additive effects alone), and by how much the fundamentals of the notes are off while they sound, in cents (95 % of the
 windows of 50 ms in which they are within 20 dB of their loudest, and the largest). `plan` is the predicted time of
-`auto` over the real one.
+`auto` over the real one, both by the clock on the wall.
 """
 
 from __future__ import annotations
@@ -31,17 +32,38 @@ LINEAR = ["second_polarization", "dampers"]
 SAMPLES = 3.0
 
 
+#: Pa, of nylon: with a string's bending stiffness E pi r^4 / 4 it gives its axial stiffness E pi r^2
+NYLON = 5e9
+
+
 def instrument(name: str) -> tw.Instrument:
-    """A bundle, the steel-string guitar with frets if it has none."""
+    """A bundle, the steel-string guitar with frets if it has none, the classical guitar with all there is."""
+    if name == "nylon_guitar":
+        plain = tw.load_instrument("classical_guitar")
+        values = {**plain.resolved, "connections": FRETS}
+        values["strings"] = {
+            string: {
+                **part,
+                "plugin": "tension_modulated_string",
+                "axial_stiffness": float(np.sqrt(4 * np.pi * NYLON * part["bending_stiffness"])),
+            }
+            for string, part in values["strings"].items()
+        }
+        return tw.Instrument.from_values(values, plain.folder)
     found = tw.load_instrument(name)
     if name != "steel_guitar" or found.attachments:
         return found
     return tw.Instrument.from_values({**found.resolved, "connections": FRETS}, found.folder)
 
 
-def rendered(score: tw.Score, made: tw.Instrument, seconds: float, **options: object) -> tuple[Floats, tw.Renderer]:
+def rendered(
+    score: tw.Score, made: tw.Instrument, seconds: float, **options: object
+) -> tuple[Floats, tw.Renderer, float]:
+    """Sound, renderer and seconds of the processor."""
     renderer = tw.Renderer(score, made, FS, max_duration=seconds, tail=tw.Tail(cap=2.0), **options)  # type: ignore[arg-type]  # options are those of a renderer
-    return np.concatenate(list(renderer.blocks(4096)))[:, 0], renderer
+    began = time.thread_time()
+    blocks = list(renderer.blocks(4096))
+    return np.concatenate(blocks)[:, 0], renderer, time.thread_time() - began
 
 
 def partial(y: Floats, freq: float, width: float = 0.04) -> NDArray[np.complex128]:
@@ -51,11 +73,14 @@ def partial(y: Floats, freq: float, width: float = 0.04) -> NDArray[np.complex12
     return np.asarray(oaconvolve(y * carrier, window / window.sum(), mode="same"))
 
 
-def detuning(a: Floats, b: Floats, freqs: list[float]) -> Floats:
-    """Cents by which fundamentals differ, in all windows in which they are strong."""
+def detuning(a: Floats, b: Floats, notes: list[tuple[float, float, float]]) -> Floats:
+    """Cents by which the fundamentals of notes (Hz, from and to s) differ, in all windows in which they are strong."""
     out, step = [np.zeros(1)], FS // 20
-    for freq in freqs:
-        x, y = (partial(s, freq)[step:-step:step] for s in (a, b))
+    for freq, start, stop in notes:
+        here = slice(round(start * FS), min(round(stop * FS), len(a)))
+        if here.stop - here.start < FS // 4:
+            continue
+        x, y = (partial(s[here], freq)[step:-step:step] for s in (a, b))
         turn = np.angle(y[1:] * np.conj(x[1:]) * np.conj(y[:-1] * np.conj(x[:-1])))
         strong = np.minimum(abs(x), abs(y)) > 0.1 * abs(x).max()
         out.append(abs(turn[strong[1:] & strong[:-1]]) * FS / (2 * np.pi * freq * step) * 1200 / np.log(2))
@@ -63,28 +88,29 @@ def detuning(a: Floats, b: Floats, freqs: list[float]) -> Floats:
 
 
 def row(score: tw.Score, made: tw.Instrument, seconds: float, predict: bool) -> str:
-    auto, stream = rendered(score, made, seconds, effects="auto")
-    every, all_ = rendered(score, made, seconds, effects="all")
-    _, linear = rendered(score, made, seconds, effects=LINEAR)
+    auto, stream, t_auto = rendered(score, made, seconds, effects="auto")
+    every, _, t_all = rendered(score, made, seconds, effects="all")
+    *_, t_linear = rendered(score, made, seconds, effects=LINEAR)
     n = min(len(auto), len(every))
     strings = stream.model.strings
-    freqs = sorted({round(strings[p.string].freq(p.stop), 1) for p in stream.performance.notes})[:8]
-    cents = detuning(every[:n], auto[:n], freqs)
+    notes = [(strings[p.string].freq(p.stop), p.note.time, p.end) for p in stream.performance.notes]
+    cents = detuning(every[:n], auto[:n], notes)
     short = min(SAMPLES, seconds)
     exact = rendered(score, made, short, effects="auto", budget_cents=0.0)[0]
     m = min(len(exact), n)
     difference = float(abs(exact[:m] - every[:m]).max() / abs(every[:m]).max())
     db = f"{20 * np.log10(difference):.0f}" if difference > 0 else "same bits"
-    times = [r.summary().render_s for r in (stream, all_, linear)]
+    ledger = stream.engine.ledger
+    awake = ledger.mode_samples / ledger.samples / stream.model.n_modes
     on = [r.seconds_active for r in stream.summary().effects if r.name == "tension_modulation"]
     share = f"{100 * np.mean(on) / stream.summary().duration_s:.0f} %" if on else "-"
     foreseen = "-"
     if predict:
         plan = tw.plan(score, made, FS, max_duration=seconds, tail=tw.Tail(cap=2.0))
-        foreseen = f"{plan.predicted_s / times[0]:.2f}"
+        foreseen = f"{plan.predicted_s / stream.summary().render_s:.2f}"
     return (
-        f"{n / FS:.0f} | {times[0]:.1f} | {times[1] / times[0]:.2f} | {times[0] / times[2]:.2f} | {share} | {db} "
-        f"| {np.quantile(cents, 0.95):.3f} | {cents.max():.2f} | {foreseen}"
+        f"{n / FS:.0f} | {t_auto:.1f} | {t_all / t_auto:.2f} | {t_auto / t_linear:.2f} | {share} | {100 * awake:.0f} % "
+        f"| {db} | {np.quantile(cents, 0.95):.3f} | {cents.max():.2f} | {foreseen}"
     )
 
 
@@ -92,7 +118,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scores", nargs="+", type=Path)
     parser.add_argument("--seconds", type=float, default=8.0)
-    parser.add_argument("--instruments", nargs="+", default=["steel_guitar", "african_harp"])
+    parser.add_argument("--instruments", nargs="+", default=["nylon_guitar", "steel_guitar", "african_harp"])
     parser.add_argument("--no-plan", action="store_true")
     args = parser.parse_args()
     began = time.perf_counter()
@@ -104,6 +130,7 @@ def main() -> None:
         "all / auto",
         "auto / linear",
         "tension on",
+        "awake",
         "dB",
         "cents 95 %",
         "max",

@@ -1,9 +1,10 @@
 """A hammer: a mass with a felt that is thrown at the string and jumps back; or a tangent that stays on it.
 
-The mass rests `clearance` away on a soft, damped spring. A short push gives it its `velocity`, so that it meets the
-resting string at the note's time; then felt and string decide: f = K p^alpha (1 + loss p'), p the compression
-(Hunt & Crossley; for piano felt alpha is 2 to 3.5). With `press` a force holds it against the string for as long as
-the note lasts, as a clavichord's key holds its tangent; it then divides the string. The driver's work is that of the
+The mass rests `clearance` away on a soft, damped spring. A short push gives it its `velocity`, and a small force keeps
+it against that spring, so that it meets the resting string at the note's time; then felt and string decide:
+f = K p^alpha (1 + loss p'), p the compression (Hunt & Crossley; for piano felt alpha is 2 to 3.5). With `press` a force
+holds it against the string for as long as the note lasts, as a clavichord's key holds its tangent; it then divides the
+string. Struck again at once it is let go a little before, so that it has fallen back. The driver's work is that of the
 push and the pressing force on the mass; the contact itself can only store energy or lose it.
 """
 
@@ -47,6 +48,12 @@ class Hammer(Exciter[HammerParameters]):
     effects = (contact_effect("hammer", "a mass thrown at the string, while a gesture moves it", basic=True),)
     Parameters = HammerParameters
 
+    @property
+    def recovery(self) -> float:
+        """Half a period of its return, once a press is over."""
+        p = self.parameters
+        return p.press_time + 0.5 / p.return_freq if p.press > 0.0 else 0.0
+
     def attach(self, name: str, site: Site) -> Attached:
         """Its mass and its felt."""
         p, own = self.parameters, f"{site.string}.{name}"
@@ -73,10 +80,22 @@ class Hammer(Exciter[HammerParameters]):
         start = -(throw + (p.clearance - throw * p.velocity / 2) / p.velocity)
         peak = 2 * p.mass * p.velocity / throw
         half = start + throw / 2
-        segments = smooth_step(start, half, 0.0, peak) + smooth_step(half, start + throw, peak, 0.0)
+        push = smooth_step(start, half, 0.0, peak) + smooth_step(half, start + throw, peak, 0.0)
+        # what its suspension would take from the velocity on the way
+        omega = 2 * math.pi * p.return_freq
+        drag, pull = 2 * p.return_damping * omega * p.mass * p.velocity, omega**2 * p.mass
+        kept = smooth_step(start, start + throw, 0.0, drag)
+        segments = tuple(_sum(piece, kept[i // 2]) for i, piece in enumerate(push))
+        segments += (Segment(start + throw, 0.0, drag + pull * throw * p.velocity / 2, pull * p.velocity),)
         if p.press > 0.0:
             held = max(event.duration if math.isfinite(event.duration) else p.sustain, 2 * p.press_time)
             segments += smooth_step(0.0, p.press_time, 0.0, p.press)
             segments += (Segment(p.press_time, held, p.press),)
             segments += smooth_step(held, held + p.press_time, p.press, 0.0)
         return Gesture(segments, at, on=on)
+
+
+def _sum(a: Segment, b: Segment) -> Segment:
+    """Both, as long as the first lasts."""
+    c0, c1, c2 = b.shifted(a.start - b.start)
+    return Segment(a.start, a.stop, a.c0 + c0, a.c1 + c1, a.c2 + c2)

@@ -182,11 +182,15 @@ private:
             part.after = part.free;
         }
         std::fill(s.old_sums.begin(), s.old_sums.end(), 0.0);
-        for (std::size_t q = 0; q + 1 < s.parts.size(); ++q) {
-            spread(s, s.parts[q], s.parts[q].before, 0);
-            add_sums(s, s.parts[q], 0, s.old_sums.data());
+        if (s.given->along) {
+            for (std::size_t q = 0; q + 1 < s.parts.size(); ++q) {
+                spread(s, s.parts[q], s.parts[q].before, 0);
+                add_sums(s, s.parts[q], 0, s.old_sums.data());
+            }
+            strain(s, s.parts.back().before, s.old_strain);
+        } else {
+            for (const Part& part : s.parts) s.old_sums[0] += stretched(part, part.before);
         }
-        strain(s, s.parts.back().before, s.old_strain);
         respond(s);
         s.F = s.made, s.fresh = true;
         s.motion = 0.0;
@@ -229,6 +233,7 @@ private:
 
     // s.made: the forces that go with coordinates `before` and `after`.
     void respond(String& s) {
+        if (!s.given->along) return rise(s);
         const int order = s.given->order;
         std::fill(s.sums.begin(), s.sums.end(), 0.0);
         for (std::size_t q = 0; q + 1 < s.parts.size(); ++q) {
@@ -259,6 +264,27 @@ private:
             }
             add_product(h.back.data(), h.width, part.force.data(), h.cosines, &s.made[part.at]);
         }
+    }
+
+    // The same of a string that does not move along itself.
+    static void rise(String& s) {
+        s.sums[0] = 0.0;
+        for (const Part& part : s.parts) s.sums[0] += stretched(part, part.after);
+        s.pull[0] = 0.5 * s.given->scale * (s.old_sums[0] + s.sums[0]);
+        for (const Part& part : s.parts)
+            for (int k = 0; k < part.given->width; k += S::width)
+                S::store(&s.made[part.at + k], (S::load(&part.before[k]) + S::load(&part.after[k])) *
+                                                   S::load(&part.given->stretch[k]) * (-0.5 * s.pull[0]));
+    }
+
+    // Its s_0.
+    static double stretched(const Part& part, const Array<double>& coordinates) {
+        S::V sum{};
+        for (int k = 0; k < part.given->width; k += S::width) {
+            const S::V y = S::load(&coordinates[k]);
+            sum += S::load(&part.given->stretch[k]) * y * y;
+        }
+        return 0.5 * S::sum(sum);
     }
 
     // The slope's cosines, halved but for the first and continued evenly, at `which` of before and after.

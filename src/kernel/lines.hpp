@@ -178,9 +178,9 @@ private:
     const Layout& l_;
 };
 
-// Rows of a driven component over a whole block under known port forces. A row's history has kBlock zeros before it,
+// Rows (n_rows, kBlock + 1) of a driven component over a whole block under known port forces. A row's history has kBlock zeros before it,
 // so that its response to the force of sample b is read from it at one place for all samples.
-inline void respond(const double* history, int n_ports, int n_rows, const double* forces, int stride, double* lines) {
+inline void respond(const double* history, int n_ports, int n_rows, const double* forces, int stride, double* rows) {
     using S = Simd<double>;
     constexpr int n_vectors = kBlock / S::width;
     for (int r = 0; r < n_rows; ++r) {
@@ -190,8 +190,8 @@ inline void respond(const double* history, int n_ports, int n_rows, const double
             for (int b = 0; b < kBlock; ++b)
                 for (int v = 0; v < n_vectors; ++v) sum[v] += S::load(h - b + v * S::width) * forces[b * stride + p];
         }
-        for (int v = 0; v < n_vectors; ++v)
-            for (int lane = 0; lane < S::width; ++lane) lines[(v * S::width + lane + 1) * n_rows + r] += sum[v][lane];
+        double* const row = rows + std::size_t(r) * (kBlock + 1) + 1;
+        for (int v = 0; v < n_vectors; ++v) S::store(row + v * S::width, S::load(row + v * S::width) + sum[v]);
     }
 }
 

@@ -67,16 +67,15 @@ constexpr int kChunk = 64 / int(sizeof(T));
 
 template <class T>
 struct Woven {
-    struct Strand {      // neighbouring modes of one row that recur the same way
-        int first, count, padded, row;
+    struct Chunk {       // neighbouring modes of one row that recur the same way
+        int first, count, row;
         bool slow;
-        std::size_t chunk;  // its first
     };
-    static constexpr int n_doors = 8;
+    static constexpr std::size_t door_step = 8 * kChunk<T>;
     int n_ports = 0;
-    std::size_t step = 0;        // numbers per chunk
-    std::vector<Strand> strands; // none where a mode cannot be told from what its row reads
-    Array<T> data, doors;        // doors: (2, 2) from the modes' numbers, (2, 2) back
+    std::size_t step = 0;       // numbers per chunk
+    std::vector<Chunk> chunks;  // none where a mode cannot be told from what its row reads
+    Array<T> data, doors;       // doors: (2, 2) from the modes' numbers, (2, 2) back
 };
 
 // A string's polarization whose tension rises with amplitude, in mass-normalised coordinates y.
@@ -389,6 +388,7 @@ struct Geometric {
     struct String {
         int order = 0;     // P
         double scale = 0;  // EA L
+        bool along = true;        // false: it has no longitudinal part, and s_0 is the sum of stretch times squares
         std::vector<Part> parts;  // the longitudinal one last
     };
     std::vector<String> strings;

@@ -362,12 +362,13 @@ public:
 
     // String `index` of those whose longitudinal motion is stepped, its components just set or unchanged. A part, the
     // longitudinal one last: slot, slopes (cosines, n), reading, yields (n), kick (2, n), to_port, from_port (n_ports, n).
-    void set_geometric(std::size_t index, double scale,
+    // Not `along`: there is no longitudinal one, and in place of the slopes stands the stretch (1, n).
+    void set_geometric(std::size_t index, double scale, bool along,
                        const std::vector<std::tuple<int, In, In, In, In, In, In>>& parts) {
         const auto padded = [](std::size_t n) { return (n + kLane - 1) / kLane * kLane; };
-        if (parts.size() < 2 || index > geometric_.strings.size()) throw std::invalid_argument("no such geometric string");
+        if (parts.size() < (along ? 2 : 1) || index > geometric_.strings.size()) throw std::invalid_argument("no such geometric string");
         Geometric::String string;
-        string.scale = scale;
+        string.scale = scale, string.along = along;
         for (const auto& [slot, slopes, reading, yields, kick, to_port, from_port] : parts) {
             if (slot < 0 || std::size_t(slot) >= components_.size() || slopes.ndim() != 2)
                 throw std::invalid_argument("no such component slot");
@@ -378,14 +379,15 @@ public:
             expect("kick", kick, {2, n});
             expect("to_port", to_port, {p, n});
             expect("from_port", from_port, {p, n});
-            if (c.driven || c.guarded.n || n > std::size_t(c.n) || cosines == 0)
+            if (c.driven || c.guarded.n || n > std::size_t(c.n) || cosines == 0 || (!along && cosines > 1))
                 throw std::invalid_argument("a geometric string does not fit its component");
             Geometric::Part part;
             part.component = slot, part.n = int(n), part.width = int(w), part.cosines = int(cosines);
             part.cosines_width = int(padded(cosines));
             part.slopes.assign(n * part.cosines_width, 0.0), part.back.assign(cosines * w, 0.0);
             part.stretch.assign(w, 0.0);
-            for (std::size_t i = 0; i < cosines; ++i)
+            if (!along) std::copy_n(slopes.data(), n, part.stretch.begin());
+            for (std::size_t i = 0; along && i < cosines; ++i)
                 for (std::size_t k = 0; k < n; ++k) {
                     const double slope = slopes.data()[i * n + k];
                     part.slopes[k * part.cosines_width + i] = part.back[i * w + k] = slope;
@@ -402,7 +404,7 @@ public:
             string.parts.push_back(std::move(part));
         }
         string.order = string.parts.back().cosines - 1;
-        std::fill(string.parts.back().stretch.begin(), string.parts.back().stretch.end(), 0.0);
+        if (along) std::fill(string.parts.back().stretch.begin(), string.parts.back().stretch.end(), 0.0);
         if (index == geometric_.strings.size()) geometric_.strings.emplace_back();
         geometric_.strings[index] = std::move(string);
         laid_out_ = false;
@@ -452,7 +454,7 @@ private:
 
     // See weave.hpp; nothing is woven where a mode has several rows or cannot be told from what its row reads.
     static void weave(Component<T>& c, const double* e, const double* rows, const double* w) {
-        constexpr std::size_t chunk = kChunk<T>, doors = Woven<T>::n_doors;
+        constexpr std::size_t chunk = kChunk<T>;
         const std::size_t n = c.n;
         if (c.n_ports < 1 || c.n_ports > 2 || c.n_rows == 0) return;
         Woven<T> woven;
@@ -468,32 +470,21 @@ private:
                 }
             if (row[k] < 0 && !dead) return;
         }
-        const auto slow = [&](std::size_t k) { return c.kappa[k] < T(0.02); };
         for (std::size_t k = 0; k < n;) {
             if (row[k] < 0) {
                 ++k;
                 continue;
             }
-            // by whole chunks, as many alike as there are
-            const auto of_chunk = [&](std::size_t from) {
-                bool any = false;
-                for (std::size_t i = from; i < std::min(from + chunk, n) && row[i] == row[k]; ++i) any = any || slow(i);
-                return any;
-            };
-            const bool is_slow = of_chunk(k);
             std::size_t end = k;
-            while (end < n && row[end] == row[k] && of_chunk(end) == is_slow)
-                for (const std::size_t stop = std::min(end + chunk, n); end < stop && row[end] == row[k];) ++end;
-            std::size_t n_chunks = (end - k + chunk - 1) / chunk;
-            if (n_chunks % 4 == 3) ++n_chunks;  // a pack of four takes no longer than one of two and one of one
-            const std::size_t at = woven.data.size() / woven.step;
-            woven.strands.push_back({int(k), int(end - k), int(n_chunks * chunk), row[k], is_slow, at});
-            woven.data.resize((at + n_chunks) * woven.step, T(0));
-            woven.doors.resize((at + n_chunks) * chunk * doors, T(0));
+            bool is_slow = false;
+            for (; end < std::min(k + chunk, n) && row[end] == row[k]; ++end) is_slow = is_slow || c.kappa[end] < T(0.02);
+            const std::size_t first = k, at = woven.chunks.size();
+            woven.chunks.push_back({int(k), int(end - k), row[k], is_slow});
+            woven.data.resize((at + 1) * woven.step, T(0));
+            woven.doors.resize((at + 1) * Woven<T>::door_step, T(0));
             for (; k < end; ++k) {
-                const std::size_t i = k - woven.strands.back().first;
-                T* const data = &woven.data[(at + i / chunk) * woven.step + i % chunk];
-                T* const door = &woven.doors[(at + i / chunk) * chunk * doors + i % chunk];
+                T* const data = &woven.data[at * woven.step + k - first];
+                T* const door = &woven.doors[at * Woven<T>::door_step + k - first];
                 const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
                 const double rx = rows[2 * row[k] * n + k], ry = rows[(2 * row[k] + 1) * n + k], one = is_slow;
                 const double tx = rx * (a - one) + ry * g, ty = rx * b + ry * (d - one);

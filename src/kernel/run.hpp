@@ -60,19 +60,20 @@ bool touched(const Job<T>& job, int slot, std::int64_t start, std::int64_t n) {
     return false;
 }
 
-inline bool finite(const double* x, int n) {
+inline bool finite(const double* x, int n, int step = 1) {
     double sum = 0.0;
-    for (int i = 0; i < n; ++i) sum += x[i];
+    for (int i = 0; i < n; ++i) sum += x[i * step];
     return std::isfinite(sum);
 }
 
 // Adds a component's readouts to the output.
 template <class T>
-void emit(const Component<T>& c, const double* rows, int stride, std::int64_t start, int nb, const Job<T>& job) {
+void emit(const Component<T>& c, const double* rows, int stride, int row_stride, std::int64_t start, int nb,
+          const Job<T>& job) {
     const int first = c.driven ? 0 : c.n_ports;
     for (int r = first; r < c.n_rows; ++r) {
         double* out = job.out + start * job.n_channels + c.channels[r - first];
-        const double* y = rows + r;
+        const double* y = rows + std::ptrdiff_t(r) * row_stride;
         if (c.difference[r - first])
             for (int b = 0; b < nb; ++b) out[b * job.n_channels] += y[(b + 1) * stride] - y[b * stride];
         else
@@ -120,20 +121,25 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
         return true;
     };
 
-    std::vector<char> woven(n_components, 0);
+    std::vector<char> woven(n_components, 0), to_weave = woven;
+    Loom<T> loom(components, layout, force.data(), job);
     for (int i = 0; i < n_components; ++i)
         if (components[i].driven) driven_lines[i].assign(std::size_t(kBlock + 1) * components[i].n_rows, 0.0);
 
     for (std::int64_t start = 0; start < job.n; start += kBlock) {
         const int place = int(start / kBlock % kWeave);  // of the block between going in and coming out
-        if (place == 0)
+        if (place == 0) {
             for (int i = 0; i < n_components; ++i) {
                 const Component<T>& c = components[i];
-                woven[i] = !c.woven.strands.empty() && !c.stretched.on && !c.geometric && !c.guarded.n &&
-                           start + kWeave * kBlock <= job.n && !touched(job, i, start, kWeave * kBlock);
+                to_weave[i] = !c.woven.chunks.empty() && !c.stretched.on && !c.geometric && !c.guarded.n &&
+                              start + kWeave * kBlock <= job.n && !touched(job, i, start, kWeave * kBlock);
             }
-        else
+            if (to_weave != woven) loom.set(woven = to_weave);
+            loom.template pass<Passage::in>();
+            loom.unwind(lines.data(), driven_lines, 0);
+        } else {
             lines.swap(next_lines);
+        }
         const int nb = int(job.n - start < kBlock ? job.n - start : kBlock);
         for (auto& list : known) list.clear();
         gather(job, components, start, nb, known, known_values);
@@ -143,12 +149,12 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             if (c.driven || c.stretched.on || c.geometric) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, lines.data() + layout.row[i], width, 1};
-            if (woven[i]) {
-                if (place == 0) weave<T, Passage::in>(c.woven, x, y, nullptr, 0, rows);
-            } else if (known[i].empty() && nb == kBlock)
-                recur_read(c, x, y, rows);
-            else
-                turn<T, true, false>(c, x, y, known[i].data(), int(known[i].size()), nb, rows);
+            if (!woven[i]) {
+                if (known[i].empty() && nb == kBlock)
+                    recur_read(c, x, y, rows);
+                else
+                    turn<T, true, false>(c, x, y, known[i].data(), int(known[i].size()), nb, rows);
+            }
             // looked at here too, before connections spread a fault to other components
             if (!finite(lines.data() + std::size_t(nb) * width + layout.row[i], c.n_rows)) return {i, start};
         }
@@ -215,16 +221,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             const auto answer = [&](double* to) {
                 respond(layout.driven_history[i].data(), c.n_ports, c.n_rows, forces, force_width, to);
             };
-            if (!c.driven && woven[i]) {
-                const Rows<T> rows{nullptr, nullptr, c.n_rows, nullptr, next_lines.data() + layout.row[i], width, 1};
-                if (place + 1 == kWeave) {
-                    weave<T, Passage::out>(c.woven, x, y, forces, force_width, rows);
-                } else {
-                    weave<T, Passage::on>(c.woven, x, y, forces, force_width, rows);
-                    std::copy_n(&lines[std::size_t(kBlock) * width + layout.row[i]], c.n_rows, rows.value);
-                }
-                continue;
-            }
+            if (!c.driven && woven[i]) continue;
             if (!(recurs && woven[i]))
                 for (int p = 0; p < c.n_ports; ++p)
                     inputs.push_back({&c.w[std::size_t(2 * p) * c.n], forces + p, force_width});
@@ -238,9 +235,8 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
                 continue;
             }
             double* const driven = driven_lines[i].data();
-            const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, driven, c.n_rows, 1};
+            const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, driven, 1, kBlock + 1};
             if (woven[i]) {
-                if (place == 0) weave<T, Passage::in>(c.woven, x, y, nullptr, 0, rows);
                 answer(driven);
             } else if (recurs) {
                 recur_read(c, x, y, rows);
@@ -249,22 +245,29 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             } else {
                 turn<T, true, true>(c, x, y, inputs.data(), int(inputs.size()), nb, rows);
             }
-            if (!finite(driven + std::size_t(nb) * c.n_rows, c.n_rows)) return {i, start};
-            emit(c, driven, c.n_rows, start, nb, job);
-            if (!woven[i]) continue;
-            if (place + 1 == kWeave) {
-                weave<T, Passage::out>(c.woven, x, y, forces, force_width, rows);
-            } else {
-                std::copy_n(driven + kBlock * c.n_rows, c.n_rows, driven);
-                weave<T, Passage::on>(c.woven, x, y, forces, force_width, rows);
+            if (!finite(driven + nb, c.n_rows, kBlock + 1)) return {i, start};
+            emit(c, driven, 1, kBlock + 1, start, nb, job);
+        }
+        if (place + 1 == kWeave) {
+            loom.template pass<Passage::out>();
+        } else {
+            for (int i = 0; i < n_components; ++i) {
+                const Component<T>& c = components[i];
+                if (!woven[i]) continue;
+                double* const rows = c.driven ? driven_lines[i].data() : next_lines.data() + layout.row[i];
+                const double* const last = c.driven ? rows + kBlock : lines.data() + kBlock * width + layout.row[i];
+                const int step = c.driven ? kBlock + 1 : 1;
+                for (int r = 0; r < c.n_rows; ++r) rows[r * step] = last[r * step];
             }
+            loom.template pass<Passage::on>();
+            loom.unwind(next_lines.data(), driven_lines, 1);
         }
 
         for (int i = 0; i < n_components; ++i) {
             const Component<T>& c = components[i];
             if (c.driven) continue;
             const double* rows = lines.data() + layout.row[i];
-            emit(c, rows, width, start, nb, job);
+            emit(c, rows, width, 1, start, nb, job);
             if (!finite(rows + std::size_t(nb) * width, c.n_rows)) return {i, start};
         }
     }

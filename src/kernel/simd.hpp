@@ -46,6 +46,11 @@ struct Pack<T, 1> {
     static constexpr int size = Simd<T>::width;
     typename Simd<T>::V a;
     static Pack load(const T* p) { return {Simd<T>::load(p)}; }
+    // vector i from make(i); use(i, vector i)
+    template <int first = 0, class Make>
+    static Pack made(const Make& make) { return {make(first)}; }
+    template <int first = 0, class Use>
+    void each(const Use& use) const { use(first, a); }
     void store(T* p) const { Simd<T>::store(p, a); }
     typename Simd<T>::V folded() const { return a; }
 };
@@ -53,9 +58,19 @@ struct Pack<T, 1> {
 template <class T, int N>
 struct Pack {
     static constexpr int size = N * Simd<T>::width;
-    Pack<T, N / 2> a, b;
-    static Pack load(const T* p) { return {Pack<T, N / 2>::load(p), Pack<T, N / 2>::load(p + size / 2)}; }
-    void store(T* p) const { a.store(p), b.store(p + size / 2); }
+    static constexpr int half = N - N / 2;
+    Pack<T, half> a;
+    Pack<T, N / 2> b;
+    static Pack load(const T* p) {
+        return {Pack<T, half>::load(p), Pack<T, N / 2>::load(p + half * Simd<T>::width)};
+    }
+    template <int first = 0, class Make>
+    static Pack made(const Make& make) {
+        return {Pack<T, half>::template made<first>(make), Pack<T, N / 2>::template made<first + half>(make)};
+    }
+    template <int first = 0, class Use>
+    void each(const Use& use) const { a.template each<first>(use), b.template each<first + half>(use); }
+    void store(T* p) const { a.store(p), b.store(p + half * Simd<T>::width); }
     typename Simd<T>::V folded() const { return a.folded() + b.folded(); }
 };
 

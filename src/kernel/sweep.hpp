@@ -50,14 +50,14 @@ T* accumulators(int n_rows) {
     return memory.data();
 }
 
-// Sums of lanes, many vectors at once: they are folded in pairs until one vector holds them all.
+// Sums of lanes, of vectors `step` numbers apart: they are folded in pairs until one vector holds them all.
 template <class T, int Count>
-typename Simd<T>::V sums(const T* acc) {
+typename Simd<T>::V sums(const T* acc, std::size_t step = Simd<T>::width) {
     constexpr int width = Simd<T>::width, first = width / Count;  // lanes of a vector that belong to one sum
     if constexpr (Count == 1) {
         return Simd<T>::load(acc);
     } else {
-        const auto a = sums<T, Count / 2>(acc), b = sums<T, Count / 2>(acc + Count / 2 * width);
+        const auto a = sums<T, Count / 2>(acc, step), b = sums<T, Count / 2>(acc + Count / 2 * step, step);
         return [&]<std::size_t... I>(std::index_sequence<I...>) {
             // the sums of a, then those of b, each in half as many lanes as it had
             constexpr auto from = [](int i, int half) {
@@ -69,6 +69,11 @@ typename Simd<T>::V sums(const T* acc) {
     }
 }
 
+inline void put_double(typename Simd<double>::V v, double* to) { Simd<double>::store(to, v); }
+inline void put_double(typename Simd<float>::V v, double* to) {
+    for (int i = 0; i < Simd<float>::width; ++i) to[i] = double(v[i]);
+}
+
 template <class T>
 void reduce(const T* acc, const Rows<T>& rows, int nb, int first = 0) {
     constexpr int width = Simd<T>::width;
@@ -78,7 +83,10 @@ void reduce(const T* acc, const Rows<T>& rows, int nb, int first = 0) {
         acc += first * width;
         for (; s + width <= nb + 1; s += width, acc += width * width) {
             const auto all = sums<T, width>(acc);
-            for (int i = 0; i < width; ++i) to[std::ptrdiff_t(s + i) * rows.sample_stride] = double(all[i]);
+            if (rows.sample_stride == 1)
+                put_double(all, to + s);
+            else
+                for (int i = 0; i < width; ++i) to[std::ptrdiff_t(s + i) * rows.sample_stride] = double(all[i]);
         }
         for (; s <= nb; ++s, acc += width) to[std::ptrdiff_t(s) * rows.sample_stride] = Simd<T>::sum(acc);
     }

@@ -1,5 +1,5 @@
-// One visit per block for components whose modes are each read by one row: pushing them by the forces of the block that
-// ends and reading the free motion of the next one while they are in registers.
+// One visit per block for all components whose modes are each read by one row: pushing them by the forces of the block
+// that ends and reading the free motion of the next one while they are in registers.
 //
 // Such a mode is stepped in what its row reads of it, s(b) = c E^b x, instead of its own two numbers: s and s+, or s
 // and d = s+ - s where modes are slow (see sweep.hpp). With h(k) = c E^k w the response to a port force,
@@ -11,7 +11,13 @@
 //
 // and x comes back from two samples of s. A mode goes in and out every kWeave blocks, counted from the run's
 // beginning, so that runs cut there are the same to the bit.
+//
+// Every sample waits for the one before it: so chunks of modes are visited several at a time, those that a row has left
+// over together with those of other components.
 #pragma once
+
+#include <algorithm>
+#include <vector>
 
 #include "simd.hpp"
 #include "sweep.hpp"
@@ -19,184 +25,295 @@
 namespace tonewood {
 namespace {
 
-// N vectors of one field, the first at `lane` of a chunk; chunks are `step` numbers apart.
-template <class T, int N>
-inline Pack<T, N> field(const T* chunk, std::size_t step, int lane) {
-    if constexpr (N == 1) {
-        return {Simd<T>::load(chunk + lane)};
-    } else {
-        const int next = lane + Pack<T, N / 2>::size;
-        return {field<T, N / 2>(chunk, step, lane),
-                field<T, N / 2>(chunk + next / kChunk<T> * step, step, next % kChunk<T>)};
-    }
-}
-template <class T, int N>
-inline void put(const Pack<T, N>& x, T* chunk, std::size_t step, int lane) {
-    if constexpr (N == 1) {
-        Simd<T>::store(chunk + lane, x.a);
-    } else {
-        const int next = lane + Pack<T, N / 2>::size;
-        put(x.a, chunk, step, lane), put(x.b, chunk + next / kChunk<T> * step, step, next % kChunk<T>);
-    }
-}
+template <class T>
+constexpr int kChunkVectors = kChunk<T> / Simd<T>::width;
+template <class T>
+constexpr int kBeam = std::max(1, kPack / kChunkVectors<T>);  // chunks side by side
 
-// The modes' own numbers, of which a strand may end within a vector.
-template <class T, int N>
-inline Pack<T, N> own(const T* x, int left) {
-    if (left >= Pack<T, N>::size) return Pack<T, N>::load(x);
-    alignas(64) T part[Pack<T, N>::size] = {};
-    for (int i = 0; i < left; ++i) part[i] = x[i];
-    return Pack<T, N>::load(part);
-}
-template <class T, int N>
-inline void put_own(const Pack<T, N>& value, T* x, int left) {
-    if (left >= Pack<T, N>::size) return value.store(x);
-    alignas(64) T part[Pack<T, N>::size];
-    value.store(part);
-    for (int i = 0; i < left; ++i) x[i] = part[i];
-}
-
-// Where a pack of a strand lies.
-template <class T, int N>
-struct Place {
-    T *base, *doors;
-    std::size_t step, door;
-    int lane;
-    Place(Woven<T>& woven, const typename Woven<T>::Strand& strand, std::size_t k)
-        : base(&woven.data[(strand.chunk + k / kChunk<T>) * woven.step]),
-          doors(&woven.doors[(strand.chunk + k / kChunk<T>) * kChunk<T> * Woven<T>::n_doors]),
-          step(woven.step), door(std::size_t(kChunk<T>) * Woven<T>::n_doors),
-          // packs as wide as a chunk begin with one
-          lane(Pack<T, N>::size % kChunk<T> == 0 ? 0 : int(k % kChunk<T>)) {}
-    Pack<T, N> operator[](int i) const { return field<T, N>(base + i * kChunk<T>, step, lane); }
-    Pack<T, N> at_door(int i) const { return field<T, N>(doors + i * kChunk<T>, door, lane); }
-    void set(int i, const Pack<T, N>& x) const { put(x, base + i * kChunk<T>, step, lane); }
+// A chunk at work: its numbers, its modes, the forces on its component and the sums that its row is read into.
+template <class T>
+struct Warp {
+    T* data;
+    const T* doors;
+    T *x, *y, *sum;
+    const double* forces;
+    int count;   // of modes; the rest is padding
 };
 
-// N vectors of modes that recur: what moves freely, and what the forces of a block come to at its end.
-template <class T, int N, bool slow>
-struct Thread {
-    using P = Pack<T, N>;
-    P other, det, bent, s, t;
-    // d+ = det d - kappa s+ as (det - kappa) d - kappa s, which does not wait for s+
-    Thread(const P& trace_or_kappa, const P& determinant) : other(trace_or_kappa), det(determinant) {
+// N chunks that recur alike, a pack of all their vectors.
+template <class T, int N>
+struct Beam {
+    static constexpr int vectors = N * kChunkVectors<T>, width = Simd<T>::width;
+    using P = Pack<T, vectors>;
+    using V = typename Simd<T>::V;
+    const Warp<T>* warps;
+
+    // vector i of a pack is vector i % kChunkVectors of chunk i / kChunkVectors
+    static constexpr int chunk(int i) { return i / kChunkVectors<T>; }
+    static constexpr int lane(int i) { return i % kChunkVectors<T> * width; }
+
+    P operator[](int field) const {
+        return P::made([&](int i) { return Simd<T>::load(warps[chunk(i)].data + field * kChunk<T> + lane(i)); });
+    }
+    P at_door(int field) const {
+        return P::made([&](int i) { return Simd<T>::load(warps[chunk(i)].doors + field * kChunk<T> + lane(i)); });
+    }
+    void set(int field, const P& x) const {
+        x.each([&](int i, V v) { Simd<T>::store(warps[chunk(i)].data + field * kChunk<T> + lane(i), v); });
+    }
+    // one component's force is loaded once
+    template <bool one_row>
+    P force(std::ptrdiff_t at) const {
+        const V first = T(warps->forces[at]) - V{};
+        return P::made([&](int i) { return one_row ? first : T(warps[chunk(i)].forces[at]) - V{}; });
+    }
+    P modes(T* Warp<T>::*of) const {
+        return P::made([&](int i) {
+            const Warp<T>& warp = warps[chunk(i)];
+            if (warp.count == kChunk<T>) return Simd<T>::load(warp.*of + lane(i));
+            alignas(64) T part[width] = {};
+            for (int k = 0; k < width && lane(i) + k < warp.count; ++k) part[k] = (warp.*of)[lane(i) + k];
+            return Simd<T>::load(part);
+        });
+    }
+    void set_modes(T* Warp<T>::*of, const P& x) const {
+        x.each([&](int i, V v) {
+            const Warp<T>& warp = warps[chunk(i)];
+            if (warp.count == kChunk<T>) return Simd<T>::store(warp.*of + lane(i), v);
+            for (int k = 0; k < width && lane(i) + k < warp.count; ++k) (warp.*of)[lane(i) + k] = v[k];
+        });
+    }
+};
+
+// What moves freely in a beam, and what the forces of a block come to at its end.
+template <class T, int N, bool slow, bool one_row>
+struct Threads {
+    using B = Beam<T, N>;
+    using P = typename B::P;
+    const B beam;
+    const P other, det;  // trace or kappa, determinant
+    P bent, s, t;
+
+    explicit Threads(const Warp<T>* warps) : beam{warps}, other(beam[0]), det(beam[1]) {
+        // d+ = det d - kappa s+ as (det - kappa) d - kappa s, which does not wait for s+
         if constexpr (slow) bent = det - other;
     }
 
     // Under the forces of a block: the responses h(0) and h(1) (or e) of port p are numbers 4 + 2p and 5 + 2p.
-    void push(const Place<T, N>& at, int n_ports, const double* forces, std::ptrdiff_t stride) {
-        one_port(at[4], at[5], forces, stride);
-        for (int p = 1; p < n_ports; ++p) one_port(at[4 + 2 * p], at[5 + 2 * p], forces + p, stride);
-    }
-
-    void one_port(const P& h0, const P& h1, const double* f, std::ptrdiff_t stride) {
-        P u{}, v{};
-        if constexpr (slow) {
+    void push(int n_ports, std::ptrdiff_t stride) {
+        for (int p = 0; p < n_ports; ++p) {
+            P u{}, v{};
+            if constexpr (slow) {
 #pragma GCC unroll 16
-            for (int b = 0; b < kBlock; ++b) {
-                const P next = mul_add(bent, v, neg_mul_plus(other, u, T(f[b * stride])));
-                u = u + v;
-                v = next;
-            }
-            const P sag = other * h0;
-            s = mul_add(h0, v, mul_add(h1 + (h0 - det * h0) + sag, u, s));
-            t = mul_add(h1, v, neg_mul_add(sag, u, t));
-        } else {
+                for (int b = 0; b < kBlock; ++b) {
+                    const P next = mul_add(bent, v, neg_mul_add(other, u, beam.template force<one_row>(b * stride + p)));
+                    u = u + v;
+                    v = next;
+                }
+            } else {
 #pragma GCC unroll 16
-            for (int b = 0; b < kBlock; b += 2) {
-                u = mul_add(other, v, neg_mul_plus(det, u, T(f[b * stride])));
-                v = mul_add(other, u, neg_mul_plus(det, v, T(f[(b + 1) * stride])));
+                for (int b = 0; b < kBlock; b += 2) {
+                    u = mul_add(other, v, neg_mul_add(det, u, beam.template force<one_row>(b * stride + p)));
+                    v = mul_add(other, u, neg_mul_add(det, v, beam.template force<one_row>((b + 1) * stride + p)));
+                }
             }
-            s = mul_add(h0, v, mul_add(neg_mul_add(other, h0, h1), u, s));
-            t = mul_add(h1, v, neg_mul_add(det * h0, u, t));
+            const P h0 = beam[4 + 2 * p], h1 = beam[5 + 2 * p];
+            if constexpr (slow) {
+                const P sag = other * h0;
+                s = mul_add(h0, v, mul_add(h1 + (h0 - det * h0) + sag, u, s));
+                t = mul_add(h1, v, neg_mul_add(sag, u, t));
+            } else {
+                s = mul_add(h0, v, mul_add(neg_mul_add(other, h0, h1), u, s));
+                t = mul_add(h1, v, neg_mul_add(det * h0, u, t));
+            }
         }
     }
 
-    // Adds the next two samples to their sums.
-    void read(T* to) {
-        const auto add = [](T* at, const P& share) {
-            Simd<T>::store(at, Simd<T>::load(at) + share.folded());
+    void add(int b, const P& share) const {
+        const auto onto = [&](int i, typename B::V v) {
+            T* const at = beam.warps[B::chunk(i)].sum + b * B::width;
+            Simd<T>::store(at, Simd<T>::load(at) + v);
         };
-        if constexpr (slow) {
-            const P next = turned(bent, t, other, s);
-            s = s + t;
-            add(to, s);
-            t = turned(bent, next, other, s);
-            s = s + next;
-            add(to + Simd<T>::width, s);
-        } else {
-            add(to, t);
-            s = turned(other, t, det, s);
-            add(to + Simd<T>::width, s);
-            t = turned(other, s, det, t);
+        if constexpr (one_row) onto(0, share.folded());
+        else share.each(onto);
+    }
+
+    void read() {
+#pragma GCC unroll 16
+        for (int b = 1; b < kBlock; b += 2) {
+            if constexpr (slow) {
+                const P next = turned(bent, t, other, s);
+                s = s + t;
+                add(b, s);
+                t = turned(bent, next, other, s);
+                s = s + next;
+            } else {
+                add(b, t);
+                s = turned(other, t, det, s);
+                t = turned(other, s, det, t);
+            }
+            add(b + 1, s);
         }
     }
 };
 
-template <class T, int N, bool slow>
-inline void enter(Woven<T>& woven, const typename Woven<T>::Strand& strand, std::size_t k, const T* x, const T* y, T* to) {
-    const Place<T, N> at(woven, strand, k);
-    const int left = strand.count - int(k);
-    const auto first = own<T, N>(x + strand.first + k, left), second = own<T, N>(y + strand.first + k, left);
-    Thread<T, N, slow> thread(at[0], at[1]);
-    thread.s = mul_add(at.at_door(0), first, at.at_door(1) * second);
-    thread.t = mul_add(at.at_door(2), first, at.at_door(3) * second);
-    Simd<T>::store(to, Simd<T>::load(to) + thread.s.folded());
-#pragma GCC unroll 16
-    for (int b = 0; b < kBlock; b += 2) thread.read(to + (b + 1) * Simd<T>::width);
-    at.set(2, thread.s), at.set(3, thread.t);
-}
-
-template <class T, int N, bool slow>
-inline void leave(Woven<T>& woven, const typename Woven<T>::Strand& strand, std::size_t k, T* x, T* y,
-                  const double* forces, std::ptrdiff_t stride) {
-    const Place<T, N> at(woven, strand, k);
-    const int left = strand.count - int(k);
-    Thread<T, N, slow> thread(at[0], at[1]);
-    thread.s = at[2], thread.t = at[3];
-    thread.push(at, woven.n_ports, forces, stride);
-    put_own(mul_add(at.at_door(4), thread.s, at.at_door(5) * thread.t), x + strand.first + k, left);
-    put_own(mul_add(at.at_door(6), thread.s, at.at_door(7) * thread.t), y + strand.first + k, left);
-}
-
-template <class T, int N, bool slow>
-inline void pass(Woven<T>& woven, const typename Woven<T>::Strand& strand, std::size_t k, const double* forces,
-                 std::ptrdiff_t stride, T* to) {
-    const Place<T, N> at(woven, strand, k);
-    Thread<T, N, slow> thread(at[0], at[1]);
-    thread.s = at[2], thread.t = at[3];
-    thread.push(at, woven.n_ports, forces, stride);
-#pragma GCC unroll 16
-    for (int b = 0; b < kBlock; b += 2) thread.read(to + (b + 1) * Simd<T>::width);
-    at.set(2, thread.s), at.set(3, thread.t);
-}
-
 enum class Passage { in, on, out };
 
-// In: from the modes' numbers (x, y), reading samples 0 .. kBlock. On: under port forces[b * stride + port] of the
-// block that ends, reading samples 1 .. kBlock of the next one. Out: the same without reading, to (x, y).
-template <class T, Passage kind>
-void weave(Woven<T>& woven, T* x, T* y, const double* forces, std::ptrdiff_t stride, const Rows<T>& rows) {
-    T* const acc = kind == Passage::out ? nullptr : accumulators<T>(rows.count);
-    for (const auto& strand : woven.strands) {
-        T* const to = acc + std::size_t(strand.row) * (kBlock + 1) * Simd<T>::width;
-        const auto go = [&]<bool slow>() {
-            in_packs<T, kPack>(std::size_t(strand.padded), [&]<int N>(std::size_t k) {
-                if constexpr (kind == Passage::in)
-                    enter<T, N, slow>(woven, strand, k, x, y, to);
-                else if constexpr (kind == Passage::on)
-                    pass<T, N, slow>(woven, strand, k, forces, stride, to);
-                else
-                    leave<T, N, slow>(woven, strand, k, x, y, forces, stride);
-            });
-        };
-        if (strand.slow)
-            go.template operator()<true>();
-        else
-            go.template operator()<false>();
+// In: from the modes' numbers, reading samples 0 .. kBlock. On: under the forces of the block that ends, reading samples
+// 1 .. kBlock of the next one. Out: the same without reading, to the modes' numbers.
+template <class T, Passage kind, int N, bool slow, bool one_row>
+void pass_beam(const Warp<T>* warps, int n_ports, std::ptrdiff_t stride) {
+    Threads<T, N, slow, one_row> threads(warps);
+    const auto& beam = threads.beam;
+    if constexpr (kind == Passage::in) {
+        const auto x = beam.modes(&Warp<T>::x), y = beam.modes(&Warp<T>::y);
+        threads.s = mul_add(beam.at_door(0), x, beam.at_door(1) * y);
+        threads.t = mul_add(beam.at_door(2), x, beam.at_door(3) * y);
+        threads.add(0, threads.s);
+    } else {
+        threads.s = beam[2], threads.t = beam[3];
+        threads.push(n_ports, stride);
     }
-    if constexpr (kind != Passage::out) reduce(acc, rows, kBlock, kind == Passage::in ? 0 : 1);
+    if constexpr (kind == Passage::out) {
+        beam.set_modes(&Warp<T>::x, mul_add(beam.at_door(4), threads.s, beam.at_door(5) * threads.t));
+        beam.set_modes(&Warp<T>::y, mul_add(beam.at_door(6), threads.s, beam.at_door(7) * threads.t));
+    } else {
+        threads.read();
+        beam.set(2, threads.s), beam.set(3, threads.t);
+    }
 }
+
+// n <= N chunks.
+template <class T, Passage kind, bool slow, bool one_row, int N = kBeam<T>>
+void pass(const Warp<T>* warps, int n, int n_ports, std::ptrdiff_t stride) {
+    for (; n >= N; n -= N, warps += N) pass_beam<T, kind, N, slow, one_row || N == 1>(warps, n_ports, stride);
+    if constexpr (N > 1) pass<T, kind, slow, one_row, N / 2>(warps, n, n_ports, stride);
+}
+
+// The chunks of all components that are woven, in beams.
+template <class T>
+class Loom {
+public:
+    Loom(const std::vector<Component<T>>& components, const Layout& layout, const double* force, const Job<T>& job)
+        : components_(components), layout_(layout), force_(force), job_(job), sums_of_(components.size()) {}
+
+    // Takes these components up, instead of what it had.
+    void set(const std::vector<char>& woven) {
+        std::size_t n_sums = 0;
+        warps_.clear(), beams_.clear(), strips_.clear();
+        for (std::size_t i = 0; i < components_.size(); ++i) {
+            sums_of_[i] = n_sums;
+            if (!woven[i]) continue;
+            const Component<T>& c = components_[i];
+            Strip* const last = strips_.empty() ? nullptr : &strips_.back();
+            if (last && !c.driven && !components_[last->component].driven &&
+                layout_.row[i] == layout_.row[last->component] + last->n_rows)
+                last->n_rows += c.n_rows;
+            else
+                strips_.push_back({int(i), c.n_rows, n_sums});
+            n_sums += std::size_t(c.n_rows) * kRow;
+        }
+        sums_.assign(n_sums, T(0));
+        for (const int n_ports : {1, 2})
+            for (const bool slow : {false, true}) {
+                std::vector<Warp<T>> left;
+                for (std::size_t i = 0; i < components_.size(); ++i)
+                    if (woven[i] && components_[i].woven.n_ports == n_ports) take(i, slow, left);
+                put(left, n_ports, slow);
+            }
+    }
+
+    template <Passage kind>
+    void pass() {
+        if (kind != Passage::out) std::fill(sums_.begin(), sums_.end(), T(0));
+        for (const Beams& b : beams_) {
+            const auto go = [&]<bool slow, bool one_row>() {
+                tonewood::pass<T, kind, slow, one_row>(&warps_[b.first], b.n, b.n_ports, layout_.force_width);
+            };
+            if (b.one_row) {
+                if (b.slow) go.template operator()<true, true>();
+                else go.template operator()<false, true>();
+            } else if constexpr (kBeam<T> > 1) {
+                if (b.slow) go.template operator()<true, false>();
+                else go.template operator()<false, false>();
+            }
+        }
+    }
+
+    // What the last pass read, from sample `first`: into the lines of two-way components, the rows of driven ones.
+    void unwind(double* lines, std::vector<Array<double>>& driven, int first) const {
+        constexpr int lanes = Simd<T>::width;
+        for (const Strip& strip : strips_) {
+            const Component<T>& c = components_[strip.component];
+            const T* const acc = &sums_[strip.sums];
+            double* const to = c.driven ? driven[strip.component].data() : lines + layout_.row[strip.component];
+            if (c.driven || strip.n_rows < lanes) {
+                const int samples = c.driven ? 1 : layout_.width, rows = c.driven ? kBlock + 1 : 1;
+                reduce(acc, {nullptr, nullptr, strip.n_rows, nullptr, to, samples, rows}, kBlock, first);
+                continue;
+            }
+            // several rows of a line at once, the last ones perhaps twice
+            for (int r = 0; r < strip.n_rows; r += lanes) {
+                const int row = std::min(r, strip.n_rows - lanes);
+                for (int s = first; s <= kBlock; ++s)
+                    put_double(sums<T, lanes>(acc + row * kRow + s * lanes, kRow), to + s * layout_.width + row);
+            }
+        }
+    }
+
+private:
+    static constexpr std::size_t kRow = std::size_t(kBlock + 1) * Simd<T>::width;
+    struct Strip {  // rows side by side in a line, of a component and those after it
+        int component, n_rows;
+        std::size_t sums;
+    };
+    struct Beams {
+        int first, n;  // warps
+        int n_ports;
+        bool slow, one_row;
+    };
+
+    // The chunks of a component that recur this way: whole beams of one row; what is left over.
+    void take(std::size_t i, bool slow, std::vector<Warp<T>>& left) {
+        const Component<T>& c = components_[i];
+        const Woven<T>& woven = c.woven;
+        for (int row = 0; row < c.n_rows; ++row) {
+            std::vector<Warp<T>> mine;
+            for (std::size_t k = 0; k < woven.chunks.size(); ++k) {
+                const auto& chunk = woven.chunks[k];
+                if (chunk.row != row || chunk.slow != slow) continue;
+                T* const modes = job_.modes[0] + c.offset + chunk.first;
+                T* const others = job_.modes[1] + c.offset + chunk.first;
+                mine.push_back({const_cast<T*>(&woven.data[k * woven.step]), &woven.doors[k * Woven<T>::door_step],
+                                modes, others, &sums_[sums_of_[i] + row * kRow], force_ + layout_.port[i], chunk.count});
+            }
+            const std::size_t whole = mine.size() / kBeam<T> * kBeam<T>;
+            left.insert(left.end(), mine.begin() + whole, mine.end());
+            mine.resize(whole);
+            put(mine, woven.n_ports, slow);
+        }
+    }
+
+    void put(const std::vector<Warp<T>>& warps, int n_ports, bool slow) {
+        for (std::size_t k = 0; k < warps.size(); k += kBeam<T>) {
+            const std::size_t end = std::min(k + kBeam<T>, warps.size());
+            bool one_row = true;
+            for (std::size_t i = k; i < end; ++i) one_row = one_row && warps[i].sum == warps[k].sum;
+            beams_.push_back({int(warps_.size()), int(end - k), n_ports, slow, one_row});
+            warps_.insert(warps_.end(), warps.begin() + k, warps.begin() + end);
+        }
+    }
+
+    const std::vector<Component<T>>& components_;
+    const Layout& layout_;
+    const double* force_;
+    const Job<T>& job_;
+    std::vector<std::size_t> sums_of_;
+    Array<T> sums_;
+    std::vector<Warp<T>> warps_;
+    std::vector<Beams> beams_;
+    std::vector<Strip> strips_;
+};
 
 }  // namespace
 }  // namespace tonewood

@@ -59,6 +59,7 @@ class _Kernel:
         self,
         index: int,
         scale: float,
+        along: bool,
         parts: Sequence[tuple[int, *tuple[NDArray[np.float64], ...]]],
     ) -> None: ...
     def set_nonlinear(

@@ -10,6 +10,7 @@ import pytest
 from effect_scenes import FS, compared, duet, sound
 
 import tonewood as tw
+from tonewood.engine import sleeping
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.rungs import BANDS, Rungs
 from tonewood.numerics.stored_energy import stored_energy
@@ -39,12 +40,18 @@ def everything() -> np.ndarray:
     return sound(renderer(NOTES, SECONDS, mode="all"))
 
 
+@pytest.mark.parametrize("late", [0.08, 0.2, sleeping._LATE])
 @pytest.mark.parametrize("budget", [-60.0, -80.0, -100.0])
-def test_what_sleeps_is_within_the_budget(budget: float, everything: np.ndarray) -> None:
+def test_what_sleeps_is_within_the_budget(
+    budget: float, late: float, everything: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However often it is looked: the click as a band falls asleep counts, too."""
+    monkeypatch.setattr(sleeping, "_LATE", late)
     stream = renderer(NOTES, SECONDS, budget_db=budget)
     got = sound(stream)
-    assert stream.engine.ledger.mode_samples < 0.9 * stream.engine.ledger.samples * stream.model.n_modes
-    difference = 20 * np.log10(abs(got - everything).max() / abs(everything).max())
+    assert stream.engine.ledger.mode_samples < 0.95 * stream.engine.ledger.samples * stream.model.n_modes
+    n = min(len(got), len(everything))  # the tail may be judged decayed a block sooner
+    difference = 20 * np.log10(abs(got[:n] - everything[:n]).max() / abs(everything).max())
     assert difference < budget
     bounds = [e.bound for e in stream.summary().effects if e.name == "high_modes" and e.seconds_active < SECONDS]
     assert bounds

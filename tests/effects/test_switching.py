@@ -38,7 +38,6 @@ def test_auto_is_within_its_budget_of_all(scene: str) -> None:
     off = [r for r in streams["auto"].summary().effects if r.name == "tension_modulation"]
     assert any(r.seconds_active < seconds for r in off)  # something was left out
     assert all(r.bound is not None and r.bound <= BUDGET for r in off)
-    assert all(r.seconds_saved > 0 for r in off if r.seconds_active < seconds)
     for freq in freqs:
         cents, level = compared(all_, auto, freq)
         assert len(cents) > 5
@@ -88,8 +87,7 @@ def test_a_snapshot_between_switches_continues() -> None:
         again = renderer(notes, 1.2, duet())
         again.restore(snapshot)
         left = np.concatenate(list(again.blocks(512)))[-len(rest) :]
-        # tensions are found to 1e-11 of themselves, from where the last ones were
-        assert abs(left - rest).max() < 1e-9 * abs(rest).max()
+        assert np.array_equal(left, rest)
 
 
 def test_energy_falls_through_switches() -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scene import instrument, play
 
+import tonewood as tw
+
 MASS, STIFFNESS, SPEED = 5e-4, 4e3, 1.5
 HAMMER = {
     "plugin": "hammer", "from_bridge": 1.0, "velocity": SPEED, "mass": MASS, "stiffness": STIFFNESS, "exponent": 1.0,
@@ -37,6 +39,19 @@ def test_contact_with_an_endless_string(tmp_path: Path) -> None:
     assert np.sum(force) * played.system.dt == pytest.approx(np.trapezoid(exact, t), rel=2e-3)
 
 
+@pytest.mark.parametrize("speed", [0.3, 1.5])
+def test_its_suspension_takes_nothing_from_its_velocity(tmp_path: Path, speed: float) -> None:
+    """However it is hung it comes at the note's time as fast as it should: F = K v t at first."""
+    first = {}
+    for freq, ratio in ((0.1, 0.0), (10.0, 1.0)):
+        hammer = {**HAMMER, "velocity": speed, "return_freq": freq, "return_damping": ratio}
+        played = play(instrument(tmp_path, LONG, exciters={"hammer": hammer}), duration=0.001)
+        force = played.forces["S.hammer.felt"]
+        assert abs(played.time[force > 0][0]) < 2.2e-5
+        first[freq] = force[(played.time > 1e-5) & (played.time < 1.3e-4)]
+    np.testing.assert_allclose(first[10.0], first[0.1], rtol=0.02)
+
+
 def test_the_driver_pays_for_everything(tmp_path: Path) -> None:
     """Energy of string and hammer is the work of the push less what is lost, step by step."""
     hammer = {**HAMMER, "exponent": 2.5, "stiffness": 1e8, "loss": 0.3, "from_bridge": 0.1}
@@ -63,3 +78,12 @@ def test_a_pressed_tangent_stays(tmp_path: Path) -> None:
     sag = 1e-3 + 1.2 * (0.3 * 0.35 / (0.65 * 73.9) + 1 / STIFFNESS)
     assert pressed.mean() == pytest.approx(1.2 - MASS * (2 * np.pi * 2.0) ** 2 * sag, rel=2e-2)
     assert not force[played.time > 0.55].any()
+
+
+def test_a_tangent_strikes_again_at_once() -> None:
+    """Notes that follow each other without a gap are as loud as the first: the key rises in between."""
+    notes = [tw.Note(0.25 * i, 0.25, note=57, velocity_midi=90) for i in range(3)]
+    made = tw.load_instrument("clavichord").replace({"oversampling": 1})
+    sound = tw.render(tw.Score(notes), made, fs=24000, max_duration=0.75).samples[:, 0]
+    level = [20 * np.log10(sound[int(t * 24000) : int((t + 0.1) * 24000)].std()) for t in (0.0, 0.25, 0.5)]
+    assert np.ptp(level) < 3

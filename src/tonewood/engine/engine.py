@@ -7,6 +7,8 @@ depends on what is played alone, so its samples are the same however they are as
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -17,7 +19,7 @@ from tonewood.engine.books import Books
 from tonewood.engine.fretting import Fingerboard, Fretting, pulls
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, samples
 from tonewood.engine.ledger import Ledger
-from tonewood.engine.sleeping import REST, Asleep, Sleeper
+from tonewood.engine.sleeping import Asleep, Sleeper
 from tonewood.engine.surroundings import held, holds_at, string_of, woken
 from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable, string_energy
 from tonewood.engine.timeline import GRID, Play, Timeline
@@ -51,11 +53,13 @@ class Snapshot:
 
 @dataclass(eq=False)
 class Ticker:
-    """What an engine did, for summaries."""
+    """What an engine did, for summaries; seconds of computing in steps and between them."""
 
     exchanges: int = 0
     peak_modes: int = 0
     strings_played: set[str] = field(default_factory=set)
+    stepping_s: float = 0.0
+    control_s: float = 0.0
 
 
 class Engine:
@@ -133,15 +137,21 @@ class Engine:
         """Step n_ticks intervals of the control grid; returns (n_ticks * GRID, n_channels)."""
         out, end = [], self.state.sample + n_ticks * GRID
         while self.state.sample < end:
+            began = time.perf_counter()
             self._control()
             steps = min(self._next_event(), end) - self.state.sample
             before = self.state.copy() if self.books else None
+            ready, alone = time.perf_counter(), time.thread_time()
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
+            # of the processor, for costs: others that use it must not seem to be those of an effect
+            seconds = time.thread_time() - alone
+            self.ticker.stepping_s += time.perf_counter() - ready
+            self.ticker.control_s += ready - began
             if self.books and before:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
             touched = self.ledger.count(
-                self.state.sample - steps, pushes, self.tense, self.holds, self.system, self._missing
+                self.state.sample - steps, pushes, self.tense, self.holds, self.system, self._missing, seconds
             )
             if self.sleeper.enabled:
                 self.sleeper.heard(sound)
@@ -163,7 +173,14 @@ class Engine:
 
     @property
     def _sleeps(self) -> bool:
-        return not self.watching and self.sleeper.promising(self.state.sample)
+        return self.sleeper.promising(self.state.sample, self._pending)
+
+    @property
+    def _pending(self) -> float:
+        """When the next change or gesture is due, s."""
+        changes, plays = self.timeline.changes, self.timeline.plays
+        change = changes[self._next_change].time if self._next_change < len(changes) else math.inf
+        return min(change, plays[self._next_play].start) if self._next_play < len(plays) else change
 
     def _samples(self, time: float) -> float:
         return samples(time, self.dt)
@@ -172,17 +189,13 @@ class Engine:
         """First sample after now at which something has to be looked at: a grid point, or a finger's next step."""
         now = self.state.sample
         grid = now // GRID * GRID + GRID
-        times = []
         # a thing is done at the last grid point before its time
-        if self._next_change < len(self.timeline.changes):
-            times.append(self._samples(self.timeline.changes[self._next_change].time) - GRID + 1)
-        if self._next_play < len(self.timeline.plays):
-            times.append(self._samples(self.timeline.plays[self._next_play].start) - GRID + 1)
+        times = [self._samples(self._pending) - GRID + 1] if self._pending < math.inf else []
         times += [self._samples(active.play.stop) for active in self.active]
         if self.switch.enabled:
             times.append(grid if self.awaited else now // self._look * self._look + self._look)
         if self._sleeps:
-            times.append(now // (GRID * REST) * (GRID * REST) + GRID * REST)
+            times.append(self.sleeper.state.following)
         due = int(np.ceil(min(times) / GRID)) * GRID if times else grid + 63 * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
         # back to the grid first: the kernel counts from where a run begins
@@ -198,7 +211,7 @@ class Engine:
             self._exchange(woken(self.system, self.model.resting, self.active), "partners that come and go")
             if self.switch.enabled:
                 self._switch(now, fresh)
-            if self._sleeps and (fresh or over or now % (GRID * REST) == 0):
+            if self._sleeps and (fresh or over or now >= self.sleeper.state.following):
                 self._look_after_sleepers(now, fresh)
         wanted = holds_at(self.active, now)
         if wanted != self.holds:
@@ -310,14 +323,12 @@ class Engine:
 
     def _look_after_sleepers(self, now: int, fresh: Sequence[Play]) -> None:
         """Let bands of strings fall asleep that are not heard, and wake those that might be."""
-        following = now // (GRID * REST) * (GRID * REST) + GRID * REST
         plays = [active.play for active in self.active]
         if self.sleeper.shaken(now, plays):
-            wanted = dict.fromkeys(self.sleeper.sleeping, 0)
-            self.sleeper.state.last = now
+            wanted = self.sleeper.all_awake(now)
         else:
             busy = {play.string or "" for play in plays} | set(self.holds)
-            wanted = self.sleeper.look(now, following, self.system, self.state, self.frettings, busy, self.tense, fresh)
+            wanted = self.sleeper.look(now, self.system, self.state, self.frettings, busy, self.tense, fresh)
         self.sleeper.state.touched = False
         self.ledger.unheard = self.sleeper.largest
         if wanted:
@@ -327,7 +338,11 @@ class Engine:
         """Take strings to other levels of sleep."""
         changes: dict[str, Compiled] = {}
         carried: dict[str, Floats] = {}
-        stored = {name: sum(string_energy(self.system, self.state, name)) for name in levels if name in self.tense}
+        stored = {
+            name: sum(string_energy(self.system, self.state, name))
+            for name in levels
+            if name in self.tense and not self.watching
+        }
         deeper = {name for name, level in levels.items() if level > self.sleeper.state.level[name]}
         for name, level in levels.items():
             modes = {

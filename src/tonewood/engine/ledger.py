@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.engine.costs import Costs
 from tonewood.engine.rungs import BANDS
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
-from tonewood.instrument.effects import TENSION_MODULATION, Effect
+from tonewood.instrument.effects import Effect
 from tonewood.numerics.connections import SpringDashpot
 from tonewood.numerics.system import Compiled, System
 
@@ -33,7 +34,7 @@ class EffectReport:
     name : of the effect.
     component : string, ``body`` or output group.
     seconds_active : of sound while it was stepped; of a contact or a finger, while it touched.
-    seconds_saved : of computing, estimated from the declared costs and the time the render took.
+    seconds_saved : of computing, from what steps took in this render; from the declared costs where none were made.
     bound : on what leaving it out cost, in `unit`; None where it was left out without being watched. Nothing is lost by
         leaving out contacts that touch nothing: there it is 0 as it is where nothing was left out.
     unit : dB re the loudest sample, or cents.
@@ -80,8 +81,10 @@ class Ledger:
     def __init__(self, model: Model):
         self.model = model
         self.samples = 0
-        #: steps of single modes
-        self.mode_samples = 0
+        #: samples in which any tension rose
+        self.any_tense = 0
+        #: steps of single modes, and what they took
+        self.mode_samples, self.costs = 0, Costs()
         self._compiled: tuple[Compiled, ...] = ()
         self._stepped = 0
         #: string -> when some of its modes slept, when all did, and how many steps of them that saved
@@ -97,6 +100,7 @@ class Ledger:
         #: string -> largest rise of tension that was left out, and that was foreseen or seen, cents
         self.left_out: dict[str, float] = defaultdict(float)
         self.largest: dict[str, float] = defaultdict(float)
+        self._modes = {name: self.n_modes(name) for name in model.strings}
         # columns of the forces of each string's contacts with one part
         columns: dict[tuple[str, str], list[int]] = defaultdict(list)
         for j, connection in enumerate(model.system.connections):
@@ -119,6 +123,7 @@ class Ledger:
         held: Collection[str],
         system: System,
         asleep: Mapping[str, tuple[int, int]],
+        seconds: float,
     ) -> bool:
         """Enter a run from sample `start`, and tell whether a contact acted in it.
 
@@ -128,6 +133,7 @@ class Ledger:
         tense, held : strings whose tension rises, or fingers hold.
         system : what was stepped.
         asleep : strings that sleep -> their level, and how many modes do.
+        seconds : that its steps took.
         """
         n = len(forces)
         self.samples += n
@@ -142,6 +148,8 @@ class Ledger:
                 self.silent[name].add(start, n)
         for name in tense:
             self.tense[name].add(start, n)
+        self.costs.add(seconds, n, self._stepped, sum(self._modes[name] for name in tense))
+        self.any_tense += n if tense else 0
         for name in held:
             self.held[name].add(start, n)
         touched = False
@@ -164,15 +172,15 @@ class Ledger:
         """Enter by how much a string's tension will rise."""
         self.largest[name] = max(self.largest[name], cents)
 
-    def reports(self, render_s: float) -> list[EffectReport]:
-        """All effects, with `render_s` seconds of computing for all that was counted."""
+    def reports(self) -> list[EffectReport]:
+        """All effects."""
         model, fs = self.model, self.model.fs
-        whole = self.samples / fs
-        modes = {name: self.n_modes(name) for name in model.strings}
-        units = self.mode_samples + sum(
-            spans.samples * TENSION_MODULATION.cost(modes[name]) for name, spans in self.tense.items()
+        whole, modes, rates = self.samples / fs, self._modes, self.costs.rates()
+        per_unit = rates.mode
+        # what any rising tension takes is saved while none rises: by the strings' shares of the modes
+        still = (
+            (self.samples - self.any_tense) * rates.tense / max(sum(modes[t.name] for t in model.system.tensions), 1)
         )
-        per_unit = render_s / units if units else 0.0
         out: list[EffectReport] = []
 
         def add(effect: Effect, component: str, active: float, saved: float = 0.0, bound: float | None = 0.0) -> None:
@@ -189,7 +197,7 @@ class Ledger:
                         continue
                     off = self.samples - self.tense[name].samples
                     bound = self.left_out.get(name, 0.0) if effect.name in choice.names else None
-                    saved = off * effect.cost(modes[name]) * per_unit
+                    saved = modes[name] * (off * rates.tense_mode + still)
                     add(effect, name, self.tense[name].samples / fs, saved, bound)
                 elif effect.name == "second_polarization":
                     if len(model.instrument.polarizations(name)) < 2:

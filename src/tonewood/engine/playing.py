@@ -69,10 +69,10 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     played: list[Assigned] = []
     for name, line in by_string.items():
         for i, assigned in enumerate(line):
-            play = _gesture(assigned, line[i - 1] if i else None, model, score.controls)
+            following = line[i + 1] if i + 1 < len(line) else None
+            play = _gesture(assigned, line[i - 1] if i else None, following, model, score.controls)
             if i:
                 play = replace(play, gesture=_hurried(play.gesture, play.time - plays[-1].stop))
-            following = line[i + 1] if i + 1 < len(line) else None
             plays.append(play)
             played.append(assigned)
             changes += _left_hand(assigned, play, following, name, model, bends)
@@ -139,7 +139,9 @@ def _with_force(note: Note, model: Model, factor: float) -> Note:
     return note if force is None else replace(note, force=force, velocity_midi=None)
 
 
-def _gesture(assigned: Assigned, before: Assigned | None, model: Model, controls: Sequence[Control]) -> Play:
+def _gesture(
+    assigned: Assigned, before: Assigned | None, following: Assigned | None, model: Model, controls: Sequence[Control]
+) -> Play:
     note, string = assigned.note, model.strings[assigned.string]
     name = note.technique or model.default_exciter
     values: dict[str, float] = {}
@@ -157,9 +159,11 @@ def _gesture(assigned: Assigned, before: Assigned | None, model: Model, controls
     known = type(model.exciters[name].parameters).model_fields
     values |= {k: v for k, v in given.items() if v is not None and k in known}
     held = before.stop if before is not None else 0.0
-    event = Event(
-        values, string.freq(assigned.stop), assigned.end - note.time, assigned.stop, held, string.length(held)
-    )
+    duration = assigned.end - note.time
+    if following is not None and (following.note.technique or model.default_exciter) == name:
+        free = following.note.time - note.time - model.exciters[name].recovery
+        duration = min(duration, max(free, 0.5 * duration))
+    event = Event(values, string.freq(assigned.stop), duration, assigned.stop, held, string.length(held))
     gesture = model.exciters[name].gesture(event, model.place(assigned.string, assigned.stop))
     return Play(note.time, gesture, string=assigned.string)
 

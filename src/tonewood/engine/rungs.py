@@ -29,8 +29,6 @@ Floats = NDArray[np.float64]
 
 #: bands, an octave each but for the last one, which holds all that is left
 BANDS = 6
-#: mean of |sin|: a velocity seen at any moment is this share of its amplitude
-_MEAN = 2 / math.pi
 #: modes from which on a band's velocities tell its amplitude by their mean
 _MANY = 12
 
@@ -51,7 +49,7 @@ class Part:
     held : its modes with the bridge held.
     counts : (BANDS + 1,) held modes kept at each level.
     push : (n_held,) N at the bridge per velocity of a held mode.
-    heard : (n_readouts, n_held) of the readouts per velocity of a held mode.
+    heard : (n_readouts, n_held) of the readouts per velocity of a held mode that is left out at once.
     few : (n_held,) whether its band has only some modes.
     compliance : largest g^2 / 2 W^2, N/m: N that a mode in tune gathers per metre of the bridge.
     decay : (BANDS,) 1/s, slowest of each band; infinite where it has no mode.
@@ -99,7 +97,7 @@ class Part:
             held=held,
             counts=counts,
             push=push,
-            heard=per_newton * push,
+            heard=(per_newton + transfer.stopped_at(component, w)) * push,
             few=np.concatenate([np.full(b.stop - b.start, f) for b, f in zip(bands[::-1], few[::-1], strict=True)]),
             compliance=gathered,
             decay=np.array([held.damping_rate[band].min(initial=np.inf) for band in bands]),
@@ -121,34 +119,18 @@ class Part:
         """(n_held, n_modes) velocities of the held modes, as they add to the static shape's."""
         return np.asarray(self.held.vectors * self.held.stiffness / self.held.freq_rad[:, None] ** 2)
 
-    def bands(self, fewer: Condensed | None, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-        """Forces of each band's modes on the bridge (BANDS,), N, and what of them is heard (n_readouts, BANDS).
-
-        Sums of amplitudes. Where a band has many modes they are told by their velocities alone, in the mean over a
-        period: slow motions of the bridge bend high modes, too, but hardly move them.
-        """
-        pick = self._picks if fewer is None else fewer.held
-        speed = np.abs(pick @ velocity)
-        n = len(speed)
-        few = self.few[:n]
-        speed[~few] /= _MEAN
-        speed[few] = np.hypot(speed[few], self.held.freq_rad[:n][few] * (pick[few] @ q))
-        each = self._banded(np.vstack([self.push[:n], self.heard[:, :n]]) * speed)
-        return each[0], each[1:]
+    def picks(self, component: str, model: Model, level: int) -> Floats:
+        """(n_held, n_modes) velocities of the held modes there are at a level, from those of what is stepped."""
+        fewer = self.at(component, model, level)[0]
+        return self._picks if fewer is None else fewer.held
 
     def plucked(self, shortest: float) -> Floats:
         """(BANDS,) forces on the bridge per N that is let go at the point ``pluck`` within `shortest` s."""
         held, w = self.held, self.held.freq_rad
         bent = np.abs(held.vectors @ self.compiled.basis.right[self.compiled.basis.index("pluck")].real) / w**2
         each = held.force * bent * np.minimum(1.0, 2.0 / (w * max(shortest, 1e-9)))
-        return np.asarray(self._banded(each[None])[0])
-
-    def _banded(self, each: Floats) -> Floats:
-        """(k, BANDS) sums over the bands of what the lowest n held modes have, (k, n)."""
-        total = np.zeros((len(each), each.shape[1] + 1))
-        np.cumsum(each, axis=1, out=total[:, 1:])
-        at = np.minimum(self.counts, each.shape[1])
-        return np.asarray(total[:, at[:-1]] - total[:, at[1:]])
+        total = np.concatenate([[0.0], np.cumsum(each)])
+        return np.asarray(total[self.counts[:-1]] - total[self.counts[1:]])
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.engine.fretting import Fingerboard, Fretting
+from tonewood.engine.listening import Listening
 from tonewood.engine.rungs import BANDS, Part, Rungs, cuts, quiet_energy
 from tonewood.engine.switching import largest
 from tonewood.engine.timeline import Play, Timeline
 from tonewood.engine.transfer import Transfer
 from tonewood.instrument.assembly import Model
 from tonewood.numerics.connections import Rigid, SpringDashpot
-from tonewood.numerics.motion import to_motion
 from tonewood.numerics.system import Compiled, State, System
 
 Floats = NDArray[np.float64]
@@ -37,12 +37,12 @@ Floats = NDArray[np.float64]
 _CACHE = 64
 #: share of the budget below which modes fall asleep; at the whole of it they wake
 _LEAVE = 0.5
-#: steps of one mode that a string's sleep has to save: falling asleep and waking take a few ms
-WORTH = 6e6
+#: steps of one mode that a string's sleep has to save: falling asleep and waking take some 5 ms
+WORTH = 1.5e7
 #: what a mode of a string whose tension rises costs in such steps
 _TENSE = 8.0
-#: points of the control grid from one look to the next
-REST = 64
+#: s until the next look: where a sleeper might have to wake or a string touch something, and where not
+_SOON, _LATE = 0.08, 0.75
 #: s, for which a string that is not played again is taken to sleep
 _AFTER = 4.0
 #: room for what comes in from the bridge before the next look
@@ -51,6 +51,8 @@ _ROOM = 1.3
 _ONSET = 2.0
 #: share of its first size to which the body's slowest mode must decay after a stroke
 _DECAYED = 1e-4
+#: re full scale, the loudest sample before there is any
+_SILENT = 1e-150
 #: N, more than any bound allows
 _ENDLESS = 1e30
 
@@ -66,7 +68,7 @@ class Asleep:
     driven : (C, BANDS) N, bound on what came in since.
     force : (C, BANDS) N, all that strings do, at the last look.
     peak : (R,) largest sample of each readout so far.
-    last : sample of the last look.
+    last, following : samples of the last look, and of the next at the latest.
     shaken_until : sample until which all are awake.
     touched : whether a contact has acted since.
     """
@@ -78,6 +80,7 @@ class Asleep:
     force: Floats
     peak: Floats
     last: int = 0
+    following: int = 0
     shaken_until: int = -(2**62)
     touched: bool = False
 
@@ -85,7 +88,7 @@ class Asleep:
         """Return an independent copy."""
         return Asleep(
             dict(self.level), self.own.copy(), self.own_heard.copy(), self.driven.copy(), self.force.copy(),
-            self.peak.copy(), self.last, self.shaken_until, self.touched,
+            self.peak.copy(), self.last, self.following, self.shaken_until, self.touched,
         )  # fmt: skip
 
 
@@ -115,8 +118,9 @@ class Sleeper:
         self.enabled = model.choice.mode == "auto" and model.choice.budget_db > -math.inf
         # what sleeps is taken to be linear; strings that move along themselves are not, and all stay awake with them
         self.enabled = self.enabled and not model.system.geometric
-        self.names = tuple(model.strings)
-        self.components = tuple(c for s in model.strings.values() for c in s.components)
+        self.names, self._n_modes = tuple(model.strings), model.n_modes
+        self._parts = tuple((name, c) for name, s in model.strings.items() for c in s.components)
+        self.components = tuple(c for _, c in self._parts)
         self._owner = np.array([i for i, s in enumerate(model.strings.values()) for _ in s.components], dtype=np.intp)
         n, r = len(self.components), len(model.system.readouts)
         none = np.zeros((n, BANDS))
@@ -124,14 +128,18 @@ class Sleeper:
             dict.fromkeys(self.names, 0), none.copy(), np.zeros((r, n, BANDS)), none.copy(), none.copy(), np.zeros(r)
         )
         self.largest = dict.fromkeys(self.names, 0.0)
+        self._met: System | None = None
         if not self.enabled:
             return
+        #: re the loudest sample, of each string
         self.budget = 10 ** (model.choice.budget_db / 20) / len(self.names)
         edges = cuts(model)
         self.transfer, self.edges = Transfer(model), edges
+        self._listening = Listening(model, self.components)
+        self._of = (self._owner == np.arange(len(self.names))[:, None]).astype(float)
         between = [self.transfer.mobility_between(low, high) for high, low in itertools.pairwise(edges)]
-        self._mobility = np.stack(between, axis=-1)
-        self._mobility[np.arange(n), np.arange(n)] = 0.0
+        self._mobility = _ONSET * np.stack(between)
+        self._mobility[:, np.arange(n), np.arange(n)] = 0.0
         body = model.system.compiled[model.system.slot("body")].basis
         slowest = float(body.damping_rate[body.damping_rate > 0].min(initial=np.inf))
         self._shaken = math.ceil(-math.log(_DECAYED) / slowest * model.fs)
@@ -160,15 +168,15 @@ class Sleeper:
         """Strings with bands that sleep, and how many."""
         return {name: level for name, level in self.state.level.items() if level}
 
-    def promising(self, now: int) -> bool:
-        """Whether it pays to look: somebody sleeps, or nothing is going to be played for a while.
+    def promising(self, now: int, pending: float) -> bool:
+        """Whether it pays to look: somebody sleeps, or nothing is going to be played until `pending`, s, for a while.
 
         While gestures follow each other closely every string is moved by the others, and nothing may sleep for long.
         """
         if not self.enabled:
             return False
-        seconds = self._until(self._all_events, now * self.model.system.dt)
-        return bool(self.sleeping) or self.model.n_modes * seconds * self.model.fs >= self.worth * len(self.names)
+        seconds = min(pending - now * self.model.system.dt, _AFTER)
+        return bool(self.sleeping) or self._n_modes * seconds * self.model.fs >= self.worth * len(self.names)
 
     @staticmethod
     def _until(times: Floats, now: float) -> float:
@@ -241,7 +249,6 @@ class Sleeper:
     def look(
         self,
         now: int,
-        following: int,
         system: System,
         state: State,
         frettings: Mapping[str, Fretting],
@@ -249,74 +256,87 @@ class Sleeper:
         tense: Collection[str],
         fresh: Sequence[Play] = (),
     ) -> dict[str, int]:
-        """Strings that are to sleep or wake, and at which level.
+        """Strings that are to sleep or wake, and at which level; and when to look again.
 
         Parameters
         ----------
-        now, following : samples of this look and, at the latest, of the next one.
+        now : sample of this look.
         busy : strings that are played, or damped by a finger.
         tense : strings whose tension rises.
         fresh : gestures that begin, of known forces on strings.
         """
-        s, dt = self.state, self.model.system.dt
-        n, r = len(self.components), len(s.peak)
-        force, heard = np.zeros((n, BANDS)), np.zeros((r, n, BANDS))
-        gathers, spread, decay = np.zeros(n), np.zeros(n), np.full((n, BANDS), np.inf)
-        loudest, free = np.zeros((r, n, BANDS)), {}
-        i = 0
-        for name in self.names:
-            rungs = self.rungs(name, frettings[name])
-            energy = 0.0
-            for c in self.model.strings[name].components:
-                basis = system.compiled[system.slot(c)].basis
-                q, v = to_motion(basis, np.asarray(system.modes_of(state, c), dtype=np.float64))
-                energy += 0.5 * float(v @ v + basis.stiffness @ (q * q))
-                if rungs is not None:
-                    part = rungs.parts[c]
-                    force[i], heard[:, i] = part.bands(part.at(c, self.model, s.level[name])[0], q, v)
-                    gathers[i], spread[i], decay[i], loudest[:, i] = (
-                        part.compliance, part.spread, part.decay, part.loudest
-                    )  # fmt: skip
-                i += 1
-            held = any(_acts(system.connections[j].law) for j in self._springs[name])
-            free[name] = rungs is not None and not held and name not in busy and _ROOM * energy <= rungs.quiet
-        level = np.array([s.level[name] for name in self.names])[self._owner]
-        asleep = np.arange(BANDS) < level[:, None]
-        past, ahead = (now - s.last) * dt, (following - now) * dt
-        faded = np.exp(-np.minimum(decay, 1e6) * past)
-        s.own, s.own_heard = s.own * faded, s.own_heard * faded
+        s, dt, strings = self.state, self.model.system.dt, self._listening
+        if system is not self._met:
+            self._meet(system, frettings)
+        rungs = self._rungs
+        force, heard, energies = strings.look(state)
+        decay, lasting, loudest, gathers = strings.decay, strings.lasting, strings.loudest, strings.gathers[:, None]
+        still = self._quiet >= _ROOM * (self._of @ energies)
+        free = still & self._loose & [name not in busy for name in self.names]
+        level = np.array([s.level[name] for name in self.names])
+        asleep = np.arange(BANDS) < level[self._owner, None]
+        lost = -np.expm1(decay * ((s.last - now) * dt))
+        s.own, s.own_heard = s.own * (1.0 - lost), s.own_heard * (1.0 - lost)
         own = np.where(asleep, s.own, 0.0)
-        lasted = self._driving(np.maximum(force + own + np.where(asleep, s.driven, 0.0), s.force)) * gathers[:, None]
-        s.driven = np.where(asleep, s.driven * faded + lasted * _gathered(decay, past), 0.0)
-        force += own + s.driven
+        came = self._driving(np.maximum(force + own + np.where(asleep, s.driven, 0.0), s.force)) * gathers
+        s.driven = np.where(asleep, s.driven * (1.0 - lost) + came * lost * lasting, 0.0)
+        force = force + own + s.driven
         for play in fresh:
             force += self._foreseen(play, frettings[play.string or ""])
         s.force, s.last = force, now
         drive = self._driving(force)
-        coming = drive * gathers[:, None]
-        apart = drive * spread[:, None]
-        soon = s.driven * np.exp(-np.minimum(decay, 1e6) * ahead) + coming * _gathered(decay, ahead) + apart
-        lasting = coming * _gathered(decay, 1e9) + apart
+        coming, apart = drive * gathers, drive * strings.spread[:, None]
+
+        def kept(ahead: float) -> NDArray[np.intp]:
+            """(n_strings,) bands that may go on sleeping for so many seconds."""
+            left = np.exp(-ahead * decay)
+            soon = s.driven * left + coming * lasting * (1.0 - left) + apart
+            going_on = self._within(self._levels(s.own_heard + soon * loudest), self.budget)
+            return np.where(free, np.minimum(level, going_on), 0)
+
+        # where a string might touch something it is looked at sooner: a contact moves the others as no bound tells
+        late = still.all() and np.array_equal(kept(_LATE), level)
+        after = level if late else kept(_SOON)
+        at_last = np.maximum(coming * lasting, s.driven) + apart
+        resting = self._levels(np.where(asleep, s.own_heard, heard) + at_last * loudest)
+        deeper = self._within(resting, _LEAVE * self.budget)
         done = self._levels(s.own_heard + s.driven * loudest)
-        staying = self._levels(s.own_heard + soon * loudest)
-        resting = self._levels(np.where(asleep, s.own_heard, heard) + np.maximum(soon, lasting) * loudest)
         wanted: dict[str, int] = {}
         for k, name in enumerate(self.names):
-            before = s.level[name]
-            after = min(before, int(np.count_nonzero(np.cumsum(staying[k]) <= self.budget))) if free[name] else 0
-            if after == before and free[name]:
-                deeper = int(np.count_nonzero(np.cumsum(resting[k]) <= _LEAVE * self.budget))
-                if deeper > before and self._pays(name, frettings[name], before, deeper, now * dt, name in tense):
-                    after = deeper
+            before, then = int(level[k]), int(after[k])
+            may = then == before and free[k] and deeper[k] > before
+            if may and self._pays(name, rungs[k], before, int(deeper[k]), now * dt, name in tense):
+                then = int(deeper[k])
             if before:
                 self.largest[name] = max(self.largest[name], float(np.sum(done[k, :before])))
-            if after > before:
+            if then > before:
                 mine = np.flatnonzero(self._owner == k)
-                s.own[mine, before:after] = force[mine, before:after]
-                s.own_heard[:, mine, before:after] = heard[:, mine, before:after]
-            if after != before:
-                wanted[name] = after
+                s.own[mine, before:then] = force[mine, before:then]
+                s.own_heard[:, mine, before:then] = heard[:, mine, before:then]
+                self.largest[name] = max(self.largest[name], float(np.sum(resting[k, :then])))
+            if then != before:
+                wanted[name] = then
+        nobody = not any(wanted.get(name, s.level[name]) for name in self.names)
+        s.following = now + math.floor((_LATE if late or nobody else _SOON) / dt)
         return wanted
+
+    def _meet(self, system: System, frettings: Mapping[str, Fretting]) -> None:
+        """Take note of how strings are held and stepped now."""
+        self._met, self._rungs = system, [self.rungs(name, frettings[name]) for name in self.names]
+        for i, (name, c) in enumerate(self._parts):
+            rungs = self._rungs[self._owner[i]]
+            part = None if rungs is None else rungs.parts[c]
+            self._listening.set(i, system.compiled[system.slot(c)], part, self.state.level[name])
+        self._quiet = np.array([-1.0 if rungs is None else rungs.quiet for rungs in self._rungs])
+        #: strings that no spring or dashpot holds
+        self._loose = np.array(
+            [not any(_acts(system.connections[j].law) for j in self._springs[name]) for name in self.names], dtype=bool
+        )
+
+    def all_awake(self, now: int) -> dict[str, int]:
+        """Nobody may sleep: strings that are to wake."""
+        self.state.last, self.state.following = now, now + math.floor(_SOON / self.model.system.dt)
+        return dict.fromkeys(self.sleeping, 0)
 
     def _foreseen(self, play: Play, fretting: Fretting) -> Floats:
         """(C, BANDS) N, what a gesture's force leaves in its string when it is let go."""
@@ -332,20 +352,20 @@ class Sleeper:
 
     def _driving(self, force: Floats) -> Floats:
         """(C, BANDS) m/s, bound on each end's velocity under forces of strings (C, BANDS)."""
-        return _ONSET * np.asarray(np.einsum("cdb,db->cb", self._mobility, force))
+        return np.asarray((self._mobility @ force.T[:, :, None])[:, :, 0].T)
 
     def _levels(self, heard: Floats) -> Floats:
         """(n_strings, BANDS) what each string does at the outputs, (R, C, BANDS), re the loudest samples."""
-        peak = self.state.peak[:, None, None]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(heard > 0.0, heard / peak, 0.0).max(axis=0, initial=0.0)
-        each = np.zeros((len(self.names), BANDS))
-        np.add.at(each, self._owner, ratio)
-        return each
+        ratio = heard / np.maximum(self.state.peak, _SILENT)[:, None, None]
+        return np.asarray(self._of @ ratio.max(axis=0, initial=0.0))
 
-    def _pays(self, name: str, fretting: Fretting, before: int, after: int, now: float, tense: bool) -> bool:
+    @staticmethod
+    def _within(levels: Floats, budget: float) -> NDArray[np.intp]:
+        """(n_strings,) bands, from the highest, that together stay within a budget."""
+        return np.asarray(np.count_nonzero(np.cumsum(levels, axis=1) <= budget, axis=1))
+
+    def _pays(self, name: str, rungs: Rungs | None, before: int, after: int, now: float, tense: bool) -> bool:
         """Whether falling asleep saves more than it takes."""
-        rungs = self.rungs(name, fretting)
         assert rungs is not None
         seconds = self._until(self._events[name] if self.state.peak.any() else self._all_events, now)
         modes = sum(int(part.counts[before] - part.counts[after]) for part in rungs.parts.values())
@@ -354,9 +374,3 @@ class Sleeper:
 
 def _acts(law: object) -> bool:
     return isinstance(law, SpringDashpot) and (law.stiffness > 0.0 or law.damping > 0.0)
-
-
-def _gathered(decay: Floats, seconds: float) -> Floats:
-    """(1 - exp(-decay seconds)) / decay, s; 0 where there is no mode."""
-    slow = np.maximum(np.minimum(decay, 1e9), 1e-9)
-    return np.where(np.isfinite(decay), -np.expm1(-slow * seconds) / slow, 0.0)

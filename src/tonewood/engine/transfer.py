@@ -26,6 +26,7 @@ class Transfer:
     freq_rad : (f,) rad/s, the body's resonances among them.
     heard : (n_readouts, C, f) of each readout per N.
     mobility : (C, C, f) m/s of each end (first index) along its polarization per N at another.
+    stopped : (n_readouts, C, f) bound on the click when a force of each frequency stops at once, of each readout per N.
     """
 
     def __init__(self, model: Model):
@@ -62,17 +63,41 @@ class Transfer:
                 rows, power = _readout_rows(system, name, compiled)
                 heard += response(compiled, self.freq_rad, rows, inputs) * (1j * self.freq_rad) ** power[:, None, None]
         self.heard = np.abs(heard)
+        self.stopped = _stopped(self.heard, self.freq_rad)
 
     def heard_at(self, component: str, freq_rad: Floats) -> Floats:
         """(n_readouts, n) of each readout per N from a string's component, at frequencies of (n,)."""
-        size = self.heard[:, self.components.index(component)]
-        return np.array([np.interp(freq_rad, self.freq_rad, row) for row in size]).reshape(len(size), len(freq_rad))
+        return self._at(self.heard, component, freq_rad)
+
+    def stopped_at(self, component: str, freq_rad: Floats) -> Floats:
+        """(n_readouts, n) bound on what is heard besides, per N, when a force of these frequencies stops at once."""
+        return self._at(self.stopped, component, freq_rad)
+
+    def _at(self, sizes: Floats, component: str, freq_rad: Floats) -> Floats:
+        rows = sizes[:, self.components.index(component)]
+        return np.array([np.interp(freq_rad, self.freq_rad, row) for row in rows]).reshape(len(rows), len(freq_rad))
 
     def mobility_between(self, low: float, high: float) -> Floats:
         """(C, C) largest mobility between two frequencies, rad/s."""
         inside = (self.freq_rad >= low) & (self.freq_rad < high)
         inside[np.searchsorted(self.freq_rad, [low, min(high, self.freq_rad[-1])]).clip(max=inside.size - 1)] = True
         return np.asarray(self.mobility[:, :, inside].max(axis=-1))
+
+
+def _stopped(size: Floats, freq_rad: Floats) -> Floats:
+    """What a force cos(w t + a) that stops at once leaves behind at frequencies v other than its own.
+
+    Its spectrum is no larger than max(v, w) / |w^2 - v^2|, some 1/w below w and 1/v above: the sound is at most
+    (1/pi) (int_0^w |H| dv / w + int_w |H| dv / v).
+    """
+    width = np.diff(freq_rad)
+    below = np.zeros_like(size)
+    above = np.zeros_like(size)
+    mean = 0.5 * (size[..., 1:] + size[..., :-1])
+    below[..., 1:] = np.cumsum(mean * width, axis=-1)
+    over = np.cumsum((mean * width / (0.5 * (freq_rad[1:] + freq_rad[:-1])))[..., ::-1], axis=-1)
+    above[..., :-1] = over[..., ::-1]
+    return np.asarray((below / freq_rad + above) / np.pi)
 
 
 def response(compiled: Compiled, freq_rad: Floats, out: Floats, into: Floats) -> Complexes:

@@ -171,13 +171,9 @@ def assemble(
         for s in strings.values()
         if s.along
     ]
-    if geometric and stretching:
-        raise BundleError(
-            f"moves along itself while the tension of {stretching[0].name} only rises: give all strings of rising "
-            "tension the same plugin",
-            file=file,
-            key=f"strings.{geometric[0].name}.plugin",
-        )
+    if geometric:  # then all rising tensions are found together
+        geometric += [GeometricStretch(s.name, s.components, None, s.resonator.axial_stiffness) for s in stretching]
+        stretching = []
     tensions = [TensionModulation(s.name, s.components, s.resonator.axial_stiffness) for s in stretching]
     scene = _scene(strings, body_points, limit)
     names = list(instrument.pickups)

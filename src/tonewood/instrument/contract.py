@@ -330,6 +330,15 @@ class Exciter(Plugin[P]):
         """``component.point`` it always acts on; None for one that acts on the string that is played."""
         return None
 
+    @property
+    def recovery(self) -> float:
+        """Time that it needs, s, between the end of an event and its next one on the same string.
+
+        A note that is followed at once ends so much earlier (but lasts half its time): a key has to rise before it can
+        be struck again.
+        """
+        return 0.0
+
     def adjusted(self, values: Mapping[str, float]) -> P:
         """Parameters with an event's values in place of the bundle's.
 

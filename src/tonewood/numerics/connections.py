@@ -194,6 +194,22 @@ class NonlinearSolve:
     answer: Floats
     residual: Floats
 
+    def settled_series(self, series: Floats) -> Floats:
+        """(m,) displacements in series as this system goes on with those of the one before it.
+
+        What no longer yields (a finger that left, a fret behind the stop) has none. What has just come shares what the
+        others make of its place, R_jq R_qq^+ rho_q, which leaves the energy as it is: laws at one place yield alike.
+        """
+        rho, R = series[self.index], self.residual
+        rho[np.diag(R) <= 0.0] = 0.0
+        moved = rho != 0.0
+        come = ~moved & np.any(R[:, moved] != 0.0, axis=1)
+        if come.any():
+            rho[come] = R[np.ix_(come, moved)] @ scaled_pinv(R[np.ix_(moved, moved)]) @ rho[moved]
+        out = np.zeros_like(series)
+        out[self.index] = rho
+        return out
+
 
 def nonlinear_solve(
     laws: Sequence[Law], linear: LinearSolve, compliance: Floats, residual: Floats

@@ -50,7 +50,7 @@ class LawEnergies:
         self._yielding = np.flatnonzero(rigid & (system.solve.gamma > 0))
         self._offset = np.array([law.offset if isinstance(law, Rigid) else 0.0 for law in laws])
         self._bend = _inverse(system.gap_matrix("residual"), self._yielding)
-        solve = system.nonlinear
+        solve = self._solve = system.nonlinear
         self._on = solve.index if solve else np.zeros(0, dtype=np.intp)
         self._laws: tuple[NonlinearLaw, ...] = solve.laws if solve else ()
         self._elastic = [_without_losses(law) for law in self._laws]
@@ -67,12 +67,17 @@ class LawEnergies:
         forces : (T, m) N.
         """
         path = np.zeros((len(forces) + 1, self._on.size))
-        if self._on.size and start.size:
-            path[0] = start[self._on]
+        path[0] = self._start(start)
         pushed = forces[:, self._on] @ self._residual.T / SERIES
         for t in range(len(forces) if self._on.size else 0):
             path[t + 1] = pushed[t] - (1 - SERIES) / SERIES * path[t]
         return path
+
+    def _start(self, start: Floats) -> Floats:
+        """(k,) of what still yields in series."""
+        if self._solve is None or not start.size:
+            return np.zeros(self._on.size)
+        return self._solve.settled_series(start)[self._on]
 
     def spread(self, series: Floats) -> Floats:
         """(m,) series displacements of all connections, from those (k,) of the nonlinear ones."""
@@ -86,8 +91,7 @@ class LawEnergies:
 
     def at(self, gaps: Floats, start: Floats) -> dict[str, float]:
         """Stored energy of one instant: gaps (m,) and series displacements (m,), partners where their laws say."""
-        series = start[self._on] if start.size else np.zeros(self._on.size)
-        flows = self.over(gaps[None], series[None], np.zeros((0, gaps.size)), {})
+        flows = self.over(gaps[None], self._start(start)[None], np.zeros((0, gaps.size)), {})
         return {name: float(values[0]) for name, values in flows.stored.items()}
 
     def over(self, gaps: Floats, series: Floats, forces: Floats, moving: Mapping[int, Floats]) -> Flows:

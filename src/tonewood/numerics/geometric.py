@@ -13,8 +13,9 @@ Slopes in cosines, v_x = sum c_i cos(i pi x / L), make the strain a series of co
 
 H_n couples c_i with c_j where |i - j| = n or i + j = n. A longitudinal mode above the P-th would follow at once, and
 then its e_n is zero: it is left out together with e_n. With P = 0 and the end held, this is Kirchhoff and Carrier's
-string (`tension`). The squares of l_n are the energy of the longitudinal modes themselves, which are stepped exactly;
-what is left is U = EA L/2 sum g_n (s_n^2 + 2 s_n l_n), g_0 = 1, g_n = 1/2. s_n is quadratic and l_n linear, so that
+string (`tension`): such strings are found here, too, where both kinds stand side by side. The squares of l_n are the
+energy of the longitudinal modes themselves, which are stepped exactly; what is left is
+U = EA L/2 sum g_n (s_n^2 + 2 s_n l_n), g_0 = 1, g_n = 1/2. s_n is quadratic and l_n linear, so that
 
     U+ - U = EA L sum g_n [mean(e_n) (s_n+ - s_n) + mean(s_n) (l_n+ - l_n)],   s_n+ - s_n = mean(c)^T H_n (c+ - c):
 
@@ -62,14 +63,15 @@ class GeometricStretch:
     ----------
     name : of the string.
     components : its polarizations: components of real modes, made by `string_modes.string_basis`.
-    longitudinal : component of its longitudinal motion: the same, with EA in place of the tension.
+    longitudinal : component of its longitudinal motion: the same, with EA in place of the tension; None is a string
+        that does not move along itself, and all its modes take part: Kirchhoff and Carrier's.
     axial_stiffness : EA, N.
     freq_coupled : Hz, transverse modes below it take part.
     """
 
     name: str
     components: tuple[str, ...]
-    longitudinal: str
+    longitudinal: str | None
     axial_stiffness: float
     freq_coupled: float = np.inf
 
@@ -80,7 +82,7 @@ class GeometricStretch:
     @property
     def parts(self) -> tuple[str, ...]:
         """All its components, the longitudinal one last."""
-        return (*self.components, self.longitudinal)
+        return self.components if self.longitudinal is None else (*self.components, self.longitudinal)
 
     def part(self, component: str, basis: ModalBasis, held: Floats) -> GeometricPart:
         """Arrays of one component.
@@ -93,23 +95,30 @@ class GeometricStretch:
         ------
         ValueError : the component was not made by `string_basis`.
         """
-        known = basis.metadata
+        known, stretch = basis.metadata, None
         if not basis.is_real or "vec" not in known:
             raise ValueError(f"{self.name}: {component} does not tell its shapes as a ramp and sines")
         vec, length = cast(Floats, known["vec"]), cast(float, known["length"])
         along = component == self.longitudinal
-        count = basis.n_modes if along else int(np.searchsorted(basis.natural_freq, self.freq_coupled))
-        rows = len(vec) if along else min(len(vec), count + 1 + MORE_COSINES)
-        wavenumber = np.arange(rows) * np.pi / length
-        wavenumber[0] = -1.0 / length
+        if self.longitudinal is None:
+            count = basis.n_modes
+            stretch = np.asarray(known.get("stretch_part", known["tension_part"]), dtype=np.float64) / length
+            slopes = np.zeros((0, count))
+        else:
+            count = basis.n_modes if along else int(np.searchsorted(basis.natural_freq, self.freq_coupled))
+            rows = len(vec) if along else min(len(vec), count + 1 + MORE_COSINES)
+            wavenumber = np.arange(rows) * np.pi / length
+            wavenumber[0] = -1.0 / length
+            slopes = np.ascontiguousarray(wavenumber[:, None] * vec[:rows, :count])
         pair = basis.kind == PAIR
         kick = np.where(pair[:, None], [[0.0, -0.5]] / np.where(pair, basis.poles.imag, 1.0)[:, None], [[0.0, 1.0]])
         return GeometricPart(
-            slopes=np.ascontiguousarray(wavenumber[:, None] * vec[:rows, :count]),
+            slopes=slopes,
             reading=np.where(pair, 2.0, 1.0)[:count],
             kick=apply(held, kick)[:count],
             scale=self.axial_stiffness * length,
             along=along,
+            stretch=stretch,
         )
 
 
@@ -124,6 +133,7 @@ class GeometricPart:
     kick : (n, 2) state added by a unit modal force held over one step.
     scale : EA L, N m.
     along : whether this is the longitudinal component.
+    stretch : (n,) of a string without one, in place of the slopes: s_0 = 1/2 sum stretch y^2, 1 / (kg m^2).
     """
 
     slopes: Floats
@@ -131,6 +141,7 @@ class GeometricPart:
     kick: Floats
     scale: float
     along: bool
+    stretch: Floats | None = None
 
     @property
     def n(self) -> int:
@@ -167,7 +178,7 @@ def cosine_products(n: int, n_cosines: int) -> Floats:
 class GeometricString:
     """The parts of one string together: its potential U and the forces of a step.
 
-    Coordinates of all parts stand one after another, the longitudinal ones last.
+    Coordinates of all parts stand one after another, the longitudinal ones (if there are any) last.
     """
 
     parts: tuple[GeometricPart, ...]
@@ -185,6 +196,8 @@ class GeometricString:
     @cached_property
     def forms(self) -> Floats:
         """(P + 1, n, n): s_n = y^T forms_n y / 2."""
+        if not self.parts[-1].along:
+            return np.diag(np.concatenate([p.stretch for p in self.parts if p.stretch is not None]))[None]
         count = len(self.parts[-1].slopes)
         out = np.zeros((count, self.n, self.n))
         for start, part in zip(self.sizes[:-1], self.parts[:-1], strict=False):
@@ -197,6 +210,8 @@ class GeometricString:
     def strains(self) -> Floats:
         """(P + 1, n): l = strains y."""
         along = self.parts[-1]
+        if not along.along:
+            return np.zeros((1, self.n))
         return np.hstack([np.zeros((len(along.slopes), self.n - along.n)), along.slopes])
 
     @cached_property

@@ -223,6 +223,8 @@ class KernelStepper:
         m, on = len(self.system.connections), self._nonlinear
         if state.series.size != m or state.slip.size != m:
             state.series, state.slip = np.zeros(m), np.zeros(m)
+        if self.system.nonlinear is not None and state.series.any():
+            state.series = self.system.nonlinear.settled_series(state.series)
         out = np.empty((n, len(self.system.readouts)))
         active_forces = np.empty((n, len(self._active)))
         if self._law_forces.shape != (n, len(on)):
@@ -284,19 +286,20 @@ class KernelStepper:
 
 def _geometric(
     system: System, slots: Sequence[int], wiring: Sequence[_Wires]
-) -> tuple[float, list[tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]]]:
-    """EA L, and the parts of a string whose longitudinal motion is stepped, as module.cpp reads them."""
-    scale = 0.0
+) -> tuple[float, bool, list[tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]]]:
+    """EA L, whether its longitudinal motion is stepped, and the parts of a string, as module.cpp reads them."""
+    scale, along = 0.0, False
     parts: list[tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]] = []
     for slot in slots:
         compiled, ports = system.compiled[slot], wiring[slot].fixed
         if (part := compiled.geometric) is not None:
-            scale = part.scale
+            scale, along = part.scale, along or part.along
+            slopes = part.slopes if part.stretch is None else part.stretch[None]
             moved = np.einsum("pmx,mx->pm", compiled.rows[ports][:, : part.n], part.kick)
             called = part.reading * compiled.W[ports][:, : part.n, 0]
             yields, kick = part.reading * part.kick[:, 0], np.ascontiguousarray(part.kick.T)
-            parts.append((slot, part.slopes, part.reading, yields, kick, moved, called))
-    return scale, parts
+            parts.append((slot, slopes, part.reading, yields, kick, moved, called))
+    return scale, along, parts
 
 
 def _independent(compiled: Compiled, ports: NDArray[np.intp], incidence: Floats) -> tuple[NDArray[np.intp], Floats]:

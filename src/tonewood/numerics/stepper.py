@@ -94,6 +94,8 @@ class NumpyStepper:
         out, forces = np.zeros((n, len(s.readouts))), np.zeros((n, m))
         still = s.start()
         series = state.series if state.series.size else still.series
+        if s.nonlinear is not None:
+            series = s.nonlinear.settled_series(series)
         slip = state.slip if state.slip.size else still.slip
         tension = state.tension if state.tension.size else still.tension
         moving = s.controlled(controls, state.sample, n)

@@ -287,7 +287,7 @@ class System:
                 raise ValueError(f"a tension needs two-way components of its own, not {name!r}")
         if tensions and geometric:
             both = f"{tensions[0].name} and {geometric[0].name}"
-            raise ValueError(f"{both}: strings of rising tension and strings that stretch along themselves do not mix")
+            raise ValueError(f"{both}: where a string moves along itself, all rising tensions go into `geometric`")
         names = tuple(components)
         system = cls(
             dt=dt,

@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import median
 from typing import Any
 
 from tonewood.engine.engine import Engine
@@ -89,36 +88,79 @@ def plan(
     low = max(fs // _SKETCH, min(_LEAST_FS, fs))
     sketch = Renderer(score, chosen, low, max_duration=max_duration, **options)
     sketch.engine.watching = True
-    first = 0.0
+    # with fewer modes at fewer samples the same sleep is worth less
+    sketch.engine.sleeper.worth *= (low / fs) ** 2
+    first = Spent()
     for _ in sketch.blocks(512):
         if sketch.time <= _TIMED:
-            first = sketch.summary().render_s / max(sketch.engine.ledger.samples, 1)
+            first = Spent.of(sketch.engine)
         if progress is not None:
             progress(sketch.time)
-    drawn = sketch.summary()
-    seconds = drawn.duration_s
+    seconds = sketch.summary().duration_s
     timed = Renderer(score, chosen, fs, max_duration=min(_TIMED, seconds), **options)
     for _ in timed.blocks(4096):
         pass
-    summary = timed.summary()
-    per_mode = _tension_cost(timed.engine)
-    tense = _tense_modes(timed.engine.ledger)
-    plain = max(summary.render_s - per_mode * tense, 0.0) / timed.engine.ledger.samples
-    ledger, scale = sketch.engine.ledger, fs / low
-    if ledger.contacts and first > 0:
-        # contacts that touch take longer: as much as they do in the sketch after its first second
-        plain *= drawn.render_s / ledger.samples / first
-    per_string = {
-        name: per_mode * spans.samples * scale * timed.engine.ledger.n_modes(name)
-        for name, spans in ledger.tense.items()
-    }
-    samples = ledger.samples * scale
+    rising = _rising(timed.engine)
+    scale = timed.model.fs / sketch.model.fs
+    modes = {name: timed.engine.ledger.n_modes(name) for name in timed.model.strings}
+    ledger = sketch.engine.ledger
+    per_string = {name: scale * spans.samples * rising.per_mode * modes[name] for name, spans in ledger.tense.items()}
+    extra = rising.seconds(_tense_modes(timed.engine.ledger), timed.engine.ledger.any_tense)
     return Plan(
         effects=_planned(ledger, sketch.engine, per_string, seconds),
         duration_s=seconds,
-        predicted_s=plain * samples + sum(per_string.values()),
-        timed_s=summary.duration_s,
+        predicted_s=predicted(Spent.of(timed.engine), extra, first, Spent.of(sketch.engine))
+        + sum(per_string.values())
+        + scale * ledger.any_tense * rising.per_sample,
+        timed_s=timed.summary().duration_s,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """Seconds of computing: in steps, and between them (stops, gestures, looks)."""
+
+    stepping: float = 0.0
+    control: float = 0.0
+
+    @classmethod
+    def of(cls, engine: Engine) -> Spent:
+        """What an engine has taken so far."""
+        return cls(engine.ticker.stepping_s, engine.ticker.control_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Rising:
+    """What rising tensions take: s per sample with any of them, and s per sample and mode of their strings."""
+
+    per_sample: float = 0.0
+    per_mode: float = 0.0
+
+    @classmethod
+    def fitted(cls, still: float, some: float, every: float, modes: tuple[int, int]) -> Rising:
+        """From seconds per sample with no tension rising, some and all, of strings with so many modes."""
+        few, many = modes
+        if many <= few:
+            return cls(0.0, max(every - still, 0.0) / max(many, 1))
+        slope = max(every - some, 0.0) / (many - few)
+        return cls(max(some - still - slope * few, 0.0), slope)
+
+    def seconds(self, mode_samples: float, samples: float) -> float:
+        """For steps of modes of strings whose tension rises, and samples in which any did."""
+        return self.per_mode * mode_samples + self.per_sample * samples
+
+
+def predicted(timed: Spent, extra: float, first: Spent, whole: Spent) -> float:
+    """Seconds for a whole score without what rising tensions take.
+
+    Parameters
+    ----------
+    timed : of its beginning as it will be rendered; `extra` of its steps are due to rising tensions.
+    first, whole : of the same beginning, and of the whole score, in a sketch.
+    """
+    steps = max(timed.stepping - extra, 0.0) / first.stepping if first.stepping > 0 else 1.0
+    control = timed.control / first.control if first.control > 0 else 1.0
+    return steps * whole.stepping + control * whole.control
 
 
 def _tense_modes(ledger: Ledger) -> float:
@@ -126,23 +168,24 @@ def _tense_modes(ledger: Ledger) -> float:
     return sum(spans.samples * ledger.n_modes(name) for name, spans in ledger.tense.items())
 
 
-def _tension_cost(engine: Engine) -> float:
-    """Seconds per sample and mode of a string whose tension rises, more than what it takes at rest."""
+def _rising(engine: Engine) -> Rising:
+    """What rising tensions take, timed on the state an engine is in."""
     names = engine.switch.strings
     if not names:
-        return 0.0
-    times: dict[bool, list[float]] = {True: [], False: []}
+        return Rising()
+    chosen: dict[str, Sequence[str]] = {"still": (), "some": names[:1], "every": names}
+    times: dict[str, list[float]] = {key: [] for key in chosen}
     for _ in range(_ROUNDS):
-        for on in (False, True):
-            system = engine.system.with_tensions(names if on else ())
-            engine.stepper.exchange(system)
+        for key, on in chosen.items():
+            engine.stepper.exchange(engine.system.with_tensions(on))
             state = engine.state.copy()
             began = time.perf_counter()
             engine.stepper.run(state, _STRETCH)
-            times[on].append(time.perf_counter() - began)
+            times[key].append((time.perf_counter() - began) / _STRETCH)
     engine.stepper.exchange(engine.system)
-    modes = sum(engine.ledger.n_modes(name) for name in names)
-    return max(median(times[True]) - median(times[False]), 0.0) / (_STRETCH * modes)
+    modes = [sum(engine.ledger.n_modes(name) for name in chosen[key]) for key in ("some", "every")]
+    still, some, every = (min(times[key]) for key in chosen)
+    return Rising.fitted(still, some, every, (modes[0], modes[1]))
 
 
 def _planned(ledger: Ledger, engine: Engine, per_string: Mapping[str, float], seconds: float) -> list[PlannedEffect]:

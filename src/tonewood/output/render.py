@@ -221,7 +221,7 @@ class Renderer:
             peak_dbfs=decibels(self._loudest),
             end=self._end or "not ended",
             warnings=[*self.model.warnings, *self.performance.warnings],
-            effects=self.engine.ledger.reports(self._seconds),
+            effects=self.engine.ledger.reports(),
         )
 
     def snapshot(self) -> Checkpoint:

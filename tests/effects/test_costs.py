@@ -1,0 +1,112 @@
+"""What steps take, on a clock that tells what was put into it: rates that are fitted, and renders that are foreseen."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from effect_scenes import FS, duet
+
+import tonewood as tw
+from tonewood.engine import engine as engine_module
+from tonewood.engine.costs import Costs
+from tonewood.instrument.effects import TENSION_MODULATION
+from tonewood.numerics.kernel import KernelStepper
+from tonewood.numerics.system import System
+from tonewood.output import plan as plan_module
+from tonewood.output import render as render_module
+
+NOTE = tw.Note
+MODE, TENSE, TENSE_MODE = 5e-10, 7e-7, 4e-9
+
+
+def test_rates_are_those_of_the_clock() -> None:
+    costs, rng = Costs(), np.random.default_rng(3)
+    for _ in range(60):
+        samples, modes = int(rng.integers(64, 4000)), int(rng.integers(400, 1500))
+        tense = int(rng.choice([0, 90, 200, 330]))
+        costs.add(samples * (MODE * modes + TENSE * (tense > 0) + TENSE_MODE * tense), samples, modes, tense)
+    rates = costs.rates()
+    assert (rates.mode, rates.tense_mode) == pytest.approx((MODE, TENSE_MODE), rel=0.05)
+    assert rates.tense == pytest.approx(TENSE, rel=0.15)
+
+
+def test_where_nothing_was_measured_costs_are_the_declared_ones() -> None:
+    costs = Costs()
+    assert costs.rates().mode == 0.0
+    costs.add(1000 * 300 * MODE, 1000, 300, 0)
+    rates = costs.rates()
+    assert rates.mode == pytest.approx(MODE)
+    assert rates.tense_mode == pytest.approx(TENSION_MODULATION.cost(1) * MODE)
+
+
+def test_no_rate_is_negative() -> None:
+    costs = Costs()
+    costs.add(1e-3, 1000, 300, 0)
+    costs.add(5e-4, 1000, 300, 200)
+    rates = costs.rates()
+    assert min(rates.mode, rates.tense, rates.tense_mode) >= 0.0
+    assert rates.mode > 0.0
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """A clock that goes by what is stepped and exchanged."""
+    told = SimpleNamespace(now=0.0, exchange=2e-3)
+    told.perf_counter = told.thread_time = lambda: told.now
+    for module in (engine_module, plan_module, render_module):
+        monkeypatch.setattr(module, "time", told)
+    run, exchange = KernelStepper.run, KernelStepper.exchange
+
+    def per_sample(system: System) -> float:
+        modes = {name: c.basis.n_modes for name, c in zip(system.names, system.compiled, strict=True)}
+        rising = [t for t, on in zip(system.tensions, system.tension_on, strict=True) if on]
+        tense = sum(modes[c] for t in rising for c in t.components)
+        return MODE * sum(modes.values()) + TENSE * (tense > 0) + TENSE_MODE * tense
+
+    def timed_run(self: KernelStepper, state: object, n: int, *rest: object) -> object:
+        told.now += n * per_sample(self.system)
+        return run(self, state, n, *rest)  # type: ignore[arg-type]  # passed on as it came
+
+    def timed_exchange(self: KernelStepper, system: System) -> None:
+        told.now += told.exchange
+        exchange(self, system)
+
+    monkeypatch.setattr(KernelStepper, "run", timed_run)
+    monkeypatch.setattr(KernelStepper, "exchange", timed_exchange)
+    return told
+
+
+SCORES = {
+    "quiet, then loud": [NOTE(0.3 * i, 0.3, note=59 + i % 6, force=0.1 if i < 6 else 5.0) for i in range(12)],
+    "loud, then quiet": [NOTE(0.3 * i, 0.3, note=59 + i % 6, force=5.0 if i < 6 else 0.1) for i in range(12)],
+    "sparse": [NOTE(0.0, 0.5, note=64, force=3.0), NOTE(3.0, 0.5, note=59, force=3.0)],
+    "dense": [NOTE(0.11 * i, 0.1, note=59 + (5 * i) % 9, force=1.0 + i % 4) for i in range(30)],
+    "late": [NOTE(1.5 + 0.4 * i, 0.4, note=60 + i, force=2.0) for i in range(5)],
+}
+
+
+@pytest.mark.parametrize("scene", SCORES)
+def test_a_render_takes_what_was_foreseen(scene: str, clock: SimpleNamespace) -> None:
+    score, guitar = tw.Score(SCORES[scene]), duet()
+    foreseen = tw.plan(score, guitar, FS, tail=tw.Tail(cap=1.0)).predicted_s
+    began = clock.now
+    stream = tw.Renderer(score, guitar, FS, tail=tw.Tail(cap=1.0))
+    for _ in stream.blocks(4096):
+        pass
+    assert foreseen == pytest.approx(clock.now - began, rel=0.25)
+
+
+def test_what_was_saved_is_what_all_takes_more(clock: SimpleNamespace) -> None:
+    score, taken, clock.exchange = tw.Score(SCORES["dense"]), {}, 0.0
+    for mode in ("auto", "all"):
+        began = clock.now
+        stream = tw.Renderer(score, duet(), FS, max_duration=3.0, effects=mode)
+        stream.engine.sleeper.enabled = False
+        for _ in stream.blocks(4096):
+            pass
+        taken[mode] = clock.now - began
+        if mode == "auto":
+            saved = sum(e.seconds_saved for e in stream.summary().effects if e.name == "tension_modulation")
+    assert saved == pytest.approx(taken["all"] - taken["auto"], rel=0.05)
