@@ -276,7 +276,7 @@ def scaled_pinv(matrix: Floats, rtol: float = 1e-12) -> Floats:
 def _inverse(matrix: Floats) -> Floats | None:
     """Inverse by LU, several times quicker than the singular values; None unless the matrix is far from singular."""
     lu, pivots, fault = lapack.dgetrf(matrix)
-    if fault != 0 or lapack.dgecon(lu, lapack.dlange("1", matrix))[0] < 1e-8:
+    if fault != 0 or lapack.dgecon(lu, np.abs(matrix).sum(axis=0).max())[0] < 1e-8:
         return None
     inverse, _ = lapack.dgetri(lu, pivots)
     return np.asarray(inverse)
