@@ -196,8 +196,10 @@ class Engine:
         """First sample after now at which something has to be looked at: a grid point, or a finger's next step."""
         now = self.state.sample
         grid = now // GRID * GRID + GRID
-        # a thing is done at the last grid point before its time
-        times = [grid + 63 * GRID, self._pending - GRID + 1, *(active.stop for active in self.active)]
+        times = [grid + 63 * GRID, *(active.stop for active in self.active)]
+        if self._pending < math.inf:
+            # a thing is done at the last grid point before its time, which need not be a whole sample
+            times.append(self._pending // GRID * GRID)
         if self.switch.enabled:
             times.append(grid if self.awaited else now // self._look * self._look + self._look)
         if self._sleeps:
