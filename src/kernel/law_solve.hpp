@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "laws.hpp"
+#include "lines.hpp"
 
 namespace tonewood {
 namespace {
@@ -11,23 +12,35 @@ namespace {
 constexpr double kTolerance = 1e-12, kRounding = 4e-16;
 constexpr int kMaxIterations = 100, kMaxSweeps = 200;
 
-// Cholesky of the lower triangle of a (n, n), in place, and solution of a x = b, in place; a has no pivot below 1.
-inline void solve_definite(double* a, int n, double* b) {
+inline std::size_t wide(int n) { return std::size_t(n + kLane - 1) / kLane * kLane; }
+
+// Cholesky of a (n, wide(n)), its lower triangle in place, a column of it in each row of `upper`, one over the diagonal
+// in `over`; what lies beyond is zero. No pivot is below 1.
+inline void factorize(double* a, int n, double* upper, double* over) {
+    const std::size_t w = wide(n);
     for (int j = 0; j < n; ++j) {
+        for (std::size_t i = j + 1; i < w; ++i) a[j * w + i] = 0.0;
+        for (int i = 0; i < n; ++i) upper[j * w + i] = 0.0;
         for (int i = j; i < n; ++i) {
-            double sum = a[i * n + j];
-            for (int k = 0; k < j; ++k) sum -= a[i * n + k] * a[j * n + k];
-            a[i * n + j] = i == j ? std::sqrt(std::max(sum, 1.0)) : sum / a[j * n + j];
+            double sum = a[i * w + j];
+            for (int k = 0; k < j; ++k) sum -= a[i * w + k] * a[j * w + k];
+            upper[j * w + i] = a[i * w + j] = i == j ? std::sqrt(std::max(sum, 1.0)) : sum * over[j];
+            if (i == j) over[j] = 1 / a[i * w + j];
         }
+        upper[j * w + j] = a[j * w + j] = 0.0;  // `over` stands for it
     }
-    for (int i = 0; i < n; ++i) {
-        for (int k = 0; k < i; ++k) b[i] -= a[i * n + k] * b[k];
-        b[i] /= a[i * n + i];
-    }
-    for (int i = n - 1; i >= 0; --i) {
-        for (int k = i + 1; k < n; ++k) b[i] -= a[k * n + i] * b[k];
-        b[i] /= a[i * n + i];
-    }
+}
+
+// a x = b in place, a given by its factors
+inline void solve_definite(const double* lower, const double* upper, const double* over, int n, double* b) {
+    using S = Simd<double>;
+    const std::size_t w = wide(n);
+    const auto subtract = [&](const double* row, double x, std::size_t from, std::size_t to) {
+        for (std::size_t i = from / S::width * S::width; i < to; i += S::width)
+            S::store(b + i, S::load(b + i) - S::load(row + i) * x);
+    };
+    for (int k = 0; k < n; ++k) subtract(upper + k * w, b[k] *= over[k], k, w);
+    for (int k = n - 1; k >= 0; --k) subtract(lower + k * w, b[k] *= over[k], 0, k);
 }
 
 // Newton's method for the laws with a potential among the active: ws.stored, whose compliances stand in ws.matrix.
@@ -37,13 +50,11 @@ inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, doubl
     const double* z = ws.matrix.data();
     double *p = ws.x[0].data(), *r = ws.x[1].data(), *s = ws.x[2].data(), *zr = ws.x[3].data();
     double *step = ws.x[4].data(), *moved = ws.x[5].data(), *law_force = ws.x[6].data(), *slope = ws.x[7].data();
-    double *tried = ws.x[8].data(), *inner = ws.inner.data();
+    double *tried = ws.x[8].data(), *lower = ws.lower.data();
+    const std::size_t w = wide(n);
     const auto times_z = [&](const double* v, double* out) {
-        for (int i = 0; i < n; ++i) {
-            double sum = 0.0;
-            for (int j = 0; j < n; ++j) sum += z[i * n + j] * v[j];
-            out[i] = sum;
-        }
+        std::fill_n(out, w, 0.0);
+        add_product(z, int(w), v, n, out);  // z is symmetric
     };
     const auto evaluate = [&](const double* at_p) {
         for (int i = 0; i < n; ++i) {
@@ -71,19 +82,28 @@ inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, doubl
             // what the rounding of p makes of the forces: a dashpot over a short step lives on small differences
             double heard = 0.0;
             for (int j = 0; j < n; ++j)
-                heard += std::abs(z[i * n + j]) * slope[j] * std::max(std::abs(p[j]), std::abs(ws.old_p[at[j]]));
+                heard += std::abs(z[i * w + j]) * slope[j] * std::max(std::abs(p[j]), std::abs(ws.old_p[at[j]]));
             found = wrong <= allowed + kRounding * heard;
         }
         if (found) {
             iterations += iteration;
             return true;
         }
-        for (int i = 0; i < n; ++i) s[i] = std::sqrt(slope[i]);
+        // slopes of laws that are linear stay as they are, and the factors with them
         for (int i = 0; i < n; ++i) {
-            for (int j = 0; j <= i; ++j) inner[i * n + j] = s[i] * z[i * n + j] * s[j] + (i == j ? 1.0 : 0.0);
-            step[i] = s[i] * zr[i];
+            const double root = std::sqrt(slope[i]);
+            ws.factored = ws.factored && s[i] == root;
+            s[i] = root;
         }
-        solve_definite(inner, n, step);
+        if (!ws.factored) {
+            for (int i = 0; i < n; ++i)
+                for (int j = 0; j <= i; ++j) lower[i * w + j] = s[i] * z[i * w + j] * s[j] + (i == j ? 1.0 : 0.0);
+            factorize(lower, n, ws.upper.data(), ws.over.data());
+            ws.factored = true;
+        }
+        std::fill_n(step, w, 0.0);
+        for (int i = 0; i < n; ++i) step[i] = s[i] * zr[i];
+        solve_definite(lower, ws.upper.data(), ws.over.data(), n, step);
         for (int i = 0; i < n; ++i) step[i] = r[i] - s[i] * step[i];
         times_z(step, moved);
         double start = 0.0, t = 1.0;
@@ -114,9 +134,15 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, const double* z, int
         noise = std::max(noise, kRounding * ws.size[j]);
     }
     const int n_stored = int(ws.stored.size());
-    for (int i = 0; i < n_stored; ++i)
-        for (int j = 0; j < n_stored; ++j)
-            ws.matrix[std::size_t(i) * n_stored + j] = z[std::size_t(ws.stored[i]) * k + ws.stored[j]];
+    const bool at_rest = z == nl.z.data();
+    if (!at_rest || ws.gathered != ws.stored) {
+        const std::size_t w = wide(n_stored);
+        for (int i = 0; i < n_stored; ++i)
+            for (int j = 0; j < n_stored; ++j) ws.matrix[i * w + j] = z[std::size_t(ws.stored[i]) * k + ws.stored[j]];
+        ws.factored = false;
+        if (at_rest) ws.gathered = ws.stored;
+        else ws.gathered.clear();
+    }
     double *free = ws.x[9].data(), *g = ws.x[10].data(), *before = ws.x[11].data();
     for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
         for (int i = 0; i < n; ++i) before[i] = f[ws.active[i]];

@@ -16,6 +16,9 @@ namespace tonewood {
 namespace {
 
 template <class T>
+constexpr double kLawTolerance = sizeof(T) == sizeof(double) ? 3e-12 : 1e-6;  // of the largest force
+
+template <class T>
 class TenseContacts {
     using Term = Nonlinear::Term;
 
@@ -35,7 +38,7 @@ public:
             if (ws_.active.empty()) {
                 if (!stretched_.linear_step(f, now)) return false;
                 laws_.let_go(b);
-            } else if (!joint_step(b, lines, f, now)) {
+            } else if (!(on_fixed_ports() && fixed_step(b, f, now)) && !joint_step(b, lines, f, now)) {
                 return false;
             }
             note_pulls(b);
@@ -50,6 +53,59 @@ public:
     }
 
 private:
+    // Whether nothing acts that would make a sum over modes necessary: a contact on a string, or friction, whose forces
+    // may fall where motion grows.
+    bool on_fixed_ports() const {
+        for (const int j : ws_.active) {
+            if (nl_.laws[j].kind == Law::friction) return false;
+            for (const Term& t : nl_.terms[j])
+                if (t.guarded && components_[t.component].stretched.on) return false;
+        }
+        return true;
+    }
+
+    // Tensions and all forces where laws act on fixed ports of strings: the compliances of the laws are those at rest,
+    // and what the tensions change is in the displacements that the ports come to by themselves.
+    bool fixed_step(int b, double* f, double* now) {
+        TensePorts& ports = ts_.ports;
+        const int n = int(ports.ports.size());
+        const double* linear = stretched_.linear_part();
+        for (const int j : ws_.active) {
+            double free = 0.0;
+            for (int q = 0; q < m_; ++q) free += nl_.from_linear[std::size_t(j) * m_ + q] * linear[q];
+            ports.law_free[j] = ws_.rest_p[j] - free;
+            ws_.size[j] = std::max(ws_.size[j], std::abs(free));
+        }
+        int iterations = 0;
+        const bool done = stretched_.find(kLawTolerance<T>, false, [&](double* force) {
+            for (int p = 0; p < n; ++p) ports.sum[p] = ports.alone[p] + ports.moved[p];
+            for (const int j : ws_.active) {
+                const double* meets = &ports.meets[std::size_t(j) * ports.width];
+                double moved = 0.0;
+                for (int p = 0; p < n; ++p) moved += meets[p] * ports.sum[p];
+                ws_.free_p[j] = ports.law_free[j] - moved;
+            }
+            if (!find_forces(nl_, ws_, nl_.z.data(), iterations)) return false;
+            std::copy(ports.base.begin(), ports.base.end(), force);
+            add_product(ports.onto_ports.data(), ports.width, ports.moved.data(), n, force);
+            for (const int j : ws_.active) {
+                const double* law = &ports.law_ports[std::size_t(j) * ports.width];
+                for (int p = 0; p < ports.width; ++p) force[p] += law[p] * ws_.law_force[j];
+            }
+            return true;
+        });
+        if (!done) return false;
+        laws_.found(true, iterations);
+        stretched_.add_moved();
+        stretched_.linear_forces(f);
+        for (const int j : ws_.active) {
+            const double* answer = &nl_.answer[std::size_t(j) * layout_.f_width];
+            for (int q = 0; q < layout_.f_width; ++q) f[q] -= answer[q] * ws_.law_force[j];
+        }
+        laws_.distribute(b, f, now);
+        return true;
+    }
+
     // Tensions and all forces, the active connections given.
     bool joint_step(int b, const double* lines, double* f, double* now) {
         find_ports();
@@ -290,7 +346,7 @@ private:
         return laws_.add_touching(ws_.active.size(), [&](int j) {
             double p = ws_.offset_after[j];
             for (const Term& t : nl_.terms[j]) p -= t.factor * after(t, b, now);
-            return nl_.series[j] >= 0 ? p - laws_.series_after(j) : p;
+            return laws_.series_lives(j) ? p - ws_.series_after[j] : p;
         });
     }
 
