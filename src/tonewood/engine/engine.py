@@ -53,7 +53,7 @@ class Snapshot:
 
 @dataclass(eq=False)
 class Ticker:
-    """What an engine did, for summaries; seconds of computing in steps and between them."""
+    """What an engine did, for summaries; seconds of the processor in steps and between them."""
 
     exchanges: int = 0
     peak_modes: int = 0
@@ -139,19 +139,16 @@ class Engine:
         """Step n_ticks intervals of the control grid; returns (n_ticks * GRID, n_channels)."""
         out, end = [], self.state.sample + n_ticks * GRID
         while self.state.sample < end:
-            began = time.perf_counter()
+            began = time.thread_time()
             self._control()
             steps = min(self._next_event(), end) - self.state.sample
             before = self.state.copy() if self.books else None
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)
             solves = self.stepper.n_solves
-            ready, alone = time.perf_counter(), time.thread_time()
+            ready = time.thread_time()
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
-            # of the processor, for costs: others that use it must not seem to be those of an effect
-            seconds = time.thread_time() - alone
-            self.ticker.stepping_s += time.perf_counter() - ready
-            self.ticker.control_s += ready - began
+            stepped = time.thread_time()
             if self.books and before:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
@@ -162,13 +159,15 @@ class Engine:
                 self.holds,
                 self.system,
                 self._missing,
-                seconds,
+                stepped - ready,
                 self.stepper.n_solves > solves,
             )
             self._unheard.append(sound)
             self.sleeper.state.touched |= touched
             self.injections = [i for i in self.injections if i.stop > self.state.sample]
             self.controls = [c for c in self.controls if c.stop > self.state.sample]
+            self.ticker.stepping_s += stepped - ready
+            self.ticker.control_s += ready - began + time.thread_time() - stepped
         self._hear()
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
 
@@ -204,8 +203,10 @@ class Engine:
         """First sample after now at which something has to be looked at: a grid point, or a finger's next step."""
         now = self.state.sample
         grid = now // GRID * GRID + GRID
-        # a thing is done at the last grid point before its time
-        times = [grid + 63 * GRID, self._pending - GRID + 1, *(active.stop for active in self.active)]
+        times = [grid + 63 * GRID, *(active.stop for active in self.active)]
+        if self._pending < math.inf:
+            # a thing is done at the last grid point before its time, which need not be a whole sample
+            times.append(self._pending // GRID * GRID)
         if self.switch.enabled:
             times.append(grid if self.awaited else now // self._look * self._look + self._look)
         if self._sleeps:
