@@ -15,6 +15,8 @@ from scene import instrument
 from test_geometric_string import STEEL
 
 import tonewood as tw
+from tonewood.engine.engine import Engine
+from tonewood.engine.playing import perform
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.numerics.connections import Connection, Rigid, Term
@@ -226,3 +228,18 @@ def test_single_precision_follows_both_kinds() -> None:
     _, forces = KernelStepper(system).run(state, 300)
     _, rough = KernelStepper(system, precision="f32").run(single, 300)
     assert np.abs(rough - forces).max() < 2e-3 * np.abs(forces).max()
+
+
+def test_quiet_strings_beside_a_loud_one() -> None:
+    """Strings that hardly move are found in few iterations while a loud one next to them still looks for its forces."""
+    guitar = tw.load_instrument("steel_guitar").replace({"strings.E4.plugin": "geometric_string"})
+    notes = (
+        tw.Note(0.02, 0.5, string="E4", stop=0, velocity_midi=40),
+        tw.Note(0.12, 0.5, string="E4", stop=0, velocity_midi=127),
+    )
+    model = assemble(guitar, 48000)
+    engine = Engine(model, perform(tw.Score(notes), model).timeline)
+    while engine.state.sample < 0.13 * 48000:
+        engine.advance(1)
+    assert engine.stepper.statistics.failures == 0
+    assert engine.stepper.statistics.most_tension_iterations < 40

@@ -90,6 +90,7 @@ class Engine:
         self.injections: list[Injection] = []
         self.controls: list[Control] = []
         self.holds: dict[str, float] = {}
+        self._unheard: list[Floats] = []
         #: look only: no tension rises, but the ledger tells when it would
         self.watching = False
         self.ticker, self.ledger = Ticker(), Ledger(model)
@@ -144,7 +145,7 @@ class Engine:
             before = self.state.copy() if self.books else None
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)
-            solves = self.stepper.statistics.solves
+            solves = self.stepper.n_solves
             ready = time.thread_time()
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
             stepped = time.thread_time()
@@ -159,16 +160,22 @@ class Engine:
                 self.system,
                 self._missing,
                 stepped - ready,
-                self.stepper.statistics.solves > solves,
+                self.stepper.n_solves > solves,
             )
-            if self.sleeper.enabled:
-                self.sleeper.heard(sound)
-                self.sleeper.state.touched |= touched
+            self._unheard.append(sound)
+            self.sleeper.state.touched |= touched
             self.injections = [i for i in self.injections if i.stop > self.state.sample]
             self.controls = [c for c in self.controls if c.stop > self.state.sample]
             self.ticker.stepping_s += stepped - ready
             self.ticker.control_s += ready - began + time.thread_time() - stepped
+        self._hear()
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
+
+    def _hear(self) -> None:
+        """Tell the sleeper what has sounded since it was last told."""
+        if self.sleeper.enabled and self._unheard:
+            self.sleeper.heard(np.concatenate(self._unheard))
+        self._unheard = []
 
     @property
     def _look(self) -> int:
@@ -271,7 +278,7 @@ class Engine:
         if risen := {name: 0 for name in self.sleeper.sleeping if name in called}:
             self._rest(risen)
         if moved:
-            self._refret({name: self.fingerboard.playable(name, fretting) for name, fretting in moved.items()})
+            self._refret(moved)
         # a string is held by one finger at a time: a new gesture ends the one before it; a gesture whose string changed
         # under it is compiled anew for what is left of it
         again = [a.play for a in self.active if a.play.string in moved.keys() - taken]
@@ -304,7 +311,8 @@ class Engine:
                 before = wanted.get(play.string, self.frettings[play.string])
                 wanted[play.string] = replace(before, place=play.gesture.from_bridge)
                 self.ticker.strings_played.add(play.string)
-        return {name: fretting for name, fretting in wanted.items() if fretting != self.frettings[name]}, fresh
+        frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in wanted.items()}
+        return {name: fretting for name, fretting in frettings.items() if fretting != self.frettings[name]}, fresh
 
     def _refret(self, wanted: Mapping[str, Fretting]) -> None:
         """Give strings other bases and carry their motion over."""
@@ -337,6 +345,7 @@ class Engine:
 
     def _look_after_sleepers(self, now: int, fresh: Sequence[Play]) -> None:
         """Let bands of strings fall asleep that are not heard, and wake those that might be."""
+        self._hear()
         plays = [active.play for active in self.active]
         if self.sleeper.shaken(now, plays):
             wanted = self.sleeper.all_awake(now)
