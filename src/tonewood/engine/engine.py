@@ -20,7 +20,7 @@ from tonewood.engine.fretting import Fingerboard, Fretting, pulls
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, samples
 from tonewood.engine.ledger import Ledger
 from tonewood.engine.sleeping import Asleep, Sleeper
-from tonewood.engine.surroundings import held, holds_at, string_of, woken
+from tonewood.engine.surroundings import Surroundings, holds_at, string_of
 from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable, string_energy
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
@@ -53,7 +53,7 @@ class Snapshot:
 
 @dataclass(eq=False)
 class Ticker:
-    """What an engine did, for summaries; seconds of computing in steps and between them."""
+    """What an engine did, for summaries; seconds of the processor in steps and between them."""
 
     exchanges: int = 0
     peak_modes: int = 0
@@ -83,17 +83,20 @@ class Engine:
         self.dt = self.system.dt
         self.stepper = KernelStepper(self.system, precision=precision)
         self.state = self.stepper.start()
-        self.fingerboard = Fingerboard(model)
+        self.fingerboard, self.surroundings = Fingerboard(model), Surroundings(model)
         self.sleeper = Sleeper(model, self.fingerboard, timeline)
         self.frettings = {name: Fretting() for name in model.strings}
         self.active: list[Active] = []
         self.injections: list[Injection] = []
         self.controls: list[Control] = []
         self.holds: dict[str, float] = {}
+        self._unheard: list[Floats] = []
         #: look only: no tension rises, but the ledger tells when it would
         self.watching = False
         self.ticker, self.ledger = Ticker(), Ledger(model)
         self._next_change = self._next_play = 0
+        self._change_samples = [samples(change.time, self.dt) for change in timeline.changes]
+        self._play_samples = [samples(play.start, self.dt) for play in timeline.plays]
         self._dampers = all(model.choice.keeps(e, "dampers") for e in model.exciters.values())
         self.state.sample = int(np.floor(timeline.start / self.dt / GRID)) * GRID
         self.sleeper.state.last = self.state.sample
@@ -103,8 +106,8 @@ class Engine:
     def done(self) -> bool:
         """Whether nothing more is going to happen than that the instrument rings."""
         return (
-            self._next_change >= len(self.timeline.changes)
-            and self._next_play >= len(self.timeline.plays)
+            self._next_change >= len(self._change_samples)
+            and self._next_play >= len(self._play_samples)
             and not self.active
         )
 
@@ -128,8 +131,7 @@ class Engine:
         for name, level in self.sleeper.sleeping.items():
             changes |= self.sleeper.compiled(name, self.frettings[name], level)
         system = system.with_compiled(changes) if changes else system
-        self.system = held(woken(system, self.model.resting, self.active), self.holds)
-        self.stepper.exchange(self.system)
+        self.system = self.surroundings.held(self.surroundings.woken(system, self.active), self.holds)
         if self.books:
             self.books = Books(self.system, self.state, self.model)
 
@@ -137,28 +139,43 @@ class Engine:
         """Step n_ticks intervals of the control grid; returns (n_ticks * GRID, n_channels)."""
         out, end = [], self.state.sample + n_ticks * GRID
         while self.state.sample < end:
-            began = time.perf_counter()
+            began = time.thread_time()
             self._control()
             steps = min(self._next_event(), end) - self.state.sample
             before = self.state.copy() if self.books else None
-            ready, alone = time.perf_counter(), time.thread_time()
+            if self.system is not self.stepper.system:
+                self.stepper.exchange(self.system)
+            solves = self.stepper.n_solves
+            ready = time.thread_time()
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
-            # of the processor, for costs: others that use it must not seem to be those of an effect
-            seconds = time.thread_time() - alone
-            self.ticker.stepping_s += time.perf_counter() - ready
-            self.ticker.control_s += ready - began
+            stepped = time.thread_time()
             if self.books and before:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
             touched = self.ledger.count(
-                self.state.sample - steps, pushes, self.tense, self.holds, self.system, self._missing, seconds
+                self.state.sample - steps,
+                pushes,
+                self.tense,
+                self.holds,
+                self.system,
+                self._missing,
+                stepped - ready,
+                self.stepper.n_solves > solves,
             )
-            if self.sleeper.enabled:
-                self.sleeper.heard(sound)
-                self.sleeper.state.touched |= touched
+            self._unheard.append(sound)
+            self.sleeper.state.touched |= touched
             self.injections = [i for i in self.injections if i.stop > self.state.sample]
             self.controls = [c for c in self.controls if c.stop > self.state.sample]
+            self.ticker.stepping_s += stepped - ready
+            self.ticker.control_s += ready - began + time.thread_time() - stepped
+        self._hear()
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
+
+    def _hear(self) -> None:
+        """Tell the sleeper what has sounded since it was last told."""
+        if self.sleeper.enabled and self._unheard:
+            self.sleeper.heard(np.concatenate(self._unheard))
+        self._unheard = []
 
     @property
     def _look(self) -> int:
@@ -173,30 +190,28 @@ class Engine:
 
     @property
     def _sleeps(self) -> bool:
-        return self.sleeper.promising(self.state.sample, self._pending)
+        return self.sleeper.promising(self.state.sample, self._pending * self.dt)
 
     @property
     def _pending(self) -> float:
-        """When the next change or gesture is due, s."""
-        changes, plays = self.timeline.changes, self.timeline.plays
-        change = changes[self._next_change].time if self._next_change < len(changes) else math.inf
-        return min(change, plays[self._next_play].start) if self._next_play < len(plays) else change
-
-    def _samples(self, time: float) -> float:
-        return samples(time, self.dt)
+        """Sample at which the next change or gesture is due; infinite if none is."""
+        changes, plays = self._change_samples, self._play_samples
+        change = changes[self._next_change] if self._next_change < len(changes) else math.inf
+        return min(change, plays[self._next_play]) if self._next_play < len(plays) else change
 
     def _next_event(self) -> int:
         """First sample after now at which something has to be looked at: a grid point, or a finger's next step."""
         now = self.state.sample
         grid = now // GRID * GRID + GRID
-        # a thing is done at the last grid point before its time
-        times = [self._samples(self._pending) - GRID + 1] if self._pending < math.inf else []
-        times += [self._samples(active.play.stop) for active in self.active]
+        times = [grid + 63 * GRID, *(active.stop for active in self.active)]
+        if self._pending < math.inf:
+            # a thing is done at the last grid point before its time, which need not be a whole sample
+            times.append(self._pending // GRID * GRID)
         if self.switch.enabled:
             times.append(grid if self.awaited else now // self._look * self._look + self._look)
         if self._sleeps:
             times.append(self.sleeper.state.following)
-        due = int(np.ceil(min(times) / GRID)) * GRID if times else grid + 63 * GRID
+        due = math.ceil(min(times) / GRID) * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
         # back to the grid first: the kernel counts from where a run begins
         return min([max(due, grid) if now % GRID == 0 else grid, *steps])
@@ -208,15 +223,15 @@ class Engine:
             before = len(self.active)
             fresh = self._take(now)
             over = len(self.active) < before + len(fresh)
-            self._exchange(woken(self.system, self.model.resting, self.active), "partners that come and go")
+            self._exchange(self.surroundings.woken(self.system, self.active), "partners that come and go")
             if self.switch.enabled:
                 self._switch(now, fresh)
-            if self._sleeps and (fresh or over or now >= self.sleeper.state.following):
+            if (fresh or over or now >= self.sleeper.state.following) and self._sleeps:
                 self._look_after_sleepers(now, fresh)
         wanted = holds_at(self.active, now)
         if wanted != self.holds:
             self.holds = wanted
-            self._exchange(held(self.system, wanted), "holds")
+            self._exchange(self.surroundings.held(self.system, wanted), "holds")
 
     def _switch(self, now: int, fresh: Sequence[Play]) -> None:
         """Let tensions rise that gestures or what moves call for, and leave out those that do not matter."""
@@ -250,46 +265,54 @@ class Engine:
 
     def _take(self, now: int) -> list[Play]:
         """Hold strings as they are due to be held, and begin the gestures due to begin; these are returned."""
-        wanted, fresh = self._due(now)
-        moved = {name for name in wanted if wanted[name] != self.frettings[name]}
-        called = moved | {play.string for play in fresh if play.string is not None}
+        moved, fresh = self._due(now)
+        if moved or fresh:
+            self._touch(moved, fresh, now)
+        self.active = [a for a in self.active if a.stop > now]
+        return fresh
+
+    def _touch(self, moved: Mapping[str, Fretting], fresh: Sequence[Play], now: int) -> None:
+        """Hold strings otherwise, and begin gestures."""
+        taken = {play.string for play in fresh if play.string is not None}
+        called = taken | moved.keys()
         if risen := {name: 0 for name in self.sleeper.sleeping if name in called}:
             self._rest(risen)
         if moved:
-            self._refret({name: self.fingerboard.playable(name, wanted[name]) for name in moved})
+            self._refret(moved)
         # a string is held by one finger at a time: a new gesture ends the one before it; a gesture whose string changed
         # under it is compiled anew for what is left of it
-        taken = {play.string for play in fresh if play.string is not None}
-        again = [a.play for a in self.active if a.play.string in moved - taken]
+        again = [a.play for a in self.active if a.play.string in moved.keys() - taken]
         self.active = [a for a in self.active if a.play.string not in taken]
-        self.injections = [cut(i, now) if string_of(i.component) in moved | taken else i for i in self.injections]
+        self.injections = [cut(i, now) if string_of(i.component) in called else i for i in self.injections]
         self.injections = [i for i in self.injections if i.stop > max(now, i.start)]
-        self.controls = [c for c in self.controls if string_of(c.connection) not in moved | taken]
-        for play in again + fresh:
+        self.controls = [c for c in self.controls if string_of(c.connection) not in called]
+        for play in (*again, *fresh):
             self.injections += forces(play, self.model, self.system, now)
             self.controls += courses(play, self.dt, now)
-        dampers = self._dampers
-        self.active += [Active(play, hold_steps(play, self.dt) if dampers else ()) for play in fresh]
-        self.active = [a for a in self.active if self._samples(a.play.stop) > now]
-        return fresh
+        for play in fresh:
+            holds = hold_steps(play, self.dt) if self._dampers else ()
+            self.active.append(Active(play, samples(play.stop, self.dt), holds))
 
     def _due(self, now: int) -> tuple[dict[str, Fretting], list[Play]]:
-        """How strings are to be held, and gestures that begin, before the next point of the grid."""
-        wanted = dict(self.frettings)
+        """Strings that are to be held otherwise, and gestures that begin, before the next point of the grid."""
+        wanted: dict[str, Fretting] = {}
         changes, plays = self.timeline.changes, self.timeline.plays
-        while self._next_change < len(changes) and self._samples(changes[self._next_change].time) < now + GRID:
+        while self._next_change < len(changes) and self._change_samples[self._next_change] < now + GRID:
             change = changes[self._next_change]
-            wanted[change.string] = wanted[change.string].changed(change)
+            before = wanted.get(change.string, self.frettings[change.string])
+            wanted[change.string] = before.changed(change)
             self._next_change += 1
         fresh: list[Play] = []
-        while self._next_play < len(plays) and self._samples(plays[self._next_play].start) < now + GRID:
+        while self._next_play < len(plays) and self._play_samples[self._next_play] < now + GRID:
             play = plays[self._next_play]
             self._next_play += 1
             fresh.append(play)
             if play.string is not None:
-                wanted[play.string] = replace(wanted[play.string], place=play.gesture.from_bridge)
+                before = wanted.get(play.string, self.frettings[play.string])
+                wanted[play.string] = replace(before, place=play.gesture.from_bridge)
                 self.ticker.strings_played.add(play.string)
-        return wanted, fresh
+        frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in wanted.items()}
+        return {name: fretting for name, fretting in frettings.items() if fretting != self.frettings[name]}, fresh
 
     def _refret(self, wanted: Mapping[str, Fretting]) -> None:
         """Give strings other bases and carry their motion over."""
@@ -309,7 +332,6 @@ class Engine:
         if restopped:
             share_velocities(self.system, self.state)
         self.ticker.exchanges += len(wanted)
-        self.stepper.exchange(self.system)
         if self.books:
             self.books.changed("stops, bends and dampers", self.system, self.state)
 
@@ -323,6 +345,7 @@ class Engine:
 
     def _look_after_sleepers(self, now: int, fresh: Sequence[Play]) -> None:
         """Let bands of strings fall asleep that are not heard, and wake those that might be."""
+        self._hear()
         plays = [active.play for active in self.active]
         if self.sleeper.shaken(now, plays):
             wanted = self.sleeper.all_awake(now)
@@ -367,7 +390,6 @@ class Engine:
             self.awaited |= poor
             self.system = self.system.with_tensions(self.tense)
         self.ticker.exchanges += len(levels)
-        self.stepper.exchange(self.system)
         if self.books:
             self.books.changed("strings that sleep and wake", self.system, self.state)
 
@@ -385,6 +407,5 @@ class Engine:
     def _exchange(self, system: System, why: str) -> None:
         if system is not self.system:
             self.system = system
-            self.stepper.exchange(system)
             if self.books:
                 self.books.changed(why, system, self.state)

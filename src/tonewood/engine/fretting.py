@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.engine.timeline import Change
 from tonewood.instrument.assembly import Model
+from tonewood.instrument.strings import damped
 from tonewood.numerics.connections import Connection, Rigid, scaled_pinv
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.motion import from_motion, to_motion
@@ -17,6 +19,8 @@ from tonewood.numerics.stored_energy import gaps
 from tonewood.numerics.system import Compiled, State, System
 
 Floats = NDArray[np.float64]
+#: component -> force of its bridge on a string's end, N
+Pull = Callable[[str], float]
 
 #: compiled stops that are kept for use again
 _CACHE = 96
@@ -47,30 +51,42 @@ class Fingerboard:
     """A model's strings as they can be held; compiled when they are wanted and kept for a while."""
 
     def __init__(self, model: Model):
-        self.model = model
-        self._compiled: dict[tuple[str, Fretting], dict[str, Compiled]] = {}
+        self.model, system = model, model.system
+        # the model's own strings are open ones that nobody has touched yet
+        self._compiled: dict[tuple[str, Fretting], dict[str, Compiled]] = {
+            (name, Fretting()): {c: system.compiled[system.slot(c)] for c in string.components}
+            for name, string in model.strings.items()
+        }
 
     def playable(self, name: str, fretting: Fretting) -> Fretting:
-        """The finger's place only where it lies on the string's speaking part."""
-        if fretting.place is not None and fretting.place > self.model.strings[name].length(fretting.stop):
-            return replace(fretting, place=None)
-        return fretting
+        """The finger's place only where it lies on the string's speaking part, and is not the usual one."""
+        if fretting.place is None:
+            return fretting
+        string = self.model.strings[name]
+        length = string.length(fretting.stop)
+        usual = fretting.place == min(string.pluck_from_bridge, 0.9 * length)
+        return replace(fretting, place=None) if usual or fretting.place > length else fretting
 
     def bases(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
         """Component -> what is stepped of a string."""
         key = (name, fretting)
         if key not in self._compiled:
-            bases = self.model.strings[name].bases(
-                fretting.stop,
-                bend_cents=fretting.cents,
-                added_damping=fretting.added_damping,
-                pluck_from_bridge=fretting.place,
-                touches=dict(fretting.touches),
-            )
+            made = {c: self.model.system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
             if len(self._compiled) >= _CACHE:
                 self._compiled.pop(next(iter(self._compiled)))
-            self._compiled[key] = {c: self.model.system.compile(c, basis) for c, basis in bases.items()}
+            self._compiled[key] = made
         return self._compiled[key]
+
+    def _made(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:
+        if fretting.added_damping:
+            ringing = self.bases(name, replace(fretting, added_damping=0.0))
+            return damped({c: compiled.basis for c, compiled in ringing.items()}, fretting.added_damping)
+        return self.model.strings[name].bases(
+            fretting.stop,
+            bend_cents=fretting.cents,
+            pluck_from_bridge=fretting.place,
+            touches=dict(fretting.touches),
+        )
 
     def laws(self, name: str, fretting: Fretting) -> dict[str, Connection]:
         """Laws of what always touches a string, at its stop."""
@@ -78,14 +94,14 @@ class Fingerboard:
         return {c.name: c for c in touching if c.name not in self.model.resting}
 
     def carried(
-        self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], pull: Mapping[str, float]
+        self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], pull: Pull
     ) -> dict[str, Floats]:
         """The motion of a string when it is held otherwise.
 
         Parameters
         ----------
         modes : component -> (2, n_modes) as it is stepped before.
-        pull : component -> N, of the bridge on its end, see `pulls`.
+        pull : component -> N, of the bridge on its end, see `pulls`; asked only where modes come back.
 
         Returns
         -------
@@ -93,12 +109,12 @@ class Fingerboard:
         """
         old, new = self.bases(name, before), self.bases(name, after)
         if before.stop == after.stop:
-            return {c: _resized(old[c].basis, new[c].basis, modes[c], pull[c]) for c in new}
+            return {c: _resized(old[c].basis, new[c].basis, modes[c], c, pull) for c in new}
         string, out = self.model.strings[name], {}
         old_whole, new_whole = self._whole(name, before), self._whole(name, after)
         for component, compiled in new.items():
             basis = old_whole[component]
-            q, v = to_motion(basis, _resized(old[component].basis, basis, modes[component], pull[component]))
+            q, v = to_motion(basis, _resized(old[component].basis, basis, modes[component], component, pull))
             q, v = string.carried(component, basis, new_whole[component], q, v)
             n = compiled.basis.n_modes
             out[component] = from_motion(compiled.basis, q[:n], v[:n])
@@ -114,16 +130,21 @@ class Fingerboard:
         return string.bases(fretting.stop, bend_cents=fretting.cents, whole=True)
 
 
-def pulls(system: System, state: State) -> dict[str, float]:
-    """Component -> force of its bridge on a string's end, as the residual compliance holds it (N)."""
-    rigid = np.array([isinstance(c.law, Rigid) for c in system.connections], dtype=bool)
-    R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
-    force = -scaled_pinv(R) @ gaps(system, state)[rigid]
-    held = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
-    return dict(zip(held, force.tolist(), strict=True))
+def pulls(system: System, state: State) -> Pull:
+    """Forces of bridges on strings' ends, as the residual compliance holds them; all found when one is asked for."""
+
+    @cache
+    def found() -> dict[str, float]:
+        rigid = np.array([isinstance(c.law, Rigid) for c in system.connections], dtype=bool)
+        R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
+        force = -scaled_pinv(R) @ gaps(system, state)[rigid]
+        held = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]
+        return dict(zip(held, force.tolist(), strict=True))
+
+    return lambda component: found()[component]
 
 
-def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, pull: float) -> Floats:
+def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, component: str, pull: Pull) -> Floats:
     """Numbers of the same shapes at other frequencies or decay rates.
 
     Modes that leave the basis take their energy along and leave their compliance in the residual. Modes that come
@@ -140,5 +161,5 @@ def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, pull: float) -> Fl
         shape = new.right[end, n:].real
         static = shape / new.stiffness[n:]
         softer = old.residual[old_end, old_end] - new.residual[end, end]
-        full_q[n:] = static * (pull * softer / (shape @ static))
+        full_q[n:] = static * (pull(component) * softer / (shape @ static))
     return from_motion(new, full_q, full_v)

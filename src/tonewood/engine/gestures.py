@@ -9,18 +9,28 @@ import numpy as np
 
 from tonewood.engine.timeline import GRID, Play
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.forcing import compile_force
+from tonewood.numerics.forcing import Course
 from tonewood.numerics.system import Control, Injection, System
 
 #: a finger's growing dashpot is followed in this many steps
 _HOLD_LEVELS = 3
+#: when the smooth step 3 s^2 - 2 s^3 passes between them
+_RISE = tuple(0.5 - math.sin(math.asin(1 - 2 * (i + 0.5) / _HOLD_LEVELS) / 3) for i in range(_HOLD_LEVELS))
 
 
 @dataclass(frozen=True, slots=True)
 class Active:
-    """A gesture in progress, and from which sample on its finger damps the string how much (N s/m)."""
+    """A gesture in progress.
+
+    Attributes
+    ----------
+    play : the gesture.
+    stop : sample at which it is over.
+    holds : from which sample on its finger damps the string how much (N s/m).
+    """
 
     play: Play
+    stop: float
     holds: tuple[tuple[int, float], ...] = ()
 
 
@@ -39,12 +49,11 @@ def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
 
 def forces(play: Play, model: Model, system: System, first: int) -> list[Injection]:
     """Injections of a gesture's known forces from sample `first` on."""
+    course = Course.of(play.gesture.segments, system.dt, time=play.time, first=first)
     out: list[Injection] = []
     for component, point, factor in places(play, model):
-        basis = system.compiled[system.slot(component)].basis
-        out += compile_force(
-            component, basis, point, play.gesture.segments, system.dt, time=play.time, first=first, factor=factor
-        )
+        impulses = system.compiled[system.slot(component)].impulses(point)
+        out += course.injections(component, impulses, factor)
     return out
 
 
@@ -74,11 +83,9 @@ def hold_steps(play: Play, dt: float) -> tuple[tuple[int, float], ...]:
     hold = play.gesture.hold
     if hold is None or play.string is None:
         return ()
-    shares = (np.arange(_HOLD_LEVELS) + 0.5) / _HOLD_LEVELS
-    rise = 0.5 - np.sin(np.arcsin(1 - 2 * shares) / 3)  # of the smooth step 3 s^2 - 2 s^3
-    times = [*(hold.start + rise * (hold.grown - hold.start)), hold.stop]
-    sizes = [*(np.arange(1, _HOLD_LEVELS + 1) / _HOLD_LEVELS * hold.damping), 0.0]
-    return tuple((math.floor(samples(play.time + t, dt)), float(size)) for t, size in zip(times, sizes, strict=True))
+    times = [*(hold.start + rise * (hold.grown - hold.start) for rise in _RISE), hold.stop]
+    sizes = [*((i + 1) / _HOLD_LEVELS * hold.damping for i in range(_HOLD_LEVELS)), 0.0]
+    return tuple((math.floor(samples(play.time + t, dt)), size) for t, size in zip(times, sizes, strict=True))
 
 
 def cut(injection: Injection, sample: int) -> Injection:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from tonewood.engine.gestures import Active
-from tonewood.numerics.connections import Connection, SpringDashpot
+from tonewood.instrument.assembly import Model
+from tonewood.numerics.connections import Connection, Law, SpringDashpot
 from tonewood.numerics.system import System
 
 
@@ -25,24 +25,34 @@ def holds_at(active: Sequence[Active], now: int) -> dict[str, float]:
     return wanted
 
 
-def held(system: System, holds: Mapping[str, float]) -> System:
-    """The system with fingers' dashpots as in `holds`; itself if they are so already."""
-    laws = {}
-    for connection in system.connections:
-        if connection.name.endswith(".hold"):
-            law = SpringDashpot(damping=holds.get(string_of(connection.name), 0.0))
-            if law != connection.law:
-                laws[connection.name] = replace(connection, law=law)
-    return system.with_laws(laws) if laws else system
+class Surroundings:
+    """The connections of a model that gestures wake: where they are, and how they are at work."""
+
+    def __init__(self, model: Model):
+        connections = list(enumerate(model.system.connections))
+        # place, law at rest, and the law at work or the string that is held
+        self._resting = [(j, c.law, model.resting[c.name]) for j, c in connections if c.name in model.resting]
+        self._holds = [(j, c.law, string_of(c.name)) for j, c in connections if c.name.endswith(".hold")]
+
+    def held(self, system: System, holds: Mapping[str, float]) -> System:
+        """The system with fingers' dashpots as in `holds`; itself if they are so already."""
+        laws = {string: SpringDashpot(damping=damping) for string, damping in holds.items()}
+        return _with_laws(system, [(j, laws.get(string, rest)) for j, rest, string in self._holds])
+
+    def woken(self, system: System, active: Sequence[Active]) -> System:
+        """The system with those resting connections in effect that gestures move; itself if they are so already."""
+        if not self._resting:
+            return system
+        wanted = {m.connection for a in active for m in a.play.gesture.motions}
+        return _with_laws(system, [(j, c.law if c.name in wanted else rest) for j, rest, c in self._resting])
 
 
-def woken(system: System, resting: Mapping[str, Connection], active: Sequence[Active]) -> System:
-    """The system with those `resting` connections in effect that gestures move; itself if they are so already."""
-    wanted = {m.connection for a in active for m in a.play.gesture.motions}
-    laws = {}
-    for connection in system.connections:
-        if connection.name in resting:
-            law = resting[connection.name].law if connection.name in wanted else SpringDashpot()
-            if law != connection.law:
-                laws[connection.name] = replace(connection, law=law)
+def _with_laws(system: System, wanted: Sequence[tuple[int, Law]]) -> System:
+    """The system with these laws at these places; itself if they are there already."""
+    now = system.connections
+    laws = {
+        now[j].name: Connection(now[j].name, now[j].terms, law)
+        for j, law in wanted
+        if law is not now[j].law and law != now[j].law
+    }
     return system.with_laws(laws) if laws else system

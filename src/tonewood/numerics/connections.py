@@ -26,11 +26,14 @@ theta = 1/2, as for rigid connections, rho would change its sign for ever after 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+import scipy.linalg as sla
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from tonewood.numerics.laws import NonlinearLaw
 
@@ -83,20 +86,29 @@ class Connection:
 
 @dataclass(frozen=True, eq=False)
 class LinearSolve:
-    """f = rhs - G g_u - G gamma g over all connections of a system.
+    """f = rhs - G g_u - G gamma g over all m connections of a system; G acts among the k that can carry force.
 
     Attributes
     ----------
-    G : (m, m) N/m.
+    on : (k,) their places.
+    inverse : (k, k) N/m, what G is among them.
+    matrix : (k, k) m/N, S + Z among them, of which that is the inverse.
     gamma : (m,) share of the old gap.
     offset : (m,) (1 + gamma) b, m.
-    matrix : (m, m) m/N, S + Z, of which G is the inverse over the connections that can carry force.
     """
 
-    G: Floats
+    on: NDArray[np.intp]
+    inverse: Floats
+    matrix: Floats
     gamma: Floats
     offset: Floats
-    matrix: Floats
+
+    @cached_property
+    def G(self) -> Floats:
+        """(m, m) N/m."""
+        out = np.zeros((self.gamma.size, self.gamma.size))
+        out[self.on[:, None], self.on] = self.inverse
+        return out
 
     @property
     def constant(self) -> Floats:
@@ -143,34 +155,38 @@ class LinearLaws:
     @classmethod
     def of(cls, laws: Sequence[Law], dt: float) -> LinearLaws:
         """Take the numbers of laws for a step of dt (s)."""
-        m = len(laws)
-        rigid, active = np.zeros(m, dtype=bool), np.zeros(m, dtype=bool)
-        softness, gamma, offset = np.zeros(m), np.zeros(m), np.zeros(m)
-        for j, law in enumerate(laws):
-            if isinstance(law, Rigid):
-                rigid[j] = active[j] = True
-                offset[j] = law.offset
-            elif isinstance(law, SpringDashpot):
-                offset[j] = law.offset
-                alpha, beta = law.stiffness / 2 + law.damping / dt, law.stiffness / 2 - law.damping / dt
-                if alpha > 0:
-                    active[j], softness[j], gamma[j] = True, 1 / alpha, beta / alpha
-        return cls(rigid, active, softness, gamma, offset)
+        off, none = np.zeros(len(laws), dtype=bool), np.zeros(len(laws))
+        return cls(off, off, none, none, none).changed(dict(enumerate(laws)), dt)
+
+    def changed(self, laws: Mapping[int, Law], dt: float) -> LinearLaws:
+        """The same with other laws at some places."""
+        new = LinearLaws(
+            self.rigid.copy(), self.active.copy(), self.softness.copy(), self.gamma.copy(), self.offset.copy()
+        )
+        for j, law in laws.items():
+            new.rigid[j], new.active[j], new.softness[j], new.gamma[j], new.offset[j] = _numbers(law, dt)
+        return new
 
     def solve(self, compliance: Floats, residual: Floats) -> LinearSolve:
         """Eliminate the forces; see `linear_solve`."""
-        yielding = self.rigid & (np.diag(residual) > 1e-14 * np.maximum(np.diag(compliance), 0.0))
+        yielding = self.rigid & (residual.diagonal() > 1e-14 * np.maximum(compliance.diagonal(), 0.0))
         gamma = np.where(yielding, 1.0, self.gamma)
-        on = np.flatnonzero(self.active)
-        G, matrix = np.zeros_like(compliance), compliance.copy()
-        if on.size:
-            rigid = self.rigid[on].astype(np.float64)
-            at = (on[:, None], on)
-            S = 2 * residual[at] * rigid[:, None] * rigid
-            S.flat[:: on.size + 1] += self.softness[on]
-            matrix[at] += S
-            G[at] = scaled_pinv(matrix[at])
-        return LinearSolve(G, gamma, (1 + gamma) * self.offset, matrix)
+        entries, twice_rigid, softness = self._among
+        S = twice_rigid * residual.take(entries) + softness
+        matrix = compliance.take(entries) + S
+        return LinearSolve(self.on, scaled_pinv(matrix), matrix, gamma, (1 + gamma) * self.offset)
+
+    @cached_property
+    def on(self) -> NDArray[np.intp]:
+        """(k,) connections that can carry force."""
+        return np.flatnonzero(self.active)
+
+    @cached_property
+    def _among(self) -> tuple[NDArray[np.intp], Floats, Floats]:
+        """(k, k) among these: places in a flat (m, m) matrix, 2 between rigid ones, and 1/alpha on the diagonal."""
+        rigid = self.rigid[self.on].astype(np.float64)
+        entries = self.on[:, None] * self.active.size + self.on
+        return entries, 2 * rigid[:, None] * rigid, np.diag(self.softness[self.on])
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +227,16 @@ class NonlinearSolve:
         return out
 
 
+def _numbers(law: Law, dt: float) -> tuple[bool, bool, float, float, float]:
+    """One law as `LinearLaws` has it."""
+    if isinstance(law, Rigid):
+        return True, True, 0.0, 0.0, law.offset
+    if not isinstance(law, SpringDashpot):
+        return False, False, 0.0, 0.0, 0.0
+    alpha, beta = law.stiffness / 2 + law.damping / dt, law.stiffness / 2 - law.damping / dt
+    return False, alpha > 0, *((1 / alpha, beta / alpha) if alpha > 0 else (0.0, 0.0)), law.offset
+
+
 def nonlinear_solve(
     laws: Sequence[Law], linear: LinearSolve, compliance: Floats, residual: Floats
 ) -> NonlinearSolve | None:
@@ -234,22 +260,21 @@ def nonlinear_solve(
 
 def scaled_pinv(matrix: Floats, rtol: float = 1e-12) -> Floats:
     """Pseudo-inverse of a square matrix after scaling it to unit diagonal (zero rows stay zero)."""
-    import scipy.linalg as sla
-
+    if not matrix.size:
+        return matrix
     diagonal = np.abs(matrix.diagonal())
     moves = diagonal > 0
     d = moves / np.sqrt(np.where(moves, diagonal, 1.0))
-    scaled = d[:, None] * matrix * d
+    scale = d[:, None] * d
+    scaled = matrix * scale
     inverse = _inverse(scaled)
     if inverse is None:
         inverse = np.asarray(sla.pinv(scaled, rtol=rtol), dtype=np.float64)
-    return np.asarray(d[:, None] * inverse * d)
+    return np.asarray(inverse * scale)
 
 
 def _inverse(matrix: Floats) -> Floats | None:
     """Inverse by LU, several times quicker than the singular values; None unless the matrix is far from singular."""
-    from scipy.linalg import lapack
-
     lu, pivots, fault = lapack.dgetrf(matrix)
     if fault != 0 or lapack.dgecon(lu, np.abs(matrix).sum(axis=0).max())[0] < 1e-8:
         return None

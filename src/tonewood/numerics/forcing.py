@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.numerics.modes import PAIR, ModalBasis
-from tonewood.numerics.propagator import apply, flow, phi, polynomial_injection, real_form
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.propagator import SERIES_TERMS, impulse_series, moments, real_form
 from tonewood.numerics.system import Injection
 
 Floats = NDArray[np.float64]
@@ -28,6 +30,98 @@ class Segment:
     def shifted(self, by: float) -> tuple[float, float, float]:
         """Coefficients about start + by."""
         return self.c0 + by * (self.c1 + by * self.c2), self.c1 + 2 * by * self.c2, self.c2
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A known force from step to step, whatever it acts on.
+
+    Attributes
+    ----------
+    dt : s, step; step n is [n dt, (n + 1) dt].
+    parts : step, and what of it the force fills: begin and end (s from its beginning), coefficients there; of steps
+        with breakpoints.
+    start, values : (3, n) constant, linear and quadratic part at the beginning of each step from `start` on, that lies
+        inside one piece; 0 in other steps.
+    """
+
+    dt: float
+    parts: tuple[tuple[int, float, float, tuple[float, float, float]], ...]
+    start: int
+    values: Floats
+
+    @classmethod
+    def of(cls, pieces: Sequence[Segment], dt: float, *, time: float = 0.0, first: int | None = None) -> Course:
+        """Cut a force into steps; parameters as of `compile_force`."""
+        earliest = -math.inf if first is None else first
+        parts: list[tuple[int, float, float, tuple[float, float, float]]] = []
+        whole: list[tuple[int, Floats]] = []
+        for piece in pieces:
+            begin, end = (time + piece.start) / dt, (time + piece.stop) / dt
+            if not end > begin:
+                continue
+            n0, n1, full0, full1 = math.floor(begin), math.ceil(end), math.ceil(begin), math.floor(end)
+            for n in sorted({n0, n1 - 1}):
+                if n >= earliest and not full0 <= n < full1:
+                    a, b = max(begin - n, 0.0), min(end - n, 1.0)
+                    parts.append((n, a * dt, b * dt, piece.shifted((n + a - begin) * dt)))
+            full0 = full0 if first is None else max(full0, first)
+            if full1 > full0:
+                at = (np.arange(full0, full1) - begin) * dt
+                values = np.empty((3, full1 - full0))
+                values[0] = piece.c0 + at * (piece.c1 + piece.c2 * at)
+                values[1], values[2] = piece.c1 + 2 * piece.c2 * at, piece.c2
+                whole.append((full0, values))
+        start, stop = min((n for n, _ in whole), default=0), max((n + c.shape[1] for n, c in whole), default=0)
+        total = np.zeros((3, stop - start))
+        for n, values in whole:
+            total[:, n - start : n - start + values.shape[1]] += values
+        return cls(dt, tuple(parts), start, total)
+
+    @cached_property
+    def steps(self) -> tuple[int, ...]:
+        """Steps with breakpoints, in order."""
+        return tuple(sorted({n for n, *_ in self.parts}))
+
+    @cached_property
+    def used(self) -> NDArray[np.intp]:
+        """Which of constant, linear and quadratic part there are in `values`."""
+        return np.flatnonzero(np.any(self.values != 0.0, axis=1))
+
+    def injections(self, component: str, impulses: Floats, factor: float = 1.0) -> list[Injection]:
+        """What the force adds to a component, from the `impulse_series` of the point it acts on."""
+        n_modes = impulses.shape[2]
+        added = factor * (self._moments(len(impulses)) @ impulses.reshape(-1, 2 * n_modes)).reshape(-1, n_modes, 2)
+        one = np.ones((1, 1))
+        out = [Injection(component, n, added[i, None], one) for i, n in enumerate(self.steps)]
+        if self.used.size:
+            vectors = added[len(self.steps) + self.used]
+            out.append(Injection(component, self.start, vectors, self.values[self.used]))
+        return out
+
+    def _moments(self, n_cells: int) -> Floats:
+        """(n_steps + 3, n_cells SERIES_TERMS) of the steps with breakpoints, then of 1, t and t^2 over a whole step."""
+        if n_cells not in self._known:
+            n = len(self.steps)
+            out = np.zeros((n + 3, n_cells * SERIES_TERMS))
+            out[n:] = _unit_step(n_cells) * self.dt ** np.array([[1], [2], [3]])
+            if self.parts:
+                steps, begin, end, coefficients = zip(*self.parts, strict=True)
+                each = moments(np.array(begin), np.array(end), np.array(coefficients).T, self.dt, n_cells)
+                for step, moment in zip(steps, each, strict=True):
+                    out[self.steps.index(step)] += moment
+            self._known[n_cells] = out
+        return self._known[n_cells]
+
+    @cached_property
+    def _known(self) -> dict[int, Floats]:
+        return {}
+
+
+@cache
+def _unit_step(n_cells: int) -> Floats:
+    """(3, n_cells SERIES_TERMS) moments of 1, t and t^2 over a step of 1 s."""
+    return moments(np.zeros(3), np.ones(3), np.eye(3), 1.0, n_cells)
 
 
 def compile_force(
@@ -54,51 +148,5 @@ def compile_force(
     first : earliest step to compile (absolute); what lies before it is left out.
     factor : multiplies the force.
     """
-    B = real_form(basis).B[basis.index(point)] * factor
-    whole: list[tuple[int, Floats]] = []  # first step, (3, n) coefficients at the beginning of each step
-    parts: list[tuple[int, float, float, tuple[float, float, float]]] = []  # step, begin and end in it, coefficients
-    for piece in pieces:
-        begin, end = (time + piece.start) / dt, (time + piece.stop) / dt
-        if not end > begin:
-            continue
-        n0, n1 = int(np.floor(begin)), int(np.ceil(end))
-        full0, full1 = int(np.ceil(begin)), int(np.floor(end))
-        for n in sorted({n0, n1 - 1} - set(range(full0, full1))):
-            if first is None or n >= first:
-                a, b = max(begin - n, 0.0), min(end - n, 1.0)
-                parts.append((n, a * dt, b * dt, piece.shifted((n + a - begin) * dt)))
-        full0 = full0 if first is None else max(full0, first)
-        if full1 > full0:
-            at = (np.arange(full0, full1) - begin) * dt
-            c1 = piece.c1 + 2 * piece.c2 * at
-            coefficients = np.stack([piece.c0 + at * (piece.c1 + piece.c2 * at), c1, np.full(at.shape, piece.c2)])
-            whole.append((full0, coefficients))
-    broken: dict[int, Floats] = {}
-    for (n, *_), added in zip(parts, _partial_steps(basis, B, dt, [p[1:] for p in parts]), strict=True):
-        broken[n] = broken.get(n, 0.0) + added
-    out = [Injection(component, n, v[None], np.ones((1, 1))) for n, v in sorted(broken.items())]
-    if whole:
-        start, stop = min(n for n, _ in whole), max(n + c.shape[1] for n, c in whole)
-        values = np.zeros((3, stop - start))
-        for n, coefficients in whole:
-            values[:, n - start : n - start + coefficients.shape[1]] += coefficients
-        _, p1, p2, p3 = flow(basis, dt, 3)
-        vectors = np.stack([apply(dt * p1, B), apply(dt**2 * p2, B), apply(2 * dt**3 * p3, B)])
-        used = np.any(values != 0.0, axis=1)
-        if used.any():
-            out.append(Injection(component, start, vectors[used], values[used]))
-    return out
-
-
-def _partial_steps(
-    basis: ModalBasis, B: Floats, dt: float, parts: Sequence[tuple[float, float, tuple[float, float, float]]]
-) -> list[Floats]:
-    """What `polynomial_injection` gives for each part (start, stop, coefficients) of a step; pairs all at once."""
-    if not parts or np.any(basis.kind != PAIR):
-        return [polynomial_injection(basis, B, dt, *part) for part in parts]
-    start, stop = np.array([p[:2] for p in parts]).T
-    d, rest = (stop - start)[:, None], np.maximum(dt - stop, 0.0)[:, None]
-    c0, c1, c2 = np.array([p[2] for p in parts]).T[:, :, None]
-    _, p1, p2, p3 = phi(3, basis.poles * d)
-    added = (d * (c0 * p1 + d * (c1 * p2 + 2 * d * c2 * p3))) * np.exp(basis.poles * rest) * (B[:, 0] + 1j * B[:, 1])
-    return list(np.stack([added.real, added.imag], axis=-1))
+    impulses = impulse_series(basis, real_form(basis), basis.index(point), dt)
+    return Course.of(pieces, dt, time=time, first=first).injections(component, impulses, factor)

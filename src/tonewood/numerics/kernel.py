@@ -10,6 +10,8 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from scipy.linalg import lstsq, qr
 
 from tonewood import _kernel
 from tonewood.errors import NumericalError, TonewoodError
-from tonewood.numerics.connections import SERIES, SpringDashpot
+from tonewood.numerics.connections import SERIES
 from tonewood.numerics.laws import (
     CompiledPotential,
     Contact,
@@ -31,6 +33,7 @@ from tonewood.numerics.stepper import Statistics
 from tonewood.numerics.system import Compiled, Control, Injection, State, System
 
 Floats = NDArray[np.float64]
+_NONE = np.zeros(0, dtype=np.intp)
 #: nonlinear connection, component, port among its fixed or its guarded ones, whether it is guarded, factor
 Term = tuple[int, int, int, bool, float]
 
@@ -77,10 +80,13 @@ class KernelStepper:
         self.dtype: type[np.floating] = np.float64 if precision == "f64" else np.float32
         self._kernel = make(isa or instruction_set(), len(system.names), sum(system.capacities), len(system.readouts))
         self._packed: dict[int, tuple[Injection, NDArray[np.floating], Floats]] = {}
+        self._ready: WeakKeyDictionary[Compiled, dict[bytes, tuple[tuple[Any, ...], tuple[Floats, ...]]]]
+        self._ready = WeakKeyDictionary()
         self._loaded: list[tuple[Compiled, bytes] | None] = [None] * len(system.names)
         self._wirings: dict[tuple[bytes, bytes, bytes], tuple[list[_Wires], list[Term]]] = {}
         self._guarded, self._steps = guarded, 0
         self._law_forces = np.zeros((0, 0))  # kept at zero between runs
+        self._nonlinear = self._active = _NONE
         self.system = system
         self._load(system)
 
@@ -96,103 +102,123 @@ class KernelStepper:
         return Statistics(self._steps, solves, iterations, most, tension, most_tension, failures)
 
     @property
+    def n_solves(self) -> int:
+        """How many steps asked for nonlinear forces so far."""
+        return int(self._kernel.statistics()[0])
+
+    @property
     def guard_statistics(self) -> dict[str, int]:
         """Blocks stepped with nonlinear connections, rows of contacts read in them, contacts woken inside a block."""
         blocks, rows, woken = self._kernel.statistics()[6:9]
         return {"blocks": blocks, "rows_read": rows, "woken": woken}
 
     def _load(self, system: System) -> None:
-        nonlinear = system.nonlinear
-        self._nonlinear = np.zeros(0, dtype=np.intp) if nonlinear is None else nonlinear.index
-        idle = np.array([_idle(c.law) for c in system.connections], dtype=bool)
-        idle[self._nonlinear] = True
-        self._active = np.flatnonzero(~idle)
+        nonlinear, solve, before = system.nonlinear, system.solve, self._nonlinear
+        self._nonlinear = _NONE if nonlinear is None else nonlinear.index
+        self._active = on = solve.on
         wiring, terms = self._wired(system)
+        fresh = self._load_components(system, wiring, terms)
+        for index, law in enumerate(system.geometric):
+            slots = [system.slot(name) for name in law.parts]
+            if fresh & set(slots):
+                self._kernel.set_geometric(index, *_geometric(system, slots, wiring))
+        weights = system.force_weights()
+        self._kernel.set_solve(
+            solve.inverse, solve.gamma[on], solve.inverse @ solve.offset[on], weights.take(on, axis=1)
+        )
+        if self._nonlinear.size or before.size:
+            no, none = np.zeros((0, len(on))), np.zeros((0, 0))
+            laws, *arrays = (
+                ((), none, no, no.T, none)
+                if nonlinear is None
+                else (
+                    nonlinear.laws,
+                    nonlinear.Z,
+                    nonlinear.from_linear[:, on],
+                    nonlinear.answer[on],
+                    nonlinear.residual,
+                )
+            )
+            self._kernel.set_nonlinear(
+                [_law(law) for law in laws],
+                terms,
+                system.dt,
+                SERIES,
+                self._guarded,
+                *(np.ascontiguousarray(a) for a in (*arrays, weights[:, self._nonlinear])),
+            )
+        if system.tensions:
+            self._kernel.set_tensions(
+                [
+                    (t, part.kappa, [system.slot(name) for name in string.components])
+                    for t, string in enumerate(system.tensions)
+                    if system.tension_on[t] and (part := system.compiled[system.slot(string.components[0])].tension)
+                ],
+                solve.matrix,
+                solve.offset[on],
+            )
+
+    def _load_components(self, system: System, wiring: Sequence[_Wires], terms: Sequence[Term]) -> set[int]:
+        """Load those that are others, or used otherwise, than before; returns their slots."""
         fresh: set[int] = set()
         for slot, (compiled, one_way, wires) in enumerate(zip(system.compiled, system.driven, wiring, strict=True)):
             if (known := self._loaded[slot]) and known[0] is compiled and known[1] == wires.key:
                 continue
             self._loaded[slot] = (compiled, wires.key)
             fresh.add(slot)
-            # nobody asks for the motion of a driven component's ports
-            readouts = np.arange(len(compiled.ports), len(compiled.rows))
-            fixed, guarded, incidence = wires.fixed, wires.guarded, wires.incidence
-            kept = one_way or compiled.geometric is not None
-            if not kept and not any(slot == at and not on_guarded for _, at, _, on_guarded, _ in terms):
-                fixed, incidence = _independent(compiled, fixed, incidence)
-            rows = readouts if one_way else np.concatenate([fixed, readouts])
-            E = _pack((compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)).reshape(-1, 4)[None])[0]
-            history = compiled.history
-            self._kernel.set_component(
-                slot,
-                system.offsets[slot],
-                one_way,
-                E,
-                _pack(compiled.rows[rows]),
-                _pack(compiled.W[fixed]),
-                np.ascontiguousarray(history[:, fixed][:, :, rows]),
-                incidence,
-                compiled.readouts.tolist(),
-                compiled.difference.astype(int).tolist(),
-            )
-            if guarded.size:
-                self._kernel.set_guarded(
-                    slot,
-                    E,
-                    _pack(compiled.rows[guarded]),
-                    _pack(compiled.W[guarded]),
-                    np.ascontiguousarray(history[:, fixed][:, :, guarded]),
-                    np.ascontiguousarray(history[:, guarded][:, :, guarded]),
-                    np.ascontiguousarray(history[:, guarded][:, :, rows]),
-                )
+            # strings come back to stops, and hands to strings
+            ready = self._ready.setdefault(compiled, {})
+            if wires.key not in ready:
+                pushed = any(slot == at and not on_guarded for _, at, _, on_guarded, _ in terms)
+                ready[wires.key] = self._arrays(compiled, wires, one_way, pushed)
+            component, guarded = ready[wires.key]
+            self._kernel.set_component(slot, system.offsets[slot], one_way, *component)
+            if guarded:
+                self._kernel.set_guarded(slot, component[0], *guarded)
             if (part := compiled.tension) is not None:
                 half = 0.5 * part.reading * part.kick[:, 0] * part.weights
                 alone = [_pack(a[None, :, None])[0, 0] for a in (part.weights, half, part.reading)]
                 self._kernel.set_stretched(slot, alone[0], alone[1], alone[2], _pack(part.kick[None])[0])
-        for index, law in enumerate(system.geometric):
-            slots = [system.slot(name) for name in law.parts]
-            if fresh & set(slots):
-                self._kernel.set_geometric(index, *_geometric(system, slots, wiring))
-        s = system.solve
-        on = self._active
-        self._kernel.set_solve(
-            np.ascontiguousarray(s.G[np.ix_(on, on)]),
-            s.gamma[on],
-            s.constant[on],
-            np.ascontiguousarray(system.force_weights()[:, on]),
-        )
-        no, none = np.zeros((0, len(on))), np.zeros((0, 0))
-        Z, from_linear, answer, residual = (
-            (none, no, no.T, none)
-            if nonlinear is None
-            else (nonlinear.Z, nonlinear.from_linear[:, on], nonlinear.answer[on], nonlinear.residual)
-        )
-        weights = system.force_weights()[:, self._nonlinear]
-        self._kernel.set_nonlinear(
-            [] if nonlinear is None else [_law(law) for law in nonlinear.laws],
-            terms,
-            system.dt,
-            SERIES,
-            self._guarded,
-            *(np.ascontiguousarray(a) for a in (Z, from_linear, answer, residual, weights)),
-        )
+        return fresh
 
-        self._kernel.set_tensions(
-            [
-                (t, part.kappa, [system.slot(name) for name in string.components])
-                for t, string in enumerate(system.tensions)
-                if system.tension_on[t] and (part := system.compiled[system.slot(string.components[0])].tension)
-            ],
-            np.ascontiguousarray(s.matrix[np.ix_(on, on)]),
-            s.offset[on],
+    def _arrays(
+        self, compiled: Compiled, wires: _Wires, one_way: bool, pushed: bool
+    ) -> tuple[tuple[Any, ...], tuple[Floats, ...]]:
+        """A component as ``set_component`` wants it, and ports that only contacts act on; `pushed` by other laws."""
+        # nobody asks for the motion of a driven component's ports
+        readouts = np.arange(len(compiled.ports), len(compiled.rows))
+        fixed, guarded, incidence = wires.fixed, wires.guarded, wires.incidence
+        if not (one_way or pushed or compiled.geometric is not None):
+            fixed, incidence = _independent(compiled, fixed, incidence)
+        rows = readouts if one_way else np.concatenate([fixed, readouts])
+        E = _pack((compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)).reshape(-1, 4)[None])[0]
+        history = compiled.history
+        component = (
+            E,
+            _pack(compiled.rows[rows]),
+            _pack(compiled.W[fixed]),
+            np.ascontiguousarray(history[:, fixed][:, :, rows]),
+            incidence,
+            compiled.readouts.tolist(),
+            compiled.difference.astype(int).tolist(),
+        )
+        if not guarded.size:
+            return component, ()
+        return component, (
+            _pack(compiled.rows[guarded]),
+            _pack(compiled.W[guarded]),
+            np.ascontiguousarray(history[:, fixed][:, :, guarded]),
+            np.ascontiguousarray(history[:, guarded][:, :, guarded]),
+            np.ascontiguousarray(history[:, guarded][:, :, rows]),
         )
 
     def _wired(self, system: System) -> tuple[list[_Wires], list[Term]]:
         """Ports of every component as the connections now use them; made once for each set of those in use."""
-        contact = np.array([isinstance(c.law, Contact) for c in system.connections], dtype=bool)
+        laws = () if system.nonlinear is None else system.nonlinear.laws
+        contact = np.array([isinstance(law, Contact) for law in laws], dtype=bool)
         key = self._active.tobytes(), self._nonlinear.tobytes(), contact.tobytes()
         if key not in self._wirings:
-            always = np.concatenate([self._active, self._nonlinear[~contact[self._nonlinear]]])
+            always = np.concatenate([self._active, self._nonlinear[~contact]])
             wiring: list[_Wires] = []
             terms: list[Term] = []
             for slot, one_way in enumerate(system.driven):
@@ -321,10 +347,6 @@ def _independent(compiled: Compiled, ports: NDArray[np.intp], incidence: Floats)
     if np.max(np.abs(motion - span @ motion[chosen])) > 1e-14 * rank:
         return ports, incidence
     return ports[chosen], np.ascontiguousarray(incidence @ span)
-
-
-def _idle(law: object) -> bool:
-    return isinstance(law, SpringDashpot) and law.stiffness == 0.0 and law.damping == 0.0
 
 
 def _law(law: NonlinearLaw) -> tuple[int, list[float], list[float], list[float], list[tuple[int, int, bool]]]:

@@ -10,12 +10,15 @@ and for F(t) = c0 + c1 t + c2 t^2 on a piece of length d that ends d' before the
     x+ += exp(A d') [ d phi_1(A d) c0 + d^2 phi_2(A d) c1 + 2 d^3 phi_3(A d) c2 ] B
 
 with phi_k(z) = (phi_{k-1}(z) - 1/(k-1)!) / z, phi_0 = exp. Chinnakonda (2007) names the constant, linear and
-quadratic cases P0, P1 and P2; here breakpoints may fall anywhere inside a step.
+quadratic cases P0, P1 and P2; here breakpoints may fall anywhere inside a step. Every such force is a sum of moments of
+the piece, which know nothing of the modes, times a series of exp(A h), which knows nothing of the force.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +40,7 @@ def phi(order: int, z: Complexes) -> Complexes:
     out[0] = np.exp(z)
     if order == 0:
         return out
-    small = np.abs(z) < 1.0
+    small = np.abs(z) < (1.0 if order > 1 else 1e-3)
     zs = z[small]
     factorial = 1.0
     for k in range(2, order + 1):
@@ -139,27 +142,77 @@ def apply(blocks: Floats, x: Floats) -> Floats:
     return out
 
 
-def polynomial_injection(
-    basis: ModalBasis, B: Floats, dt: float, start: float, stop: float, coefficients: tuple[float, float, float]
-) -> Floats:
-    """State added over one step of length dt by F(t) = c0 + c1 (t - start) + c2 (t - start)^2 on [start, stop].
+def powers(blocks: Floats, x: Floats, count: int) -> Floats:
+    """(count, ..., n_modes, 2) of blocks^k x, k = 0 .. count - 1, by doubling."""
+    out = np.empty((count, *x.shape))
+    out[0], known, power = x, 1, blocks
+    while known < count:
+        more = min(known, count - known)
+        out[known : known + more] = apply(power, out[:more])
+        known += more
+        if known < count:
+            power = power @ power
+    return out
 
-    Parameters
-    ----------
-    B : (n_modes, 2) input of the driven point.
-    start, stop : s from the beginning of the step, 0 <= start <= stop <= dt.
-    coefficients : c0 N, c1 N/s, c2 N/s^2.
+
+#: terms of an exponential series that are exact to rounding up to |A| t = 2, to both sides of the middle of a cell
+SERIES_TERMS, _CELL = 24, 4.0
+
+
+def impulse_series(basis: ModalBasis, form: RealForm, point: int, dt: float) -> Floats:
+    """What is left at the end of a step of impulses within it, as power series about the middles of equal cells.
+
+    An impulse of 1 N s at the time s of the step leaves exp(A (dt - s)) B; with the middle m of the cell that s lies in
+
+        exp(A (dt - s)) B = sum_j  ((m - s) / dt)^j / j!  (A dt)^j exp(A (dt - m)) B.
 
     Returns
     -------
-    (n_modes, 2).
+    (n_cells, SERIES_TERMS, n_modes, 2) the vectors of this sum; one cell for any mode below 0.6 of the sampling rate.
     """
-    d = stop - start
-    if not 0.0 <= start <= stop <= dt * (1 + 1e-12):
-        raise ValueError(f"piece [{start}, {stop}] s is not inside a step of {dt} s")
-    if d == 0.0:
-        return np.zeros_like(B)
-    c0, c1, c2 = coefficients
-    _, p1, p2, p3 = flow(basis, d, 3)
-    added = apply(d * c0 * p1 + d**2 * c1 * p2 + 2 * d**3 * c2 * p3, B)
-    return apply(flow(basis, max(dt - stop, 0.0), 0)[0], added) if stop < dt else added
+    block = basis.kind == BLOCK
+    rate = np.where(block, np.sqrt(basis.stiffness) + 2 * np.abs(basis.damping_rate), np.abs(basis.poles))
+    n_cells = max(1, math.ceil(dt * float(rate.max(initial=0.0)) / _CELL))
+    middles = [flow(basis, dt * (1 - (c + 0.5) / n_cells), 0)[0] for c in range(n_cells)]
+    starts = np.stack([apply(blocks, form.B[point]) for blocks in middles])
+    return powers(form.A * dt, starts, SERIES_TERMS).swapaxes(0, 1)
+
+
+#: 1 / j, j = 1 .. SERIES_TERMS - 1
+_INVERSE = (1.0 / np.arange(1, SERIES_TERMS))[:, None, None, None]
+
+
+def moments(begin: Floats, end: Floats, coefficients: Floats, dt: float, n_cells: int) -> Floats:
+    """Integrals of ((m - s) / dt)^j / j! F(s) over parts of a step, m the middles of its cells.
+
+    Times an `impulse_series` they are what the force adds to a state over the step. By Gauss's quadrature, with as many
+    nodes as make it exact.
+
+    Parameters
+    ----------
+    begin, end : (p,) s from the beginning of the step.
+    coefficients : (3, p) of F(s) = c0 + c1 (s - begin) + c2 (s - begin)^2.
+
+    Returns
+    -------
+    (p, n_cells SERIES_TERMS) N s.
+    """
+    nodes, weights = _gauss()
+    cell = dt / n_cells
+    low = np.arange(n_cells)[:, None] * cell
+    a, b = (np.minimum(np.maximum(x, low), low + cell)[..., None] for x in (begin, end))
+    s = a + (b - a) * nodes
+    t = s - begin[:, None]
+    c0, c1, c2 = coefficients[:, :, None]
+    terms = np.empty((SERIES_TERMS, *s.shape))
+    terms[0] = (b - a) * weights * (c0 + t * (c1 + t * c2))
+    terms[1:] = (low[..., None] + 0.5 * cell - s) / dt * _INVERSE
+    np.multiply.accumulate(terms, axis=0, out=terms)
+    return np.asarray(terms.sum(axis=-1).transpose(2, 1, 0).reshape(len(begin), -1))
+
+
+@cache
+def _gauss() -> tuple[Floats, Floats]:
+    """Nodes and weights on [0, 1], exact for the last term of a series times a parabola."""
+    nodes, weights = np.polynomial.legendre.leggauss(SERIES_TERMS // 2 + 1)
+    return (nodes + 1) / 2, weights / 2

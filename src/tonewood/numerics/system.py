@@ -17,9 +17,23 @@ from numpy.typing import NDArray
 from tonewood.numerics.connections import Connection, LinearLaws, LinearSolve, NonlinearSolve, nonlinear_solve
 from tonewood.numerics.geometric import GeometricPart, GeometricStretch
 from tonewood.numerics.laws import Friction
+from tonewood.numerics.layout import Drive, Layout, Probe, Readout
 from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.propagator import RealForm, apply, flow, real_form
+from tonewood.numerics.propagator import RealForm, apply, flow, impulse_series, powers, real_form
 from tonewood.numerics.tension import TensionModulation, TensionPart
+
+__all__ = [
+    "BLOCK_SIZE",
+    "PADDING",
+    "Compiled",
+    "Control",
+    "Drive",
+    "Injection",
+    "Probe",
+    "Readout",
+    "State",
+    "System",
+]
 
 Floats = NDArray[np.float64]
 
@@ -29,45 +43,6 @@ BLOCK_SIZE = 16
 PADDING = 16
 
 
-@dataclass(frozen=True, slots=True)
-class Probe:
-    """Share of a point's motion in a readout; `quantity` is displacement, velocity or acceleration."""
-
-    component: str
-    point: str
-    factor: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Readout:
-    """One channel: a weighted sum of points' motion, or of connection forces (N).
-
-    Displacement and velocity are read at the sample's time t_n; acceleration and force are means over the step that
-    begins there, [t_n, t_n + h]: the force is constant over a step, and a mean needs no direct term.
-    """
-
-    name: str
-    quantity: str
-    probes: tuple[Probe, ...] = ()
-    forces: tuple[tuple[str, float], ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.quantity not in ("displacement", "velocity", "acceleration", "force"):
-            raise ValueError(
-                f"a readout's quantity is displacement, velocity, acceleration or force, not {self.quantity!r}"
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """A one-way input: `point` of a driven component receives `factor` times the force of a connection."""
-
-    component: str
-    point: str
-    connection: str
-    factor: float = 1.0
-
-
 @dataclass(frozen=True, eq=False)
 class Compiled:
     """One component ready to be stepped by dt.
@@ -75,6 +50,7 @@ class Compiled:
     Attributes
     ----------
     basis : the modes.
+    dt : s, step.
     form : their real 2 x 2 blocks.
     ports : (n_ports,) rows of `basis.points` that connections act on, in order of their names.
     E : (n_modes, 2, 2) propagator of one step.
@@ -85,6 +61,7 @@ class Compiled:
     readouts : (n_rows - n_ports,) channel that each further row adds to.
     difference : (n_rows - n_ports,) whether the row is read as (y(t + h) - y(t)) / h.
     gaps : (g,) connections that its ports have a share in; none for a driven component.
+    shares : (g, n_ports) these shares.
     compliance, residual : (g, g) m/N, its share of these gaps' compliance over one step, and of their residual
         compliance.
     tension : its share of a tension, if it belongs to one.
@@ -92,6 +69,7 @@ class Compiled:
     """
 
     basis: ModalBasis
+    dt: float
     form: RealForm
     ports: NDArray[np.intp]
     E: Floats
@@ -101,21 +79,35 @@ class Compiled:
     readouts: NDArray[np.intp]
     difference: NDArray[np.bool_]
     gaps: NDArray[np.intp]
+    shares: Floats
     compliance: Floats
     residual: Floats
     tension: TensionPart | None = None
     geometric: GeometricPart | None = None
+    _impulses: dict[str, Floats] = field(init=False, repr=False, default_factory=dict)
+
+    def impulses(self, point: str) -> Floats:
+        """`propagator.impulse_series` of a named point, kept for use again."""
+        if point not in self._impulses:
+            self._impulses[point] = impulse_series(self.basis, self.form, self.basis.index(point), self.dt)
+        return self._impulses[point]
 
     @cached_property
-    def velocity(self) -> Floats:
-        """(n_ports, n_modes, 2) velocity rows of the ports."""
-        return self.form.rows("velocity", self.ports)
+    def gap_velocity(self) -> Floats:
+        """(g, 2 n_modes) what its modes' numbers, (2, n_modes), add to the velocities of its gaps."""
+        rows = self.form.rows("velocity", self.ports).swapaxes(1, 2)
+        return np.asarray(self.shares @ rows.reshape(len(self.ports), -1))
 
     @cached_property
-    def mobility(self) -> Floats:
-        """(n_ports, n_ports) m/s of each port (first index) per impulse of 1 N s at another."""
-        p = len(self.ports)
-        return np.asarray(self.velocity.reshape(p, -1) @ self.form.B[self.ports].reshape(p, -1).T)
+    def gap_push(self) -> Floats:
+        """(g, 2 n_modes) what an impulse of 1 N s across each gap adds to these numbers."""
+        B = self.form.B[self.ports].swapaxes(1, 2)
+        return np.asarray(self.shares @ B.reshape(len(self.ports), -1))
+
+    @cached_property
+    def gap_mobility(self) -> Floats:
+        """(g, g) m/s of each gap (first index) per impulse of 1 N s across another."""
+        return np.asarray(self.gap_velocity @ self.gap_push.T)
 
 
 @dataclass(eq=False)
@@ -213,6 +205,44 @@ class Control:
 
 
 @dataclass(frozen=True, eq=False)
+class GapCompliance:
+    """What all components together give way by, as the gaps of the connections see it; summed when first wanted."""
+
+    compiled: tuple[Compiled, ...]
+    layout: Layout
+
+    @cached_property
+    def compliance(self) -> Floats:
+        """(m, m) m/N, over one step."""
+        return self.layout.gathered([c.compliance for c in self.compiled])
+
+    @cached_property
+    def residual(self) -> Floats:
+        """(m, m) m/N, residual compliance."""
+        return self.layout.gathered([c.residual for c in self.compiled])
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """Connections' forces under the compliance of what they join; solved for when first wanted."""
+
+    connections: tuple[Connection, ...]
+    linear: LinearLaws
+    gap: GapCompliance
+
+    @cached_property
+    def solve(self) -> LinearSolve:
+        """Of the linear connections."""
+        return self.linear.solve(self.gap.compliance, self.gap.residual)
+
+    @cached_property
+    def nonlinear(self) -> NonlinearSolve | None:
+        """Of the others, if there are any."""
+        laws = [c.law for c in self.connections]
+        return nonlinear_solve(laws, self.solve, self.gap.compliance, self.gap.residual)
+
+
+@dataclass(frozen=True, eq=False)
 class System:
     """Components, connections and readouts at one step length.
 
@@ -221,20 +251,13 @@ class System:
     """
 
     dt: float
-    names: tuple[str, ...]
+    layout: Layout
     compiled: tuple[Compiled, ...]
     connections: tuple[Connection, ...]
-    readouts: tuple[Readout, ...]
-    drives: tuple[Drive, ...]
-    capacities: tuple[int, ...]
-    solve: LinearSolve
-    nonlinear: NonlinearSolve | None = None
+    elimination: Elimination
     tensions: tuple[TensionModulation, ...] = ()
     tension_on: tuple[bool, ...] = ()
     geometric: tuple[GeometricStretch, ...] = ()
-    wiring: tuple[Floats, ...] = ()
-    linear: LinearLaws | None = None
-    places: NDArray[np.intp] | None = None
 
     @classmethod
     def build(
@@ -288,32 +311,60 @@ class System:
         if tensions and geometric:
             both = f"{tensions[0].name} and {geometric[0].name}"
             raise ValueError(f"{both}: where a string moves along itself, all rising tensions go into `geometric`")
-        names = tuple(components)
+        names, joined = tuple(components), tuple(connections)
+        room = tuple(_padded(max(components[n].n_modes, (capacities or {}).get(n, 0))) for n in names)
+        layout = Layout(names, room, joined, tuple(readouts), tuple(drives))
+        linear = LinearLaws.of([c.law for c in joined], dt)
         system = cls(
             dt=dt,
-            names=names,
+            layout=layout,
             compiled=(),
-            connections=tuple(connections),
-            readouts=tuple(readouts),
-            drives=tuple(drives),
-            capacities=tuple(_padded(max(components[n].n_modes, (capacities or {}).get(n, 0))) for n in names),
-            solve=LinearSolve(np.zeros((0, 0)), np.zeros(0), np.zeros(0), np.zeros((0, 0))),
+            connections=joined,
+            elimination=Elimination(joined, linear, GapCompliance((), layout)),
             tensions=tuple(tensions),
             tension_on=(True,) * len(tensions),
             geometric=tuple(geometric),
         )
-        compiled = tuple(system.compile(name, components[name]) for name in names)
-        wiring = tuple(system._incidence(name) for name in names)
-        return replace(system, compiled=compiled, wiring=wiring)._solved()
+        return system.with_compiled({name: system.compile(name, components[name]) for name in names})
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the components."""
+        return self.layout.names
+
+    @property
+    def capacities(self) -> tuple[int, ...]:
+        """Modes that the state has room for, one per component."""
+        return self.layout.capacities
+
+    @property
+    def readouts(self) -> tuple[Readout, ...]:
+        """What is read, one channel each."""
+        return self.layout.readouts
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """One-way inputs."""
+        return self.layout.drives
+
+    @property
+    def solve(self) -> LinearSolve:
+        """Forces of the linear connections."""
+        return self.elimination.solve
+
+    @property
+    def nonlinear(self) -> NonlinearSolve | None:
+        """What nonlinear connections see; None if there are none."""
+        return self.elimination.nonlinear
 
     def ports_of(self, name: str) -> list[str]:
         """Points of a component that connections or drives act on, sorted; the same whatever its basis."""
-        points = {t.point for c in self.connections for t in c.terms if t.component == name}
-        return sorted(points | {d.point for d in self.drives if d.component == name})
+        return list(self.layout.ports[name])
 
     def compile(self, name: str, basis: ModalBasis) -> Compiled:
         """Compile another basis of the component `name`; it may be kept and used again with `with_compiled`."""
-        ports = np.array([basis.index(p) for p in self.ports_of(name)], dtype=np.intp)
+        slot = self.slot(name)
+        ports = np.array([basis.index(p) for p in self.layout.ports[name]], dtype=np.intp)
         form = real_form(basis)
         phi = flow(basis, self.dt)
         held = self.dt * phi[1]
@@ -332,33 +383,29 @@ class System:
             difference.append(mean)
         all_rows = np.concatenate(rows)
         numbers = 2 * basis.n_modes
-        history = (
-            _responses(E, W).reshape(BLOCK_SIZE * len(ports), numbers) @ all_rows.reshape(len(all_rows), numbers).T
-        ).reshape(BLOCK_SIZE, len(ports), len(all_rows))
-        slot = self.slot(name)
-        wired = self.wiring[slot] if self.wiring else self._incidence(name)
-        a = np.zeros((0, len(ports))) if self.driven[slot] else wired
-        gaps = np.flatnonzero(np.any(a != 0.0, axis=1))
-        a = a[gaps]
+        after = powers(E, W, BLOCK_SIZE).reshape(BLOCK_SIZE * len(ports), numbers)
+        history = (after @ all_rows.reshape(-1, numbers).T).reshape(BLOCK_SIZE, len(ports), len(all_rows))
+        gaps = self.layout.gaps[slot]
+        a = self.layout.incidence[slot][gaps]
         compliance = a @ history[0, :, : len(ports)].T @ a.T
         residual = a @ basis.residual[ports][:, ports] @ a.T
         tension = next((t.part(name, basis, self.dt, held) for t in self.tensions if name in t.components), None)
         geometric = next((g.part(name, basis, held) for g in self.geometric if name in g.parts), None)
         return Compiled(
-            basis, form, ports, E, W, all_rows, history,
-            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, compliance, residual, tension,
+            basis, self.dt, form, ports, E, W, all_rows, history,
+            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, a, compliance, residual, tension,
             geometric,
         )  # fmt: skip
 
     def with_compiled(self, changes: Mapping[str, Compiled]) -> System:
         """Exchange components for already compiled bases of themselves."""
-        compiled = list(self.compiled)
         for name, new in changes.items():
-            i = self.names.index(name)
-            if new.basis.n_modes > self.capacities[i]:
-                raise ValueError(f"{name}: room for {self.capacities[i]} modes, not {new.basis.n_modes}")
-            compiled[i] = new
-        return replace(self, compiled=tuple(compiled))._solved()
+            if new.basis.n_modes > (room := self.capacities[self.slot(name)]):
+                raise ValueError(f"{name}: room for {room} modes, not {new.basis.n_modes}")
+        known = dict(zip(self.names, self.compiled, strict=False)) | dict(changes)
+        compiled = tuple(known[name] for name in self.names)
+        linear, gap = self.elimination.linear, GapCompliance(compiled, self.layout)
+        return replace(self, compiled=compiled, elimination=Elimination(self.connections, linear, gap))
 
     def with_basis(self, name: str, basis: ModalBasis) -> System:
         """Exchange one component's basis."""
@@ -366,12 +413,16 @@ class System:
 
     def with_laws(self, laws: Mapping[str, Connection]) -> System:
         """Exchange laws of connections (their terms must stay)."""
-        connections = tuple(laws.get(c.name, c) for c in self.connections)
-        if any(
-            new is not old and new.terms != old.terms for new, old in zip(connections, self.connections, strict=True)
-        ):
-            raise ValueError("a connection's terms cannot change, only its law")
-        return replace(self, connections=connections, linear=None)._solved()
+        places = self.layout.places
+        changes = {places[name]: new for name, new in laws.items() if name in places}
+        connections = list(self.connections)
+        for j, new in changes.items():
+            if new.terms != connections[j].terms:
+                raise ValueError("a connection's terms cannot change, only its law")
+            connections[j] = new
+        linear = self.elimination.linear.changed({j: new.law for j, new in changes.items()}, self.dt)
+        elimination = Elimination(tuple(connections), linear, self.elimination.gap)
+        return replace(self, connections=elimination.connections, elimination=elimination)
 
     def with_tensions(self, names: Collection[str]) -> System:
         """Switch on the tensions of these names, and off all others.
@@ -384,20 +435,19 @@ class System:
             raise ValueError(f"no tension {sorted(unknown)}; there are {known}")
         return replace(self, tension_on=tuple(name in names for name in known))
 
-    @cached_property
+    @property
     def offsets(self) -> tuple[int, ...]:
         """Start of each component in `State.modes`."""
-        return tuple(int(x) for x in np.cumsum((0, *self.capacities[:-1])))
+        return self.layout.offsets
 
-    @cached_property
+    @property
     def driven(self) -> tuple[bool, ...]:
         """Which components are driven one way."""
-        one_way = {d.component for d in self.drives}
-        return tuple(name in one_way for name in self.names)
+        return self.layout.driven
 
     def slot(self, name: str) -> int:
         """Index of a component."""
-        return self.names.index(name)
+        return self.layout.slots[name]
 
     def modes_of(self, state: State, name: str) -> Floats:
         """(2, n_modes) view of one component's modes in a state."""
@@ -445,61 +495,16 @@ class System:
 
     def incidence(self, slot: int) -> Floats:
         """(m, n_ports) share of each port of a component in each gap (for a driven one: of each force in a port)."""
-        return self.wiring[slot]
-
-    def _incidence(self, name: str) -> Floats:
-        place = {point: i for i, point in enumerate(self.ports_of(name))}
-        out = np.zeros((len(self.connections), len(place)))
-        for j, connection in enumerate(self.connections):
-            for term in connection.terms:
-                if term.component == name:
-                    out[j, place[term.point]] += term.factor
-            for drive in self.drives:
-                if drive.component == name and drive.connection == connection.name:
-                    out[j, place[drive.point]] += drive.factor
-        return out
+        return self.layout.incidence[slot]
 
     def force_weights(self) -> Floats:
         """(n_readouts, m) weights of the connection forces in the readouts."""
-        index = {c.name: j for j, c in enumerate(self.connections)}
-        out = np.zeros((len(self.readouts), len(self.connections)))
-        for i, readout in enumerate(self.readouts):
-            for name, factor in readout.forces:
-                out[i, index[name]] += factor
-        return out
+        return self.layout.force_weights
 
     def gap_matrix(self, which: str) -> Floats:
         """(m, m) m/N, ``compliance`` or ``residual`` of all components as the gaps see it."""
-        m = len(self.connections)
-        places = self._places() if self.places is None else self.places
-        shares = [getattr(c, which).ravel() for c in self.compiled]
-        total = np.bincount(places, np.concatenate([np.zeros(0), *shares]), m * m)
-        return np.asarray(total.reshape(m, m), dtype=np.float64)
-
-    def _places(self) -> NDArray[np.intp]:
-        """Where the entries of all components' gap matrices belong; the same whatever their bases."""
-        m = len(self.connections)
-        none = np.zeros(0, dtype=np.intp)
-        return np.concatenate([none, *((c.gaps[:, None] * m + c.gaps).ravel() for c in self.compiled)])
-
-    def _solved(self) -> System:
-        laws = [c.law for c in self.connections]
-        linear = self.linear or LinearLaws.of(laws, self.dt)
-        compliance, residual = self.gap_matrix("compliance"), self.gap_matrix("residual")
-        solve = linear.solve(compliance, residual)
-        nonlinear = nonlinear_solve(laws, solve, compliance, residual)
-        places = self._places() if self.places is None else self.places
-        return replace(self, linear=linear, places=places, solve=solve, nonlinear=nonlinear)
-
-
-def _responses(E: Floats, W: Floats) -> Floats:
-    """(BLOCK_SIZE, n_ports, n_modes, 2) E^k W, k = 0 .. BLOCK_SIZE - 1, by doubling."""
-    out = np.empty((BLOCK_SIZE, *W.shape))
-    out[0], known, power = W, 1, E
-    while known < BLOCK_SIZE:
-        out[known : 2 * known] = apply(power, out[: min(known, BLOCK_SIZE - known)])
-        known, power = 2 * known, power @ power
-    return out
+        gap = self.elimination.gap
+        return gap.compliance if which == "compliance" else gap.residual
 
 
 def _padded(n: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,8 +23,10 @@ from tonewood.score.note import Dropped, Score
 
 Floats = NDArray[np.float64]
 
-#: ticks of the control grid stepped at a time, whatever the blocks asked for
+#: ticks of the control grid from one look at the tail to the next, whatever the blocks asked for
 _TICKS = 8
+#: frames at a time where nobody asks for any
+_BLOCK = 4096
 #: s over which the decayed tail is judged
 _WINDOW = 0.2
 FS_RANGE = (8000, 768000)
@@ -156,11 +159,14 @@ class Renderer:
         self.performance: Performance = perform(score, self.model, channel_per_string=channel_per_string)
         self.engine = Engine(self.model, self.performance.timeline, precision=precision, energy=energy)
         groups = self.model.outputs
-        self._columns = np.array([i for group in groups for i in group.readouts], dtype=np.intp)
+        columns = [i for group in groups for i in group.readouts]
+        whole = columns == list(range(len(self.model.system.readouts)))
+        self._columns: slice | list[int] = slice(None) if whole else columns
         gain = 10 ** (gain_db / 20)
-        self._scale = gain / np.array([group.full_scale for group in groups for _ in group.channels])
-        self._decimator = Decimator(finer, self._columns.size)
-        self._pending = np.zeros((0, self._columns.size))
+        scales = [group.full_scale for group in groups for _ in group.channels]
+        self._scale = gain / (scales[0] if len(set(scales)) == 1 else np.array(scales))
+        self._decimator = Decimator(finer, len(columns))
+        self._pending = np.zeros((0, len(columns)))
         self._frames, self._seconds, self._loudest = 0, 0.0, 0.0
         self._recent: list[tuple[int, float]] = []
         self._end = ""
@@ -199,7 +205,7 @@ class Renderer:
             raise TonewoodError(f"is {block_size}; 1 or more is allowed", key="block_size")
         while True:
             while len(self._pending) < block_size and not self._end:
-                self._fill()
+                self._fill(block_size - len(self._pending))
             if not len(self._pending):
                 return
             block, self._pending = self._pending[:block_size], self._pending[block_size:]
@@ -243,18 +249,21 @@ class Renderer:
         self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
         self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
 
-    def _fill(self) -> None:
+    def _fill(self, frames: int) -> None:
+        """Step on for some frames; one span after another from where the sound may be found to have ended."""
+        factor, span = self._decimator.factor, _TICKS * GRID
         # the first frame that comes out of the decimator, which looks ahead
-        first = self.engine.state.sample // self._decimator.factor - self._decimator.lead
+        first = self.engine.state.sample // factor - self._decimator.lead
+        room = math.inf if self.max_duration is None else round(self.max_duration * self.fs) - max(first, 0)
+        lively = int(self.performance.timeline.stop * self.model.fs) - self.engine.state.sample - span
+        spans = max(1, min(math.ceil(min(frames, room) * factor / span), lively // span))
         began = time.perf_counter()
-        sound = self._decimator(self.engine.advance(_TICKS)[:, self._columns] * self._scale)
+        sound = self._decimator(self.engine.advance(spans * _TICKS)[:, self._columns] * self._scale)
         self._seconds += time.perf_counter() - began
         sound = sound[max(0, -first) :]
-        if self.max_duration is not None:
-            room = round(self.max_duration * self.fs) - max(first, 0)
-            if len(sound) >= room:
-                sound, self._end = sound[:room], "maximum duration"
-        self._pending = np.concatenate([self._pending, sound])
+        if len(sound) >= room:
+            sound, self._end = sound[: int(room)], "maximum duration"
+        self._pending = np.concatenate([self._pending, sound]) if len(self._pending) else sound
         self._watch(float(np.max(np.abs(sound), initial=0.0)))
 
     def _watch(self, peak: float) -> None:
@@ -341,7 +350,7 @@ def render(
         energy=energy,
     )
     blocks = []
-    for block in renderer.blocks(_TICKS * GRID):
+    for block in renderer.blocks(_BLOCK):
         blocks.append(block)
         if progress is not None:
             progress(renderer.time)

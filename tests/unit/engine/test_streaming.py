@@ -173,6 +173,19 @@ def test_it_ends_when_it_has_decayed(monochord: tw.Instrument) -> None:
     assert len(samples) / 48000 < 0.2 + 0.3 + np.log(1000) / 20.0
 
 
+def test_where_it_ends_does_not_depend_on_the_block_size(monochord: tw.Instrument) -> None:
+    """A tail is looked at every 512 samples, however far a large block lets it be stepped at once before."""
+    short = monochord.replace({"strings.A2.loss.sigma0": 40.0})
+    score = tw.Score([tw.Note(0.0, 0.1, note=45, force=1.0), tw.Note(0.31, 0.05, note=50, force=0.2)])
+    ends = []
+    for block in (64, 1000, 1 << 20):
+        renderer = tw.Renderer(score, short, tail=tw.Tail(-60.0, 20.0))
+        samples = whole(renderer, block)
+        ends.append((len(samples), renderer.engine.state.sample, float(np.abs(samples).sum())))
+        assert renderer.summary().end == "decayed"
+    assert ends[0] == ends[1] == ends[2]
+
+
 def test_it_ends_at_the_cap_or_the_maximum_duration(monochord: tw.Instrument) -> None:
     score = tw.Score([tw.Note(0.0, 0.1, note=45, force=1.0)])
     capped = tw.Renderer(score, monochord, tail=tw.Tail(-200.0, 0.5))

@@ -1,4 +1,4 @@
-"""Phi functions, flows and polynomial injections against scipy's matrix exponential."""
+"""Phi functions, flows and what polynomial forces add, against scipy's matrix exponential."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from assembled import uneven
 from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.propagator import apply, flow, phi, polynomial_injection, real_form
+from tonewood.numerics.propagator import apply, flow, impulse_series, moments, phi, powers, real_form
 
 DT = 1 / 48000
 
@@ -94,13 +94,20 @@ def driven_exactly(A, B, start, stop, dt, coefficients, x):
     return sla.expm(A * (dt - stop)) @ x
 
 
+def added(basis, start, stop, coefficients, dt=DT):
+    """(n_modes, 2) of a force c0 + c1 (t - start) + c2 (t - start)^2 at the first point over a step."""
+    series = impulse_series(basis, real_form(basis), 0, dt)
+    (row,) = moments(np.array([start]), np.array([stop]), np.array(coefficients)[:, None], dt, len(series))
+    return (row @ series.reshape(len(row), -1)).reshape(-1, 2)
+
+
 @given(
     x=st.sampled_from([0.0, 1e-3, 0.3, 2.0, 9.0]),
     zeta=st.sampled_from([0.0, 0.01, 0.71, 1.0, 3.0]),
     ends=st.tuples(st.floats(0, 1), st.floats(0, 1)).map(sorted),
     c=st.tuples(*[st.floats(-1, 1)] * 3),
 )
-def test_polynomial_injection_is_exact(x, zeta, ends, c):
+def test_what_a_polynomial_force_adds_is_exact(x, zeta, ends, c):
     omega, dt = x / DT, DT
     sigma = zeta * omega if x else 30.0 * zeta
     basis = ModalBasis.real([omega], [sigma], {"a": [1.0]})
@@ -114,18 +121,15 @@ def test_polynomial_injection_is_exact(x, zeta, ends, c):
     )
     form = real_form(basis)
     to_motion = np.stack([form.C[0, 0], form.C[0, 0] @ form.A[0] * dt])
-    added = polynomial_injection(basis, form.B[0], dt, start, stop, coefficients)
-    np.testing.assert_allclose(to_motion @ added[0], expected, atol=1e-13 * dt**2)
+    np.testing.assert_allclose(to_motion @ added(basis, start, stop, coefficients)[0], expected, atol=1e-13 * dt**2)
 
 
 def test_pieces_add_up_to_the_whole():
     basis = ModalBasis.real([3e4, 1e3, 0.0], [10.0, 2e3, 1.0], {"a": [1.0, 2.0, 3.0]})
-    B = real_form(basis).B[0]
-    whole = polynomial_injection(basis, B, DT, 0.0, DT, (1.0, 2.0 / DT, -3.0 / DT**2))
+    whole = added(basis, 0.0, DT, (1.0, 2.0 / DT, -3.0 / DT**2))
     split = 0.37 * DT
     rest = (1 + 2 * 0.37 - 3 * 0.37**2, (2 - 6 * 0.37) / DT, -3 / DT**2)
-    parts = polynomial_injection(basis, B, DT, 0.0, split, (1.0, 2.0 / DT, -3.0 / DT**2))
-    parts = parts + polynomial_injection(basis, B, DT, split, DT, rest)
+    parts = added(basis, 0.0, split, (1.0, 2.0 / DT, -3.0 / DT**2)) + added(basis, split, DT, rest)
     np.testing.assert_allclose(parts, whole, rtol=1e-12, atol=1e-16 * np.abs(whole).max())
 
 
@@ -133,10 +137,25 @@ def test_constant_piece_is_the_step_of_a_held_force():
     basis = ModalBasis.real([3e4, 2e5], [10.0, 5e5], {"a": [1.0, 2.0]})
     B = real_form(basis).B[0]
     held = apply(DT * flow(basis, DT)[1], B)
-    np.testing.assert_allclose(polynomial_injection(basis, B, DT, 0.0, DT, (1.0, 0.0, 0.0)), held, rtol=1e-13)
+    np.testing.assert_allclose(added(basis, 0.0, DT, (1.0, 0.0, 0.0)), held, rtol=1e-13)
 
 
-def test_pieces_outside_the_step_are_refused():
-    basis = ModalBasis.real([1.0], [0.0], {"a": [1.0]})
-    with pytest.raises(ValueError, match="not inside a step"):
-        polynomial_injection(basis, real_form(basis).B[0], DT, 0.0, 1.5 * DT, (1.0, 0.0, 0.0))
+@pytest.mark.parametrize("dt", [DT, 20 * DT])
+def test_what_strings_get_is_what_phi_functions_say(dt):
+    """Pairs up to 0.45 of the sampling rate, and far beyond it where a step has many cells."""
+    basis = ModalBasis.real(2 * np.pi * np.geomspace(20, 21600, 40), np.geomspace(0.1, 900, 40), {"a": np.ones(40)})
+    start, stop, c = 0.21 * dt, 0.83 * dt, (1.0, -3.0 / dt, 5.0 / dt**2)
+    d = stop - start
+    _, p1, p2, p3 = phi(3, basis.poles * d)
+    z = np.exp(basis.poles * (dt - stop)) * d * (c[0] * p1 + d * c[1] * p2 + 2 * d**2 * c[2] * p3) * basis.left[0]
+    np.testing.assert_allclose(added(basis, start, stop, c, dt) @ [1.0, 1j], z, rtol=1e-12)
+
+
+def test_powers_are_repeated_steps():
+    rng = np.random.default_rng(3)
+    blocks, x = rng.standard_normal((5, 2, 2)), rng.standard_normal((3, 5, 2))
+    expected = [x]
+    for _ in range(10):
+        expected.append(np.einsum("mxy,pmy->pmx", blocks, expected[-1]))
+    np.testing.assert_allclose(powers(blocks, x, 11), expected, rtol=1e-12, atol=1e-12)
+    assert powers(blocks, x, 1).shape == (1, 3, 5, 2)

@@ -120,6 +120,26 @@ def test_exchanged_law_is_as_if_built_with_it():
         system.with_laws({"spring": Connection("spring", system.connections[0].terms, Rigid())})
 
 
+def test_many_exchanges_one_after_another_are_as_if_built_at_last():
+    """What is kept from system to system (the numbers of laws, sums of compliance) must not go stale."""
+    _, system = joined_system(capacities={"a": 10, "b": 10})
+    spring = system.connections[1].terms
+    for seed in range(6):
+        _ = system.solve  # found before the change in some, after it in others
+        system = system.with_laws({"spring": Connection("spring", spring, SpringDashpot(1e4 * seed, 2.0 - seed % 3))})
+        system = system.with_basis("a", chain(3 + seed, seed=seed).real_basis())
+        if seed % 2:
+            _ = system.nonlinear
+        system = system.with_laws({"joint": Connection("joint", system.connections[0].terms, Rigid(1e-4 * seed))})
+        system = system.with_compiled({"b": system.compile("b", uneven(4 + seed, seed=seed).complex_basis())})
+        bases = {n: c.basis for n, c in zip(system.names, system.compiled, strict=True)}
+        room = {"a": 10, "b": 10}
+        built = System.build(bases, system.connections, system.readouts, dt=DT, capacities=room)
+        for name in ("on", "G", "matrix", "gamma", "offset", "constant"):
+            np.testing.assert_array_equal(getattr(system.solve, name), getattr(built.solve, name))
+        np.testing.assert_array_equal(system.gap_matrix("residual"), built.gap_matrix("residual"))
+
+
 def test_driven_components_are_not_felt():
     basis = chain(2, seed=1).real_basis()
     link = Connection("ground", (Term("a", "n1"),))
