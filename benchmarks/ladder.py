@@ -110,8 +110,8 @@ def main() -> None:
             f"| {args.seconds / best[name]:.2f} | {best[name] / base:.2f} | {best[name] / plain:.2f} "
             f"| {per:.1f} | {s.failures} |"
         )
-    for name, fault in left_out.items():
-        print(f"\n{name}: {fault}")
+    for name, reason in left_out.items():
+        print(f"\n{name}: {reason}")
 
 
 if __name__ == "__main__":
