@@ -43,6 +43,55 @@ inline void solve_definite(const double* lower, const double* upper, const doubl
     for (int k = n - 1; k >= 0; --k) subtract(lower + k * w, b[k] *= over[k], 0, k);
 }
 
+// Whether a law's force is linear in its compressions.
+inline bool is_linear(const Law& law) { return law.kind == Law::spring && law.a[1] == 0.0 && law.a[2] == 0.0; }
+
+// -s (I + s Z s)^-1 s for slopes s^2 of n laws, Z (n, wide(n)): (n, wide(n)) in ws.inverse. Uses ws.lower to ws.over.
+inline void invert_laws(Workspace& ws, const double* z, const double* slope, int n) {
+    const std::size_t w = wide(n);
+    double *root = ws.x[4].data(), *lower = ws.lower.data();
+    for (int i = 0; i < n; ++i) root[i] = std::sqrt(slope[i]);
+    for (int i = 0; i < n; ++i)
+        for (int j = 0; j <= i; ++j) lower[i * w + j] = root[i] * z[i * w + j] * root[j] + (i == j ? 1.0 : 0.0);
+    factorize(lower, n, ws.upper.data(), ws.over.data());
+    for (int i = 0; i < n; ++i) {
+        double* row = &ws.inverse[i * w];
+        std::fill_n(row, w, 0.0);
+        row[i] = root[i];
+        solve_definite(lower, ws.upper.data(), ws.over.data(), n, row);
+        for (int j = 0; j < n; ++j) row[j] *= -root[j];
+    }
+}
+
+// The forces f (n) of linear laws, in one step from where they stand: with force = slope p + f_0 it is
+// r - s (I + s Z s)^-1 s Z r, s^2 = slope and r what is wrong. The inverse is kept until a slope changes.
+inline bool solve_linear_laws(const Nonlinear& nl, Workspace& ws, const double* free, double* f) {
+    const int n = int(ws.stored.size());
+    const std::size_t w = wide(n);
+    const double* z = ws.matrix.data();
+    double *p = ws.x[0].data(), *r = ws.x[1].data(), *slope = ws.x[2].data(), *zr = ws.x[3].data();
+    double* step = ws.x[5].data();
+    std::fill_n(p, w, 0.0);
+    add_product(z, int(w), f, n, p);
+    for (int i = 0; i < n; ++i) {
+        const int j = ws.stored[i];
+        const Push out = push(nl.laws[j], free[i] - p[i], ws.old_p[j], nl.dt);
+        r[i] = out.force * ws.scale[j] - f[i];
+        const double now = out.slope * ws.scale[j];
+        ws.factored = ws.factored && slope[i] == now;
+        slope[i] = now;
+    }
+    if (!ws.factored) invert_laws(ws, z, slope, n);
+    ws.factored = true;
+    std::fill_n(zr, w, 0.0);
+    add_product(z, int(w), r, n, zr);
+    std::copy_n(r, n, step);
+    add_product(ws.inverse.data(), int(w), zr, n, step);
+    double check = 0.0;
+    for (int i = 0; i < n; ++i) check += f[i] += step[i];
+    return std::isfinite(check);
+}
+
 // Newton's method for the laws with a potential among the active: ws.stored, whose compliances stand in ws.matrix.
 // `free` (n): compressions without these forces. Moves `f` (n).
 inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, double* f, double noise, int& iterations) {
@@ -89,18 +138,11 @@ inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, doubl
             iterations += iteration;
             return true;
         }
-        // slopes of laws that are linear stay as they are, and the factors with them
-        for (int i = 0; i < n; ++i) {
-            const double root = std::sqrt(slope[i]);
-            ws.factored = ws.factored && s[i] == root;
-            s[i] = root;
-        }
-        if (!ws.factored) {
-            for (int i = 0; i < n; ++i)
-                for (int j = 0; j <= i; ++j) lower[i * w + j] = s[i] * z[i * w + j] * s[j] + (i == j ? 1.0 : 0.0);
-            factorize(lower, n, ws.upper.data(), ws.over.data());
-            ws.factored = true;
-        }
+        for (int i = 0; i < n; ++i) s[i] = std::sqrt(slope[i]);
+        for (int i = 0; i < n; ++i)
+            for (int j = 0; j <= i; ++j) lower[i * w + j] = s[i] * z[i * w + j] * s[j] + (i == j ? 1.0 : 0.0);
+        factorize(lower, n, ws.upper.data(), ws.over.data());
+        ws.factored = false;
         std::fill_n(step, w, 0.0);
         for (int i = 0; i < n; ++i) step[i] = s[i] * zr[i];
         solve_definite(lower, ws.upper.data(), ws.over.data(), n, step);
@@ -143,6 +185,8 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, const double* z, int
         if (at_rest) ws.gathered = ws.stored;
         else ws.gathered.clear();
     }
+    bool linear = n_stored <= kMostLinear;
+    for (int i = 0; i < n_stored && linear; ++i) linear = is_linear(nl.laws[ws.stored[i]]);
     double *free = ws.x[9].data(), *g = ws.x[10].data(), *before = ws.x[11].data();
     for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
         for (int i = 0; i < n; ++i) before[i] = f[ws.active[i]];
@@ -175,7 +219,12 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, const double* z, int
                 free[i] = ws.free_p[j], g[i] = f[j];
                 for (const int q : ws.sliding) free[i] -= z[std::size_t(j) * k + q] * f[q];
             }
-            if (!newton(nl, ws, free, g, noise, iterations)) return false;
+            if (linear) {
+                ++iterations;
+                if (!solve_linear_laws(nl, ws, free, g)) return false;
+            } else if (!newton(nl, ws, free, g, noise, iterations)) {
+                return false;
+            }
             for (int i = 0; i < n_stored; ++i) f[ws.stored[i]] = g[i];
         }
         if (ws.sliding.empty() || n == 1) return true;

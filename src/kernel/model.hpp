@@ -241,6 +241,8 @@ struct Nonlinear {
 // Where on its curve friction is during a step: to be seen, sticking, sliding either way, at a velocity given.
 enum class Branch : char { open, stuck, ahead, behind, held };
 
+constexpr int kMostLinear = 16;  // laws, if all are linear, whose inverse is kept
+
 // What a run with nonlinear connections moves besides, and its buffers: nothing is allocated while stepping.
 struct Workspace {
     // by connection (k)
@@ -274,8 +276,9 @@ struct Workspace {
     std::vector<int> stored, sliding;
     Array<double> x[12], matrix, f0;
     std::vector<int> gathered;       // connections whose compliances at rest stand in matrix
-    bool factored = false;           // for slopes whose roots stand in x[2]
-    Array<double> lower, upper, over;  // the factor, transposed, one over its diagonal
+    Array<double> lower, upper, over;  // factors of a symmetric matrix, one over their diagonal
+    bool factored = false;           // the inverse is that for linear laws of the slopes in x[2]
+    Array<double> inverse;
 };
 
 struct Statistics {
@@ -346,12 +349,20 @@ struct TensePorts {
     // of a sample
     Array<double> of_port[kPortSums], alone, moved, force, next, wrong, base, fixed, by, gained, steep;  // by port
     Array<double> change, slope, off, both, pushed, sharp;                                               // by pair
+    Array<double> changed;             // (ports, width): `change` as a matrix, if not `single`
     Array<double> y, linear, fixed_part;
     Array<double> inverse;             // (ports, ports)
     std::vector<int> pivots;
     // of laws: compression lost per displacement of a port by itself, and forces on the ports per force of a law,
     // (k, width) each; compressions while the ports do not move by themselves (k)
     Array<double> meets, law_ports, law_free, sum;
+    // the same of the laws that act alone: (ports, wide) and (laws, width)
+    std::vector<int> active;
+    Array<double> active_meets, active_ports, active_free, active_force;
+    // where these are linear, as further linear connections: their forces per force at compressions at rest (laws, wide)
+    // and per displacement of a port (ports, wide), lost; `onto_ports` and `fixed` with them
+    bool folded = false;
+    Array<double> law_slope, given, answers, caught, onto_with_laws, fixed_with_laws;
 };
 
 struct TensionSpace {

@@ -419,9 +419,9 @@ private:
                 for (const int j : group.contacts)
                     if (!ws_.awake[j] && series_lives(j)) {
                         const double most = std::max(std::abs(ws_.series[j]), std::abs(ws_.series_after[j]));
-                        yielding = std::max(yielding, most / ws_.slack[j] * (1 + kMargin<T>));
+                        if (most > yielding * ws_.slack[j]) yielding = most / ws_.slack[j];
                     }
-            if (ws_.level_after[index] + yielding < 1.0) continue;
+            if (ws_.level_after[index] + yielding * (1 + kMargin<T>) < 1.0) continue;
             bool woken = false;
             for (const int j : group.contacts) {
                 if (ws_.awake[j] || used(j, b) < ws_.slack[j]) continue;
@@ -517,8 +517,7 @@ private:
             gap += t.factor * at[0], free += t.factor * at[t.guarded ? 1 : layout_.width];
         }
         const double* row = &nl_.from_linear[std::size_t(j) * m_];
-        if (!any_tense_)
-            for (int q = 0; q < m_; ++q) free += row[q] * ws_.f0[q];
+        if (!any_tense_) free += dot(row, ws_.f0.data(), m_);
         if (nl_.series[j] >= 0) {
             gap += ws_.series[j];
             free -= (1 - nl_.theta) / nl_.theta * ws_.series[j];
@@ -628,11 +627,11 @@ private:
         for (int s = 0; s < nl_.n_series; ++s) {
             if (!ws_.series_alive[s]) continue;
             for (const int j : nl_.in_series[s]) ws_.series_after[j] = -old * ws_.series[j];
-            for (const int q : ws_.active) {
-                if (nl_.series[q] != s) continue;
-                const double push = per * ws_.law_force[q], *row = &nl_.residual[std::size_t(q) * nl_.k];
-                for (const int j : nl_.in_series[s]) ws_.series_after[j] += row[j] * push;
-            }
+        }
+        for (const int q : ws_.active) {
+            if (!series_lives(q)) continue;
+            const double push = per * ws_.law_force[q], *row = &nl_.residual[std::size_t(q) * nl_.k];
+            for (const int j : nl_.in_series[nl_.series[q]]) ws_.series_after[j] += row[j] * push;
         }
     }
 

@@ -221,7 +221,7 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
                              &to.steep})
         a->assign(to.width, 0.0);
     for (Array<double>* a : {&to.change, &to.slope, &to.off, &to.both, &to.pushed, &to.sharp}) a->assign(to.pair_width, 0.0);
-    to.onto_ports.assign(n * to.width, 0.0);
+    to.onto_ports.assign(n * to.width, 0.0), to.changed.assign(to.single ? 0 : n * to.width, 0.0);
     to.inverse.assign(n * n, 0.0), to.pivots.assign(n, 0);
     for (const auto& port : to.ports) {
         const double* linear = &l.pull[(n_places + port.place) * l.f_width];
@@ -238,6 +238,11 @@ inline void arrange_laws(const Nonlinear& nl, const Layout& l, int m, TensePorts
     const std::size_t n = to.ports.size(), k = nl.k, width = to.width;
     to.meets.assign(k * width, 0.0), to.law_ports = to.meets;
     to.law_free.assign(k, 0.0), to.sum.assign(width, 0.0);
+    const std::size_t wide = (k + kLane - 1) / kLane * kLane;
+    to.active_meets.assign(n * wide, 0.0), to.active_ports = to.meets;
+    to.law_slope.assign(wide, 0.0), to.given = to.law_slope, to.answers.assign(k * wide, 0.0), to.caught = to.active_meets;
+    to.onto_with_laws = to.onto_ports, to.fixed_with_laws.assign(width, 0.0), to.folded = false;
+    to.active_free.assign(wide, 0.0), to.active_force = to.active_free, to.active.clear(), to.active.reserve(k);
     Array<double> law_forces(k * l.force_width, 0.0);  // per force of a law on all ports
     for (const auto& term : nl.all_terms) {
         if (term.guarded) continue;
@@ -347,6 +352,7 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, c
     const std::size_t wide = (k + kLane - 1) / kLane * kLane;
     for (Array<double>& a : ws.x) a.assign(wide, 0.0);
     for (Array<double>* a : {&ws.matrix, &ws.lower, &ws.upper}) a->assign(k * wide, 0.0);
+    ws.inverse.assign(std::size_t(kMostLinear) * kMostLinear, 0.0);
     ws.over.assign(wide, 0.0), ws.gathered.clear(), ws.gathered.reserve(k), ws.f0.assign(layout.f_width, 0.0);
 }
 

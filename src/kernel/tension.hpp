@@ -201,7 +201,7 @@ private:
     bool linear_step(double* f, double* now) {
         const bool done = find(kForceTolerance<T>, true, [&](double* force) {
             std::copy(ports_.base.begin(), ports_.base.end(), force);
-            add_product(ports_.onto_ports.data(), ports_.width, ports_.moved.data(), int(ports_.ports.size()), force);
+            add_product(onto_, ports_.width, ports_.moved.data(), int(ports_.ports.size()), force);
             return true;
         });
         statistics_.failures += !done;
@@ -292,10 +292,16 @@ private:
             }
             S::store(change + q, value), S::store(slope + q, rise);
         }
+        if (!ports_.single)
+            for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
+                const auto& pair = ports_.pairs[q];
+                ports_.changed[std::size_t(pair.to) * ports_.width + pair.from] = change[q];
+                ports_.changed[std::size_t(pair.from) * ports_.width + pair.to] = change[q];
+            }
         double *const base = ports_.base.data(), *const force = ports_.force.data();
         if (plain)
             for (int p = 0; p < ports_.width; p += S::width) S::store(force + p, S::load(force + p) - S::load(base + p));
-        add_product(ports_.onto_ports.data(), ports_.width, to, n, ports_.fixed.data(), base);
+        add_product(onto_, ports_.width, to, n, fixed_, base);
         if (plain)
             for (int p = 0; p < ports_.width; p += S::width) S::store(force + p, S::load(force + p) + S::load(base + p));
         if (strong_) invert_ports();
@@ -330,12 +336,8 @@ private:
             for (int p = 0; p < ports_.width; p += S::width) S::store(to + p, of(ports_.change, p) * S::load(force + p));
             return;
         }
-        std::fill_n(to, n, 0.0);
-        for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
-            const auto& pair = ports_.pairs[q];
-            to[pair.to] += ports_.change[q] * force[pair.from];
-            if (pair.to != pair.from) to[pair.from] += ports_.change[q] * force[pair.to];
-        }
+        std::fill_n(to, ports_.width, 0.0);
+        add_product(ports_.changed.data(), ports_.width, force, n, to);
     }
 
     // The forces that the displacements call up and that make the displacements, at the tensions tried. Each turn shrinks
@@ -382,7 +384,7 @@ private:
             for (int to = 0; to < n; ++to) {
                 double sum = to == p ? 1.0 : 0.0;
                 for (int q = 0; q < n; ++q)
-                    sum -= ports_.onto_ports[std::size_t(q) * ports_.width + to] * ports_.moved[q];
+                    sum -= onto_[std::size_t(q) * ports_.width + to] * ports_.moved[q];
                 a[std::size_t(to) * n + p] = sum;
             }
         }
@@ -565,17 +567,6 @@ private:
         for (int j = 0; j < solve_.m; ++j) ws_.fixed[j] -= tensions_.offset[j];
     }
 
-    // In two chains, as many as pay for the few connections of a string.
-    static double dot(const double* a, const double* b, int n) {
-        using S = Simd<double>;
-        S::V sums{};
-        int j = 0;
-        for (; j + S::width <= n; j += S::width) sums += S::load(a + j) * S::load(b + j);
-        double rest = 0.0;
-        for (; j < n; ++j) rest += a[j] * b[j];
-        return n < S::width ? rest : S::sum(sums) + rest;
-    }
-
     // f = -M^-1 v, by an inverse made earlier in the block and corrections with M itself.
     bool solve_linear(const double* M, const double* v, double* f) {
         const int m = solve_.m;
@@ -654,6 +645,7 @@ private:
     bool strong_ = false, linear_known_ = false;
     double largest_ = 0.0;  // rise of a mode's stiffness
     const double* line_ = nullptr;
+    const double *onto_ = ports_.onto_ports.data(), *fixed_ = ports_.fixed.data();
     Direct at_once_;
     std::vector<std::vector<Load<T>>> pushed_;  // forces on guarded ports, by component
     Array<T> forces_;                           // on fixed ports, of the step found last
