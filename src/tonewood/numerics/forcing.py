@@ -90,8 +90,9 @@ class Course:
 
     def injections(self, component: str, impulses: Floats, factor: float = 1.0) -> list[Injection]:
         """What the force adds to a component, from the `impulse_series` of the point it acts on."""
-        n_modes = impulses.shape[2]
-        added = factor * (self._moments(len(impulses)) @ impulses.reshape(-1, 2 * n_modes)).reshape(-1, n_modes, 2)
+        n_cells, n_terms, n_modes, _ = impulses.shape
+        added = factor * (self._moments(n_cells) @ impulses.reshape(n_cells * n_terms, 2 * n_modes))
+        added = added.reshape(len(added), n_modes, 2)
         one = np.ones((1, 1))
         out = [Injection(component, n, added[i, None], one) for i, n in enumerate(self.steps)]
         if self.used.size:

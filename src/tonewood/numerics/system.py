@@ -96,13 +96,13 @@ class Compiled:
     def gap_velocity(self) -> Floats:
         """(g, 2 n_modes) what its modes' numbers, (2, n_modes), add to the velocities of its gaps."""
         rows = self.form.rows("velocity", self.ports).swapaxes(1, 2)
-        return np.asarray(self.shares @ rows.reshape(len(self.ports), -1))
+        return np.asarray(self.shares @ rows.reshape(len(self.ports), 2 * self.basis.n_modes))
 
     @cached_property
     def gap_push(self) -> Floats:
         """(g, 2 n_modes) what an impulse of 1 N s across each gap adds to these numbers."""
         B = self.form.B[self.ports].swapaxes(1, 2)
-        return np.asarray(self.shares @ B.reshape(len(self.ports), -1))
+        return np.asarray(self.shares @ B.reshape(len(self.ports), 2 * self.basis.n_modes))
 
     @cached_property
     def gap_mobility(self) -> Floats:

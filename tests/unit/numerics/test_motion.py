@@ -7,7 +7,8 @@ import pytest
 import scipy.linalg as sla
 
 from assembled import chain, connect, merged
-from tonewood.numerics.connections import Connection, SpringDashpot, Term
+from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.numerics.forcing import Segment, compile_force
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.motion import from_motion, share_velocities, to_motion
 from tonewood.numerics.propagator import real_form
@@ -123,3 +124,17 @@ def test_driven_components_take_no_part(seed):
     share_velocities(system, state)
     np.testing.assert_array_equal(system.modes_of(state, "mic"), heard)
     assert abs(velocities(system, state)[2]) < 1e-9
+
+
+def test_components_without_modes_or_ports_take_no_part_in_an_impact() -> None:
+    """A string that sleeps has no modes left; a part that nothing is joined to has no ports."""
+    one, none = ModalBasis.real([10.0], [0.1], {"end": [1.0]}), ModalBasis.real([], [], {"end": []})
+    joint = Connection("joint", (Term("a", "end"), Term("b", "end", -1.0)), Rigid())
+    asleep = Connection("asleep", (Term("c", "end"), Term("b", "end", -1.0)), Rigid())
+    system = System.build({"a": one, "b": one, "c": none, "alone": one}, [joint, asleep], dt=1e-3)
+    state = system.start()
+    system.modes_of(state, "a")[:] = from_motion(one, np.array([0.2]), np.array([3.0]))
+    share_velocities(system, state, np.array([True, False]))
+    for name in ("a", "b"):
+        assert to_motion(one, system.modes_of(state, name))[1] == pytest.approx([1.5])
+    assert compile_force("c", none, "end", [Segment(0.0, 2.5e-3, 1.0)], 1e-3)[0].vectors.shape[1:] == (0, 2)
