@@ -8,7 +8,7 @@ all there is: rising tensions and frets; `steel_guitar` is taken with frets, too
 Errors are those of `auto` against `all`: the largest sample difference with rising tension always on, in dB re the peak
 (additive effects alone), and by how much the fundamentals of the notes are off while they sound, in cents (95 % of the
 windows of 50 ms in which they are within 20 dB of their loudest, and the largest). `plan` is the predicted time of
-`auto` over the real one, both by the clock on the wall.
+`auto` over the real one.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def row(score: tw.Score, made: tw.Instrument, seconds: float, predict: bool) -> 
     foreseen = "-"
     if predict:
         plan = tw.plan(score, made, FS, max_duration=seconds, tail=tw.Tail(cap=2.0))
-        foreseen = f"{plan.predicted_s / stream.summary().render_s:.2f}"
+        foreseen = f"{plan.predicted_s / t_auto:.2f}"
     return (
         f"{n / FS:.0f} | {t_auto:.1f} | {t_all / t_auto:.2f} | {t_auto / t_linear:.2f} | {share} | {100 * awake:.0f} % "
         f"| {db} | {np.quantile(cents, 0.95):.3f} | {cents.max():.2f} | {foreseen}"

@@ -43,7 +43,9 @@ class Scene:
 
     def __init__(self, instrument: tw.Instrument, fs: float, finger: bool):
         self.model: Model = assemble(instrument, fs)
-        system = self.model.system.with_laws(self.model.resting) if finger else self.model.system
+        # the fingers lie on the strings; the palm of the bundle stays away
+        lies = {name: c for name, c in self.model.resting.items() if ".finger." in name}
+        system = self.model.system.with_laws(lies) if finger else self.model.system
         gesture = self.model.exciters["pluck"].gesture(tw.Event({"force": 2.0}, 82.4), self.model.place("E2"))
         self.injections = []
         for string in self.model.strings.values():

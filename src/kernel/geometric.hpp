@@ -86,6 +86,8 @@ public:
                 const double left = norm(s, s.wrong), all = norm(s, s.F);
                 if (!std::isfinite(left)) return book(iteration, false);
                 const bool still = left >= 0.5 * s.left && left <= 1e3 * kGeometricTolerance * all;
+                // no nearer: what it remembers is not its own doing, other strings have moved it meanwhile
+                if (left > 0.9 * s.left) s.kept = 0, s.has_last = false;
                 s.left = left;
                 s.settled = left <= kGeometricTolerance * all || left <= kBelowRounding * s.motion || still;
                 if (!s.settled) advance(s), found = false;

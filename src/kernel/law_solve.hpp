@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "laws.hpp"
+#include "lines.hpp"
 
 namespace tonewood {
 namespace {
@@ -11,23 +12,84 @@ namespace {
 constexpr double kTolerance = 1e-12, kRounding = 4e-16;
 constexpr int kMaxIterations = 100, kMaxSweeps = 200;
 
-// Cholesky of the lower triangle of a (n, n), in place, and solution of a x = b, in place; a has no pivot below 1.
-inline void solve_definite(double* a, int n, double* b) {
+inline std::size_t wide(int n) { return std::size_t(n + kLane - 1) / kLane * kLane; }
+
+// Cholesky of a (n, wide(n)), its lower triangle in place, a column of it in each row of `upper`, one over the diagonal
+// in `over`; what lies beyond is zero. No pivot is below 1.
+inline void factorize(double* a, int n, double* upper, double* over) {
+    const std::size_t w = wide(n);
     for (int j = 0; j < n; ++j) {
+        for (std::size_t i = j + 1; i < w; ++i) a[j * w + i] = 0.0;
+        for (int i = 0; i < n; ++i) upper[j * w + i] = 0.0;
         for (int i = j; i < n; ++i) {
-            double sum = a[i * n + j];
-            for (int k = 0; k < j; ++k) sum -= a[i * n + k] * a[j * n + k];
-            a[i * n + j] = i == j ? std::sqrt(std::max(sum, 1.0)) : sum / a[j * n + j];
+            double sum = a[i * w + j];
+            for (int k = 0; k < j; ++k) sum -= a[i * w + k] * a[j * w + k];
+            upper[j * w + i] = a[i * w + j] = i == j ? std::sqrt(std::max(sum, 1.0)) : sum * over[j];
+            if (i == j) over[j] = 1 / a[i * w + j];
         }
+        upper[j * w + j] = a[j * w + j] = 0.0;  // `over` stands for it
     }
+}
+
+// a x = b in place, a given by its factors
+inline void solve_definite(const double* lower, const double* upper, const double* over, int n, double* b) {
+    using S = Simd<double>;
+    const std::size_t w = wide(n);
+    const auto subtract = [&](const double* row, double x, std::size_t from, std::size_t to) {
+        for (std::size_t i = from / S::width * S::width; i < to; i += S::width)
+            S::store(b + i, S::load(b + i) - S::load(row + i) * x);
+    };
+    for (int k = 0; k < n; ++k) subtract(upper + k * w, b[k] *= over[k], k, w);
+    for (int k = n - 1; k >= 0; --k) subtract(lower + k * w, b[k] *= over[k], 0, k);
+}
+
+// Whether a law's force is linear in its compressions.
+inline bool is_linear(const Law& law) { return law.kind == Law::spring && law.a[1] == 0.0 && law.a[2] == 0.0; }
+
+// -s (I + s Z s)^-1 s for slopes s^2 of n laws, Z (n, wide(n)): (n, wide(n)) in ws.inverse. Uses ws.lower to ws.over.
+inline void invert_laws(Workspace& ws, const double* z, const double* slope, int n) {
+    const std::size_t w = wide(n);
+    double *root = ws.x[4].data(), *lower = ws.lower.data();
+    for (int i = 0; i < n; ++i) root[i] = std::sqrt(slope[i]);
+    for (int i = 0; i < n; ++i)
+        for (int j = 0; j <= i; ++j) lower[i * w + j] = root[i] * z[i * w + j] * root[j] + (i == j ? 1.0 : 0.0);
+    factorize(lower, n, ws.upper.data(), ws.over.data());
     for (int i = 0; i < n; ++i) {
-        for (int k = 0; k < i; ++k) b[i] -= a[i * n + k] * b[k];
-        b[i] /= a[i * n + i];
+        double* row = &ws.inverse[i * w];
+        std::fill_n(row, w, 0.0);
+        row[i] = root[i];
+        solve_definite(lower, ws.upper.data(), ws.over.data(), n, row);
+        for (int j = 0; j < n; ++j) row[j] *= -root[j];
     }
-    for (int i = n - 1; i >= 0; --i) {
-        for (int k = i + 1; k < n; ++k) b[i] -= a[k * n + i] * b[k];
-        b[i] /= a[i * n + i];
+}
+
+// The forces f (n) of linear laws, in one step from where they stand: with force = slope p + f_0 it is
+// r - s (I + s Z s)^-1 s Z r, s^2 = slope and r what is wrong. The inverse is kept until a slope changes.
+inline bool solve_linear_laws(const Nonlinear& nl, Workspace& ws, const double* free, double* f) {
+    const int n = int(ws.stored.size());
+    const std::size_t w = wide(n);
+    const double* z = ws.matrix.data();
+    double *p = ws.x[0].data(), *r = ws.x[1].data(), *slope = ws.x[2].data(), *zr = ws.x[3].data();
+    double* step = ws.x[5].data();
+    std::fill_n(p, w, 0.0);
+    add_product(z, int(w), f, n, p);
+    for (int i = 0; i < n; ++i) {
+        const int j = ws.stored[i];
+        const Push out = push(nl.laws[j], free[i] - p[i], ws.old_p[j], nl.dt);
+        r[i] = out.force * ws.scale[j] - f[i];
+        const double now = out.slope * ws.scale[j];
+        ws.factored = ws.factored && slope[i] == now;
+        slope[i] = now;
     }
+    if (!ws.factored) invert_laws(ws, z, slope, n);
+    ws.factored = true;
+    std::fill_n(zr, w, 0.0);
+    add_product(z, int(w), r, n, zr);
+    std::copy_n(r, n, step);
+    add_product(ws.inverse.data(), int(w), zr, n, step);
+    double check = 0.0;
+    for (int i = 0; i < n; ++i) check += f[i] += step[i];
+    return std::isfinite(check);
 }
 
 // Newton's method for the laws with a potential among the active: ws.stored, whose compliances stand in ws.matrix.
@@ -37,13 +99,11 @@ inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, doubl
     const double* z = ws.matrix.data();
     double *p = ws.x[0].data(), *r = ws.x[1].data(), *s = ws.x[2].data(), *zr = ws.x[3].data();
     double *step = ws.x[4].data(), *moved = ws.x[5].data(), *law_force = ws.x[6].data(), *slope = ws.x[7].data();
-    double *tried = ws.x[8].data(), *inner = ws.inner.data();
+    double *tried = ws.x[8].data(), *lower = ws.lower.data();
+    const std::size_t w = wide(n);
     const auto times_z = [&](const double* v, double* out) {
-        for (int i = 0; i < n; ++i) {
-            double sum = 0.0;
-            for (int j = 0; j < n; ++j) sum += z[i * n + j] * v[j];
-            out[i] = sum;
-        }
+        std::fill_n(out, w, 0.0);
+        add_product(z, int(w), v, n, out);  // z is symmetric
     };
     const auto evaluate = [&](const double* at_p) {
         for (int i = 0; i < n; ++i) {
@@ -71,7 +131,7 @@ inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, doubl
             // what the rounding of p makes of the forces: a dashpot over a short step lives on small differences
             double heard = 0.0;
             for (int j = 0; j < n; ++j)
-                heard += std::abs(z[i * n + j]) * slope[j] * std::max(std::abs(p[j]), std::abs(ws.old_p[at[j]]));
+                heard += std::abs(z[i * w + j]) * slope[j] * std::max(std::abs(p[j]), std::abs(ws.old_p[at[j]]));
             found = wrong <= allowed + kRounding * heard;
         }
         if (found) {
@@ -79,11 +139,13 @@ inline bool newton(const Nonlinear& nl, Workspace& ws, const double* free, doubl
             return true;
         }
         for (int i = 0; i < n; ++i) s[i] = std::sqrt(slope[i]);
-        for (int i = 0; i < n; ++i) {
-            for (int j = 0; j <= i; ++j) inner[i * n + j] = s[i] * z[i * n + j] * s[j] + (i == j ? 1.0 : 0.0);
-            step[i] = s[i] * zr[i];
-        }
-        solve_definite(inner, n, step);
+        for (int i = 0; i < n; ++i)
+            for (int j = 0; j <= i; ++j) lower[i * w + j] = s[i] * z[i * w + j] * s[j] + (i == j ? 1.0 : 0.0);
+        factorize(lower, n, ws.upper.data(), ws.over.data());
+        ws.factored = false;
+        std::fill_n(step, w, 0.0);
+        for (int i = 0; i < n; ++i) step[i] = s[i] * zr[i];
+        solve_definite(lower, ws.upper.data(), ws.over.data(), n, step);
         for (int i = 0; i < n; ++i) step[i] = r[i] - s[i] * step[i];
         times_z(step, moved);
         double start = 0.0, t = 1.0;
@@ -114,9 +176,17 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, const double* z, int
         noise = std::max(noise, kRounding * ws.size[j]);
     }
     const int n_stored = int(ws.stored.size());
-    for (int i = 0; i < n_stored; ++i)
-        for (int j = 0; j < n_stored; ++j)
-            ws.matrix[std::size_t(i) * n_stored + j] = z[std::size_t(ws.stored[i]) * k + ws.stored[j]];
+    const bool at_rest = z == nl.z.data();
+    if (!at_rest || ws.gathered != ws.stored) {
+        const std::size_t w = wide(n_stored);
+        for (int i = 0; i < n_stored; ++i)
+            for (int j = 0; j < n_stored; ++j) ws.matrix[i * w + j] = z[std::size_t(ws.stored[i]) * k + ws.stored[j]];
+        ws.factored = false;
+        if (at_rest) ws.gathered = ws.stored;
+        else ws.gathered.clear();
+    }
+    bool linear = n_stored <= kMostLinear;
+    for (int i = 0; i < n_stored && linear; ++i) linear = is_linear(nl.laws[ws.stored[i]]);
     double *free = ws.x[9].data(), *g = ws.x[10].data(), *before = ws.x[11].data();
     for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
         for (int i = 0; i < n; ++i) before[i] = f[ws.active[i]];
@@ -149,7 +219,12 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, const double* z, int
                 free[i] = ws.free_p[j], g[i] = f[j];
                 for (const int q : ws.sliding) free[i] -= z[std::size_t(j) * k + q] * f[q];
             }
-            if (!newton(nl, ws, free, g, noise, iterations)) return false;
+            if (linear) {
+                ++iterations;
+                if (!solve_linear_laws(nl, ws, free, g)) return false;
+            } else if (!newton(nl, ws, free, g, noise, iterations)) {
+                return false;
+            }
             for (int i = 0; i < n_stored; ++i) f[ws.stored[i]] = g[i];
         }
         if (ws.sliding.empty() || n == 1) return true;

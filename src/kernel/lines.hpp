@@ -40,6 +40,16 @@ inline void add_product(const double* __restrict matrix, int width, const double
     add_product(matrix, width, x, n, sum, sum);
 }
 
+inline double dot(const double* a, const double* b, int n) {
+    using S = Simd<double>;
+    S::V sums{};
+    int j = 0;
+    for (; j + S::width <= n; j += S::width) sums += S::load(a + j) * S::load(b + j);
+    double rest = 0.0;
+    for (; j < n; ++j) rest += a[j] * b[j];
+    return n < S::width ? rest : S::sum(sums) + rest;
+}
+
 // Port forces of sample b from lines b and b + 1, where nothing but linear connections acts; see Layout::direct.
 class Direct {
     using S = Simd<double>;

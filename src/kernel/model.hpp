@@ -193,6 +193,8 @@ struct Law {
     } potential, slope;
 };
 
+constexpr double kQuiet = 0.8;  // share of the clearances up to which contacts are bounded together
+
 // Nonlinear connections, as the linear ones leave their gaps.
 struct Nonlinear {
     struct Term {
@@ -202,12 +204,12 @@ struct Nonlinear {
     };
     struct Group {  // of components that contacts on guarded ports join
         std::vector<int> components, contacts;
-        // of one component whose contacts all have one term and room below: its norm times `tightest` is the largest
-        // share of a clearance that free motion can take; `worth` of its fixed ports when every slack is half of it
+        // where all contacts are on guarded ports and have room below: the norms of the components times `tightest` add
+        // up to the largest share of a clearance that free motion can take; `worth` of their fixed ports and
+        // `pull_worth` of the rising tension when every slack is what kQuiet leaves of it
         bool simple = false;
-        double tightest = 0;
-        Array<double> worth;
-        double pull_worth = 0;  // of the rising tension, likewise
+        Array<double> tightest, pull_worth;
+        std::vector<Array<double>> worth;
     };
     int k = 0;
     double dt = 0;
@@ -222,11 +224,14 @@ struct Nonlinear {
     std::vector<int> heard;     // connections with a weight
     std::vector<int> series;    // (k): which group of gaps shares residual compliance, -1 without
     int n_series = 0;
+    std::vector<std::vector<int>> in_series;  // by group of these: its connections
     std::vector<Term> all_terms;
     // made by prepare.hpp
     std::vector<std::vector<Term>> terms, driven;  // by connection: two-way ones, one-way ones
     std::vector<char> guarded;                     // by connection: whether it may sleep
     std::vector<int> group_of;                     // by component, -1 outside of groups
+    std::vector<int> group_of_law;                 // likewise by connection
+    Array<double> worth;  // (force_width): if all groups are simple, `worth` of the port times the ports in its group
     std::vector<Group> groups;
     std::vector<int> first;                        // by component: its first guarded port among all
     std::vector<Array<double>> reach;  // by component: (all ports, all ports), fixed ones first: |row| per sum |force|
@@ -235,6 +240,8 @@ struct Nonlinear {
 
 // Where on its curve friction is during a step: to be seen, sticking, sliding either way, at a velocity given.
 enum class Branch : char { open, stuck, ahead, behind, held };
+
+constexpr int kMostLinear = 16;  // laws, if all are linear, whose inverse is kept
 
 // What a run with nonlinear connections moves besides, and its buffers: nothing is allocated while stepping.
 struct Workspace {
@@ -263,9 +270,15 @@ struct Workspace {
     Array<double> level, level_after;  // by group: sum of worth |F| before and after a sample; nothing touches below 1
     std::vector<int> asleep;         // by group
     std::vector<char> quiet;         // by group: all asleep by one bound
+    std::vector<char> driven;        // by group: a control moves one of its contacts
+    Array<double> taken;             // (force_width): share of the tightest slack that a port's forces took in this block
     // of the solve
     std::vector<int> stored, sliding;
-    Array<double> x[12], matrix, inner, f0;
+    Array<double> x[12], matrix, f0;
+    std::vector<int> gathered;       // connections whose compliances at rest stand in matrix
+    Array<double> lower, upper, over;  // factors of a symmetric matrix, one over their diagonal
+    bool factored = false;           // the inverse is that for linear laws of the slopes in x[2]
+    Array<double> inverse;
 };
 
 struct Statistics {
@@ -317,23 +330,39 @@ struct TensePorts {
     };
     std::vector<Port> ports;
     std::vector<Pair> pairs;           // if `single`, one for each port, in the same order
+    struct Range {
+        int first, last, first_pair, last_pair;
+    };
+    std::vector<Range> ranges;         // of ports and of pairs, by string
     std::vector<int> first, string_of; // by component: its first port among all; its string
     bool single = true;                // no component has more than one
     int width = 0, pair_width = 0;     // padded to kLane
     std::vector<Cell> cells;           // by string
     Array<double> changes;             // (kTaylor, pair_width): compliances less those at rest
     Array<double> onto_forces;         // (ports, force_width): port forces per displacement of a port by itself
+    Array<double> onto_ports;          // (ports, width): forces on these ports alone
     Array<double> onto_linear;         // (ports, f_width): the same for forces of linear connections
     // sums of a pass: shared by a string's components, then six for each port
     std::vector<std::size_t> shared, own;  // by string, by component: the first one
     Array<char> lanes;                 // of the sums, as T
     Array<double> sums;
     // of a sample
-    Array<double> of_port[kPortSums], alone, moved, force, wrong;  // by port
-    Array<double> change, slope, off;                              // by pair
-    Array<double> y, linear, fixed_part, base;
+    Array<double> of_port[kPortSums], alone, moved, force, next, wrong, base, fixed, by, gained, steep;  // by port
+    Array<double> change, slope, off, both, pushed, sharp;                                               // by pair
+    Array<double> changed;             // (ports, width): `change` as a matrix, if not `single`
+    Array<double> y, linear, fixed_part;
     Array<double> inverse;             // (ports, ports)
     std::vector<int> pivots;
+    // of laws: compression lost per displacement of a port by itself, and forces on the ports per force of a law,
+    // (k, width) each; compressions while the ports do not move by themselves (k)
+    Array<double> meets, law_ports, law_free, sum;
+    // the same of the laws that act alone: (ports, wide) and (laws, width)
+    std::vector<int> active;
+    Array<double> active_meets, active_ports, active_free, active_force;
+    // where these are linear, as further linear connections: their forces per force at compressions at rest (laws, wide)
+    // and per displacement of a port (ports, wide), lost; `onto_ports` and `fixed` with them
+    bool folded = false;
+    Array<double> law_slope, given, answers, caught, onto_with_laws, fixed_with_laws;
 };
 
 struct TensionSpace {
@@ -342,7 +371,7 @@ struct TensionSpace {
     std::vector<char> pending;  // by component: its last step is still to be made
     TensePorts ports;
     // by string
-    Array<double> stretch, tension, used, at, after, steepness, pushed, sharp, last_tension, last_excess;
+    Array<double> stretch, past, tension, used, at, after, steepness, pushed, sharp, last_tension, last_excess;
     Array<double> fixed, matrix, inverse, right, scale, solution, wrong;
     std::vector<char> done;
     bool inverted = false;   // in this block

@@ -352,7 +352,7 @@ public:
         if (!laid_out_) {
             lay_out();
             arrange(components_, solve_, layout_, tensions_, capacity_, nonlinear_, space_);
-            arrange(components_, nonlinear_);
+            arrange(components_, layout_, nonlinear_);
             prepare(components_, nonlinear_, layout_, capacity_, workspace_);
         }
         nb::gil_scoped_release release;

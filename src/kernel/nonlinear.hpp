@@ -39,6 +39,7 @@ public:
         std::fill(ws_.touching.begin(), ws_.touching.end(), 0);
         std::fill(ws_.series_alive.begin(), ws_.series_alive.end(), 0);
         ws_.any_alive = false;
+        ws_.gathered.clear();
         ws_.previous.clear();
         for (int j = 0; j < nl_.k; ++j) {
             const Law& law = nl_.laws[j];
@@ -68,12 +69,14 @@ public:
         std::fill(ws_.row_awake.begin(), ws_.row_awake.end(), 0);
         std::fill(ws_.is_loaded.begin(), ws_.is_loaded.end(), 0);
         sample_ = 0;
+        std::fill(ws_.driven.begin(), ws_.driven.end(), 0);
         for (int q = 0; q < job_.n_controls; ++q) {
             const Control& control = job_.controls[q];
             const double* values = control.values + start_;
             double highest = values[0];
             for (int b = 0; b < nb_; ++b) highest = std::max({highest, values[b], values[job_.n + b]});
             ws_.clearance[control.connection] = highest;
+            if (nl_.group_of_law[control.connection] >= 0) ws_.driven[nl_.group_of_law[control.connection]] = 1;
         }
         for (int g = 0; g < int(nl_.groups.size()); ++g) guard(g);
         ws_.awake_list.clear();
@@ -85,8 +88,36 @@ public:
         }
         for (int i = 0; i < int(components_.size()); ++i)
             if (!ws_.awake_rows[i].empty() && !tense(i)) read(i, ws_.awake_rows[i].data(), int(ws_.awake_rows[i].size()));
+        still_ = ws_.awake_list.empty() && !ws_.any_alive && !any_tense_;
+        for (int g = 0; g < int(nl_.groups.size()); ++g) {
+            if (ws_.quiet[g]) continue;
+            still_ = false;
+            weigh(g);
+        }
+        if (still_) std::fill(ws_.taken.begin(), ws_.taken.end(), 0.0);
+    }
+
+    // Whether sample b is known to need nothing else than the port forces `now`, which are those without nonlinear ones.
+    bool stays_still(int b, const double* now) {
+        if (!still_) return false;
+        using S = Simd<double>;
+        double* const taken = ws_.taken.data();
+        bool below = true;
+        for (int p = 0; p < layout_.force_width; p += S::width) {
+            const S::V push = S::load(now + p);
+            const S::V sum = S::load(taken + p) + S::load(&nl_.worth[p]) * (push < 0.0 ? -push : push);
+            S::store(taken + p, sum);
+        }
+        for (int p = 0; p < layout_.force_width; ++p) below = below && taken[p] < 1.0;
+        if (below) {
+            for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
+            ws_.previous.clear();
+            return true;
+        }
+        still_ = false;
         for (int g = 0; g < int(nl_.groups.size()); ++g)
-            if (!ws_.quiet[g]) weigh(g);
+            for (int s = 0; s < b; ++s) ws_.level[g] += share_taken(g, s);
+        return false;
     }
 
     // All forces of sample b, for the motion that the lines tell; `commit` makes them stand. `f` (f_width) holds those of
@@ -118,8 +149,8 @@ public:
         return done;
     }
 
-    // The forces of sample b stand: what they leave behind for the next.
-    void commit(int b) {
+    // The forces of sample b stand: what they leave behind for the next. True if a nonlinear connection acts.
+    bool commit(int b) {
         for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
         double* forces = job_.law_forces + (start_ + b) * nl_.k;
         for (const int j : ws_.active) {
@@ -130,10 +161,12 @@ public:
         if (ws_.any_alive) move_series();
         std::swap(ws_.previous, ws_.active);
         for (std::size_t index = 0; index < nl_.groups.size(); ++index) ws_.level[index] = ws_.level_after[index];
+        return !ws_.previous.empty();
     }
 
     // What the forces of sample b do to guarded rows, and guarded forces to all rows, in the rest of the block.
     void push_on(int b, const double* now) {
+        if (still_) return;
         for (int i = 0; i < int(components_.size()); ++i) {
             if (tense(i)) continue;  // its rows are read anew each sample
             const Component<T>& c = components_[i];
@@ -240,13 +273,21 @@ private:
                 ws_.added[i] += total * norm(c, input.vector, input.vector + c.n);
             }
         }
-        const int only = group.components[0];
-        ws_.quiet[index] = group.simple && nl_.asleep_allowed && !job_.n_controls &&
-                           (ws_.norm[only] + ws_.added[only]) * group.tightest * (1 + kMargin<T>) < 0.5;
+        double share = 0.0;
+        if (group.simple)
+            for (std::size_t q = 0; q < group.components.size(); ++q) {
+                const int i = group.components[q];
+                share += (ws_.norm[i] + ws_.added[i]) * group.tightest[q];
+            }
+        ws_.quiet[index] =
+            group.simple && nl_.asleep_allowed && !ws_.driven[index] && share * (1 + kMargin<T>) < kQuiet;
         if (ws_.quiet[index]) {  // no contact need be looked at by itself
-            for (const int j : group.contacts) ws_.awake[j] = 0, ws_.slack[j] = -0.5 * nl_.laws[j].offset;
-            std::copy(group.worth.begin(), group.worth.end(), ws_.worth[only].begin());
-            ws_.pull_worth[only] = group.pull_worth;
+            for (const int j : group.contacts) ws_.awake[j] = 0, ws_.slack[j] = -(1 - kQuiet) * nl_.laws[j].offset;
+            for (std::size_t q = 0; q < group.components.size(); ++q) {
+                const int i = group.components[q];
+                std::copy(group.worth[q].begin(), group.worth[q].end(), ws_.worth[i].begin());
+                ws_.pull_worth[i] = group.pull_worth[q];
+            }
             ws_.asleep[index] = int(group.contacts.size());
             ws_.level[index] = 0.0;
             return;
@@ -331,7 +372,7 @@ private:
             }
         }
         ws_.level[index] = 0.0;
-        for (int b = 0; b < sample_; ++b) ws_.level[index] += taken(index, b);
+        for (int b = 0; b < sample_; ++b) ws_.level[index] += share_taken(index, b);
     }
 
     const double* reach_of(const Term& t) const {
@@ -357,7 +398,7 @@ private:
     }
 
     // Share of the tightest slack of a group that the forces of sample b take.
-    double taken(int index, int b) const {
+    double share_taken(int index, int b) const {
         double sum = 0.0;
         for (const int i : nl_.groups[index].components) {
             each_port(i, [&](int p) { sum += ws_.worth[i][p] * pushed(i, p, b); });
@@ -368,15 +409,19 @@ private:
 
     // Wakes contacts that the forces tried in sample b could have brought into touch.
     void wake_by(int b) {
+        if (ws_.any_alive) find_series();
         for (int index = 0; index < int(nl_.groups.size()); ++index) {
             if (!ws_.asleep[index]) continue;
             const Nonlinear::Group& group = nl_.groups[index];
-            ws_.level_after[index] = ws_.level[index] + taken(index, b);
-            bool look = !(ws_.level_after[index] < 1.0);
+            ws_.level_after[index] = ws_.level[index] + share_taken(index, b);
+            double yielding = 0.0;
             if (ws_.any_alive)
                 for (const int j : group.contacts)
-                    look = look || (!ws_.awake[j] && nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]]);
-            if (!look) continue;
+                    if (!ws_.awake[j] && series_lives(j)) {
+                        const double most = std::max(std::abs(ws_.series[j]), std::abs(ws_.series_after[j]));
+                        if (most > yielding * ws_.slack[j]) yielding = most / ws_.slack[j];
+                    }
+            if (ws_.level_after[index] + yielding * (1 + kMargin<T>) < 1.0) continue;
             bool woken = false;
             for (const int j : group.contacts) {
                 if (ws_.awake[j] || used(j, b) < ws_.slack[j]) continue;
@@ -385,7 +430,7 @@ private:
             }
             if (!woken) continue;
             weigh(index);
-            ws_.level_after[index] = ws_.level[index] + taken(index, b);
+            ws_.level_after[index] = ws_.level[index] + share_taken(index, b);
         }
     }
 
@@ -406,8 +451,7 @@ private:
                            ws_.pull[std::size_t(t.component) * kBlock + s];
             total += std::abs(t.factor) * sum;
         }
-        if (nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]])
-            total += std::max(std::abs(ws_.series[j]), std::abs(series_after(j)));
+        if (series_lives(j)) total += std::max(std::abs(ws_.series[j]), std::abs(ws_.series_after[j]));
         return total * (1 + kMargin<T>);
     }
 
@@ -446,11 +490,11 @@ private:
         for (int k = 0; k < kBlock; ++k) later[k] += h[k] * force;
     }
 
-    // A port of a stretched string as it is now.
+    // A guarded port of a stretched string as it is now.
     double read_now(const Term& t) const {
         using S = Simd<T>;
         const Component<T>& c = components_[t.component];
-        const T* row = (t.guarded ? c.guarded.rows.data() : c.rows.data()) + 2 * std::size_t(t.port) * c.n;
+        const T* row = c.guarded.rows.data() + 2 * std::size_t(t.port) * c.n;
         const T *sx = x(t.component), *sy = y(t.component);
         typename S::V sum{}, more{};
         for (int k = 0; k < c.n; k += S::width) {
@@ -466,15 +510,14 @@ private:
         double gap = 0.0, free = 0.0;
         for (const Term& t : nl_.terms[j]) {
             if (tense(t.component)) {
-                gap += t.factor * read_now(t);
+                gap += t.factor * (t.guarded ? read_now(t) : line_of(t)[std::size_t(b) * layout_.width]);
                 continue;
             }
             const double* at = t.guarded ? value(t.component, t.port) + b : line_of(t) + std::size_t(b) * layout_.width;
             gap += t.factor * at[0], free += t.factor * at[t.guarded ? 1 : layout_.width];
         }
         const double* row = &nl_.from_linear[std::size_t(j) * m_];
-        if (!any_tense_)
-            for (int q = 0; q < m_; ++q) free += row[q] * ws_.f0[q];
+        if (!any_tense_) free += dot(row, ws_.f0.data(), m_);
         if (nl_.series[j] >= 0) {
             gap += ws_.series[j];
             free -= (1 - nl_.theta) / nl_.theta * ws_.series[j];
@@ -490,16 +533,12 @@ private:
     }
 
     bool solve() {
-        if (kept_) {
+        const auto find = [&] {
             int iterations = 0;
-            const bool done = found(find_forces(nl_, ws_, nl_.z.data(), iterations), iterations);
-            statistics_.failures += !done;
-            return done;
-        }
-        const bool done = settle(nl_, ws_, [&] {
-            int iterations = 0;
-            return found(find_forces(nl_, ws_, nl_.z.data(), iterations), iterations);
-        });
+            const bool done = find_forces(nl_, ws_, nl_.z.data(), iterations);
+            return found(done, iterations);
+        };
+        const bool done = kept_ ? find() : settle(nl_, ws_, find);
         statistics_.failures += !done;
         return done;
     }
@@ -582,25 +621,30 @@ private:
         if (nl_.group_of[t.component] >= 0) weigh(nl_.group_of[t.component]);
     }
 
-    // Displacement of the residual compliance after the step, under the forces tried.
-    double series_after(int j) const {
-        double pushed = 0.0;
-        for (const int q : ws_.active) pushed += nl_.residual[std::size_t(j) * nl_.k + q] * ws_.law_force[q];
-        return pushed / nl_.theta - (1 - nl_.theta) / nl_.theta * ws_.series[j];
+    // Displacements of the residual compliances after the step, under the forces tried.
+    void find_series() {
+        const double old = (1 - nl_.theta) / nl_.theta, per = 1 / nl_.theta;
+        for (int s = 0; s < nl_.n_series; ++s) {
+            if (!ws_.series_alive[s]) continue;
+            for (const int j : nl_.in_series[s]) ws_.series_after[j] = -old * ws_.series[j];
+        }
+        for (const int q : ws_.active) {
+            if (!series_lives(q)) continue;
+            const double push = per * ws_.law_force[q], *row = &nl_.residual[std::size_t(q) * nl_.k];
+            for (const int j : nl_.in_series[nl_.series[q]]) ws_.series_after[j] += row[j] * push;
+        }
     }
 
+    bool series_lives(int j) const { return nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]]; }
+
     void move_series() {
-        for (int j = 0; j < nl_.k; ++j)
-            if (nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]]) ws_.series_after[j] = series_after(j);
         ws_.any_alive = false;
         for (int s = 0; s < nl_.n_series; ++s) {
             if (!ws_.series_alive[s]) continue;
             double most = 0.0;
-            for (int j = 0; j < nl_.k; ++j)
-                if (nl_.series[j] == s) most = std::max(most, std::abs(ws_.series_after[j]));
+            for (const int j : nl_.in_series[s]) most = std::max(most, std::abs(ws_.series_after[j]));
             const bool still = most < kStillSeries;
-            for (int j = 0; j < nl_.k; ++j)
-                if (nl_.series[j] == s) ws_.series[j] = still ? 0.0 : ws_.series_after[j];
+            for (const int j : nl_.in_series[s]) ws_.series[j] = still ? 0.0 : ws_.series_after[j];
             ws_.series_alive[s] = !still;
             ws_.any_alive = ws_.any_alive || !still;
         }
@@ -614,7 +658,7 @@ private:
     Statistics& statistics_;
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
-    bool any_tense_ = false, kept_ = false;
+    bool any_tense_ = false, kept_ = false, still_ = false;
     std::int64_t start_ = 0;
     int nb_ = 0, sample_ = 0;
     double* lines_ = nullptr;

@@ -98,10 +98,14 @@ Array<double> reach_of(const Component<T>& c) {
 // Sorts terms by connection, and joins the components of guarded contacts to groups: within one, forces use up one
 // another's slack.
 template <class T>
-void arrange(const std::vector<Component<T>>& components, Nonlinear& nl) {
+void arrange(const std::vector<Component<T>>& components, const Layout& layout, Nonlinear& nl) {
     const int n = int(components.size());
     nl.terms.assign(nl.k, {}), nl.driven.assign(nl.k, {}), nl.guarded.assign(nl.k, 0);
     nl.groups.clear(), nl.group_of.assign(n, -1), nl.first.clear(), nl.reach.assign(n, {});
+    nl.group_of_law.assign(nl.k, -1), nl.worth.assign(layout.force_width, 0.0);
+    nl.in_series.assign(nl.n_series, {});
+    for (int j = 0; j < nl.k; ++j)
+        if (nl.series[j] >= 0) nl.in_series[nl.series[j]].push_back(j);
     nl.n_guarded = 0;
     for (const Component<T>& c : components) nl.first.push_back(nl.n_guarded), nl.n_guarded += c.guarded.n;
     for (const Nonlinear::Term& t : nl.all_terms) {
@@ -141,23 +145,37 @@ void arrange(const std::vector<Component<T>>& components, Nonlinear& nl) {
         std::sort(nl.groups[g].contacts.begin(), nl.groups[g].contacts.end());
         for (const int i : nl.groups[g].components) nl.group_of[i] = int(g), nl.reach[i] = reach_of(components[i]);
         Nonlinear::Group& group = nl.groups[g];
-        const Component<T>& c = components[group.components[0]];
-        group.simple = group.components.size() == 1;
-        group.worth.assign(c.n_ports, 0.0);
+        const std::size_t n_parts = group.components.size();
+        group.simple = true;
+        group.tightest.assign(n_parts, 0.0), group.pull_worth = group.tightest, group.worth.assign(n_parts, {});
+        std::size_t n_ports = 0;
+        for (std::size_t q = 0; q < n_parts; ++q) {
+            group.worth[q].assign(components[group.components[q]].n_ports, 0.0);
+            n_ports += group.worth[q].size();
+        }
         for (const int j : group.contacts) {
             const double room = -nl.laws[j].offset;
-            group.simple = group.simple && nl.terms[j].size() == 1 && room > 0.0;
-            if (!group.simple) break;
-            const Nonlinear::Term& t = nl.terms[j][0];
-            const double size = std::abs(t.factor);
-            group.tightest = std::max(group.tightest, size * c.guarded.peak[t.port] / room);
-            const double* reach =
-                &nl.reach[group.components[0]][std::size_t(c.n_ports + t.port) * (c.n_ports + c.guarded.n)];
-            for (int p = 0; p < c.n_ports; ++p)
-                group.worth[p] = std::max(group.worth[p], size * reach[p] / (0.5 * room));
-            if (c.stretched.on)
-                group.pull_worth = std::max(group.pull_worth, size * c.guarded.pulled[t.port] / (0.5 * room));
+            nl.group_of_law[j] = int(g);
+            group.simple = group.simple && room > 0.0;
+            for (const Nonlinear::Term& t : nl.terms[j]) {
+                group.simple = group.simple && t.guarded;
+                if (!group.simple) break;
+                const auto& parts = group.components;
+                const std::size_t q = std::find(parts.begin(), parts.end(), t.component) - parts.begin();
+                const Component<T>& c = components[t.component];
+                const double size = std::abs(t.factor), of_slack = size / ((1 - kQuiet) * room);
+                group.tightest[q] = std::max(group.tightest[q], size * c.guarded.peak[t.port] / room);
+                const double* reach =
+                    &nl.reach[t.component][std::size_t(c.n_ports + t.port) * (c.n_ports + c.guarded.n)];
+                for (int p = 0; p < c.n_ports; ++p)
+                    group.worth[q][p] = std::max(group.worth[q][p], of_slack * reach[p]);
+                if (c.stretched.on)
+                    group.pull_worth[q] = std::max(group.pull_worth[q], of_slack * c.guarded.pulled[t.port]);
+            }
         }
+        for (std::size_t q = 0; q < n_parts && group.simple; ++q)
+            for (std::size_t p = 0; p < group.worth[q].size(); ++p)
+                nl.worth[layout.port[group.components[q]] + p] = group.worth[q][p] * double(n_ports);
     }
 }
 
@@ -177,6 +195,7 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
     std::size_t n_sums = 0;
     for (int s = 0; s < int(tensions.strings.size()); ++s) {
         to.shared.push_back(n_sums);
+        const int first_of_string = int(to.ports.size()), first_pair = int(to.pairs.size());
         n_sums += kSharedSums;
         for (const int i : tensions.strings[s].components) {
             const int n_ports = components[i].n_ports, first = to.first[i] = int(to.ports.size());
@@ -189,6 +208,7 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
                 for (int q = p; q < n_ports; ++q) to.pairs.push_back({i, s, first + p, first + q});
             }
         }
+        to.ranges.push_back({first_of_string, int(to.ports.size()), first_pair, int(to.pairs.size())});
     }
     const std::size_t n = to.ports.size(), n_places = l.port_rows.size();
     to.width = padded(n), to.pair_width = padded(to.pairs.size());
@@ -196,16 +216,51 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
     n_sums = (n_sums + kPadding - 1) / kPadding * kPadding;
     to.lanes.assign(n_sums * 64, 0), to.sums.assign(n_sums, 0.0);
     to.y.assign(2 * n_places, 0.0), to.linear.assign(l.f_width, 0.0), to.fixed_part.assign(l.force_width, 0.0);
-    to.base = to.fixed_part;
     for (Array<double>& a : to.of_port) a.assign(to.width, 0.0);
-    for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.wrong}) a->assign(to.width, 0.0);
-    for (Array<double>* a : {&to.change, &to.slope, &to.off}) a->assign(to.pair_width, 0.0);
+    for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.next, &to.wrong, &to.base, &to.fixed, &to.by, &to.gained,
+                             &to.steep})
+        a->assign(to.width, 0.0);
+    for (Array<double>* a : {&to.change, &to.slope, &to.off, &to.both, &to.pushed, &to.sharp}) a->assign(to.pair_width, 0.0);
+    to.onto_ports.assign(n * to.width, 0.0), to.changed.assign(to.single ? 0 : n * to.width, 0.0);
     to.inverse.assign(n * n, 0.0), to.pivots.assign(n, 0);
     for (const auto& port : to.ports) {
         const double* linear = &l.pull[(n_places + port.place) * l.f_width];
         const double* forces = &l.direct[std::size_t(port.place) * l.force_width];
         to.onto_linear.insert(to.onto_linear.end(), linear, linear + l.f_width);
         to.onto_forces.insert(to.onto_forces.end(), forces, forces + l.force_width);
+        double* own = &to.onto_ports[std::size_t(&port - to.ports.data()) * to.width];
+        for (std::size_t q = 0; q < n; ++q) own[q] = forces[to.ports[q].force];
+    }
+}
+
+// How nonlinear connections see and push fixed ports of stretched components, the linear ones answering.
+inline void arrange_laws(const Nonlinear& nl, const Layout& l, int m, TensePorts& to) {
+    const std::size_t n = to.ports.size(), k = nl.k, width = to.width;
+    to.meets.assign(k * width, 0.0), to.law_ports = to.meets;
+    to.law_free.assign(k, 0.0), to.sum.assign(width, 0.0);
+    const std::size_t wide = (k + kLane - 1) / kLane * kLane;
+    to.active_meets.assign(n * wide, 0.0), to.active_ports = to.meets;
+    to.law_slope.assign(wide, 0.0), to.given = to.law_slope, to.answers.assign(k * wide, 0.0), to.caught = to.active_meets;
+    to.onto_with_laws = to.onto_ports, to.fixed_with_laws.assign(width, 0.0), to.folded = false;
+    to.active_free.assign(wide, 0.0), to.active_force = to.active_free, to.active.clear(), to.active.reserve(k);
+    Array<double> law_forces(k * l.force_width, 0.0);  // per force of a law on all ports
+    for (const auto& term : nl.all_terms) {
+        if (term.guarded) continue;
+        const std::size_t j = term.connection;
+        law_forces[j * l.force_width + l.port[term.component] + term.port] += term.factor;
+        for (std::size_t t = 0; t < n; ++t)
+            if (to.ports[t].component == term.component && to.ports[t].port == term.port)
+                to.meets[j * width + t] += term.factor;
+    }
+    for (std::size_t j = 0; j < k; ++j) {
+        double* forces = &law_forces[j * l.force_width];
+        for (int q = 0; q < m; ++q) {
+            for (std::size_t t = 0; t < n; ++t)
+                to.meets[j * width + t] += nl.from_linear[j * m + q] * to.onto_linear[t * l.f_width + q];
+            for (int p = 0; p < l.force_width; ++p)
+                forces[p] -= nl.answer[j * l.f_width + q] * l.push[std::size_t(q) * l.force_width + p];
+        }
+        for (std::size_t t = 0; t < n; ++t) to.law_ports[j * width + t] = forces[to.ports[t].force];
     }
 }
 
@@ -243,13 +298,14 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, const La
     }
     for (Array<char>* a : {&ws.u, &ws.y, &ws.yields}) a->assign(capacity * sizeof(T), 0);
     ws.kept_at.assign(n, 0.0), ws.pending.assign(n, 0);
-    for (Array<double>* a : {&ws.stretch, &ws.tension, &ws.used, &ws.at, &ws.after, &ws.steepness, &ws.pushed, &ws.sharp,
+    for (Array<double>* a : {&ws.stretch, &ws.past, &ws.tension, &ws.used, &ws.at, &ws.after, &ws.steepness, &ws.pushed, &ws.sharp,
                              &ws.last_tension, &ws.last_excess})
         a->assign(tensions.strings.size(), 0.0);
     arrange_ports(components, layout, tensions, ws.ports);
     for (Array<double>* a : {&ws.fixed, &ws.right, &ws.scale, &ws.solution, &ws.wrong}) a->assign(m, 0.0);
     ws.matrix.assign(m * m, 0.0), ws.inverse.assign(m * m, 0.0), ws.done.assign(m, 0);
     if (!nl.k) return;
+    arrange_laws(nl, layout, int(m), ws.ports);
     const std::size_t k = nl.k;
     ws.moved.assign(capacity * sizeof(T), 0);
     ws.wires.resize(n), ws.active_ports.resize(n);
@@ -283,7 +339,7 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, c
     ws.sizes.assign(nl.groups.empty() ? 0 : capacity * sizeof(T), 0);
     ws.value.assign(n_guarded * kStride, 0.0), ws.force.assign(n_guarded * kBlock, 0.0);
     ws.row_awake.assign(n_guarded, 0), ws.is_loaded.assign(n_guarded, 0);
-    ws.quiet.assign(nl.groups.size(), 0);
+    ws.quiet.assign(nl.groups.size(), 0), ws.driven = ws.quiet, ws.taken.assign(layout.force_width, 0.0);
     ws.level.assign(nl.groups.size(), 0.0), ws.level_after.assign(nl.groups.size(), 0.0);
     ws.asleep.assign(nl.groups.size(), 0);
     ws.awake_rows.resize(n), ws.loaded.resize(n), ws.worth.resize(n);
@@ -293,8 +349,11 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, c
         ws.loaded[i].clear(), ws.loaded[i].reserve(c.guarded.n);
         ws.worth[i].assign(nl.group_of[i] < 0 ? 0 : c.n_ports + c.guarded.n, 0.0);
     }
-    for (Array<double>& a : ws.x) a.assign(k, 0.0);
-    ws.matrix.assign(k * k, 0.0), ws.inner.assign(k * k, 0.0), ws.f0.assign(layout.f_width, 0.0);
+    const std::size_t wide = (k + kLane - 1) / kLane * kLane;
+    for (Array<double>& a : ws.x) a.assign(wide, 0.0);
+    for (Array<double>* a : {&ws.matrix, &ws.lower, &ws.upper}) a->assign(k * wide, 0.0);
+    ws.inverse.assign(std::size_t(kMostLinear) * kMostLinear, 0.0);
+    ws.over.assign(wide, 0.0), ws.gathered.clear(), ws.gathered.reserve(k), ws.f0.assign(layout.f_width, 0.0);
 }
 
 }  // namespace

@@ -104,7 +104,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     TenseContacts<T> both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
     GeometricStep<T> along(components, layout, geometric, statistics, job);
     const bool tense = !tensions.strings.empty(), longitudinal = !geometric.strings.empty();
-    const bool direct = !tense && !longitudinal && !nonlinear.k && int(layout.own_port.size()) == m;
+    const bool direct = !tense && !longitudinal && int(layout.own_port.size()) == m;
 
     // Forces of sample b from the lines at its beginning and, free of them, at its end.
     const auto connect = [&](int b, double* now) {
@@ -164,13 +164,23 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
         for (int b = 0; b < nb; ++b) {
             double* now = force.data() + std::size_t(b) * force_width;
             double* const f_out = job.forces + (start + b) * m;
+            bool acts = false;
             if (tense) {
                 const bool found = nonlinear.k ? both.step(b, lines.data(), f.data(), now)
                                                : stretched.step(b, lines.data(), f.data(), now);
                 if (!found) return {Fault::kUnsolved, start + b};
             } else if (direct) {
-                at_once(lines.data() + std::size_t(b) * width, now);
-                if (layout.own_in_order)
+                // what acts nonlinearly, if anything does, is told by the other way
+                const double* line = lines.data() + std::size_t(b) * width;
+                at_once(line, now);
+                if (nonlinear.k && !laws.stays_still(b, now)) {
+                    if (!connect(b, now)) return {Fault::kUnsolved, start + b};
+                    acts = laws.commit(b);
+                    if (!acts) at_once(line, now);
+                }
+                if (acts)
+                    std::copy(f.begin(), f.begin() + m, f_out);
+                else if (layout.own_in_order)
                     for (int j = 0; j < m; ++j) f_out[j] = layout.own_factor[j] * now[j];
                 else
                     for (int j = 0; j < m; ++j) f_out[j] = layout.own_factor[j] * now[layout.own_port[j]];

@@ -16,6 +16,9 @@ namespace tonewood {
 namespace {
 
 template <class T>
+constexpr double kLawTolerance = sizeof(T) == sizeof(double) ? 3e-12 : 1e-6;  // of the largest force
+
+template <class T>
 class TenseContacts {
     using Term = Nonlinear::Term;
 
@@ -35,7 +38,7 @@ public:
             if (ws_.active.empty()) {
                 if (!stretched_.linear_step(f, now)) return false;
                 laws_.let_go(b);
-            } else if (!joint_step(b, lines, f, now)) {
+            } else if (!(on_fixed_ports() && fixed_step(b, f, now)) && !joint_step(b, lines, f, now)) {
                 return false;
             }
             note_pulls(b);
@@ -50,6 +53,136 @@ public:
     }
 
 private:
+    // Whether nothing acts that would make a sum over modes necessary: a contact on a string, or friction, whose forces
+    // may fall where motion grows.
+    bool on_fixed_ports() const {
+        for (const int j : ws_.active) {
+            if (nl_.laws[j].kind == Law::friction) return false;
+            for (const Term& t : nl_.terms[j])
+                if (t.guarded && components_[t.component].stretched.on) return false;
+        }
+        return true;
+    }
+
+    // Tensions and all forces where laws act on fixed ports of strings: the compliances of the laws are those at rest,
+    // and what the tensions change is in the displacements that the ports come to by themselves.
+    bool fixed_step(int b, double* f, double* now) {
+        TensePorts& ports = ts_.ports;
+        const int n = int(ports.ports.size());
+        const double* linear = stretched_.linear_part();
+        for (const int j : ws_.active) {
+            const double free = dot(&nl_.from_linear[std::size_t(j) * m_], linear, m_);
+            ports.law_free[j] = ws_.rest_p[j] - free;
+            ws_.size[j] = std::max(ws_.size[j], std::abs(free));
+        }
+        gather_active();
+        const int a = int(ws_.active.size()), w = int(wide(a));
+        int iterations = 0;
+        const bool foldable = all_linear();
+        const bool done = foldable ? folded(iterations) : stretched_.find(kLawTolerance<T>, false, [&](double* force) {
+            for (int p = 0; p < n; ++p) ports.sum[p] = ports.alone[p] + ports.moved[p];
+            std::fill_n(ports.active_free.data(), w, 0.0);
+            add_product(ports.active_meets.data(), w, ports.sum.data(), n, ports.active_free.data());
+            for (int i = 0; i < a; ++i)
+                ws_.free_p[ws_.active[i]] = ports.law_free[ws_.active[i]] - ports.active_free[i];
+            if (!find_forces(nl_, ws_, nl_.z.data(), iterations)) return false;
+            for (int i = 0; i < a; ++i) ports.active_force[i] = ws_.law_force[ws_.active[i]];
+            add_product(ports.onto_ports.data(), ports.width, ports.moved.data(), n, ports.base.data(), force);
+            add_product(ports.active_ports.data(), ports.width, ports.active_force.data(), a, force);
+            return true;
+        });
+        if (!done) return false;
+        laws_.found(true, iterations);
+        stretched_.add_moved();
+        stretched_.linear_forces(f);
+        for (const int j : ws_.active) {
+            const double* answer = &nl_.answer[std::size_t(j) * layout_.f_width];
+            for (int q = 0; q < layout_.f_width; ++q) f[q] -= answer[q] * ws_.law_force[j];
+        }
+        laws_.distribute(b, f, now);
+        return true;
+    }
+
+    bool all_linear() const {
+        if (int(ws_.active.size()) > kMostLinear) return false;
+        for (const int j : ws_.active)
+            if (!is_linear(nl_.laws[j])) return false;
+        return true;
+    }
+
+    // Tensions and forces where all laws are linear: with force = slope (free - Z force) + given they do as linear
+    // connections do, and port forces answer displacements by another matrix, which is kept until a slope changes.
+    bool folded(int& iterations) {
+        TensePorts& ports = ts_.ports;
+        const int n = int(ports.ports.size()), a = int(ws_.active.size()), w = int(wide(a));
+        for (int i = 0; i < a; ++i) {
+            const int j = ws_.active[i];
+            const Push at_zero = ::tonewood::push(nl_.laws[j], 0.0, ws_.old_p[j], nl_.dt);
+            const double slope = at_zero.slope * ws_.scale[j];
+            ports.folded = ports.folded && slope == ports.law_slope[i];
+            ports.law_slope[i] = slope;
+            ports.given[i] = slope * ports.law_free[j] + at_zero.force * ws_.scale[j];
+        }
+        if (!ports.folded) fold_laws();
+        double *const force = ports.active_force.data(), *const fixed = ports.fixed_with_laws.data();
+        std::fill_n(force, w, 0.0);
+        add_product(ports.answers.data(), w, ports.given.data(), a, force);
+        add_product(ports.active_ports.data(), ports.width, force, a, ports.fixed.data(), fixed);
+        stretched_.onto_ = ports.onto_with_laws.data(), stretched_.fixed_ = fixed;
+        const bool done = stretched_.find(kForceTolerance<T>, true, [&](double* to) {
+            add_product(ports.onto_with_laws.data(), ports.width, ports.moved.data(), n, ports.base.data(), to);
+            return true;
+        });
+        stretched_.onto_ = ports.onto_ports.data(), stretched_.fixed_ = ports.fixed.data();
+        for (int p = 0; p < n; ++p) ports.sum[p] = -(ports.alone[p] + ports.moved[p]);
+        add_product(ports.caught.data(), w, ports.sum.data(), n, force);
+        for (int i = 0; i < a; ++i) ws_.law_force[ws_.active[i]] = force[i];
+        ++iterations;
+        return done;
+    }
+
+    // What the linear laws make of the ports' answers, (I + slope Z)^-1 = I + inverse Z.
+    void fold_laws() {
+        TensePorts& ports = ts_.ports;
+        const int n = int(ports.ports.size()), a = int(ws_.active.size()), width = ports.width;
+        const std::size_t w = wide(a);
+        double *const z = ws_.matrix.data(), *const answers = ports.answers.data();
+        for (int i = 0; i < a; ++i)
+            for (int j = 0; j < a; ++j) z[i * w + j] = nl_.z[std::size_t(ws_.active[i]) * nl_.k + ws_.active[j]];
+        ws_.gathered.clear();
+        invert_laws(ws_, z, ports.law_slope.data(), a);
+        for (int i = 0; i < a; ++i) {
+            std::fill_n(answers + i * w, w, 0.0);
+            answers[i * w + i] = 1.0;
+            add_product(ws_.inverse.data(), int(w), z + i * w, a, answers + i * w);
+        }
+        for (int p = 0; p < n; ++p) {
+            const double* meets = &ports.active_meets[p * w];
+            double *const caught = &ports.caught[p * w], *const onto = &ports.onto_with_laws[std::size_t(p) * width];
+            for (int i = 0; i < a; ++i) ports.active_free[i] = ports.law_slope[i] * meets[i];
+            std::fill_n(caught, w, 0.0);
+            add_product(answers, int(w), ports.active_free.data(), a, caught);
+            for (int i = 0; i < a; ++i) ports.active_free[i] = -caught[i];
+            add_product(ports.active_ports.data(), width, ports.active_free.data(), a,
+                        &ports.onto_ports[std::size_t(p) * width], onto);
+        }
+        ports.folded = true;
+    }
+
+    // How the active laws see and push fixed ports of strings, side by side.
+    void gather_active() {
+        TensePorts& ports = ts_.ports;
+        if (ports.active == ws_.active) return;
+        ports.active = ws_.active, ports.folded = false;
+        const std::size_t n = ports.ports.size(), a = ws_.active.size(), w = wide(int(a)), width = ports.width;
+        std::fill_n(ports.active_meets.data(), n * w, 0.0);
+        for (std::size_t i = 0; i < a; ++i) {
+            const std::size_t j = ws_.active[i];
+            for (std::size_t p = 0; p < n; ++p) ports.active_meets[p * w + i] = ports.meets[j * width + p];
+            std::copy_n(&ports.law_ports[j * width], width, &ports.active_ports[i * width]);
+        }
+    }
+
     // Tensions and all forces, the active connections given.
     bool joint_step(int b, const double* lines, double* f, double* now) {
         find_ports();
@@ -221,9 +354,9 @@ private:
     }
 
     // Displacement of a port in use before the step.
-    double old(int i, int p) const { return dot(phi(i, p), stretched_.buffer(ts_.y, i), components_[i].n); }
+    double old(int i, int p) const { return product(phi(i, p), stretched_.buffer(ts_.y, i), components_[i].n); }
 
-    static double dot(const T* a, const T* b, int n) {
+    static double product(const T* a, const T* b, int n) {
         using S = Simd<T>;
         typename S::V sum{};
         for (int k = 0; k < n; k += S::width) sum += S::load(a + k) * S::load(b + k);
@@ -290,7 +423,7 @@ private:
         return laws_.add_touching(ws_.active.size(), [&](int j) {
             double p = ws_.offset_after[j];
             for (const Term& t : nl_.terms[j]) p -= t.factor * after(t, b, now);
-            return nl_.series[j] >= 0 ? p - laws_.series_after(j) : p;
+            return laws_.series_lives(j) ? p - ws_.series_after[j] : p;
         });
     }
 
@@ -307,8 +440,8 @@ private:
                 move_stretch(i, b, ts_.used[ts_.ports.string_of[i]], now + layout_.port[i], unused[0], unused[1], unused[2]);
                 is_moved_[i] = 1;
             }
-            return dot(t.guarded ? &c.stretched.guarded_phi[port * n] : &c.stretched.phi[port * n],
-                       stretched_.buffer(ts_.moved, i), c.n);
+            return product(t.guarded ? &c.stretched.guarded_phi[port * n] : &c.stretched.phi[port * n],
+                           stretched_.buffer(ts_.moved, i), c.n);
         }
         double y = t.guarded ? laws_.value(i, t.port)[b + 1] : laws_.line_of(t)[std::size_t(b + 1) * layout_.width];
         for (std::size_t p = 0; p < std::size_t(c.n_ports); ++p)

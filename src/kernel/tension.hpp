@@ -41,7 +41,7 @@ public:
                 const Tensions& tensions, TensionSpace& space, Statistics& statistics, const Job<T>& job,
                 const std::vector<std::vector<Input<T>>>& known)
         : components_(components), layout_(layout), solve_(solve), tensions_(tensions), ws_(space), ports_(space.ports),
-          statistics_(statistics), job_(job), known_(known), pushed_(components.size()), forces_(space.ports.ports.size()) {
+          statistics_(statistics), job_(job), known_(known), at_once_(layout), pushed_(components.size()), forces_(space.ports.ports.size()) {
         for (const int i : tensions_.components) pushed_[i].reserve(components[i].guarded.n), ws_.pending[i] = 0;
     }
 
@@ -65,6 +65,7 @@ public:
 
 private:
     using V = typename Simd<T>::V;
+    using S = Simd<double>;
     static constexpr int kWidth = Simd<T>::width;
 
     T* x(int i) const { return job_.modes[0] + components_[i].offset; }
@@ -80,28 +81,48 @@ private:
         if (b == 0) {  // a block depends on nothing but the state it begins with
             ws_.inverted = false;
             for (const int i : tensions_.components) ws_.kept_at[i] = INFINITY;
-            std::fill(ports_.force.begin(), ports_.force.end(), 0.0);
+            for (Array<double>* a : {&ports_.force, &ports_.base}) std::fill(a->begin(), a->end(), 0.0);
         }
+        // S, or the means of T at a block's beginning, going on as a parabola
         for (int s = 0; s < n_strings(); ++s) {
-            const double* t = job_.tension + 3 * tensions_.strings[s].index;
-            ws_.at[s] = std::max(3 * t[0] - 3 * t[1] + t[2], 0.0);  // three last means, going on as a parabola
+            const double *t = job_.tension + 3 * tensions_.strings[s].index, kappa = tensions_.strings[s].kappa;
+            double foreseen = 3 * (t[0] - t[1]) + t[2];
+            if (b > 0 && kappa > 0.0) {
+                const double stretch = t[0] / kappa - ws_.stretch[s];
+                foreseen = kappa * (stretch + 3 * (stretch - ws_.stretch[s]) + ws_.past[s]);
+                ws_.past[s] = ws_.stretch[s];
+            }
+            ws_.at[s] = std::max(foreseen, 0.0);
             look(s);
         }
         fold();
+        for (int s = 0; s < n_strings(); ++s) {
+            const auto& string = tensions_.strings[s];
+            if (b == 0 && string.kappa > 0.0)
+                ws_.past[s] = job_.tension[3 * string.index] / string.kappa - ws_.stretch[s];
+        }
         double* line = lines + std::size_t(b) * layout_.width;
         for (std::size_t p = 0; p < ports_.ports.size(); ++p) line[ports_.ports[p].line] = ports_.of_port[0][p];
         for (const int i : tensions_.components) rows(i, components_[i].n_ports, b, lines);
+        for (const auto& port : ports_.ports) line[layout_.width + port.line] = 0.0;
+        at_once_(line, ports_.fixed_part.data());
+        for (std::size_t p = 0; p < ports_.ports.size(); ++p) ports_.fixed[p] = ports_.fixed_part[ports_.ports[p].force];
+        line_ = line;
+        linear_known_ = false;
+    }
+
+    // Forces of the linear connections while the ports do not move by themselves.
+    const double* linear_part() {
+        if (linear_known_) return ports_.linear.data();
         const int n = int(layout_.port_rows.size());
-        double* all = ports_.y.data();
         for (int p = 0; p < n; ++p) {
-            all[p] = line[layout_.port_rows[p]];
-            all[n + p] = line[layout_.width + layout_.port_rows[p]];
+            ports_.y[p] = line_[layout_.port_rows[p]];
+            ports_.y[n + p] = line_[layout_.width + layout_.port_rows[p]];
         }
-        for (const auto& port : ports_.ports) all[n + port.place] = 0.0;
         std::copy(layout_.constant.begin(), layout_.constant.end(), ports_.linear.begin());
-        add_product(layout_.pull.data(), layout_.f_width, all, 2 * n, ports_.linear.data());
-        std::fill(ports_.fixed_part.begin(), ports_.fixed_part.end(), 0.0);
-        add_product(layout_.push.data(), layout_.force_width, ports_.linear.data(), solve_.m, ports_.fixed_part.data());
+        add_product(layout_.pull.data(), layout_.f_width, ports_.y.data(), 2 * n, ports_.linear.data());
+        linear_known_ = true;
+        return ports_.linear.data();
     }
 
     // Visits a string's modes at the tension ws.at, which may make the step that is due.
@@ -178,26 +199,38 @@ private:
 
     // Tensions and forces where only linear connections act.
     bool linear_step(double* f, double* now) {
-        const bool done = find([&](double* forces) {
-            std::copy(ports_.base.begin(), ports_.base.end(), forces);
-            add_product(ports_.onto_forces.data(), layout_.force_width, ports_.moved.data(), int(ports_.ports.size()), forces);
+        const bool done = find(kForceTolerance<T>, true, [&](double* force) {
+            std::copy(ports_.base.begin(), ports_.base.end(), force);
+            add_product(onto_, ports_.width, ports_.moved.data(), int(ports_.ports.size()), force);
             return true;
-        }, now);
-        linear_forces(f);
+        });
+        statistics_.failures += !done;
+        add_moved();
+        std::copy(ports_.fixed_part.begin(), ports_.fixed_part.end(), now);
+        add_product(ports_.onto_forces.data(), layout_.force_width, ports_.alone.data(), int(ports_.ports.size()), now);
+        if (layout_.own_port.empty()) {
+            linear_forces(f);
+        } else {
+            for (int j = 0; j < solve_.m; ++j) f[j] = layout_.own_factor[j] * now[layout_.own_port[j]];
+        }
         return done;
     }
 
-    // Forces of the linear connections, the displacements of the ports known.
-    void linear_forces(double* f) const {
-        std::copy(ports_.linear.begin(), ports_.linear.end(), f);
-        const int n = int(ports_.ports.size());
-        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.alone.data(), n, f);
-        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.moved.data(), n, f);
+    // ports.alone becomes all of what ports move by.
+    void add_moved() {
+        for (std::size_t p = 0; p < ports_.ports.size(); ++p) ports_.alone[p] += ports_.moved[p];
     }
 
-    // Tensions, and the port forces in now: `answer` tells them from the displacements ports.moved.
+    // Forces of the linear connections, after that.
+    void linear_forces(double* f) {
+        std::copy_n(linear_part(), layout_.f_width, f);
+        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.alone.data(), int(ports_.ports.size()), f);
+    }
+
+    // Tensions, and the forces on the ports: `answer` tells these from the displacements ports.moved. `plain`: it adds
+    // them to ports.base and nothing else, so that this is close.
     template <class Answer>
-    bool find(const Answer& answer, double* now) {
+    bool find(double tolerance, bool plain, const Answer& answer) {
         int iterations = 0;
         bool done = false;
         while (!done && iterations++ < kMaxTensionIterations) {
@@ -210,9 +243,11 @@ private:
             }
             bool told = false;
             for (int turn = 0; !told && turn < kMaxTurns; ++turn) {
-                if (!displacements()) return book(iterations, false);
-                if (!settle(turn == 0 ? 3 : kMaxTurns, answer, now)) return book(iterations, false);
-                told = !raise_tensions() && turn > 0;
+                if (!displacements(plain)) return book(iterations, false);
+                if (strong_ && !plain) return book(iterations, false);
+                bool settled = false;
+                if (!settle(turn == 0 ? 3 : kMaxTurns, tolerance, answer, settled)) return book(iterations, false);
+                told = !raise_tensions() && settled;
             }
             done = told;
             for (int s = 0; s < n_strings(); ++s) done = done && close_enough(s);
@@ -224,34 +259,31 @@ private:
     bool book(int iterations, bool done) {
         statistics_.tension_iterations += iterations;
         statistics_.most_tension_iterations = std::max<std::int64_t>(statistics_.most_tension_iterations, iterations);
-        statistics_.failures += !done;
         return done;
     }
 
     // Where the ports come to by themselves at the tensions tried, and how their compliances differ from those at rest.
-    bool displacements() {
+    bool displacements(bool plain) {
         const int n = int(ports_.ports.size()), width = ports_.pair_width;
-        strong_ = false;
+        largest_ = 0.0;
         for (int s = 0; s < n_strings(); ++s) {
             if (!std::isfinite(ws_.tension[s])) return false;
             enter_cell(s);
-            strong_ = strong_ || ws_.tension[s] * ports_.cells[s].most > kStrong;
+            largest_ = std::max(largest_, ws_.tension[s] * ports_.cells[s].most);
         }
-        const double *old = ports_.of_port[0].data(), *row = ports_.of_port[1].data();
-        const double *first = ports_.of_port[3].data(), *second = ports_.of_port[5].data();
-        double* const to = ports_.alone.data();
-        for (int p = 0; p < n; ++p) {
-            const double by = 0.5 * (ws_.tension[ports_.ports[p].string] - ws_.at[ports_.ports[p].string]);
-            to[p] = row[p] - old[p] - by * (first[p] - by * second[p]);
-        }
+        strong_ = largest_ > kStrong;
+        double *const by = ports_.by.data(), *const to = ports_.alone.data();
         double *const off = ports_.off.data(), *const change = ports_.change.data(), *const slope = ports_.slope.data();
-        const int n_pairs = int(ports_.pairs.size());
-        for (int q = 0; q < n_pairs; ++q) {
-            const int s = ports_.pairs[q].string;
-            off[q] = ws_.tension[s] - ports_.cells[s].low;
+        for (int s = 0; s < n_strings(); ++s) {
+            const auto& [first, last, first_pair, last_pair] = ports_.ranges[s];
+            for (int p = first; p < last; ++p) by[p] = ws_.tension[s] - ws_.at[s];
+            for (int q = first_pair; q < last_pair; ++q) off[q] = ws_.tension[s] - ports_.cells[s].low;
         }
-        for (int q = 0; q < width; q += Simd<double>::width) {
-            using S = Simd<double>;
+        for (int p = 0; p < ports_.width; p += S::width) {
+            const S::V half = of(ports_.by, p) * 0.5;
+            S::store(to + p, of_port(1, p) - of_port(0, p) - half * (of_port(3, p) - half * of_port(5, p)));
+        }
+        for (int q = 0; q < width; q += S::width) {
             const S::V by = S::load(off + q);
             S::V value{}, rise{};
             for (int j = kTaylor - 1; j >= 0; --j) {
@@ -260,8 +292,18 @@ private:
             }
             S::store(change + q, value), S::store(slope + q, rise);
         }
-        std::copy(ports_.fixed_part.begin(), ports_.fixed_part.end(), ports_.base.begin());
-        add_product(ports_.onto_forces.data(), layout_.force_width, to, n, ports_.base.data());
+        if (!ports_.single)
+            for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
+                const auto& pair = ports_.pairs[q];
+                ports_.changed[std::size_t(pair.to) * ports_.width + pair.from] = change[q];
+                ports_.changed[std::size_t(pair.from) * ports_.width + pair.to] = change[q];
+            }
+        double *const base = ports_.base.data(), *const force = ports_.force.data();
+        if (plain)
+            for (int p = 0; p < ports_.width; p += S::width) S::store(force + p, S::load(force + p) - S::load(base + p));
+        add_product(onto_, ports_.width, to, n, fixed_, base);
+        if (plain)
+            for (int p = 0; p < ports_.width; p += S::width) S::store(force + p, S::load(force + p) + S::load(base + p));
         if (strong_) invert_ports();
         return true;
     }
@@ -291,41 +333,44 @@ private:
         const int n = int(ports_.ports.size());
         double* const to = ports_.moved.data();
         if (ports_.single) {
-            for (int p = 0; p < n; ++p) to[p] = ports_.change[p] * force[p];
+            for (int p = 0; p < ports_.width; p += S::width) S::store(to + p, of(ports_.change, p) * S::load(force + p));
             return;
         }
-        std::fill_n(to, n, 0.0);
-        for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
-            const auto& pair = ports_.pairs[q];
-            to[pair.to] += ports_.change[q] * force[pair.from];
-            if (pair.to != pair.from) to[pair.from] += ports_.change[q] * force[pair.to];
-        }
+        std::fill_n(to, ports_.width, 0.0);
+        add_product(ports_.changed.data(), ports_.width, force, n, to);
     }
 
-    // The forces that the displacements call up and that make the displacements, at the tensions tried.
+    // The forces that the displacements call up and that make the displacements, at the tensions tried. Each turn shrinks
+    // what is wrong by about the largest rise of a mode's stiffness; `settled` once that is below `tolerance`.
     template <class Answer>
-    bool settle(int turns, const Answer& answer, double* now) {
+    bool settle(int turns, double tolerance, const Answer& answer, bool& settled) {
         const int n = int(ports_.ports.size());
-        double* const force = ports_.force.data();
+        double *const force = ports_.force.data(), *const next = ports_.next.data();
+        const double shrinks = strong_ ? 1.0 : std::min(1.0, 2 * largest_);
         for (int turn = 0; turn < turns; ++turn) {
             move_ports(force);
-            if (!answer(now)) return false;
-            double change = 0.0, size = 0.0;
-            for (int p = 0; p < n; ++p) {
-                const double wrong = now[ports_.ports[p].force] - force[p];
-                ports_.wrong[p] = wrong;
-                change = std::max(change, std::abs(wrong));
-                size = std::max(size, std::abs(now[ports_.ports[p].force]));
+            if (!answer(next)) return false;
+            S::V changes{}, sizes{}, check{};
+            for (int p = 0; p < ports_.width; p += S::width) {
+                const S::V now = S::load(next + p), wrong = now - S::load(force + p);
+                const S::V change = wrong < 0.0 ? -wrong : wrong, size = now < 0.0 ? -now : now;
+                changes = change > changes ? change : changes, sizes = size > sizes ? size : sizes;
+                check += change;
+                S::store(&ports_.wrong[p], wrong);
             }
-            if (!(change <= 1e300)) return n == 0;
-            if (change <= kForceTolerance<T> * size) return true;
+            if (!(S::sum(check) <= 1e300)) return false;
+            double change = 0.0, size = 0.0;
+            for (int p = 0; p < S::width; ++p) change = std::max(change, changes[p]), size = std::max(size, sizes[p]);
             if (strong_) {
                 for (int p = 0; p < n; ++p)
                     for (int q = 0; q < n; ++q) force[p] += ports_.inverse[std::size_t(p) * n + q] * ports_.wrong[q];
             } else {
-                for (int p = 0; p < n; ++p) force[p] += ports_.wrong[p];
+                std::copy_n(next, n, force);
             }
+            settled = change * shrinks <= tolerance * size;
+            if (settled) break;
         }
+        move_ports(force);
         return true;
     }
 
@@ -339,8 +384,7 @@ private:
             for (int to = 0; to < n; ++to) {
                 double sum = to == p ? 1.0 : 0.0;
                 for (int q = 0; q < n; ++q)
-                    sum -= ports_.onto_forces[std::size_t(q) * layout_.force_width + ports_.ports[to].force] *
-                           ports_.moved[q];
+                    sum -= onto_[std::size_t(q) * ports_.width + to] * ports_.moved[q];
                 a[std::size_t(to) * n + p] = sum;
             }
         }
@@ -365,27 +409,35 @@ private:
             for (int i = 0; i < n; ++i) std::swap(a[i * n + p], a[i * n + pivots[p]]);
     }
 
+    static S::V of(const Array<double>& a, int p) { return S::load(&a[p]); }
+    S::V of_port(int sum, int p) const { return S::load(&ports_.of_port[sum][p]); }
+
     // Newton's step of every tension, at the forces found; true if one of them changed.
     bool raise_tensions() {
         bool changed = false;
-        const double* const force = ports_.force.data();
+        double *const gained = ports_.gained.data(), *const steep = ports_.steep.data();
+        double *const pushed = ports_.pushed.data(), *const sharp = ports_.sharp.data();
+        for (int p = 0; p < ports_.width; p += S::width) {
+            const S::V f = of(ports_.force, p), rises = 2.0 * of_port(5, p) - of_port(4, p);
+            S::store(gained + p, f * (2.0 * (of_port(3, p) - of_port(2, p)) - of(ports_.by, p) * rises));
+            S::store(steep + p, f * rises);
+        }
+        if (ports_.single) {
+            for (int p = 0; p < ports_.width; p += S::width) both_pushed(p, of(ports_.force, p) * of(ports_.force, p));
+        } else {
+            for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
+                const auto& pair = ports_.pairs[q];
+                ports_.both[q] = ports_.force[pair.to] * ports_.force[pair.from] * (pair.to == pair.from ? 1.0 : 2.0);
+            }
+            for (int q = 0; q < ports_.pair_width; q += S::width) both_pushed(q, of(ports_.both, q));
+        }
         for (int s = 0; s < n_strings(); ++s) {
-            const auto& string = tensions_.strings[s];
             const double *all = &ports_.sums[ports_.shared[s]], by = ws_.tension[s] - ws_.at[s];
-            ws_.after[s] = all[1] - by * all[2], ws_.steepness[s] = all[2], ws_.pushed[s] = ws_.sharp[s] = 0.0;
-        }
-        for (std::size_t p = 0; p < ports_.ports.size(); ++p) {
-            const int s = ports_.ports[p].string;
-            const double by = ws_.tension[s] - ws_.at[s], f = force[p];
-            const double steep = 2 * ports_.of_port[5][p] - ports_.of_port[4][p];
-            ws_.after[s] += f * (2 * (ports_.of_port[3][p] - ports_.of_port[2][p]) - by * steep);
-            ws_.steepness[s] += f * steep;
-        }
-        for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
-            const auto& pair = ports_.pairs[q];
-            const double both = force[pair.to] * force[pair.from] * (pair.to == pair.from ? 1.0 : 2.0);
-            ws_.pushed[pair.string] -= 2 * both * ports_.slope[q];
-            ws_.sharp[pair.string] += std::abs(both * ports_.changes[3 * std::size_t(ports_.pair_width) + q]);
+            const auto& [first, last, first_pair, last_pair] = ports_.ranges[s];
+            double after = all[1] - by * all[2], steepness = all[2], push = 0.0, sharpness = 0.0;
+            for (int p = first; p < last; ++p) after += gained[p], steepness += steep[p];
+            for (int q = first_pair; q < last_pair; ++q) push += pushed[q], sharpness += sharp[q];
+            ws_.after[s] = after, ws_.steepness[s] = steepness, ws_.pushed[s] = push, ws_.sharp[s] = sharpness;
         }
         for (int s = 0; s < n_strings(); ++s) {
             const double kappa = tensions_.strings[s].kappa, old = ws_.stretch[s];
@@ -395,10 +447,18 @@ private:
             next = std::clamp(next, ws_.at[s] - reach, ws_.at[s] + reach);
             next = std::max(next, kappa * old);
             const double still = kSettled<T> * std::max(1 / ports_.cells[s].most, 20 * next);
-            if (!(std::abs(next - ws_.tension[s]) <= still)) changed = true;
+            if (std::abs(next - ws_.tension[s]) <= std::max(still, 0.2 * kTensionTolerance<T> * next)) continue;
             ws_.tension[s] = next;
+            changed = true;
         }
         return changed;
+    }
+
+    // What pairs of forces give to the stretch: -2 f f' dZ/dT, and how it bends.
+    void both_pushed(int q, S::V both) {
+        const S::V bend = both * S::load(&ports_.changes[3 * std::size_t(ports_.pair_width) + q]);
+        S::store(&ports_.pushed[q], -2.0 * both * of(ports_.slope, q));
+        S::store(&ports_.sharp[q], bend < 0.0 ? -bend : bend);
     }
 
     // Whether the sums of the visit tell the motion of a string at the tension found: what their polynomials leave out
@@ -507,17 +567,6 @@ private:
         for (int j = 0; j < solve_.m; ++j) ws_.fixed[j] -= tensions_.offset[j];
     }
 
-    // In two chains, as many as pay for the few connections of a string.
-    static double dot(const double* a, const double* b, int n) {
-        using S = Simd<double>;
-        S::V sums{};
-        int j = 0;
-        for (; j + S::width <= n; j += S::width) sums += S::load(a + j) * S::load(b + j);
-        double rest = 0.0;
-        for (; j < n; ++j) rest += a[j] * b[j];
-        return n < S::width ? rest : S::sum(sums) + rest;
-    }
-
     // f = -M^-1 v, by an inverse made earlier in the block and corrections with M itself.
     bool solve_linear(const double* M, const double* v, double* f) {
         const int m = solve_.m;
@@ -593,7 +642,11 @@ private:
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
     int sample_ = 0;
-    bool strong_ = false;
+    bool strong_ = false, linear_known_ = false;
+    double largest_ = 0.0;  // rise of a mode's stiffness
+    const double* line_ = nullptr;
+    const double *onto_ = ports_.onto_ports.data(), *fixed_ = ports_.fixed.data();
+    Direct at_once_;
     std::vector<std::vector<Load<T>>> pushed_;  // forces on guarded ports, by component
     Array<T> forces_;                           // on fixed ports, of the step found last
 };

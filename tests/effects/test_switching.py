@@ -71,6 +71,23 @@ def test_samples_do_not_depend_on_the_block_size() -> None:
         assert np.array_equal(sound(renderer(notes, 0.8, duet()), block), reference)
 
 
+@pytest.mark.parametrize("mode", ["auto", "all"])
+def test_a_gesture_a_hair_before_a_grid_point_does_not_see_the_blocks(mode: str) -> None:
+    lead = -renderer([NOTE(0.0, 1, note=64)], 0.1, duet()).performance.timeline.start
+    notes = [
+        NOTE((30 * GRID - 0.25) / FS + lead, 0.2, note=64, force=3.0),
+        NOTE((60 * GRID + 0.25) / FS + lead, 1, note=61),
+    ]
+    engine = renderer(notes, 0.4, duet(mode=mode)).engine
+    far = renderer(notes, 0.4, duet(mode=mode)).engine
+    for _ in range(12):
+        far.advance(12)
+        for _ in range(12):
+            engine.advance(1)
+        assert np.array_equal(engine.state.modes, far.state.modes)
+    assert engine.ticker.strings_played
+
+
 def test_a_snapshot_between_switches_continues() -> None:
     notes, _, _ = SCENES["quiet and loud in turn"]
     stream = renderer(notes, 1.2, duet())

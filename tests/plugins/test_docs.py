@@ -17,7 +17,7 @@ from tonewood.instrument.registry import check_plugin, list_instruments
 from tonewood.instrument.schema_table import inserted
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "docs" / name for name in ("make_an_instrument.md", "write_a_plugin.md")]
+PAGES = [ROOT / "docs" / name for name in ("make_an_instrument.md", "write_a_plugin.md", "strings_and_contact.md")]
 
 
 def blocks(page: Path, language: str) -> list[str]:

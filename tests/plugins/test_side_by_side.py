@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from scene import instrument
 from test_geometric_string import STEEL
 
 import tonewood as tw
+from tonewood.engine.engine import Engine
+from tonewood.engine.playing import perform
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.numerics.connections import Connection, Rigid, Term
@@ -192,3 +195,51 @@ def test_energy_of_both_kinds_falls_over_a_million_steps(height: float) -> None:
     assert stepper.statistics.failures == 0
     assert np.all(np.diff(energy) <= 1e-12 * energy[0])
     assert energy[-1] < 1e-3 * energy[0]
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize("kind", ["tension_modulated_string", "geometric_string"])
+@pytest.mark.parametrize("name", sorted(tw.list_instruments()))
+def test_every_bundle_takes_every_kind_of_string(name: str, kind: str) -> None:
+    """Played by its own hands in turn: all steps are found, and nothing is louder than four times the linear sound."""
+    base = tw.load_instrument(name)
+    strings = list(base.spec.strings)
+    hands = [h for h, e in base.exciters.items() if e.at is None]
+    notes = [tw.Note(0.02 * i, 0.1, string=s, stop=0, velocity_midi=120) for i, s in enumerate(strings[:3])]
+    notes += [tw.Note(0.15 + 0.04 * i, 0.04, string=strings[0], stop=0, technique=h) for i, h in enumerate(hands)]
+    values = json.loads(json.dumps(base.resolved))
+    for string in values["strings"].values():
+        for key in ("freq_coupled", "bridge_leverage", "longitudinal_loss"):
+            string.pop(key, None)
+        string["plugin"], string["axial_stiffness"] = kind, string.get("axial_stiffness", 40 * string["tension"])
+    peaks = []
+    for made in (base, Instrument.from_values(values, base.folder)):
+        x = tw.render(tw.Score(notes), made, max_duration=0.2 + 0.04 * len(hands)).samples
+        assert np.all(np.isfinite(x))
+        peaks.append(np.abs(x).max())
+    assert 0.25 * peaks[0] < peaks[1] < 4 * peaks[0]
+
+
+def test_single_precision_follows_both_kinds() -> None:
+    _, system = two()
+    state = drawn(system, {"rising1": 4e-3, "rising2": 1e-3, "along1": -4e-3})
+    single = state.copy()
+    single.modes = single.modes.astype(np.float32)
+    _, forces = KernelStepper(system).run(state, 300)
+    _, rough = KernelStepper(system, precision="f32").run(single, 300)
+    assert np.abs(rough - forces).max() < 2e-3 * np.abs(forces).max()
+
+
+def test_quiet_strings_beside_a_loud_one() -> None:
+    """Strings that hardly move are found in few iterations while a loud one next to them still looks for its forces."""
+    guitar = tw.load_instrument("steel_guitar").replace({"strings.E4.plugin": "geometric_string"})
+    notes = (
+        tw.Note(0.02, 0.5, string="E4", stop=0, velocity_midi=40),
+        tw.Note(0.12, 0.5, string="E4", stop=0, velocity_midi=127),
+    )
+    model = assemble(guitar, 48000)
+    engine = Engine(model, perform(tw.Score(notes), model).timeline)
+    while engine.state.sample < 0.13 * 48000:
+        engine.advance(1)
+    assert engine.stepper.statistics.failures == 0
+    assert engine.stepper.statistics.most_tension_iterations < 40

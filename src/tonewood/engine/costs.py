@@ -36,27 +36,28 @@ class Costs:
     """Least squares of the times of runs over what was stepped in them; no rate is negative."""
 
     def __init__(self) -> None:
-        self._products, self._times, self._steps = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-        self._seconds = 0.0
+        # how much was stepped with as many modes, and as many of strings whose tension rose: samples, seconds
+        self._runs: dict[tuple[int, int], list[float]] = {}
 
     def add(self, seconds: float, samples: int, modes: int, tense_modes: int) -> None:
         """Enter a run: how many modes were stepped, and of strings whose tension rose."""
-        each = np.array([modes, float(tense_modes > 0), tense_modes])
-        self._products += samples * np.outer(each, each)
-        self._times += seconds * each
-        self._steps += samples * each
-        self._seconds += seconds
+        known = self._runs.setdefault((modes, tense_modes), [0.0, 0.0])
+        known[0] += samples
+        known[1] += seconds
 
     def rates(self) -> Rates:
         """Best fit of all runs so far."""
         from scipy.optimize import nnls
 
-        if not self._products[0, 0] or self._seconds <= 0.0:
+        modes, tense = np.array(list(self._runs), dtype=float).reshape(-1, 2).T
+        samples, seconds = np.array(list(self._runs.values())).reshape(-1, 2).T
+        if not np.any(samples * modes) or not np.any(seconds > 0.0):
             return Rates()
+        each = np.stack([modes, tense > 0.0, tense])
+        steps, squares = each @ samples, (samples * modes) @ modes
         declared = np.array([1.0, 0.0, TENSION_MODULATION.cost(1)])
-        declared *= self._seconds / (self._steps @ declared)
-        of_modes = self._products[0, 0]
-        weight = _DECLARED * np.array([of_modes, self._steps[0] ** 2 / of_modes, of_modes])
-        root = sla.cholesky(self._products + np.diag(weight))
-        found = nnls(root, sla.solve_triangular(root, self._times + weight * declared, trans="T"))[0]
+        declared *= seconds.sum() / (steps @ declared)
+        weight = _DECLARED * np.array([squares, steps[0] ** 2 / squares, squares])
+        root = sla.cholesky((samples * each) @ each.T + np.diag(weight))
+        found = nnls(root, sla.solve_triangular(root, each @ seconds + weight * declared, trans="T"))[0]
         return Rates(*(float(rate) for rate in found))

@@ -53,7 +53,7 @@ class Snapshot:
 
 @dataclass(eq=False)
 class Ticker:
-    """What an engine did, for summaries; seconds of computing in steps and between them."""
+    """What an engine did, for summaries; seconds of the processor in steps and between them."""
 
     exchanges: int = 0
     peak_modes: int = 0
@@ -90,6 +90,7 @@ class Engine:
         self.injections: list[Injection] = []
         self.controls: list[Control] = []
         self.holds: dict[str, float] = {}
+        self._unheard: list[Floats] = []
         #: look only: no tension rises, but the ledger tells when it would
         self.watching = False
         self.ticker, self.ledger = Ticker(), Ledger(model)
@@ -138,30 +139,43 @@ class Engine:
         """Step n_ticks intervals of the control grid; returns (n_ticks * GRID, n_channels)."""
         out, end = [], self.state.sample + n_ticks * GRID
         while self.state.sample < end:
-            began = time.perf_counter()
+            began = time.thread_time()
             self._control()
             steps = min(self._next_event(), end) - self.state.sample
             before = self.state.copy() if self.books else None
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)
-            ready, alone = time.perf_counter(), time.thread_time()
+            solves = self.stepper.n_solves
+            ready = time.thread_time()
             sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
-            # of the processor, for costs: others that use it must not seem to be those of an effect
-            seconds = time.thread_time() - alone
-            self.ticker.stepping_s += time.perf_counter() - ready
-            self.ticker.control_s += ready - began
+            stepped = time.thread_time()
             if self.books and before:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
             touched = self.ledger.count(
-                self.state.sample - steps, pushes, self.tense, self.holds, self.system, self._missing, seconds
+                self.state.sample - steps,
+                pushes,
+                self.tense,
+                self.holds,
+                self.system,
+                self._missing,
+                stepped - ready,
+                self.stepper.n_solves > solves,
             )
-            if self.sleeper.enabled:
-                self.sleeper.heard(sound)
-                self.sleeper.state.touched |= touched
+            self._unheard.append(sound)
+            self.sleeper.state.touched |= touched
             self.injections = [i for i in self.injections if i.stop > self.state.sample]
             self.controls = [c for c in self.controls if c.stop > self.state.sample]
+            self.ticker.stepping_s += stepped - ready
+            self.ticker.control_s += ready - began + time.thread_time() - stepped
+        self._hear()
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
+
+    def _hear(self) -> None:
+        """Tell the sleeper what has sounded since it was last told."""
+        if self.sleeper.enabled and self._unheard:
+            self.sleeper.heard(np.concatenate(self._unheard))
+        self._unheard = []
 
     @property
     def _look(self) -> int:
@@ -189,8 +203,10 @@ class Engine:
         """First sample after now at which something has to be looked at: a grid point, or a finger's next step."""
         now = self.state.sample
         grid = now // GRID * GRID + GRID
-        # a thing is done at the last grid point before its time
-        times = [grid + 63 * GRID, self._pending - GRID + 1, *(active.stop for active in self.active)]
+        times = [grid + 63 * GRID, *(active.stop for active in self.active)]
+        if self._pending < math.inf:
+            # a thing is done at the last grid point before its time, which need not be a whole sample
+            times.append(self._pending // GRID * GRID)
         if self.switch.enabled:
             times.append(grid if self.awaited else now // self._look * self._look + self._look)
         if self._sleeps:
@@ -262,7 +278,7 @@ class Engine:
         if risen := {name: 0 for name in self.sleeper.sleeping if name in called}:
             self._rest(risen)
         if moved:
-            self._refret({name: self.fingerboard.playable(name, fretting) for name, fretting in moved.items()})
+            self._refret(moved)
         # a string is held by one finger at a time: a new gesture ends the one before it; a gesture whose string changed
         # under it is compiled anew for what is left of it
         again = [a.play for a in self.active if a.play.string in moved.keys() - taken]
@@ -295,7 +311,8 @@ class Engine:
                 before = wanted.get(play.string, self.frettings[play.string])
                 wanted[play.string] = replace(before, place=play.gesture.from_bridge)
                 self.ticker.strings_played.add(play.string)
-        return {name: fretting for name, fretting in wanted.items() if fretting != self.frettings[name]}, fresh
+        frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in wanted.items()}
+        return {name: fretting for name, fretting in frettings.items() if fretting != self.frettings[name]}, fresh
 
     def _refret(self, wanted: Mapping[str, Fretting]) -> None:
         """Give strings other bases and carry their motion over."""
@@ -328,6 +345,7 @@ class Engine:
 
     def _look_after_sleepers(self, now: int, fresh: Sequence[Play]) -> None:
         """Let bands of strings fall asleep that are not heard, and wake those that might be."""
+        self._hear()
         plays = [active.play for active in self.active]
         if self.sleeper.shaken(now, plays):
             wanted = self.sleeper.all_awake(now)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tonewood.engine.timeline import Change
 from tonewood.instrument.assembly import Model
+from tonewood.instrument.strings import damped
 from tonewood.numerics.connections import Connection, Rigid, scaled_pinv
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.motion import from_motion, to_motion
@@ -50,30 +51,42 @@ class Fingerboard:
     """A model's strings as they can be held; compiled when they are wanted and kept for a while."""
 
     def __init__(self, model: Model):
-        self.model = model
-        self._compiled: dict[tuple[str, Fretting], dict[str, Compiled]] = {}
+        self.model, system = model, model.system
+        # the model's own strings are open ones that nobody has touched yet
+        self._compiled: dict[tuple[str, Fretting], dict[str, Compiled]] = {
+            (name, Fretting()): {c: system.compiled[system.slot(c)] for c in string.components}
+            for name, string in model.strings.items()
+        }
 
     def playable(self, name: str, fretting: Fretting) -> Fretting:
-        """The finger's place only where it lies on the string's speaking part."""
-        if fretting.place is not None and fretting.place > self.model.strings[name].length(fretting.stop):
-            return replace(fretting, place=None)
-        return fretting
+        """The finger's place only where it lies on the string's speaking part, and is not the usual one."""
+        if fretting.place is None:
+            return fretting
+        string = self.model.strings[name]
+        length = string.length(fretting.stop)
+        usual = fretting.place == min(string.pluck_from_bridge, 0.9 * length)
+        return replace(fretting, place=None) if usual or fretting.place > length else fretting
 
     def bases(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
         """Component -> what is stepped of a string."""
         key = (name, fretting)
         if key not in self._compiled:
-            bases = self.model.strings[name].bases(
-                fretting.stop,
-                bend_cents=fretting.cents,
-                added_damping=fretting.added_damping,
-                pluck_from_bridge=fretting.place,
-                touches=dict(fretting.touches),
-            )
+            made = {c: self.model.system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
             if len(self._compiled) >= _CACHE:
                 self._compiled.pop(next(iter(self._compiled)))
-            self._compiled[key] = {c: self.model.system.compile(c, basis) for c, basis in bases.items()}
+            self._compiled[key] = made
         return self._compiled[key]
+
+    def _made(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:
+        if fretting.added_damping:
+            ringing = self.bases(name, replace(fretting, added_damping=0.0))
+            return damped({c: compiled.basis for c, compiled in ringing.items()}, fretting.added_damping)
+        return self.model.strings[name].bases(
+            fretting.stop,
+            bend_cents=fretting.cents,
+            pluck_from_bridge=fretting.place,
+            touches=dict(fretting.touches),
+        )
 
     def laws(self, name: str, fretting: Fretting) -> dict[str, Connection]:
         """Laws of what always touches a string, at its stop."""

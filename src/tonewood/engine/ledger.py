@@ -124,6 +124,7 @@ class Ledger:
         system: System,
         asleep: Mapping[str, tuple[int, int]],
         seconds: float,
+        solved: bool,
     ) -> bool:
         """Enter a run from sample `start`, and tell whether a contact acted in it.
 
@@ -134,6 +135,7 @@ class Ledger:
         system : what was stepped.
         asleep : strings that sleep -> their level, and how many modes do.
         seconds : that its steps took.
+        solved : whether any nonlinear force was asked for.
         """
         n = len(forces)
         self.samples += n
@@ -153,8 +155,8 @@ class Ledger:
         for name in held:
             self.held[name].add(start, n)
         touched = False
-        if system.nonlinear is not None:
-            acted: NDArray[np.bool_] = np.any(forces != 0.0, axis=0)
+        if system.nonlinear is not None and solved:
+            acted: NDArray[np.bool_] = np.any(forces, axis=0)
             for key, columns in self.contacts.items():
                 if np.any(acted[columns]):
                     touched = True

@@ -237,7 +237,8 @@ class Sleeper:
     def heard(self, out: Floats) -> None:
         """Take note of what the readouts said, (n, R)."""
         if len(out):
-            np.maximum(self.state.peak, np.abs(out).max(axis=0), out=self.state.peak)
+            # the rows of channels in one piece: several times quicker
+            np.maximum(self.state.peak, np.abs(np.ascontiguousarray(out.T)).max(axis=1), out=self.state.peak)
 
     def shaken(self, now: int, plays: Collection[Play]) -> bool:
         """Whether something moves that no bound is known of: strokes on the body, bows and fingers, contacts."""

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from tonewood.engine.gestures import Active
 from tonewood.instrument.assembly import Model
 from tonewood.numerics.connections import Connection, Law, SpringDashpot
 from tonewood.numerics.system import System
-
-_OFF = SpringDashpot()
 
 
 def string_of(name: str) -> str:
@@ -32,29 +29,30 @@ class Surroundings:
     """The connections of a model that gestures wake: where they are, and how they are at work."""
 
     def __init__(self, model: Model):
-        self._resting: list[tuple[int, Connection]] = []
-        self._holds: list[tuple[int, str]] = []
-        for j, connection in enumerate(model.system.connections):
-            if connection.name in model.resting:
-                self._resting.append((j, model.resting[connection.name]))
-            if connection.name.endswith(".hold"):
-                self._holds.append((j, string_of(connection.name)))
+        connections = list(enumerate(model.system.connections))
+        # place, law at rest, and the law at work or the string that is held
+        self._resting = [(j, c.law, model.resting[c.name]) for j, c in connections if c.name in model.resting]
+        self._holds = [(j, c.law, string_of(c.name)) for j, c in connections if c.name.endswith(".hold")]
 
     def held(self, system: System, holds: Mapping[str, float]) -> System:
         """The system with fingers' dashpots as in `holds`; itself if they are so already."""
         laws = {string: SpringDashpot(damping=damping) for string, damping in holds.items()}
-        return _with_laws(system, [(j, laws.get(string, _OFF)) for j, string in self._holds])
+        return _with_laws(system, [(j, laws.get(string, rest)) for j, rest, string in self._holds])
 
     def woken(self, system: System, active: Sequence[Active]) -> System:
         """The system with those resting connections in effect that gestures move; itself if they are so already."""
         if not self._resting:
             return system
         wanted = {m.connection for a in active for m in a.play.gesture.motions}
-        return _with_laws(system, [(j, c.law if c.name in wanted else _OFF) for j, c in self._resting])
+        return _with_laws(system, [(j, c.law if c.name in wanted else rest) for j, rest, c in self._resting])
 
 
 def _with_laws(system: System, wanted: Sequence[tuple[int, Law]]) -> System:
     """The system with these laws at these places; itself if they are there already."""
     now = system.connections
-    laws = {now[j].name: replace(now[j], law=law) for j, law in wanted if law != now[j].law}
+    laws = {
+        now[j].name: Connection(now[j].name, now[j].terms, law)
+        for j, law in wanted
+        if law is not now[j].law and law != now[j].law
+    }
     return system.with_laws(laws) if laws else system

@@ -77,6 +77,7 @@ class TensionSwitch:
         sizes = [system.capacities[s] for s in self._slots]
         self._starts = np.cumsum([0, *sizes[:-1]]).astype(np.intp)
         self._forms = np.zeros((3, len(self._places)))
+        self._stops: dict[tuple[str, float], tuple[float, float]] = {}
         self._known: list[Compiled | None] = [None] * len(self._slots)
 
     @property
@@ -101,15 +102,16 @@ class TensionSwitch:
 
     def rise(self, name: str, stop: float, energy: float) -> float:
         """Largest mean rise of a string's tension at an energy (J), in cents of its pitch."""
-        string = self.model.strings[name]
-        return TENSION_MODULATION.bound(
-            Norms(
-                energy=energy,
-                tension=string.tension(stop),
-                axial_stiffness=float(self.stiffness[self.strings.index(name)]),
-                length=string.length(stop),
-            )
-        )
+        tension, length = self._held(name, stop)
+        stiffness = float(self.stiffness[self.strings.index(name)])
+        return TENSION_MODULATION.bound(Norms(energy=energy, tension=tension, axial_stiffness=stiffness, length=length))
+
+    def _held(self, name: str, stop: float) -> tuple[float, float]:
+        """Tension (N) and speaking length (m) of a string at a stop."""
+        if (name, stop) not in self._stops:
+            string = self.model.strings[name]
+            self._stops[name, stop] = string.tension(stop), string.length(stop)
+        return self._stops[name, stop]
 
     def wanted(self, rises: Mapping[str, float], on: Collection[str], busy: Collection[str]) -> frozenset[str]:
         """Strings whose tension is to rise.
@@ -136,10 +138,10 @@ class TensionSwitch:
 
     def compliance(self, name: str, fretting: Fretting) -> float:
         """Static compliance of a string between fixed ends where it is plucked, x (L - x) / (T L) in m/N."""
-        string = self.model.strings[name]
-        length = string.length(fretting.stop)
-        x = min(string.pluck_from_bridge, 0.9 * length) if fretting.place is None else fretting.place
-        return x * (length - x) / (string.tension(fretting.stop) * length)
+        tension, length = self._held(name, fretting.stop)
+        pluck = self.model.strings[name].pluck_from_bridge
+        x = min(pluck, 0.9 * length) if fretting.place is None else fretting.place
+        return x * (length - x) / (tension * length)
 
 
 def string_energy(system: System, state: State, name: str) -> tuple[float, float]:

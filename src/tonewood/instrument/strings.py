@@ -245,12 +245,10 @@ class StringModel:
             basis = self.resonator.detuned(base, tension * polarization.detune**2)
             if not whole:
                 basis = below(basis, self._freq_limit)
-            if added_damping:
-                basis = retuned(basis, np.sqrt(basis.stiffness), basis.damping_rate + added_damping)
             out[polarization.component] = with_still_points(basis.with_places(here), beyond)
         if self.along:
-            out[self.along.component] = self._longitudinal(end, self.along.motion, added_damping)
-        return out
+            out[self.along.component] = self._longitudinal(end, self.along.motion)
+        return damped(out, added_damping) if added_damping else out
 
     def n_modes(self, stop: float = 0) -> int:
         """Modes per polarization of a stop before tension raises any above the limit."""
@@ -294,16 +292,13 @@ class StringModel:
     def _is_along(self, component: str) -> bool:
         return self.along is not None and component == self.along.component
 
-    def _longitudinal(self, stop: float, motion: Longitudinal, added_damping: float) -> ModalBasis:
+    def _longitudinal(self, stop: float, motion: Longitudinal) -> ModalBasis:
         """Modes along the string; few, and bends leave them as they are."""
         if stop not in self._along:
             if len(self._along) >= _PASSING_STOPS:
                 del self._along[next(iter(self._along))]
             self._along[stop] = motion.basis(self._freq_limit, self.position(stop))
-        basis = self._along[stop]
-        if not added_damping:
-            return basis
-        return retuned(basis, np.sqrt(basis.stiffness), basis.damping_rate + added_damping)
+        return self._along[stop]
 
     def _end(self, stop: float) -> float:
         """Stop at which the string's modes end: a soft finger leaves them those of the open string."""
@@ -399,6 +394,11 @@ class StringModel:
                     raise self.resonator.fault(f"at stop {stop:g}: {fault}", "note") from None
                 self._tuned[stop] = (found, found.tension)
         return self._tuned[stop]
+
+
+def damped(bases: Mapping[str, ModalBasis], added_damping: float) -> dict[str, ModalBasis]:
+    """A string's bases with every mode's damping rate raised (1/s)."""
+    return {c: retuned(b, np.sqrt(b.stiffness), b.damping_rate + added_damping) for c, b in bases.items()}
 
 
 def held_freq(basis: ModalBasis) -> float | None:

@@ -31,7 +31,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg as sla
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from tonewood.numerics.laws import NonlinearLaw
 
@@ -258,24 +260,21 @@ def nonlinear_solve(
 
 def scaled_pinv(matrix: Floats, rtol: float = 1e-12) -> Floats:
     """Pseudo-inverse of a square matrix after scaling it to unit diagonal (zero rows stay zero)."""
-    import scipy.linalg as sla
-
     if not matrix.size:
         return matrix
     diagonal = np.abs(matrix.diagonal())
     moves = diagonal > 0
     d = moves / np.sqrt(np.where(moves, diagonal, 1.0))
-    scaled = d[:, None] * matrix * d
+    scale = d[:, None] * d
+    scaled = matrix * scale
     inverse = _inverse(scaled)
     if inverse is None:
         inverse = np.asarray(sla.pinv(scaled, rtol=rtol), dtype=np.float64)
-    return np.asarray(d[:, None] * inverse * d)
+    return np.asarray(inverse * scale)
 
 
 def _inverse(matrix: Floats) -> Floats | None:
     """Inverse by LU, several times quicker than the singular values; None unless the matrix is far from singular."""
-    from scipy.linalg import lapack
-
     lu, pivots, fault = lapack.dgetrf(matrix)
     if fault != 0 or lapack.dgecon(lu, np.abs(matrix).sum(axis=0).max())[0] < 1e-8:
         return None

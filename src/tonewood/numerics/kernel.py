@@ -10,6 +10,8 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +80,8 @@ class KernelStepper:
         self.dtype: type[np.floating] = np.float64 if precision == "f64" else np.float32
         self._kernel = make(isa or instruction_set(), len(system.names), sum(system.capacities), len(system.readouts))
         self._packed: dict[int, tuple[Injection, NDArray[np.floating], Floats]] = {}
+        self._ready: WeakKeyDictionary[Compiled, dict[bytes, tuple[tuple[Any, ...], tuple[Floats, ...]]]]
+        self._ready = WeakKeyDictionary()
         self._loaded: list[tuple[Compiled, bytes] | None] = [None] * len(system.names)
         self._wirings: dict[tuple[bytes, bytes, bytes], tuple[list[_Wires], list[Term]]] = {}
         self._guarded, self._steps = guarded, 0
@@ -96,6 +100,11 @@ class KernelStepper:
         """What the nonlinear solves took, since this stepper was made."""
         solves, iterations, most, failures, tension, most_tension, *_ = self._kernel.statistics()
         return Statistics(self._steps, solves, iterations, most, tension, most_tension, failures)
+
+    @property
+    def n_solves(self) -> int:
+        """How many steps asked for nonlinear forces so far."""
+        return int(self._kernel.statistics()[0])
 
     @property
     def guard_statistics(self) -> dict[str, int]:
@@ -157,49 +166,59 @@ class KernelStepper:
                 continue
             self._loaded[slot] = (compiled, wires.key)
             fresh.add(slot)
-            # nobody asks for the motion of a driven component's ports
-            readouts = np.arange(len(compiled.ports), len(compiled.rows))
-            fixed, guarded, incidence = wires.fixed, wires.guarded, wires.incidence
-            kept = one_way or compiled.geometric is not None
-            if not kept and not any(slot == at and not on_guarded for _, at, _, on_guarded, _ in terms):
-                fixed, incidence = _independent(compiled, fixed, incidence)
-            rows = readouts if one_way else np.concatenate([fixed, readouts])
-            E = _pack((compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)).reshape(-1, 4)[None])[0]
-            history = compiled.history
-            self._kernel.set_component(
-                slot,
-                system.offsets[slot],
-                one_way,
-                E,
-                _pack(compiled.rows[rows]),
-                _pack(compiled.W[fixed]),
-                np.ascontiguousarray(history[:, fixed][:, :, rows]),
-                incidence,
-                compiled.readouts.tolist(),
-                compiled.difference.astype(int).tolist(),
-            )
-            if guarded.size:
-                self._kernel.set_guarded(
-                    slot,
-                    E,
-                    _pack(compiled.rows[guarded]),
-                    _pack(compiled.W[guarded]),
-                    np.ascontiguousarray(history[:, fixed][:, :, guarded]),
-                    np.ascontiguousarray(history[:, guarded][:, :, guarded]),
-                    np.ascontiguousarray(history[:, guarded][:, :, rows]),
-                )
+            # strings come back to stops, and hands to strings
+            ready = self._ready.setdefault(compiled, {})
+            if wires.key not in ready:
+                pushed = any(slot == at and not on_guarded for _, at, _, on_guarded, _ in terms)
+                ready[wires.key] = self._arrays(compiled, wires, one_way, pushed)
+            component, guarded = ready[wires.key]
+            self._kernel.set_component(slot, system.offsets[slot], one_way, *component)
+            if guarded:
+                self._kernel.set_guarded(slot, component[0], *guarded)
             if (part := compiled.tension) is not None:
                 half = 0.5 * part.reading * part.kick[:, 0] * part.weights
                 alone = [_pack(a[None, :, None])[0, 0] for a in (part.weights, half, part.reading)]
                 self._kernel.set_stretched(slot, alone[0], alone[1], alone[2], _pack(part.kick[None])[0])
         return fresh
 
+    def _arrays(
+        self, compiled: Compiled, wires: _Wires, one_way: bool, pushed: bool
+    ) -> tuple[tuple[Any, ...], tuple[Floats, ...]]:
+        """A component as ``set_component`` wants it, and ports that only contacts act on; `pushed` by other laws."""
+        # nobody asks for the motion of a driven component's ports
+        readouts = np.arange(len(compiled.ports), len(compiled.rows))
+        fixed, guarded, incidence = wires.fixed, wires.guarded, wires.incidence
+        if not (one_way or pushed or compiled.geometric is not None):
+            fixed, incidence = _independent(compiled, fixed, incidence)
+        rows = readouts if one_way else np.concatenate([fixed, readouts])
+        E = _pack((compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)).reshape(-1, 4)[None])[0]
+        history = compiled.history
+        component = (
+            E,
+            _pack(compiled.rows[rows]),
+            _pack(compiled.W[fixed]),
+            np.ascontiguousarray(history[:, fixed][:, :, rows]),
+            incidence,
+            compiled.readouts.tolist(),
+            compiled.difference.astype(int).tolist(),
+        )
+        if not guarded.size:
+            return component, ()
+        return component, (
+            _pack(compiled.rows[guarded]),
+            _pack(compiled.W[guarded]),
+            np.ascontiguousarray(history[:, fixed][:, :, guarded]),
+            np.ascontiguousarray(history[:, guarded][:, :, guarded]),
+            np.ascontiguousarray(history[:, guarded][:, :, rows]),
+        )
+
     def _wired(self, system: System) -> tuple[list[_Wires], list[Term]]:
         """Ports of every component as the connections now use them; made once for each set of those in use."""
-        contact = np.array([isinstance(c.law, Contact) for c in system.connections], dtype=bool)
+        laws = () if system.nonlinear is None else system.nonlinear.laws
+        contact = np.array([isinstance(law, Contact) for law in laws], dtype=bool)
         key = self._active.tobytes(), self._nonlinear.tobytes(), contact.tobytes()
         if key not in self._wirings:
-            always = np.concatenate([self._active, self._nonlinear[~contact[self._nonlinear]]])
+            always = np.concatenate([self._active, self._nonlinear[~contact]])
             wiring: list[_Wires] = []
             terms: list[Term] = []
             for slot, one_way in enumerate(system.driven):

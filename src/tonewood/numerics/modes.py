@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -115,11 +116,7 @@ class ModalBasis:
                 rows.append(given_shape * scale)
         phi = np.array(rows, dtype=np.float64).reshape(len(points), omega.size)
 
-        block = sigma**2 >= (_BLOCK_ABOVE * omega) ** 2
-        damped = np.sqrt(np.maximum((omega - np.abs(sigma)) * (omega + np.abs(sigma)), 0.0))
-        slow = np.sqrt(np.maximum(sigma**2 - omega**2, 0.0))
-        poles = np.where(block & (sigma >= omega), -sigma + slow, -sigma + 1j * damped).astype(np.complex128)
-        gain = np.where(block, 1.0, -0.5j / np.where(block, 1.0, damped))
+        poles, kind, gain = second_order(omega, sigma)
         kept_residual: Callable[[ArrayLike, ArrayLike], Floats] | None = None
         if static_compliance is not None:
             full, soft, shape_at = static_compliance, omega > 0, normal_shape
@@ -133,7 +130,7 @@ class ModalBasis:
             residual = [[left_over(x, y) for y in places.values()] for x in places.values()]
         return cls(
             poles=poles,
-            kind=np.where(block, BLOCK, PAIR).astype(np.uint8),
+            kind=kind,
             stiffness=omega**2,
             damping_rate=sigma,
             points=tuple(points),
@@ -229,6 +226,26 @@ class ModalBasis:
         expected = np.where(pair, self.right * (-0.5j / np.where(pair, self.poles.imag, 1.0)), self.right)
         scale = np.max(np.abs(self.left), initial=0.0)
         return bool(np.all(np.abs(self.left - expected) <= 1e-12 * scale))
+
+    @cached_property
+    def motion(self) -> Floats:
+        """(6, n_modes) a .. f between a real mode's numbers (x, y) and its motion.
+
+        q = a x,  q' = b x + c y,      x = d q,  y = e q + f q'.
+        """
+        pair, lam = self.kind == PAIR, self.poles
+        turn = np.where(pair, lam.imag, 1.0)
+        none, one = np.zeros(self.n_modes), np.ones(self.n_modes)
+        return np.array(
+            [
+                np.where(pair, 2.0, 1.0),
+                np.where(pair, 2 * lam.real, none),
+                np.where(pair, -2 * lam.imag, one),
+                np.where(pair, 0.5, 1.0),
+                np.where(pair, lam.real / (2 * turn), none),
+                np.where(pair, -0.5 / turn, one),
+            ]
+        )
 
     def index(self, point: str) -> int:
         """Row of a named point; ValueError names the points there are."""
@@ -353,6 +370,16 @@ class ModalBasis:
         p = sb * ell[block].real - k * ell[block].imag
         total += np.sum((r[block].real * q + r[block].imag * p) / (sb**2 + d * sb + k), axis=1)
         return np.asarray(total * s**power)
+
+
+def second_order(omega: Floats, sigma: Floats) -> tuple[Complexes, NDArray[np.uint8], Complexes]:
+    """(n,) poles and kinds of q'' + 2 sigma q' + omega^2 q = f, and the factor that makes left shapes of right ones."""
+    block = sigma**2 >= (_BLOCK_ABOVE * omega) ** 2
+    damped = np.sqrt(np.maximum((omega - np.abs(sigma)) * (omega + np.abs(sigma)), 0.0))
+    slow = np.sqrt(np.maximum(sigma**2 - omega**2, 0.0))
+    poles = np.where(block & (sigma >= omega), -sigma + slow, -sigma + 1j * damped).astype(np.complex128)
+    gain = np.where(block, 1.0, -0.5j / np.where(block, 1.0, damped))
+    return poles, np.where(block, BLOCK, PAIR).astype(np.uint8), gain
 
 
 def _residual(residual: ArrayLike | None, n_points: int) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.numerics.connections import Rigid, scaled_pinv
-from tonewood.numerics.modes import PAIR, ModalBasis
+from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.system import State, System
 
 Floats = NDArray[np.float64]
@@ -19,16 +19,14 @@ Floats = NDArray[np.float64]
 def to_motion(basis: ModalBasis, modes: Floats) -> tuple[Floats, Floats]:
     """Coordinates q (m sqrt(kg)) and q' of real modes, y = sum phi q, from their numbers (2, n_modes)."""
     x, y = modes
-    pair, lam = basis.kind == PAIR, basis.poles
-    q = np.where(pair, 2 * x, x)
-    return q, np.where(pair, 2 * (lam.real * x - lam.imag * y), y)
+    a, b, c, *_ = basis.motion
+    return a * x, b * x + c * y
 
 
 def from_motion(basis: ModalBasis, q: Floats, velocity: Floats) -> Floats:
     """Return the numbers (2, n_modes) of real modes with coordinates q and q'."""
-    pair, lam = basis.kind == PAIR, basis.poles
-    turn = np.where(pair, lam.imag, 1.0)
-    return np.stack([np.where(pair, q / 2, q), np.where(pair, (lam.real * q - velocity) / (2 * turn), velocity)])
+    *_, d, e, f = basis.motion
+    return np.stack([d * q, e * q + f * velocity])
 
 
 def share_velocities(system: System, state: State, joints: NDArray[np.bool_] | None = None) -> None:
@@ -47,24 +45,17 @@ def share_velocities(system: System, state: State, joints: NDArray[np.bool_] | N
         rigid &= joints
     if not rigid.any():
         return
-    m = len(system.connections)
-    gap, mobility = np.zeros(m), np.zeros((m, m))
+    on = np.flatnonzero(rigid)
+    gap = np.zeros(len(rigid))
     parts = [
-        (name, compiled, system.incidence(slot), np.flatnonzero(rigid[compiled.gaps]))
-        for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True))
+        (name, compiled) for name, compiled in zip(system.names, system.compiled, strict=True) if compiled.gaps.size
     ]
-    for name, compiled, incidence, joined in parts:
-        if joined.size:
-            on = compiled.gaps[joined]
-            a = incidence[on]
-            x = np.array(system.modes_of(state, name).T, dtype=np.float64)
-            gap[on] += a @ (compiled.velocity.reshape(len(compiled.ports), -1) @ x.reshape(-1))
-            mobility[on[:, None], on] += a @ compiled.mobility @ a.T
-    kick = np.zeros(m)
-    kick[rigid] = -scaled_pinv(mobility[np.ix_(rigid, rigid)]) @ gap[rigid]
-    for name, compiled, incidence, joined in parts:
-        if joined.size:
-            on = compiled.gaps[joined]
-            impulse = incidence[on].T @ kick[on]
-            B = compiled.form.B[compiled.ports]
-            system.modes_of(state, name)[:] += (impulse @ B.reshape(len(B), -1)).reshape(-1, 2).T
+    for name, compiled in parts:
+        gap[compiled.gaps] += compiled.gap_velocity @ system.modes_of(state, name).reshape(-1)
+    mobility = system.layout.gathered([c.gap_mobility for c in system.compiled])
+    kick = np.zeros(len(rigid))
+    kick[on] = -scaled_pinv(mobility[on[:, None], on]) @ gap[on]
+    for name, compiled in parts:
+        impulse = kick[compiled.gaps]
+        if impulse.any():
+            system.modes_of(state, name)[:] += (impulse @ compiled.gap_push).reshape(2, -1)

@@ -26,12 +26,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.modes import ModalBasis, second_order
 
 Floats = NDArray[np.float64]
 
@@ -111,17 +112,14 @@ def retuned(
     freq_rad, damping_rate : (n_modes,) rad/s and 1/s.
     changes : of the metadata.
     """
-    new = ModalBasis.real(
-        freq_rad,
-        damping_rate,
-        {name: basis.right[i].real for i, name in enumerate(basis.points)},
-        residual=basis.residual,
-    )
+    poles, kind, gain = second_order(freq_rad, damping_rate)
     return replace(
-        new,
-        shape=basis.shape,
-        residual_at=basis.residual_at,
-        places=basis.places,
+        basis,
+        poles=poles,
+        kind=kind,
+        stiffness=freq_rad**2,
+        damping_rate=damping_rate,
+        left=basis.right * gain,
         metadata={**basis.metadata, **(changes or {})},
     )
 
@@ -144,10 +142,14 @@ class _Sines:
 
     @classmethod
     def of(cls, old: ModalBasis, new: ModalBasis) -> _Sines:
-        L, L_new = _number(old, "length"), _number(new, "length")
-        a = _wavenumbers(len(_array(new, "vec")) - 1, L_new)
-        b = _wavenumbers(len(_array(old, "vec")) - 1, L)
-        length = min(L, L_new)
+        return _sines(
+            len(_array(old, "vec")) - 1, _number(old, "length"), len(_array(new, "vec")) - 1, _number(new, "length")
+        )
+
+    @classmethod
+    def between(cls, n: int, L: float, n_new: int, L_new: float) -> _Sines:
+        """Of n sines on the length L (m) with n_new ones on L_new."""
+        a, b, length = _wavenumbers(n_new, L_new), _wavenumbers(n, L), min(L, L_new)
         nearest = np.clip(np.rint(a * L / np.pi).astype(np.intp) - 1, 0, max(len(b) - 1, 0))
         i = np.flatnonzero(np.abs(a - b[nearest]) * length < 1e-3) if len(b) else np.zeros(0, dtype=np.intp)
         j = nearest[i]
@@ -157,29 +159,33 @@ class _Sines:
 
     def sine(self, c: Floats) -> Floats:
         """Sums over the old sines b with coefficients c (n_b, n)."""
-        a, b, al, bl = *self._columns, *self._angles
-        out = np.sin(al) * (self.inverse @ (b * np.cos(bl) * c)) - a * np.cos(al) * (self.inverse @ (np.sin(bl) * c))
+        a, b = self.a[:, None], self.b[:, None]
+        (sa, ca), (sb, cb) = self._ends
+        out = sa * (self.inverse @ (b * cb * c)) - a * ca * (self.inverse @ (sb * c))
         return self._with_close(out, c, -1.0)
 
     def cosine(self, c: Floats) -> Floats:
         """The same with cosines."""
-        a, b, al, bl = *self._columns, *self._angles
-        out = a * np.sin(al) * (self.inverse @ (np.cos(bl) * c)) - np.cos(al) * (self.inverse @ (b * np.sin(bl) * c))
+        a, b = self.a[:, None], self.b[:, None]
+        (sa, ca), (sb, cb) = self._ends
+        out = a * sa * (self.inverse @ (cb * c)) - ca * (self.inverse @ (b * sb * c))
         return self._with_close(out, c, 1.0)
 
-    @property
-    def _columns(self) -> tuple[Floats, Floats]:
-        return self.a[:, None], self.b[:, None]
-
-    @property
-    def _angles(self) -> tuple[Floats, Floats]:
-        return self.a[:, None] * self.length, self.b[:, None] * self.length
+    @cached_property
+    def _ends(self) -> tuple[tuple[Floats, Floats], ...]:
+        """Columns sin kl and cos kl of new and old sines."""
+        angles = self.a[:, None] * self.length, self.b[:, None] * self.length
+        return tuple((np.sin(angle), np.cos(angle)) for angle in angles)
 
     def _with_close(self, out: Floats, c: Floats, sign: float) -> Floats:
         i, j = self.close
         difference, total = ((f(self.a[i], self.b[j])) * self.length / np.pi for f in (np.subtract, np.add))
         out[i] += (self.length / 2 * (np.sinc(difference) + sign * np.sinc(total)))[:, None] * c[j]
         return out
+
+
+#: both polarizations of a string pass from one stop to another, and often back: some (n_new, n) matrices are kept
+_sines = lru_cache(maxsize=8)(_Sines.between)
 
 
 def _wavenumbers(n_sines: int, length: float) -> Floats:

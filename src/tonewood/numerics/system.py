@@ -61,6 +61,7 @@ class Compiled:
     readouts : (n_rows - n_ports,) channel that each further row adds to.
     difference : (n_rows - n_ports,) whether the row is read as (y(t + h) - y(t)) / h.
     gaps : (g,) connections that its ports have a share in; none for a driven component.
+    shares : (g, n_ports) these shares.
     compliance, residual : (g, g) m/N, its share of these gaps' compliance over one step, and of their residual
         compliance.
     tension : its share of a tension, if it belongs to one.
@@ -78,6 +79,7 @@ class Compiled:
     readouts: NDArray[np.intp]
     difference: NDArray[np.bool_]
     gaps: NDArray[np.intp]
+    shares: Floats
     compliance: Floats
     residual: Floats
     tension: TensionPart | None = None
@@ -91,15 +93,21 @@ class Compiled:
         return self._impulses[point]
 
     @cached_property
-    def velocity(self) -> Floats:
-        """(n_ports, n_modes, 2) velocity rows of the ports."""
-        return self.form.rows("velocity", self.ports)
+    def gap_velocity(self) -> Floats:
+        """(g, 2 n_modes) what its modes' numbers, (2, n_modes), add to the velocities of its gaps."""
+        rows = self.form.rows("velocity", self.ports).swapaxes(1, 2)
+        return np.asarray(self.shares @ rows.reshape(len(self.ports), -1))
 
     @cached_property
-    def mobility(self) -> Floats:
-        """(n_ports, n_ports) m/s of each port (first index) per impulse of 1 N s at another."""
-        p = len(self.ports)
-        return np.asarray(self.velocity.reshape(p, -1) @ self.form.B[self.ports].reshape(p, -1).T)
+    def gap_push(self) -> Floats:
+        """(g, 2 n_modes) what an impulse of 1 N s across each gap adds to these numbers."""
+        B = self.form.B[self.ports].swapaxes(1, 2)
+        return np.asarray(self.shares @ B.reshape(len(self.ports), -1))
+
+    @cached_property
+    def gap_mobility(self) -> Floats:
+        """(g, g) m/s of each gap (first index) per impulse of 1 N s across another."""
+        return np.asarray(self.gap_velocity @ self.gap_push.T)
 
 
 @dataclass(eq=False)
@@ -385,7 +393,7 @@ class System:
         geometric = next((g.part(name, basis, held) for g in self.geometric if name in g.parts), None)
         return Compiled(
             basis, self.dt, form, ports, E, W, all_rows, history,
-            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, compliance, residual, tension,
+            np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, a, compliance, residual, tension,
             geometric,
         )  # fmt: skip
 
@@ -396,8 +404,8 @@ class System:
                 raise ValueError(f"{name}: room for {room} modes, not {new.basis.n_modes}")
         known = dict(zip(self.names, self.compiled, strict=False)) | dict(changes)
         compiled = tuple(known[name] for name in self.names)
-        gap = GapCompliance(compiled, self.layout)
-        return replace(self, compiled=compiled, elimination=replace(self.elimination, gap=gap))
+        linear, gap = self.elimination.linear, GapCompliance(compiled, self.layout)
+        return replace(self, compiled=compiled, elimination=Elimination(self.connections, linear, gap))
 
     def with_basis(self, name: str, basis: ModalBasis) -> System:
         """Exchange one component's basis."""
@@ -413,7 +421,7 @@ class System:
                 raise ValueError("a connection's terms cannot change, only its law")
             connections[j] = new
         linear = self.elimination.linear.changed({j: new.law for j, new in changes.items()}, self.dt)
-        elimination = replace(self.elimination, connections=tuple(connections), linear=linear)
+        elimination = Elimination(tuple(connections), linear, self.elimination.gap)
         return replace(self, connections=elimination.connections, elimination=elimination)
 
     def with_tensions(self, names: Collection[str]) -> System:

@@ -86,6 +86,10 @@ def plan(
     chosen = with_effects(instrument, effects, budget_db, budget_cents)
     options: Mapping[str, Any] = {"outputs": outputs, "tail": tail}
     low = max(fs // _SKETCH, min(_LEAST_FS, fs))
+    # what is imported and kept the first time belongs to no second of sound
+    first_second = _TIMED if max_duration is None else min(_TIMED, max_duration)
+    for _ in Renderer(score, chosen, low, max_duration=first_second, **options).blocks(4096):
+        pass
     sketch = Renderer(score, chosen, low, max_duration=max_duration, **options)
     sketch.engine.watching = True
     # with fewer modes at fewer samples the same sleep is worth less
@@ -179,9 +183,9 @@ def _rising(engine: Engine) -> Rising:
         for key, on in chosen.items():
             engine.stepper.exchange(engine.system.with_tensions(on))
             state = engine.state.copy()
-            began = time.perf_counter()
+            began = time.thread_time()
             engine.stepper.run(state, _STRETCH)
-            times[key].append((time.perf_counter() - began) / _STRETCH)
+            times[key].append((time.thread_time() - began) / _STRETCH)
     engine.stepper.exchange(engine.system)
     modes = [sum(engine.ledger.n_modes(name) for name in chosen[key]) for key in ("some", "every")]
     still, some, every = (min(times[key]) for key in chosen)

@@ -159,11 +159,14 @@ class Renderer:
         self.performance: Performance = perform(score, self.model, channel_per_string=channel_per_string)
         self.engine = Engine(self.model, self.performance.timeline, precision=precision, energy=energy)
         groups = self.model.outputs
-        self._columns = np.array([i for group in groups for i in group.readouts], dtype=np.intp)
+        columns = [i for group in groups for i in group.readouts]
+        whole = columns == list(range(len(self.model.system.readouts)))
+        self._columns: slice | list[int] = slice(None) if whole else columns
         gain = 10 ** (gain_db / 20)
-        self._scale = gain / np.array([group.full_scale for group in groups for _ in group.channels])
-        self._decimator = Decimator(finer, self._columns.size)
-        self._pending = np.zeros((0, self._columns.size))
+        scales = [group.full_scale for group in groups for _ in group.channels]
+        self._scale = gain / (scales[0] if len(set(scales)) == 1 else np.array(scales))
+        self._decimator = Decimator(finer, len(columns))
+        self._pending = np.zeros((0, len(columns)))
         self._frames, self._seconds, self._loudest = 0, 0.0, 0.0
         self._recent: list[tuple[int, float]] = []
         self._end = ""
