@@ -59,3 +59,16 @@ def compared(a: Floats, b: Floats, freq: float, fs: float = FS) -> tuple[Floats,
     cents = turn * fs / (2 * np.pi * freq * step) * 1200 / np.log(2)
     level = 20 * np.log10(abs(y) / abs(x))
     return cents[heard[1:] & heard[:-1]], level[heard]
+
+
+def detuned(a: Floats, b: Floats, freq: float, fs: float = FS) -> float:
+    """Cents by which a partial is higher in b than in a, in the mean of its power.
+
+    Of two partials in one band, as those of strings in a chord, neither can be followed from moment to moment.
+    """
+    x, y = partial(a, freq, fs), partial(b, freq, fs)
+    step = round(0.05 * fs)
+    x, y = x[step:-step:step], y[step:-step:step]
+    turn = np.angle(y[1:] * np.conj(x[1:]) * np.conj(y[:-1] * np.conj(x[:-1])))
+    power = abs(x[1:] * y[:-1])
+    return float(power @ turn / power.sum()) * fs / (2 * np.pi * freq * step) * 1200 / np.log(2)

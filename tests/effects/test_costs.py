@@ -6,11 +6,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.linalg as sla
 from effect_scenes import FS, duet
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import nnls
 
 import tonewood as tw
 from tonewood.engine import engine as engine_module
-from tonewood.engine.costs import Costs
+from tonewood.engine.costs import Costs, _not_negative
 from tonewood.instrument.effects import TENSION_MODULATION
 from tonewood.numerics.kernel import KernelStepper
 from tonewood.numerics.system import System
@@ -110,3 +114,16 @@ def test_what_was_saved_is_what_all_takes_more(clock: SimpleNamespace) -> None:
         if mode == "auto":
             saved = sum(e.seconds_saved for e in stream.summary().effects if e.name == "tension_modulation")
     assert saved == pytest.approx(taken["all"] - taken["auto"], rel=0.05)
+
+
+@given(
+    rows=st.lists(st.tuples(*[st.floats(-2, 2)] * 3), min_size=4, max_size=8),
+    right=st.tuples(*[st.floats(-3, 3)] * 3),
+)
+def test_rates_that_may_not_be_negative_are_those_of_the_general_method(rows, right):
+    """Lawson & Hanson's, on the Cholesky factor."""
+    A, b = np.array(rows), np.array(right)
+    matrix = A.T @ A + 0.1 * np.eye(3)
+    root = sla.cholesky(matrix)
+    expected, _ = nnls(root, sla.solve_triangular(root, b, trans="T"))
+    np.testing.assert_allclose(_not_negative(matrix, b), expected, atol=1e-9)

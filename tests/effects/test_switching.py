@@ -157,3 +157,21 @@ def test_switching_follows_the_grid() -> None:
     spans = [span for found in stream.engine.ledger.tense.values() for span in found.all]
     assert len(spans) > 2
     assert all(start % GRID == 0 and stop % GRID == 0 for start, stop in spans)
+
+
+def test_switches_do_not_click() -> None:
+    """Just after a switch the sound is what it would be without; then it drifts apart, as another pitch does."""
+    notes = SCENES["quiet and loud in turn"][0]
+    engine, other = (renderer(notes, 2.0, duet()).engine for _ in range(2))
+    other._switch = lambda now, fresh: None  # type: ignore[method-assign]  # never switches
+    peak, clicks, ways = 0.0, [], set()
+    while engine.state.sample < 1.9 * FS:
+        before, tense = engine.snapshot(), engine.tense
+        out = engine.advance(1)
+        peak = max(peak, abs(out).max())
+        if engine.tense != tense:
+            other.restore(before)
+            clicks.append(abs(other.advance(1) - out)[:8].max())
+            ways.add(len(engine.tense) > len(tense))
+    assert ways == {True, False}
+    assert max(clicks) < 1e-4 * peak

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,8 +48,6 @@ class Costs:
 
     def rates(self) -> Rates:
         """Best fit of all runs so far."""
-        from scipy.optimize import nnls
-
         modes, tense = np.array(list(self._runs), dtype=float).reshape(-1, 2).T
         samples, seconds = np.array(list(self._runs.values())).reshape(-1, 2).T
         if not np.any(samples * modes) or not np.any(seconds > 0.0):
@@ -58,6 +57,24 @@ class Costs:
         declared = np.array([1.0, 0.0, TENSION_MODULATION.cost(1)])
         declared *= seconds.sum() / (steps @ declared)
         weight = _DECLARED * np.array([squares, steps[0] ** 2 / squares, squares])
-        root = sla.cholesky((samples * each) @ each.T + np.diag(weight))
-        found = nnls(root, sla.solve_triangular(root, each @ seconds + weight * declared, trans="T"))[0]
+        found = _not_negative((samples * each) @ each.T + np.diag(weight), each @ seconds + weight * declared)
         return Rates(*(float(rate) for rate in found))
+
+
+def _not_negative(matrix: Floats, right: Floats) -> Floats:
+    """Where x M x / 2 - b x is least with no x below 0: of all choices which are not 0, the best that is allowed.
+
+    For a few unknowns; the general method is in a part of SciPy whose import takes longer than a short render's sums.
+    """
+    best, least = np.zeros(right.size), 0.0
+    scale = 1 / np.sqrt(matrix.diagonal())
+    for size in range(1, right.size + 1):
+        for chosen in itertools.combinations(range(right.size), size):
+            on = np.array(chosen)
+            d = scale[on]
+            x = np.zeros(right.size)
+            x[on] = d * sla.solve(d[:, None] * matrix[on[:, None], on] * d, d * right[on], assume_a="pos")
+            value = -0.5 * float(right @ x)  # of a stationary point
+            if np.all(x >= 0.0) and value < least:
+                best, least = x, value
+    return best

@@ -151,9 +151,11 @@ def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, component: str, pu
     back are bent as the residual was under the `pull` on the string's end (N), so that no energy comes with them.
     """
     n = min(old.n_modes, new.n_modes)
-    if old.n_modes == new.n_modes and np.array_equal(old.poles, new.poles):
+    if old is new:
         return modes
     q, v = to_motion(old, modes)
+    if old.n_modes == new.n_modes:
+        return modes if np.array_equal(old.poles, new.poles) else from_motion(new, q, v)
     full_q, full_v = np.zeros(new.n_modes), np.zeros(new.n_modes)
     full_q[:n], full_v[:n] = q[:n], v[:n]
     if new.n_modes > n:

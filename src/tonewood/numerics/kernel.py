@@ -82,6 +82,7 @@ class KernelStepper:
         self._packed: dict[int, tuple[Injection, NDArray[np.floating], Floats]] = {}
         self._ready: WeakKeyDictionary[Compiled, dict[bytes, tuple[tuple[Any, ...], tuple[Floats, ...]]]]
         self._ready = WeakKeyDictionary()
+        self._seen: tuple[Sequence[Compiled], Sequence[_Wires]] = (), ()
         self._loaded: list[tuple[Compiled, bytes] | None] = [None] * len(system.names)
         self._wirings: dict[tuple[bytes, bytes, bytes], tuple[list[_Wires], list[Term]]] = {}
         self._guarded, self._steps = guarded, 0
@@ -161,6 +162,9 @@ class KernelStepper:
     def _load_components(self, system: System, wiring: Sequence[_Wires], terms: Sequence[Term]) -> set[int]:
         """Load those that are others, or used otherwise, than before; returns their slots."""
         fresh: set[int] = set()
+        before, self._seen = self._seen, (system.compiled, wiring)
+        if before[0] is system.compiled and before[1] is wiring:
+            return fresh
         for slot, (compiled, one_way, wires) in enumerate(zip(system.compiled, system.driven, wiring, strict=True)):
             if (known := self._loaded[slot]) and known[0] is compiled and known[1] == wires.key:
                 continue

@@ -405,7 +405,7 @@ class System:
         known = dict(zip(self.names, self.compiled, strict=False)) | dict(changes)
         compiled = tuple(known[name] for name in self.names)
         linear, gap = self.elimination.linear, GapCompliance(compiled, self.layout)
-        return replace(self, compiled=compiled, elimination=Elimination(self.connections, linear, gap))
+        return self._with(compiled, Elimination(self.connections, linear, gap))
 
     def with_basis(self, name: str, basis: ModalBasis) -> System:
         """Exchange one component's basis."""
@@ -421,8 +421,14 @@ class System:
                 raise ValueError("a connection's terms cannot change, only its law")
             connections[j] = new
         linear = self.elimination.linear.changed({j: new.law for j, new in changes.items()}, self.dt)
-        elimination = Elimination(tuple(connections), linear, self.elimination.gap)
-        return replace(self, connections=elimination.connections, elimination=elimination)
+        return self._with(self.compiled, Elimination(tuple(connections), linear, self.elimination.gap))
+
+    def _with(self, compiled: tuple[Compiled, ...], elimination: Elimination) -> System:
+        # what `replace` does; several of these are made for every note
+        return System(
+            self.dt, self.layout, compiled, elimination.connections, elimination, self.tensions, self.tension_on,
+            self.geometric,
+        )  # fmt: skip
 
     def with_tensions(self, names: Collection[str]) -> System:
         """Switch on the tensions of these names, and off all others.
