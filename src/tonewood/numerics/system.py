@@ -384,7 +384,7 @@ class System:
         all_rows = np.concatenate(rows)
         numbers = 2 * basis.n_modes
         after = powers(E, W, BLOCK_SIZE).reshape(BLOCK_SIZE * len(ports), numbers)
-        history = (after @ all_rows.reshape(-1, numbers).T).reshape(BLOCK_SIZE, len(ports), len(all_rows))
+        history = (after @ all_rows.reshape(len(all_rows), numbers).T).reshape(BLOCK_SIZE, len(ports), len(all_rows))
         gaps = self.layout.gaps[slot]
         a = self.layout.incidence[slot][gaps]
         compliance = a @ history[0, :, : len(ports)].T @ a.T
