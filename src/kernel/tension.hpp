@@ -236,6 +236,7 @@ private:
         while (!done && iterations++ < kMaxTensionIterations) {
             if (iterations == 1) {
                 std::copy(ws_.at.begin(), ws_.at.end(), ws_.tension.begin());
+                std::fill(ws_.last_tension.begin(), ws_.last_tension.end(), NAN);
             } else {
                 for (int s = 0; s < n_strings(); ++s)
                     if (!close_enough(s)) ws_.at[s] = ws_.tension[s], look(s);
@@ -443,11 +444,17 @@ private:
             const double kappa = tensions_.strings[s].kappa, old = ws_.stretch[s];
             const double excess = ws_.tension[s] - kappa * (old + ws_.after[s] + ws_.pushed[s]);
             const double reach = kFar * (ws_.at[s] + 1 / ports_.cells[s].most);
-            double next = ws_.tension[s] - excess / std::max(1 + kappa * ws_.steepness[s], 0.5);
-            next = std::clamp(next, ws_.at[s] - reach, ws_.at[s] + reach);
-            next = std::max(next, kappa * old);
+            const double steepness = std::max(1 + kappa * ws_.steepness[s], 0.5);
+            const double secant = (excess - ws_.last_excess[s]) / (ws_.tension[s] - ws_.last_tension[s]);
+            ws_.last_excess[s] = excess, ws_.last_tension[s] = ws_.tension[s];
+            const auto within = [&](double next) {
+                return std::max(std::clamp(next, ws_.at[s] - reach, ws_.at[s] + reach), kappa * old);
+            };
+            double next = within(ws_.tension[s] - excess / steepness);
             const double still = kSettled<T> * std::max(1 / ports_.cells[s].most, 20 * next);
             if (std::abs(next - ws_.tension[s]) <= std::max(still, 0.2 * kTensionTolerance<T> * next)) continue;
+            // that was at constant forces; a secant knows how they answer, and goes less far where it is steeper
+            if (secant > steepness) next = within(ws_.tension[s] - excess / secant);
             ws_.tension[s] = next;
             changed = true;
         }

@@ -216,10 +216,10 @@ public:
         sums_.assign(n_sums, T(0));
         for (const int n_ports : {1, 2})
             for (const bool slow : {false, true}) {
-                std::vector<Warp<T>> left;
+                left_.clear();
                 for (std::size_t i = 0; i < components_.size(); ++i)
-                    if (woven[i] && components_[i].woven.n_ports == n_ports) take(i, slow, left);
-                put(left, n_ports, slow);
+                    if (woven[i] && components_[i].woven.n_ports == n_ports) take(i, slow);
+                put(left_.data(), left_.size(), n_ports, slow);
             }
     }
 
@@ -273,34 +273,33 @@ private:
         bool slow, one_row;
     };
 
-    // The chunks of a component that recur this way: whole beams of one row; what is left over.
-    void take(std::size_t i, bool slow, std::vector<Warp<T>>& left) {
+    // The chunks of a component that recur this way: whole beams of one row at once, what is left over later.
+    void take(std::size_t i, bool slow) {
         const Component<T>& c = components_[i];
         const Woven<T>& woven = c.woven;
         for (int row = 0; row < c.n_rows; ++row) {
-            std::vector<Warp<T>> mine;
+            const std::size_t before = left_.size();
             for (std::size_t k = 0; k < woven.chunks.size(); ++k) {
                 const auto& chunk = woven.chunks[k];
                 if (chunk.row != row || chunk.slow != slow) continue;
                 T* const modes = job_.modes[0] + c.offset + chunk.first;
                 T* const others = job_.modes[1] + c.offset + chunk.first;
-                mine.push_back({const_cast<T*>(&woven.data[k * woven.step]), &woven.doors[k * Woven<T>::door_step],
-                                modes, others, &sums_[sums_of_[i] + row * kRow], force_ + layout_.port[i], chunk.count});
+                left_.push_back({const_cast<T*>(&woven.data[k * woven.step]), &woven.doors[k * Woven<T>::door_step],
+                                 modes, others, &sums_[sums_of_[i] + row * kRow], force_ + layout_.port[i], chunk.count});
             }
-            const std::size_t whole = mine.size() / kBeam<T> * kBeam<T>;
-            left.insert(left.end(), mine.begin() + whole, mine.end());
-            mine.resize(whole);
-            put(mine, woven.n_ports, slow);
+            const std::size_t whole = (left_.size() - before) / kBeam<T> * kBeam<T>;
+            put(left_.data() + before, whole, woven.n_ports, slow);
+            left_.erase(left_.begin() + before, left_.begin() + before + whole);
         }
     }
 
-    void put(const std::vector<Warp<T>>& warps, int n_ports, bool slow) {
-        for (std::size_t k = 0; k < warps.size(); k += kBeam<T>) {
-            const std::size_t end = std::min(k + kBeam<T>, warps.size());
+    void put(const Warp<T>* warps, std::size_t n, int n_ports, bool slow) {
+        for (std::size_t k = 0; k < n; k += kBeam<T>) {
+            const std::size_t end = std::min(k + kBeam<T>, n);
             bool one_row = true;
             for (std::size_t i = k; i < end; ++i) one_row = one_row && warps[i].sum == warps[k].sum;
             beams_.push_back({int(warps_.size()), int(end - k), n_ports, slow, one_row});
-            warps_.insert(warps_.end(), warps.begin() + k, warps.begin() + end);
+            warps_.insert(warps_.end(), warps + k, warps + end);
         }
     }
 
@@ -310,7 +309,7 @@ private:
     const Job<T>& job_;
     std::vector<std::size_t> sums_of_;
     Array<T> sums_;
-    std::vector<Warp<T>> warps_;
+    std::vector<Warp<T>> warps_, left_;
     std::vector<Beams> beams_;
     std::vector<Strip> strips_;
 };
