@@ -110,13 +110,13 @@ def kernel_cost(repeats: int) -> Iterator[Row]:
     state.modes[:] = np.random.default_rng(1).standard_normal(state.modes.shape) * 1e-6
 
     def seconds() -> float:
-        n = 24000
+        n = 4096  # as many as an engine steps at a time
         began = time.process_time()
         stepper.run(state, n)
         return (time.process_time() - began) / n
 
     seconds()
-    value, spread = repeated(lambda: 1e9 * seconds() / n_modes, 2 * repeats)
+    value, spread = repeated(lambda: 1e9 * seconds() / n_modes, 10 * repeats)
     yield "kernel, linear step, f64", f"{value:.3f} ns per mode and sample", spread
     peak = max(_kernel.fma_peak(instruction_set(), 0.1) for _ in range(3 * repeats))
     yield f"this core's peak, {instruction_set()}", f"{peak / 1e9:.1f} G multiply-adds/s", f"best of {3 * repeats} runs"
@@ -141,8 +141,8 @@ def where_it_goes(repeats: int) -> Iterator[Row]:
     modes = [sum(c.basis.n_modes for c in system.compiled) for system in systems]
     steppers = [KernelStepper(system) for system in systems]
     states = [stepper.start() for stepper in steppers]
-    n, times = 9600, []
-    for _ in range(4 * repeats):
+    n, times = 4096, []
+    for _ in range(8 * repeats):
         row = []
         for stepper, state in zip(steppers, states, strict=True):
             state.modes[:] = np.random.default_rng(1).standard_normal(state.modes.shape) * 1e-6
@@ -152,7 +152,7 @@ def where_it_goes(repeats: int) -> Iterator[Row]:
         times.append(row)
     whole, deaf, few = np.median(times, axis=0)
     per_mode = (deaf - few) / (modes[1] - modes[2])
-    how = f"medians of {4 * repeats} runs side by side"
+    how = f"medians of {8 * repeats} runs side by side"
     yield "where a sample's time goes: all", f"{whole:.0f} ns", how
     what = f"  microphones, {modes[0] - modes[1]} modes driven by 2 forces and read by 2 channels"
     yield what, f"{whole - deaf:.0f} ns", "less without them"

@@ -285,8 +285,11 @@ class KernelStepper:
             strings = [t.name for t in self.system.tensions] + [g.name for g in self.system.geometric]
             names = names or ", ".join(strings)
             raise NumericalError(f"the forces of {names} were not found at {t:.6f} s")
-        forces = np.zeros((n, m))
-        forces[:, self._active] = active_forces
+        if len(self._active) == m:
+            forces = active_forces
+        else:
+            forces = np.zeros((n, m))
+            forces[:, self._active] = active_forces
         if self._kernel.statistics()[0] > solves:
             forces[:, on] = law_forces
             law_forces[:] = 0.0
