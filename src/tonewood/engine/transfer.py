@@ -107,16 +107,19 @@ def response(compiled: Compiled, freq_rad: Floats, out: Floats, into: Floats) ->
     ----------
     out, into : (n_out, n_points) and (n_in, n_points) weights of the points that are read and driven.
     """
-    A, B, C = compiled.form.A, compiled.form.B, compiled.form.C
-    rows = np.einsum("op,pmx->omx", out, C)
-    kicks = np.einsum("ip,pmx->imx", into, B)
+    ins, outs = np.flatnonzero(into.any(axis=0)), np.flatnonzero(out.any(axis=0))
+    A, B, C = compiled.form.A, compiled.form.B[ins], compiled.form.C[outs]
     s = 1j * freq_rad[:, None]
     a, b, c, d = s - A[:, 0, 0], A[:, 0, 1], A[:, 1, 0], s - A[:, 1, 1]
     det = a * d - b * c
-    inverse = np.stack([np.stack([d, b + 0 * s], -1), np.stack([c + 0 * s, a], -1)], -2) / det[..., None, None]
-    moved = np.einsum("fmxy,imy->fimx", inverse, kicks)
-    flat = moved.reshape(*moved.shape[:2], -1) @ rows.reshape(len(rows), -1).T
-    return np.asarray(flat.transpose(2, 1, 0) + (out @ compiled.basis.residual @ into.T)[..., None])
+    # (s - A)^-1 B of every point that is driven, read at every point that is read, then the combinations
+    moved = np.empty((len(freq_rad), len(ins), len(A), 2), dtype=np.complex128)
+    for i, (x, y) in enumerate(B.transpose(0, 2, 1)):
+        moved[:, i, :, 0] = (d * x + b * y) / det
+        moved[:, i, :, 1] = (c * x + a * y) / det
+    points = moved.reshape(len(freq_rad), len(ins), -1) @ C.reshape(len(outs), -1).T
+    whole = out[:, outs] @ points.transpose(0, 2, 1) @ into[:, ins].T
+    return np.asarray(whole.transpose(1, 2, 0) + (out @ compiled.basis.residual @ into.T)[..., None])
 
 
 def _readout_rows(system: System, name: str, compiled: Compiled) -> tuple[Floats, NDArray[np.intp]]:
