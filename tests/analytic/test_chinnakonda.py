@@ -109,8 +109,8 @@ def test_sample_times_must_rise() -> None:
 @pytest.mark.parametrize("c", [LIGHT, HEAVY])
 def test_estimated_errors_are_the_measured_ones(update: object, c: float) -> None:
     for steps, tolerance in ((20, 0.02), (40, 0.005)):
-        times, error, _ = driven_error(update, c, steps)  # type: ignore[arg-type] # parametrized updates
-        estimate = sine_error(update, basis_of(two_masses(c)), AMPLITUDES, OMEGA, 1 / 1.5 / steps, len(times), "mass 1")  # type: ignore[arg-type]
+        times, error, _ = driven_error(update, c, steps)  # type: ignore[arg-type]  # any update
+        estimate = sine_error(update, basis_of(two_masses(c)), AMPLITUDES, OMEGA, 1 / 1.5 / steps, len(times), "mass 1")  # type: ignore[arg-type]  # any update
         assert np.abs(estimate - error[:, 0]).max() < tolerance * np.abs(error[:, 0]).max()
 
 
@@ -171,11 +171,11 @@ def test_transition_matrix_is_the_same_update(update: object) -> None:
     x0 = np.array([1.0, 0.5, -2.0, 0.0])
     found = []
     for exponential in (sla.expm, taylor_exponential):
-        dense = Transition.of(system, update, 0.04, exponential)  # type: ignore[arg-type] # parametrized updates
+        dense = Transition.of(system, update, 0.04, exponential)  # type: ignore[arg-type]  # any update
         found.append(dense.run(sampled_forces, 61, x0)[:, :2])
     basis = basis_of(system)
     state = initial_state(basis, system.M, system.C, x0[:2], x0[2:])
-    modal = respond(update, basis, FORCES, np.arange(61) * 0.04, state).displacement  # type: ignore[arg-type]
+    modal = respond(update, basis, FORCES, np.arange(61) * 0.04, state).displacement  # type: ignore[arg-type]  # any update
     np.testing.assert_allclose(found[0], modal, atol=1e-13)
     np.testing.assert_allclose(found[1], modal, atol=1e-12)
 

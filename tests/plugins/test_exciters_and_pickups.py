@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tonewood.errors import BundleError
-from tonewood.instrument.contract import BodyPoint, Event, Gesture, Place, Scene
+from tonewood.instrument.contract import BodyPoint, Event, Exciter, Gesture, Place, Scene
 from tonewood.instrument.registry import plugin
 from tonewood.numerics.system import Probe
 
@@ -17,13 +17,15 @@ NOTE = Event(freq=196.0)
 
 
 def pluck(event: Event = NOTE, **values: Any) -> Gesture:
-    gesture: Gesture = plugin("pluck_ramp").from_values(values).gesture(event, STRING)  # type: ignore[attr-defined]
-    return gesture
+    exciter = plugin("pluck_ramp").from_values(values)
+    assert isinstance(exciter, Exciter)
+    return exciter.gesture(event, STRING)
 
 
 def pulse(place: Place = STRING, **values: Any) -> Gesture:
-    gesture: Gesture = plugin("force_pulse").from_values(values).gesture(Event(), place)  # type: ignore[attr-defined]
-    return gesture
+    exciter = plugin("force_pulse").from_values(values)
+    assert isinstance(exciter, Exciter)
+    return exciter.gesture(Event(), place)
 
 
 def impulse(gesture: Gesture) -> float:

@@ -37,8 +37,8 @@ def write_picture(path: Path, audio: Audio, fs: int) -> None:
     image[:WAVE_HEIGHT] = _waveform(audio)
     image[WAVE_HEIGHT + GAP :] = _spectrogram(audio.mean(axis=1), fs)
     with whole_file(path, make_folder=True) as stream:
-        # None takes the writer's name and version out, which the stubs do not know
-        imsave(stream, image, format="png", metadata={"Software": None})  # type: ignore[dict-item]
+        # None takes the writer's name and version out
+        imsave(stream, image, format="png", metadata={"Software": None})  # type: ignore[dict-item]  # stubs lack None
 
 
 def _waveform(audio: Audio) -> Pixels:

@@ -60,8 +60,9 @@ def resampled(audio: Audio, fs: int, target: int) -> Audio:
     widest = max(up, down)
     taps, beta = kaiserord(110.0, 0.1 / widest)  # transition from 0.9 to 1.0 of the lower Nyquist frequency
     kernel = firwin(taps | 1, 0.95 / widest, window=("kaiser", beta))
-    # the window may be the kernel itself, which the stubs leave out
-    return np.asarray(resample_poly(audio, up, down, axis=0, window=kernel))  # type: ignore[call-overload]
+    return np.asarray(
+        resample_poly(audio, up, down, axis=0, window=kernel)  # type: ignore[call-overload]  # stubs lack kernels
+    )
 
 
 def with_channels(audio: Audio, channels: int, downmix: str = "mean") -> Audio:

@@ -123,7 +123,8 @@ def inserted(page: str) -> str:
     """Return a page with the tables between its marks ``<!-- NAME -->`` and ``<!-- end of NAME -->``."""
     for name, tables in (("bundle tables", bundle_tables()), ("plugin tables", plugin_tables())):
         between = re.compile(f"(<!-- {name} -->\n).*?(<!-- end of {name} -->)", re.DOTALL)
-        page = between.sub(lambda found, tables=tables: f"{found[1]}\n{tables}\n{found[2]}", page)  # type: ignore[misc]
+        plain = tables.replace("\\", r"\\")  # nothing in a table stands for a group
+        page = between.sub(rf"\g<1>\n{plain}\n\g<2>", page)
     return page
 
 
