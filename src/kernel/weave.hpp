@@ -194,7 +194,7 @@ void pass(const Warp<T>* warps, int n, int n_ports, std::ptrdiff_t stride) {
 template <class T>
 class Loom {
 public:
-    Loom(const std::vector<Component<T>>& components, const Layout& layout, const double* force, const Job<T>& job)
+    Loom(std::vector<Component<T>>& components, const Layout& layout, const double* force, const Job<T>& job)
         : components_(components), layout_(layout), force_(force), job_(job), sums_of_(components.size()) {}
 
     // Takes these components up, instead of what it had.
@@ -275,8 +275,8 @@ private:
 
     // The chunks of a component that recur this way: whole beams of one row at once, what is left over later.
     void take(std::size_t i, bool slow) {
-        const Component<T>& c = components_[i];
-        const Woven<T>& woven = c.woven;
+        Component<T>& c = components_[i];
+        Woven<T>& woven = c.woven;
         for (int row = 0; row < c.n_rows; ++row) {
             const std::size_t before = left_.size();
             for (std::size_t k = 0; k < woven.chunks.size(); ++k) {
@@ -284,7 +284,7 @@ private:
                 if (chunk.row != row || chunk.slow != slow) continue;
                 T* const modes = job_.modes[0] + c.offset + chunk.first;
                 T* const others = job_.modes[1] + c.offset + chunk.first;
-                left_.push_back({const_cast<T*>(&woven.data[k * woven.step]), &woven.doors[k * Woven<T>::door_step],
+                left_.push_back({&woven.data[k * woven.step], &woven.doors[k * Woven<T>::door_step],
                                  modes, others, &sums_[sums_of_[i] + row * kRow], force_ + layout_.port[i], chunk.count});
             }
             const std::size_t whole = (left_.size() - before) / kBeam<T> * kBeam<T>;
@@ -303,7 +303,7 @@ private:
         }
     }
 
-    const std::vector<Component<T>>& components_;
+    std::vector<Component<T>>& components_;
     const Layout& layout_;
     const double* force_;
     const Job<T>& job_;
