@@ -45,9 +45,9 @@ TEXT = """\
 The middle string of every instrument, one open note at 48 kHz. Median / worst over the partials, of the first twenty,
 that lie within 40 dB of the loudest, against `reference`, from 0.1 s to 1.5 s after the note. Time is wall time of the
 engine. Where a thousandth more force changes `reference` itself, contacts or a bow make the motion sensitive: that
-much of a difference tells nothing of the setting, what goes beyond it does. Where contacts hold a string for as long as it sounds, the
-compliance of the modes that are not stepped gives way there with a loss proportional to the step: decay then follows
-the rate to first order only."""
+much of a difference tells nothing of the setting, what goes beyond it does. Where contacts hold a string for as long
+as it sounds, the compliance of the modes that are not stepped gives way there with a loss proportional to the step:
+decay then follows the rate to first order only."""
 
 #: cents and dB that leaving an effect out may cost
 BUDGETS = ((0.05, -120.0), (0.5, -80.0), (5.0, -40.0))
