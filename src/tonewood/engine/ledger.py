@@ -163,12 +163,10 @@ class Ledger:
                     self.touched[key].add(start, n)
         return touched
 
-    def rises(self, rises: Mapping[str, float], tense: Collection[str]) -> None:
-        """Enter a look at the strings: cents by which each would rise, and which do."""
-        for name, cents in rises.items():
-            if name not in tense:
-                self.left_out[name] = max(self.left_out[name], cents)
-            self.foreseen(name, cents)
+    def left(self, bounds: Mapping[str, float]) -> None:
+        """Enter a look at strings whose tension does not rise: cents by which they are off at most."""
+        for name, cents in bounds.items():
+            self.left_out[name] = max(self.left_out[name], cents)
 
     def foreseen(self, name: str, cents: float) -> None:
         """Enter by how much a string's tension will rise."""
