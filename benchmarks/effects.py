@@ -1,6 +1,7 @@
 """What leaving effects out saves and costs: one table over scores and instruments.
 
     python benchmarks/effects.py SCORE.mid ... [--seconds 8] [--instruments steel_guitar african_harp]
+    python benchmarks/effects.py --law --instruments classical_guitar african_harp
 
 Each score, or its first seconds, is rendered with effects `all`, `auto` and none but the second polarization (linear),
 a block of each in turn, on one core; times are seconds of the processor. `nylon_guitar` is the classical guitar with
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.signal import firwin, lfilter, oaconvolve
 
 import tonewood as tw
+from tonewood.engine.rungs import BANDS
 
 Floats = NDArray[np.float64]
 FS = 48000
@@ -82,19 +84,19 @@ class Listened:
         self.seconds = 0.0
         engine = self.renderer.engine
         if strings:
-            system, run = engine.system, engine.stepper.run
+            stepper, step = engine.stepper, engine.stepper._step
             names = [f"{s.components[0]}.bridge" for s in engine.model.strings.values()]
-            columns = [[c.name for c in system.connections].index(name) for name in names]
-            self._memory, self._count = np.zeros((len(LOW_PASS) - 1, len(columns))), 0
+            places = [[c.name for c in engine.system.connections].index(name) for name in names]
+            self._memory, self._count = np.zeros((len(LOW_PASS) - 1, len(names))), 0
 
-            def kept(*args: Any) -> tuple[Floats, Floats]:
-                sound, pushes = run(*args)
+            def kept(*args: Any) -> tuple[Floats, Floats, Floats | None]:
+                sound, linear, others = step(*args)
                 began = time.thread_time()
-                self._keep(pushes[:, columns])
+                self._keep(linear[:, np.searchsorted(stepper._active, places)])
                 self.seconds -= time.thread_time() - began
-                return sound, pushes
+                return sound, linear, others
 
-            engine.stepper.run = kept  # type: ignore[method-assign]  # watched, not changed
+            stepper._step = kept  # type: ignore[method-assign]  # watched, not changed
         self._blocks = self.renderer.blocks(4096)
 
     def _keep(self, pushes: Floats) -> None:
@@ -198,14 +200,48 @@ class Told:
             print(f"\r{self.what}: {seconds:.0f} s ", end="", file=sys.stderr, flush=True)
 
 
+def law(name: str) -> str:
+    """What a sample takes with all strings at every level of sleep, and the straight line through that; in ns."""
+    engine = tw.Renderer(tw.Score([tw.Note(0.0, 1.0, note=60)]), tw.load_instrument(name), FS).engine
+    engine.advance(32)
+    systems = []
+    for level in range(BANDS + 1):
+        bases: dict[str, Any] = {}
+        for string, fretting in engine.frettings.items():
+            bases |= engine.sleeper.compiled(string, fretting, level)
+        systems.append(engine.system.with_compiled(bases))
+    modes = np.array([sum(c.basis.n_modes for c in system.compiled) for system in systems])
+    times = np.full((9, len(systems)), np.inf)
+    for taken in times:
+        for i, system in enumerate(systems):
+            engine.stepper.exchange(system)
+            state = system.start()
+            engine.stepper.advance(state, 256)
+            began = time.thread_time()
+            engine.stepper.advance(state, 4096)
+            taken[i] = (time.thread_time() - began) / 4096 * 1e9
+    least = times.min(axis=0)
+    slope, fixed = np.polyfit(modes, least, 1)
+    off = 100 * (least / (fixed + slope * modes) - 1)
+    return (
+        f"{name}: {fixed:.0f} ns + {slope:.2f} ns per mode; modes {', '.join(map(str, modes))}: "
+        f"{', '.join(f'{t:.0f} ({o:+.0f} %)' for t, o in zip(least, off, strict=True))}"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scores", nargs="+", type=Path)
+    parser.add_argument("scores", nargs="*", type=Path)
+    parser.add_argument("--law", action="store_true", help="what a sample takes against the modes that are awake")
     parser.add_argument("--seconds", type=float, default=None, help="of each score; all of it where left out")
     parser.add_argument("--instruments", nargs="+", default=["nylon_guitar", "steel_guitar", "african_harp"])
     parser.add_argument("--no-plan", action="store_true")
     args = parser.parse_args()
     began = time.perf_counter()
+    if args.law:
+        for name in args.instruments:
+            print(law(name), flush=True)
+        return
     columns = [
         "instrument",
         "score",

@@ -249,13 +249,13 @@ class Engine:
         for play in played:
             name = play.string or ""
             fretting = moved.get(name, self.frettings[name])
-            swing = self.switch.swing(self.system, self.state, name, self.frettings[name].stop, energies[name])
+            swing, _ = self.switch.seen(self.system, self.state, name, self.frettings[name].stop, energies[name])
             rise = self.switch.foreseen(play, fretting, swing)
             self.ledger.foreseen(name, rise.off(0.0))
             if name in self.tense | self.awaited:
                 continue
-            raised = fretting.raised
-            if rise.off(raised) > self.switch.budget:
+            raised: float | None = fretting.raised
+            if rise.off(fretting.raised) > self.switch.budget:
                 raised = self.switch.raised(rise)
             if raised is None:
                 self.awaited |= {name}
@@ -278,7 +278,7 @@ class Engine:
                 if not look and name not in leaving:
                     continue
                 stop = self.frettings[name].stop
-                rise = self.switch.rise(name, stop, self.switch.swing(self.system, self.state, name, stop, energy))
+                _, rise = self.switch.seen(self.system, self.state, name, stop, energy)
                 before = None if name in wanted else self.frettings[name].raised
                 found = self.switch.wanted(rise, before, name in busy)
                 if found is None:
@@ -318,7 +318,9 @@ class Engine:
         able = {
             name
             for name, cents in raised.items()
-            if self.switch.cheap(self.system, self.state, name, cents - self.frettings[name].raised, credit.get(name, 0.0))
+            if self.switch.cheap(
+                self.system, self.state, name, cents - self.frettings[name].raised, credit.get(name, 0.0)
+            )
         }
         if able:
             moved = {name: replace(self.frettings[name], raised=raised[name]) for name in able}

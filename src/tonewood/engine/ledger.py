@@ -192,7 +192,7 @@ class Ledger:
                 if effect.name == "tension_modulation":
                     if string.resonator.axial_stiffness <= 0:
                         continue
-                    if string.along:  # its tension rises with it
+                    if model.system.geometric:  # then all tensions are solved for together
                         add(effect, name, whole)
                         continue
                     off = self.samples - self.tense[name].samples

@@ -131,8 +131,8 @@ class Sleeper:
         n, r = len(self.components), len(model.system.readouts)
         none = np.zeros((n, BANDS))
         self.state = Asleep(
-            dict.fromkeys(self.names, 0), none.copy(), np.zeros((r, n, BANDS)), none.copy(), none.copy(), np.zeros(BANDS),
-            np.zeros(r),
+            dict.fromkeys(self.names, 0), none.copy(), np.zeros((r, n, BANDS)), none.copy(), none.copy(),
+            np.zeros(BANDS), np.zeros(r),
         )  # fmt: skip
         self.largest = dict.fromkeys(self.names, 0.0)
         self._met: System | None = None
@@ -404,7 +404,7 @@ class Sleeper:
         # whichever strings have the energy, the squares of their shares add up to one
         velocity = np.sqrt((self._mobility**2 @ (utmost**2).T[:, :, None])[:, :, 0].T)
         gathered = (listening.gathers * ahead + listening.spread)[:, None] * velocity
-        return np.minimum(velocity, self._driving(np.minimum(utmost, force + gathered)))
+        return np.asarray(np.minimum(velocity, self._driving(np.minimum(utmost, force + gathered))))
 
     def _driving(self, force: Floats) -> Floats:
         """(C, BANDS) m/s, bound on each end's velocity under forces of strings (C, BANDS)."""

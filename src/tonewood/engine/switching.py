@@ -161,12 +161,15 @@ class TensionSwitch:
         each = np.add.reduceat((xx * x + xy * y) * x + yy * y * y, self._starts)
         return dict(zip(self.strings, np.bincount(self._owner, each, len(self.strings)).tolist(), strict=True))
 
-    def swing(self, system: System, state: State, name: str, stop: float, energy: float) -> Swing:
-        """How a string of `energy` swings; which partial is the strongest is asked for only where it may matter."""
-        everything = Swing(energy, energy)
-        rise = self.rise(name, stop, everything)
+    def seen(self, system: System, state: State, name: str, stop: float, energy: float) -> tuple[Swing, Rise]:
+        """How a string of `energy` swings, and by how much its tension would rise.
+
+        Which partial is the strongest is asked for only where it may matter.
+        """
+        swing = Swing(energy, energy)
+        rise = self.rise(name, stop, swing)
         if not _LEAVE * self.budget < rise.off(0.0) < _HOPELESS * self.budget:
-            return everything
+            return swing, rise
         partials = np.zeros(LOWEST)
         for i in np.flatnonzero(self._owner == self.strings.index(name)):
             compiled = system.compiled[self._slots[i]]
@@ -177,13 +180,14 @@ class TensionSwitch:
                 start = system.offsets[self._slots[i]]
                 partials += known[1].energies(*state.modes[:, start : start + compiled.basis.n_modes])
         # no partial that is not looked at has more than what they leave
-        return Swing(energy, min(max(float(partials.max()), energy - float(partials.sum())), energy))
+        swing = Swing(energy, min(max(float(partials.max()), energy - float(partials.sum())), energy))
+        return swing, self.rise(name, stop, swing)
 
     def rise(self, name: str, stop: float, swing: Swing) -> Rise:
         """By how much a string's tension would rise for how it swings."""
         tension, length = self._held(name, stop)
         stiffness = float(self.stiffness[self.strings.index(name)])
-        norms = Norms(swing.energy, swing.energy, swing.partial, tension, stiffness, length)
+        norms = Norms(0.0, swing.energy, swing.partial, tension, stiffness, length)
         mean = mean_rise(norms)
         return Rise(mean, TENSION_MODULATION.bound(norms) - mean)
 
@@ -268,7 +272,7 @@ def string_energy(system: System, state: State, name: str) -> tuple[float, float
 
 
 def raising(system: System, state: State, name: str, cents: float) -> float:
-    """What it takes (J) to raise a string's tension by so many cents as it is bent now; negative where it is lowered."""
+    """What it takes (J) to raise a string's tension by so many cents, as it is bent now; negative for lowering it."""
     tension = next(t for t in system.tensions if t.name == name)
     total, share = 0.0, ratio_of_cents(cents) ** 2 - 1.0
     for component in tension.components:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from tonewood.errors import TonewoodError
@@ -52,12 +52,12 @@ def level_db(norms: Norms) -> float:
     return 20 * math.log10(norms.level) if norms.level > 0 else -math.inf
 
 
-def mean_rise(norms: Norms) -> float:
-    """By how much the mean tension of a string of energy E raises its partials, cents.
+def mean_rise(norms: Norms, energy: float | None = None) -> float:
+    """By how much the mean tension of a string of energy E (or another) raises its partials, cents.
 
     With S = int u_x^2 dx = E / T in the mean (half of the energy is potential), dT = EA S / (2 L) and df/f = dT / 2T.
     """
-    rise = norms.axial_stiffness * norms.energy / (2 * norms.length * norms.tension)
+    rise = norms.axial_stiffness * (norms.energy if energy is None else energy) / (2 * norms.length * norms.tension)
     return _CENTS * rise / (2 * norms.tension)
 
 
@@ -68,7 +68,7 @@ def rise_of_tension(norms: Norms) -> float:
     as much again where it makes up the whole (Duffing's equation; of two planes each pulls the other likewise, up or
     down). Of the mean, what the tension is raised by already does not count.
     """
-    own = 0.5 * mean_rise(replace(norms, energy=min(norms.partial, norms.energy)))
+    own = 0.5 * mean_rise(norms, min(norms.partial, norms.energy))
     return abs(mean_rise(norms) - norms.raised_cents) + own
 
 
