@@ -28,13 +28,17 @@ _CACHE = 96
 
 @dataclass(frozen=True, slots=True)
 class Fretting:
-    """How a string is held now: stop, bend in cents, added damping (1/s), place of the plucking finger (m), touches."""
+    """How a string is held now: stop, bend in cents, added damping (1/s), place of the plucking finger (m), touches.
+
+    Its tension may be `raised`, by so many cents, in place of the rise that its motion would bring about.
+    """
 
     stop: float = 0.0
     cents: float = 0.0
     added_damping: float = 0.0
     place: float | None = None
     touches: tuple[tuple[str, float], ...] = ()
+    raised: float = 0.0
 
     def changed(self, change: Change) -> Fretting:
         """What a change of the left hand makes of it."""
@@ -84,6 +88,7 @@ class Fingerboard:
         return self.model.strings[name].bases(
             fretting.stop,
             bend_cents=fretting.cents,
+            raised_cents=fretting.raised,
             pluck_from_bridge=fretting.place,
             touches=dict(fretting.touches),
         )
@@ -127,7 +132,7 @@ class Fingerboard:
         whole = string.n_modes(fretting.stop)
         if all(compiled[p.component].n_modes == whole for p in string.polarizations):
             return compiled
-        return string.bases(fretting.stop, bend_cents=fretting.cents, whole=True)
+        return string.bases(fretting.stop, bend_cents=fretting.cents, raised_cents=fretting.raised, whole=True)
 
 
 def pulls(system: System, state: State) -> Pull:

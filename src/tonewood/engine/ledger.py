@@ -163,12 +163,10 @@ class Ledger:
                     self.touched[key].add(start, n)
         return touched
 
-    def rises(self, rises: Mapping[str, float], tense: Collection[str]) -> None:
-        """Enter a look at the strings: cents by which each would rise, and which do."""
-        for name, cents in rises.items():
-            if name not in tense:
-                self.left_out[name] = max(self.left_out[name], cents)
-            self.foreseen(name, cents)
+    def left(self, bounds: Mapping[str, float]) -> None:
+        """Enter a look at strings whose tension does not rise: cents by which they are off at most."""
+        for name, cents in bounds.items():
+            self.left_out[name] = max(self.left_out[name], cents)
 
     def foreseen(self, name: str, cents: float) -> None:
         """Enter by how much a string's tension will rise."""
@@ -194,7 +192,7 @@ class Ledger:
                 if effect.name == "tension_modulation":
                     if string.resonator.axial_stiffness <= 0:
                         continue
-                    if string.along:  # its tension rises with it
+                    if model.system.geometric:  # then all tensions are solved for together
                         add(effect, name, whole)
                         continue
                     off = self.samples - self.tense[name].samples

@@ -208,6 +208,7 @@ class StringModel:
         stop: float = 0,
         *,
         bend_cents: float = 0.0,
+        raised_cents: float = 0.0,
         added_damping: float = 0.0,
         pluck_from_bridge: float | None = None,
         touches: Mapping[str, float] | None = None,
@@ -218,7 +219,8 @@ class StringModel:
         Parameters
         ----------
         stop : 0 is open; a fraction on a continuous string.
-        bend_cents : by which the tension is changed.
+        bend_cents : by which the pitch is changed, by the tension.
+        raised_cents : by which the tension is raised besides, cents of an ideal string.
         added_damping : 1/s, added to every mode's damping rate.
         pluck_from_bridge : m; the string's usual place where left out. Must lie on the speaking part.
         touches : point of what touches the string -> m, where it lies elsewhere than its part says.
@@ -240,6 +242,7 @@ class StringModel:
         base, tension = self._untuned(end), self.tension(end)
         if bend_cents:
             tension *= ratio_of_cents(bend_cents * self._bend_gain(end)) ** 2
+        tension *= ratio_of_cents(raised_cents) ** 2
         out: dict[str, ModalBasis] = {}
         for polarization in self.polarizations:
             basis = self.resonator.detuned(base, tension * polarization.detune**2)
