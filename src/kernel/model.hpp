@@ -57,7 +57,7 @@ struct Guarded {
     // (n), of a stretched string: |row| in the rest of the block <= pulled * T/2 sqrt(sum a (y+ + y)^2)
     std::vector<double> pulled;
     // of a woven string of one port, if its modes are passive there (calm.hpp): weights (2, n_modes) of the squares of a
-    // mode's two numbers in its energy; |row| <= lean |port| + sqrt(swing energy), (n) each
+    // mode's two numbers in its energy; |row| <= lean |port| + swing sqrt(energy), (n) each
     Array<T> energy;
     std::vector<double> swing, lean;
 };

@@ -110,7 +110,7 @@ void derive_energy(Component<T>& c) {
             const double a = modes[k].a(x[k], y[k]) - lean, b = modes[k].b(x[k], y[k]);
             swing += 2 * modes[k].compliance * (a * a + b * b);
         }
-        g.lean[r] = std::abs(lean), g.swing[r] = swing;
+        g.lean[r] = std::abs(lean), g.swing[r] = std::sqrt(swing);
     }
     g.energy = std::move(weights);
 }
@@ -251,7 +251,7 @@ void arrange(const std::vector<Component<T>>& components, const Layout& layout, 
                     const std::size_t q = std::find(parts.begin(), parts.end(), t.component) - parts.begin();
                     const Guarded<T>& g = components[t.component].guarded;
                     const double per = std::abs(t.factor) / -nl.laws[j].offset;
-                    group.strain[q] = std::max(group.strain[q], per * std::sqrt(g.swing[t.port]) / (1 - kSway));
+                    group.strain[q] = std::max(group.strain[q], per * g.swing[t.port] / (1 - kSway));
                     if (per * g.lean[t.port] > 0.0)
                         group.sway[q] = std::min(group.sway[q], kSway / (per * g.lean[t.port] * double(n_parts)));
                 }

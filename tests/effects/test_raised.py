@@ -44,14 +44,14 @@ def test_what_is_raised_already_does_not_count() -> None:
 
 def test_raised_by_so_much_that_loud_and_silent_are_within_the_budget() -> None:
     switch = TensionSwitch(assemble(duet(mode="auto", budget_cents=0.5), FS))
-    assert switch.raised(Rise(0.3, 0.1)) == 0.0
-    assert switch.raised(Rise(0.6, 0.15)) == pytest.approx(0.45)
-    assert switch.raised(Rise(0.75, 0.2)) is None
-    assert switch.raised(Rise(math.inf, math.inf)) is None
+    assert switch.raised("E4", Rise(0.3, 0.1)) == 0.0
+    assert switch.raised("E4", Rise(0.6, 0.15)) == pytest.approx(0.45)
+    assert switch.raised("E4", Rise(0.75, 0.2)) is None
+    assert switch.raised("E4", Rise(math.inf, math.inf)) is None
     # nothing stops rising while it is played, and what is raised for a pluck stays so until it is let go
-    assert switch.wanted(Rise(0.0, 0.0), None, busy=True) is None
-    assert switch.wanted(Rise(0.0, 0.0), 0.45, busy=True) == 0.45
-    assert switch.wanted(Rise(1.0, 0.2), 0.45, busy=True) is None
+    assert switch.wanted("E4", Rise(0.0, 0.0), None, busy=True) is None
+    assert switch.wanted("E4", Rise(0.0, 0.0), 0.45, busy=True) == 0.45
+    assert switch.wanted("E4", Rise(1.0, 0.2), 0.45, busy=True) is None
 
 
 def test_the_strongest_partial_of_a_plucked_string() -> None:
@@ -80,7 +80,8 @@ def test_the_strongest_partial_of_a_plucked_string() -> None:
 
 def test_a_string_raised_sounds_as_much_sharper() -> None:
     string = assemble(duet(), FS).strings["E4"]
-    low, high = (string.bases(raised_cents=cents)["E4.z"] for cents in (0.0, 5.0))
+    low = string.bases()["E4.z"]
+    high = string.raised({"E4.z": low}, 5.0)["E4.z"]
     ratio = 2 ** (5.0 / 1200)
     a, bending = low.metadata["tension_part"], low.metadata["bending_part"]
     assert high.metadata["tension"] == pytest.approx(low.metadata["tension"] * ratio**2, rel=1e-12)

@@ -22,7 +22,17 @@ from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, s
 from tonewood.engine.ledger import Ledger
 from tonewood.engine.sleeping import Asleep, Sleeper
 from tonewood.engine.surroundings import Surroundings, holds_at, string_of
-from tonewood.engine.switching import CHEAP, LOOK, SELDOM, TensionSwitch, affordable, paid, raising, string_energy
+from tonewood.engine.switching import (
+    CHEAP,
+    LOOK,
+    SELDOM,
+    TOUCHED,
+    TensionSwitch,
+    affordable,
+    paid,
+    raising,
+    string_energy,
+)
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.numerics.connections import Connection
@@ -256,7 +266,7 @@ class Engine:
                 continue
             raised: float | None = fretting.raised
             if rise.off(fretting.raised) > self.switch.budget:
-                raised = self.switch.raised(rise)
+                raised = self.switch.raised(name, rise)
             if raised is None:
                 self.awaited |= {name}
             elif raised != fretting.raised:
@@ -280,7 +290,7 @@ class Engine:
                 stop = self.frettings[name].stop
                 _, rise = self.switch.seen(self.system, self.state, name, stop, energy)
                 before = None if name in wanted else self.frettings[name].raised
-                found = self.switch.wanted(rise, before, name in busy)
+                found = self.switch.wanted(name, rise, before, name in busy)
                 if found is None:
                     on.add(name)
                 else:
@@ -350,7 +360,7 @@ class Engine:
         if risen := {name: 0 for name in self.sleeper.sleeping if name in called}:
             self._rest(risen)
         if moved:
-            self._refret(moved, credit)
+            self._refret(moved, credit, TOUCHED if fresh else CHEAP)
         # a string is held by one finger at a time: a new gesture ends the one before it; a gesture whose string changed
         # under it is compiled anew for what is left of it
         again = [a.play for a in self.active if a.play.string in moved.keys() - taken]
@@ -386,10 +396,11 @@ class Engine:
         frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in wanted.items()}
         return {name: fretting for name, fretting in frettings.items() if fretting != self.frettings[name]}, fresh
 
-    def _refret(self, wanted: Mapping[str, Fretting], credit: Mapping[str, float]) -> None:
+    def _refret(self, wanted: Mapping[str, Fretting], credit: Mapping[str, float], share: float) -> None:
         """Give strings other bases and carry their motion over.
 
-        Of strings that cannot pay for a tension that is raised the tension stays as it is.
+        Of strings that cannot pay for a tension that is raised, with this share of their kinetic energy and with their
+        `credit` (J), the tension stays as it is.
         """
         carried: dict[str, Floats] = {}
         restopped, before_raised = {}, {name: self.frettings[name].raised for name in wanted}
@@ -410,10 +421,10 @@ class Engine:
         for name, fretting in wanted.items():
             if fretting.raised > before_raised[name]:
                 cost = -raising(self.system, self.state, name, before_raised[name] - fretting.raised)
-                if not paid(self.system, self.state, name, cost - credit.get(name, 0.0), CHEAP):
+                if not paid(self.system, self.state, name, cost - credit.get(name, 0.0), share):
                     poor[name] = replace(fretting, raised=before_raised[name])
         if poor:
-            self._refret(poor, {})
+            self._refret(poor, {}, 0.0)
         self.ticker.exchanges += len(wanted)
         if self.books:
             self.books.changed("stops, bends and dampers", self.system, self.state)

@@ -97,7 +97,8 @@ class Ledger:
         self.tense: dict[str, Spans] = defaultdict(Spans)
         self.held: dict[str, Spans] = defaultdict(Spans)
         self.touched: dict[tuple[str, str], Spans] = defaultdict(Spans)
-        #: string -> largest rise of tension that was left out, and that was foreseen or seen, cents
+        #: string -> by how much partials were off while its tension did not rise, and largest rise that was foreseen or
+        #: seen, cents
         self.left_out: dict[str, float] = defaultdict(float)
         self.largest: dict[str, float] = defaultdict(float)
         self._modes = {name: self.n_modes(name) for name in model.strings}

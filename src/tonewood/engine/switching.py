@@ -37,6 +37,13 @@ _LEAVE = 0.9
 _HOPELESS = 3.0
 #: partials among which the strongest is sought; those above have no more than what these leave of the energy
 LOWEST = 8
+#: share of a string's kinetic energy that may be asked for; where there is time to wait for a better moment; and where
+#: a finger comes down on it at the same moment
+_AFFORDABLE, CHEAP, TOUCHED = 0.5, 1e-4, 1e-3
+#: budgets above which no raised tension can stand for one that rises
+_HOPELESS = 3.0
+#: partials among which the strongest is sought; those above have no more than what these leave of the energy
+LOWEST = 8
 #: share of a string's kinetic energy that may be asked for, and where there is time to wait for a better moment
 _AFFORDABLE, CHEAP = 0.5, 1e-4
 
@@ -127,6 +134,15 @@ class TensionSwitch:
         system = model.system
         self.strings = tuple(t.name for t in system.tensions)
         self.stiffness = np.array([t.axial_stiffness for t in system.tensions])
+        #: strings whose bases tell what a higher tension stores
+        self._raisable = {
+            t.name
+            for t in system.tensions
+            if all(
+                {"tension", "tension_part"} <= system.compiled[system.slot(c)].basis.metadata.keys()
+                for c in t.components
+            )
+        }
         self._slots = [system.slot(c) for t in system.tensions for c in t.components]
         self._owner = np.array([i for i, t in enumerate(system.tensions) for _ in t.components], dtype=np.intp)
         # the tensions' components alone, one after another as in the state
@@ -198,7 +214,7 @@ class TensionSwitch:
             self._stops[name, stop] = string.tension(stop), string.length(stop)
         return self._stops[name, stop]
 
-    def wanted(self, rise: Rise, before: float | None, busy: bool) -> float | None:
+    def wanted(self, name: str, rise: Rise, before: float | None, busy: bool) -> float | None:
         """Cents by which a string's tension is to be raised and left there; None: it is to rise by itself.
 
         Parameters
@@ -208,18 +224,19 @@ class TensionSwitch:
             gesture will do.
         """
         if before is None:
-            return None if busy else self.raised(rise)
+            return None if busy else self.raised(name, rise)
         off = rise.mean - before + rise.own if busy else rise.off(before)
-        return before if off <= self.budget else self.raised(rise)
+        return before if off <= self.budget else self.raised(name, rise)
 
-    def raised(self, rise: Rise) -> float | None:
+    def raised(self, name: str, rise: Rise) -> float | None:
         """Cents by which a tension may be raised for good instead of rising by itself; None if it has to rise.
 
         None at all, or as many as are allowed when the string is silent again: its partials are then sharp by as much
         as they were flat when they were strongest.
         """
         limit = _LEAVE * self.budget
-        return next((cents for cents in (0.0, limit) if rise.off(cents) <= limit), None)
+        offered = (0.0, limit) if name in self._raisable else (0.0,)
+        return next((cents for cents in offered if rise.off(cents) <= limit), None)
 
     def cheap(self, system: System, state: State, name: str, cents: float, given: float) -> bool:
         """Whether a tension can be raised by so many cents at this moment, nearly for nothing; `given` J are paid."""

@@ -208,7 +208,6 @@ class StringModel:
         stop: float = 0,
         *,
         bend_cents: float = 0.0,
-        raised_cents: float = 0.0,
         added_damping: float = 0.0,
         pluck_from_bridge: float | None = None,
         touches: Mapping[str, float] | None = None,
@@ -220,7 +219,6 @@ class StringModel:
         ----------
         stop : 0 is open; a fraction on a continuous string.
         bend_cents : by which the pitch is changed, by the tension.
-        raised_cents : by which the tension is raised besides, cents of an ideal string.
         added_damping : 1/s, added to every mode's damping rate.
         pluck_from_bridge : m; the string's usual place where left out. Must lie on the speaking part.
         touches : point of what touches the string -> m, where it lies elsewhere than its part says.
@@ -242,7 +240,6 @@ class StringModel:
         base, tension = self._untuned(end), self.tension(end)
         if bend_cents:
             tension *= ratio_of_cents(bend_cents * self._bend_gain(end)) ** 2
-        tension *= ratio_of_cents(raised_cents) ** 2
         out: dict[str, ModalBasis] = {}
         for polarization in self.polarizations:
             basis = self.resonator.detuned(base, tension * polarization.detune**2)
@@ -252,6 +249,14 @@ class StringModel:
         if self.along:
             out[self.along.component] = self._longitudinal(end, self.along.motion)
         return damped(out, added_damping) if added_damping else out
+
+    def raised(self, bases: Mapping[str, ModalBasis], cents: float) -> dict[str, ModalBasis]:
+        """The same bases at a tension higher by so many cents (of an ideal string): same shapes, same modes."""
+        ratio = ratio_of_cents(cents) ** 2
+        return {
+            component: self.resonator.detuned(basis, ratio * cast(float, basis.metadata["tension"]))
+            for component, basis in bases.items()
+        }
 
     def n_modes(self, stop: float = 0) -> int:
         """Modes per polarization of a stop before tension raises any above the limit."""
