@@ -11,6 +11,7 @@
 #include "guard.hpp"
 #include "law_solve.hpp"
 #include "lines.hpp"
+#include "taut.hpp"
 
 namespace tonewood {
 namespace {
@@ -28,9 +29,9 @@ class NonlinearStep {
 public:
     NonlinearStep(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
                   const Nonlinear& nonlinear, Workspace& workspace, Statistics& statistics, const Job<T>& job,
-                  const std::vector<std::vector<Input<T>>>& known)
+                  const std::vector<std::vector<Input<T>>>& known, Taut<T>& taut)
         : components_(components), layout_(layout), m_(solve.m), nl_(nonlinear), ws_(workspace),
-          statistics_(statistics), job_(job), known_(known) {
+          statistics_(statistics), job_(job), known_(known), taut_(taut) {
         for (const Component<T>& c : components_) any_tense_ = any_tense_ || c.stretched.on;
         if (!nl_.k) return;
         std::copy_n(job.series, nl_.k, ws_.series.data());
@@ -495,6 +496,7 @@ private:
         using S = Simd<T>;
         const Component<T>& c = components_[t.component];
         const T* row = c.guarded.rows.data() + 2 * std::size_t(t.port) * c.n;
+        taut_.tell(t.component);
         const T *sx = x(t.component), *sy = y(t.component);
         typename S::V sum{}, more{};
         for (int k = 0; k < c.n; k += S::width) {
@@ -658,6 +660,7 @@ private:
     Statistics& statistics_;
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
+    Taut<T>& taut_;
     bool any_tense_ = false, kept_ = false, still_ = false;
     std::int64_t start_ = 0;
     int nb_ = 0, sample_ = 0;

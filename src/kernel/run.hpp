@@ -99,8 +99,9 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     Array<double> y(2 * n_ports);  // port displacements at the step's beginning, then free at its end
     std::vector<std::vector<Input<T>>> known(n_components);
     std::vector<Array<double>> known_values(job.n_injections);
-    NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known);
-    TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job, known);
+    Taut<T> taut(components, space, job);
+    NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known, taut);
+    TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job, known, taut);
     TenseContacts<T> both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
     GeometricStep<T> along(components, layout, geometric, statistics, job);
     const bool tense = !tensions.strings.empty(), longitudinal = !geometric.strings.empty();
@@ -160,6 +161,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
         }
         if (nonlinear.k) laws.begin_block(start, nb, lines.data(), force.data());
 
+        if (tense) stretched.begin_block();
         // forces, sample by sample
         for (int b = 0; b < nb; ++b) {
             double* now = force.data() + std::size_t(b) * force_width;

@@ -262,8 +262,9 @@ private:
         using V = typename S::V;
         const Component<T>& c = components_[i];
         const T* u = stretched_.buffer(ts_.u, i);
-        const T* kept = stretched_.buffer(ts_.yields, i);
-        stretched_.keep(i, tension);
+        T* const kept = stretched_.buffer(ts_.yields, i);
+        const T *const half = c.stretched.half.data(), one = 1;
+        for (int k = 0; k < c.n; k += S::width) S::store(kept + k, one / (one + S::load(half + k) * T(tension)));
         const int count = c.n_ports + int(ts_.active_ports[i].size());
         for (int p = 0; p < count; ++p) {
             const T* at = phi(i, p);
