@@ -63,7 +63,7 @@ class Scene:
         state = self.stepper.start()
         marks = [time.perf_counter()]
         for _ in range(int(seconds / self.stepper.system.dt) // BLOCK):
-            self.stepper.run(state, BLOCK, self.injections)
+            self.stepper.advance(state, BLOCK, self.injections)
             marks.append(time.perf_counter())
         return np.diff(marks)
 

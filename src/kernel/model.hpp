@@ -56,6 +56,10 @@ struct Guarded {
     std::vector<double> peak;    // (n): |row| <= peak sqrt(norm)
     // (n), of a stretched string: |row| in the rest of the block <= pulled * T/2 sqrt(sum a (y+ + y)^2)
     std::vector<double> pulled;
+    // of a woven string of one port, if its modes are passive there (calm.hpp): weights (2, n_modes) of the squares of a
+    // mode's two numbers in its energy; |row| <= lean |port| + sqrt(swing energy), (n) each
+    Array<T> energy;
+    std::vector<double> swing, lean;
 };
 
 // Modes that are read by one row each, kept in what it reads of them while no known force acts (weave.hpp), in chunks of
@@ -193,6 +197,7 @@ struct Law {
     } potential, slope;
 };
 
+constexpr double kSway = 0.05;  // share of the clearances left to the motion of ports where energies bound the rest
 constexpr double kQuiet = 0.8;  // share of the clearances up to which contacts are bounded together
 
 // Nonlinear connections, as the linear ones leave their gaps.
@@ -210,6 +215,10 @@ struct Nonlinear {
         bool simple = false;
         Array<double> tightest, pull_worth;
         std::vector<Array<double>> worth;
+        // whether energies may bound it for a whole window; by component, share of the tightest clearance per square
+        // root of energy, and how far its port may be for that (calm.hpp)
+        bool calm = false;
+        Array<double> strain, sway;
     };
     int k = 0;
     double dt = 0;
@@ -283,7 +292,7 @@ struct Workspace {
 
 struct Statistics {
     std::int64_t solves = 0, iterations = 0, most_iterations = 0, failures = 0;
-    std::int64_t blocks = 0, rows_read = 0, woken = 0;
+    std::int64_t blocks = 0, rows_read = 0, woken = 0, windows = 0, calm = 0;
     std::int64_t tension_iterations = 0, most_tension_iterations = 0;
 };
 

@@ -167,6 +167,7 @@ public:
                 std::copy_n(on_rows.data() + (k * count + p) * n_rows, n_rows,
                             &guarded.on_rows[(p * kBlock + k) * n_rows]);
         derive_bounds(c, e.data(), rows.data());
+        derive_energy(c);
         laid_out_ = false;
     }
 
@@ -414,7 +415,7 @@ public:
     std::vector<std::int64_t> statistics() const {
         const Statistics& s = statistics_;
         return {s.solves, s.iterations, s.most_iterations, s.failures, s.tension_iterations, s.most_tension_iterations,
-                s.blocks, s.rows_read, s.woken};
+                s.blocks, s.rows_read, s.woken, s.windows, s.calm};
     }
 
 private:

@@ -7,7 +7,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 
+#include "calm.hpp"
 #include "guard.hpp"
 #include "law_solve.hpp"
 #include "lines.hpp"
@@ -31,7 +33,7 @@ public:
                   const Nonlinear& nonlinear, Workspace& workspace, Statistics& statistics, const Job<T>& job,
                   const std::vector<std::vector<Input<T>>>& known, Taut<T>& taut)
         : components_(components), layout_(layout), m_(solve.m), nl_(nonlinear), ws_(workspace),
-          statistics_(statistics), job_(job), known_(known), taut_(taut) {
+          statistics_(statistics), job_(job), known_(known), taut_(taut), calm_(components, layout, nonlinear) {
         for (const Component<T>& c : components_) any_tense_ = any_tense_ || c.stretched.on;
         if (!nl_.k) return;
         std::copy_n(job.series, nl_.k, ws_.series.data());
@@ -60,12 +62,36 @@ public:
         std::copy_n(ws_.last_force.data(), nl_.k, job_.last_force);
     }
 
+    // A window of kWeave blocks begins: which groups of contacts are out of reach in it. `may(i)` whether component i may
+    // be woven; `follow(i)` brings its modes to the beginning of the present block, and `leave(i)` does besides
+    // what it takes that it is woven no more.
+    template <class May>
+    void begin_window(bool whole, const May& may) {
+        if (!nl_.k) return;
+        if (!whole) return calm_.end();
+        calm_.begin(job_, [&](int g) {
+            ++statistics_.windows;
+            for (const int i : nl_.groups[g].components)
+                if (!may(i)) return false;
+            for (int q = 0; q < job_.n_controls; ++q)
+                if (nl_.group_of_law[job_.controls[q].connection] == g) return false;
+            return !moved_by_series(g);
+        });
+        for (int g = 0; g < int(nl_.groups.size()); ++g) statistics_.calm += calm_[g];
+    }
+
+    // Whether nothing can reach the contacts of a component in this window.
+    bool calm(int i) const { return nl_.k && nl_.group_of[i] >= 0 && calm_[nl_.group_of[i]]; }
+
+    std::function<void(int)> follow, leave;  // see begin_window
+
     // A block of nb samples from `start` begins, the lines hold its free motion: which contacts sleep in it, and how
     // far the forces may move them before they are looked at.
     // `force` (kBlock, force_width) will hold the forces on fixed ports.
     void begin_block(std::int64_t start, int nb, double* lines, const double* force) {
         start_ = start, nb_ = nb, lines_ = lines, fixed_forces_ = force;
         ++statistics_.blocks;
+        if (rested_ && calm_.all()) return;  // nothing of the below has changed since
         for (int i = 0; i < int(components_.size()); ++i) ws_.awake_rows[i].clear(), ws_.loaded[i].clear();
         std::fill(ws_.row_awake.begin(), ws_.row_awake.end(), 0);
         std::fill(ws_.is_loaded.begin(), ws_.is_loaded.end(), 0);
@@ -79,7 +105,12 @@ public:
             ws_.clearance[control.connection] = highest;
             if (nl_.group_of_law[control.connection] >= 0) ws_.driven[nl_.group_of_law[control.connection]] = 1;
         }
-        for (int g = 0; g < int(nl_.groups.size()); ++g) guard(g);
+        for (int g = 0; g < int(nl_.groups.size()); ++g) {
+            if (calm_[g])
+                rest(g);
+            else
+                guard(g);
+        }
         ws_.awake_list.clear();
         for (int j = 0; j < nl_.k; ++j) {
             if (!ws_.awake[j]) continue;
@@ -96,6 +127,7 @@ public:
             weigh(g);
         }
         if (still_) std::fill(ws_.taken.begin(), ws_.taken.end(), 0.0);
+        rested_ = still_ && calm_.all();
     }
 
     // Whether sample b is known to need nothing else than the port forces `now`, which are those without nonlinear ones.
@@ -103,21 +135,25 @@ public:
         if (!still_) return false;
         using S = Simd<double>;
         double* const taken = ws_.taken.data();
-        bool below = true;
-        for (int p = 0; p < layout_.force_width; p += S::width) {
-            const S::V push = S::load(now + p);
-            const S::V sum = S::load(taken + p) + S::load(&nl_.worth[p]) * (push < 0.0 ? -push : push);
-            S::store(taken + p, sum);
+        bool below = !calm_.any() || calm_.meets(line_at(b), now);
+        if (!calm_.all()) {
+            const double* const worth = calm_.worth();
+            for (int p = 0; p < layout_.force_width; p += S::width) {
+                const S::V push = S::load(now + p);
+                const S::V sum = S::load(taken + p) + S::load(worth + p) * (push < 0.0 ? -push : push);
+                S::store(taken + p, sum);
+            }
+            for (int p = 0; p < layout_.force_width; ++p) below = below && taken[p] < 1.0;
         }
-        for (int p = 0; p < layout_.force_width; ++p) below = below && taken[p] < 1.0;
         if (below) {
+            if (calm_.any()) calm_.commit();
             for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
             ws_.previous.clear();
             return true;
         }
         still_ = false;
         for (int g = 0; g < int(nl_.groups.size()); ++g)
-            for (int s = 0; s < b; ++s) ws_.level[g] += share_taken(g, s);
+            for (int s = 0; s < b && !calm_[g]; ++s) ws_.level[g] += share_taken(g, s);
         return false;
     }
 
@@ -160,6 +196,7 @@ public:
             ws_.touching[j] = 0;
         }
         if (ws_.any_alive) move_series();
+        if (calm_.any()) calm_.commit();
         std::swap(ws_.previous, ws_.active);
         for (std::size_t index = 0; index < nl_.groups.size(); ++index) ws_.level[index] = ws_.level_after[index];
         return !ws_.previous.empty();
@@ -240,6 +277,7 @@ private:
     const T* x(int i) const { return job_.modes[0] + components_[i].offset; }
     const T* y(int i) const { return job_.modes[1] + components_[i].offset; }
     double* value(int i, int port) const { return &ws_.value[std::size_t(nl_.first[i] + port) * kStride]; }
+    const double* line_at(int b) const { return lines_ + std::size_t(b) * layout_.width; }
     const double* line_of(const Term& t) const { return lines_ + layout_.row[t.component] + t.port; }
 
     void mark_row(const Term& t) {
@@ -260,6 +298,44 @@ private:
             recur_read(c, sx, sy, rows);
         else
             turn<T, true, false>(c, sx, sy, known_[i].data(), int(known_[i].size()), nb_, rows);
+    }
+
+    // No contact of a calm group need be looked at; without bounds all are, as a check on them.
+    void rest(int index) {
+        for (const int j : nl_.groups[index].contacts) ws_.awake[j] = !nl_.asleep_allowed;
+        ws_.asleep[index] = 0, ws_.quiet[index] = 1, ws_.level[index] = ws_.level_after[index] = 0.0;
+        if (!nl_.asleep_allowed)
+            for (const int i : nl_.groups[index].components) follow(i);
+    }
+
+    // A group is calm no more from this block on: its contacts are seen to in the other way, as if they had been so
+    // since the block began.
+    void stir(int index, int b) {
+        calm_.release(index), rested_ = false;
+        for (const int i : nl_.groups[index].components) leave(i);
+        if (!nl_.asleep_allowed) return;
+        guard(index);
+        ws_.quiet[index] = 0;
+        sample_ = b;
+        for (const int j : nl_.groups[index].contacts)
+            if (ws_.awake[j]) wake(j, b);
+        weigh(index);
+    }
+
+    // Stirs the groups that the forces tried in sample b could bring out of their calm.
+    void stir_by(int b) {
+        const double *line = line_at(b), *now = fixed_forces_ + std::size_t(b) * layout_.force_width;
+        const bool meets = calm_.meets(line, now);
+        if (meets && !ws_.any_alive) return;
+        for (int g = 0; g < int(nl_.groups.size()); ++g)
+            if (calm_[g] && (calm_.passed(g, line, now) || moved_by_series(g))) stir(g, b);
+    }
+
+    bool moved_by_series(int index) const {
+        if (!ws_.any_alive) return false;
+        for (const int j : nl_.groups[index].contacts)
+            if (series_lives(j)) return true;
+        return false;
     }
 
     void guard(int index) {
@@ -410,6 +486,7 @@ private:
 
     // Wakes contacts that the forces tried in sample b could have brought into touch.
     void wake_by(int b) {
+        if (calm_.any()) stir_by(b);
         if (ws_.any_alive) find_series();
         for (int index = 0; index < int(nl_.groups.size()); ++index) {
             if (!ws_.asleep[index]) continue;
@@ -620,7 +697,10 @@ private:
         std::fill_n(&ws_.force[std::size_t(port) * kBlock], kBlock, 0.0);
         auto& list = ws_.loaded[t.component];
         list.insert(std::upper_bound(list.begin(), list.end(), t.port), t.port);
-        if (nl_.group_of[t.component] >= 0) weigh(nl_.group_of[t.component]);
+        if (const int group = nl_.group_of[t.component]; group >= 0) {
+            if (calm_[group]) stir(group, sample_);
+            weigh(group);
+        }
     }
 
     // Displacements of the residual compliances after the step, under the forces tried.
@@ -661,11 +741,12 @@ private:
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
     Taut<T>& taut_;
-    bool any_tense_ = false, kept_ = false, still_ = false;
+    bool any_tense_ = false, kept_ = false, still_ = false, rested_ = false;
     std::int64_t start_ = 0;
     int nb_ = 0, sample_ = 0;
     double* lines_ = nullptr;
     const double* fixed_forces_ = nullptr;
+    Calm<T> calm_;
 };
 
 }  // namespace

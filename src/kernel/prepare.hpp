@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 
 #include "model.hpp"
@@ -47,6 +48,71 @@ void derive_bounds(Component<T>& c, const double* e, const double* rows) {
         }
     }
     for (double& peak : guarded.peak) peak = std::sqrt(peak);
+}
+
+// The energy of a woven string of one port, if all its modes oscillate, none grows, and shapes are real: a force at the
+// port changes u' but not u. Nothing is set otherwise.
+template <class T>
+void derive_energy(Component<T>& c) {
+    Guarded<T>& g = c.guarded;
+    const std::size_t n = c.n, count = g.n;
+    g.energy.clear(), g.swing.assign(count, 0.0), g.lean.assign(count, 0.0);
+    if (c.woven.chunks.empty() || c.n_ports != 1 || c.n_rows != 1) return;
+    struct Mode {  // u = x rx + y ry, u' / w = x vx + y vy
+        double compliance = 0, rx, ry, vx, vy, area;
+        // a guarded row as a u + b u' / w
+        double a(double x, double y) const { return (x * vy - y * vx) / area; }
+        double b(double x, double y) const { return (rx * y - ry * x) / area; }
+    };
+    std::vector<Mode> modes(n);
+    Array<T> weights(2 * n, T(0));
+    double whole = 0.0;
+    for (const auto& chunk : c.woven.chunks)
+        for (std::size_t k = chunk.first; k < std::size_t(chunk.first + chunk.count); ++k) {
+            const double a = c.e[k], b = c.e[n + k], d = c.e[2 * n + k], e = c.e[3 * n + k];
+            const double rx = c.rows[k], ry = c.rows[n + k], wx = c.w[k], wy = c.w[n + k];
+            const double mean = 0.5 * (a + e), det = a * e - b * d, bent = 0.25 * (a - e) * (a - e) + b * d;
+            if (!(bent < 0.0) || !(det > 0.0) || det > 1.0 + 1e-12) return;
+            // log E = decay + turn (E - mean), and its determinant w^2, per sample
+            const double angle = std::atan2(std::sqrt(-bent), mean), decay = 0.5 * std::log(det);
+            const double turn = angle / std::sqrt(-bent), w = std::hypot(angle, decay);
+            const double l00 = decay + turn * (a - mean), l01 = turn * b, l10 = turn * d, l11 = decay + turn * (e - mean);
+            Mode& mode = modes[k];
+            mode.rx = rx, mode.ry = ry, mode.vx = (rx * l00 + ry * l10) / w, mode.vy = (rx * l01 + ry * l11) / w;
+            mode.area = rx * mode.vy - ry * mode.vx;
+            const double kappa = (1 - a) * (1 - e) - b * d;
+            const double sx = ((1 - e) * wx + b * wy) / kappa, sy = (d * wx + (1 - a) * wy) / kappa;  // at rest per newton
+            // x' per newton is -log E times that
+            const double kick_x = l00 * sx + l01 * sy, kick_y = l10 * sx + l11 * sy;
+            const double kick = rx * kick_x + ry * kick_y, size = std::hypot(rx, ry) * std::hypot(kick_x, kick_y);
+            mode.compliance = rx * sx + ry * sy;
+            if (!(mode.compliance > 0.0) || !(std::abs(mode.area) > 0.0) || !(std::abs(kick) <= 1e-9 * size)) return;
+            const double half = 0.5 / mode.compliance;
+            // 2 |x y| <= r x^2 + y^2 / r instead of the product: of modes of little damping it is next to nothing
+            const double xx = rx * rx + mode.vx * mode.vx, yy = ry * ry + mode.vy * mode.vy;
+            const double both = std::abs(rx * ry + mode.vx * mode.vy), r = std::sqrt(xx / yy);
+            weights[k] = T(half * (xx + both * r)), weights[n + k] = T(half * (yy + both / r));
+            whole += mode.compliance;
+        }
+    if (!(whole > 0.0)) return;
+    for (std::size_t r = 0; r < count; ++r) {
+        const T *x = &g.rows[2 * r * n], *y = x + n;
+        double along = 0.0, swing = 0.0;
+        for (std::size_t k = 0; k < n; ++k) {
+            if (modes[k].compliance > 0.0)
+                along += modes[k].compliance * modes[k].a(x[k], y[k]);
+            else if (x[k] != T(0) || y[k] != T(0))
+                return;
+        }
+        const double lean = along / whole;
+        for (std::size_t k = 0; k < n; ++k) {
+            if (!(modes[k].compliance > 0.0)) continue;
+            const double a = modes[k].a(x[k], y[k]) - lean, b = modes[k].b(x[k], y[k]);
+            swing += 2 * modes[k].compliance * (a * a + b * b);
+        }
+        g.lean[r] = std::abs(lean), g.swing[r] = swing;
+    }
+    g.energy = std::move(weights);
 }
 
 // Farthest that the forces of a rising tension move guarded rows of a string in the rest of a block, per
@@ -197,6 +263,24 @@ void arrange(const std::vector<Component<T>>& components, const Layout& layout, 
                 if (c.stretched.on)
                     group.pull_worth[q] = std::max(group.pull_worth[q], of_slack * c.guarded.pulled[t.port]);
             }
+        }
+        group.calm = group.simple;
+        for (const int i : group.components)
+            group.calm = group.calm && !components[i].guarded.energy.empty() && !components[i].stretched.on &&
+                         !components[i].geometric;
+        if (group.calm) {
+            group.strain.assign(n_parts, 0.0), group.sway.assign(n_parts, std::numeric_limits<double>::infinity());
+            for (const int j : group.contacts)
+                for (const Nonlinear::Term& t : nl.terms[j]) {
+                    const auto& parts = group.components;
+                    const std::size_t q = std::find(parts.begin(), parts.end(), t.component) - parts.begin();
+                    const Guarded<T>& g = components[t.component].guarded;
+                    const double per = std::abs(t.factor) / -nl.laws[j].offset;
+                    group.strain[q] = std::max(group.strain[q], per * std::sqrt(g.swing[t.port]) / (1 - kSway));
+                    if (per * g.lean[t.port] > 0.0)
+                        group.sway[q] = std::min(group.sway[q], kSway / (per * g.lean[t.port] * double(n_parts)));
+                }
+            for (const double strain : group.strain) group.calm = group.calm && strain > 0.0;
         }
         for (std::size_t q = 0; q < n_parts && group.simple; ++q)
             for (std::size_t p = 0; p < group.worth[q].size(); ++p)

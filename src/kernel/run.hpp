@@ -92,7 +92,8 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     Array<double> lines(std::size_t(kBlock + 1) * width);       // rows at samples 0 .. kBlock: free, then moved
     Array<double> next_lines(std::size_t(kBlock + 1) * width);  // free rows of the next block, of what is woven
     std::vector<Array<double>> driven_lines(n_components);      // rows of driven components, likewise
-    Array<double> force(std::size_t(kBlock) * force_width);     // of ports, a line per sample
+    Array<double> forces(std::size_t(kWeave * kBlock) * force_width);  // of ports, a line per sample of a window
+    double* force = forces.data();                              // those of the block
     Array<double> f(layout.f_width);
     Spread spread(layout);
     Direct at_once(layout);
@@ -123,20 +124,43 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     };
 
     std::vector<char> woven(n_components, 0), to_weave = woven;
-    Loom<T> loom(components, layout, force.data(), job);
+    Loom<T> loom(components, layout, forces.data(), job);
     for (int i = 0; i < n_components; ++i)
         if (components[i].driven) driven_lines[i].assign(std::size_t(kBlock + 1) * components[i].n_rows, 0.0);
 
+    // The modes of what is woven stand where they went in; a string of one port follows to the block's beginning if it is
+    // asked for in between, and may leave the loom there.
+    int place = 0;  // of the block between going in and coming out
+    bool left = false;
+    std::vector<int> followed(n_components, 0);
+    laws.follow = [&](int i) {
+        const Component<T>& c = components[i];
+        for (int& q = followed[i]; q < place; ++q) {
+            const double* then = forces.data() + std::size_t(q) * kBlock * force_width + layout.port[i];
+            recur_store<T, true>(c, job.modes[0] + c.offset, job.modes[1] + c.offset,
+                                 {c.w.data(), c.w_slope.data(), c.n_ports, nullptr, then, force_width, 1});
+        }
+    };
+    laws.leave = [&](int i) {
+        laws.follow(i);
+        woven[i] = 0, left = true;
+    };
+
     for (std::int64_t start = 0; start < job.n; start += kBlock) {
-        const int place = int(start / kBlock % kWeave);  // of the block between going in and coming out
+        place = int(start / kBlock % kWeave);
+        force = forces.data() + std::size_t(place) * kBlock * force_width;
         if (place == 0) {
-            for (int i = 0; i < n_components; ++i) {
+            const bool whole = start + kWeave * kBlock <= job.n;
+            const auto may = [&](int i) {
                 const Component<T>& c = components[i];
-                to_weave[i] = !c.woven.chunks.empty() && !c.stretched.on && !c.geometric && !c.guarded.n &&
-                              start + kWeave * kBlock <= job.n && !touched(job, i, start, kWeave * kBlock);
-            }
+                return whole && !c.woven.chunks.empty() && !c.stretched.on && !c.geometric &&
+                       !touched(job, i, start, kWeave * kBlock);
+            };
+            laws.begin_window(whole && !tense && !longitudinal, may);
+            for (int i = 0; i < n_components; ++i) to_weave[i] = (!components[i].guarded.n || laws.calm(i)) && may(i);
+            std::fill(followed.begin(), followed.end(), 0);
             if (to_weave != woven) loom.set(woven = to_weave);
-            loom.template pass<Passage::in>();
+            loom.template pass<Passage::in>(0);
             loom.unwind(lines.data(), driven_lines, 0);
         } else {
             lines.swap(next_lines);
@@ -159,12 +183,12 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             // looked at here too, before connections spread a fault to other components
             if (!finite(lines.data() + std::size_t(nb) * width + layout.row[i], c.n_rows)) return {i, start};
         }
-        if (nonlinear.k) laws.begin_block(start, nb, lines.data(), force.data());
+        if (nonlinear.k) laws.begin_block(start, nb, lines.data(), force);
 
         if (tense) stretched.begin_block();
         // forces, sample by sample
         for (int b = 0; b < nb; ++b) {
-            double* now = force.data() + std::size_t(b) * force_width;
+            double* now = force + std::size_t(b) * force_width;
             double* const f_out = job.forces + (start + b) * m;
             bool acts = false;
             if (tense) {
@@ -199,7 +223,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
                 if (nonlinear.k) laws.commit(b);
             }
             if (!direct) std::copy(f.begin(), f.begin() + m, f_out);
-            spread(b, nb, force.data(), lines.data());
+            spread(b, nb, force, lines.data());
             if (nonlinear.k) laws.push_on(b, now);
         }
 
@@ -217,16 +241,16 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             if (c.stretched.on || c.geometric) continue;
             T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             auto& inputs = known[i];
-            const double* forces = force.data() + layout.port[i];
+            const double* pushes = force + layout.port[i];
             const bool recurs = inputs.empty() && nb == kBlock;
-            const Ports<T> ports{c.w.data(), c.w_slope.data(), c.n_ports, nullptr, forces, force_width, 1};
+            const Ports<T> ports{c.w.data(), c.w_slope.data(), c.n_ports, nullptr, pushes, force_width, 1};
             const auto answer = [&](double* to) {
-                respond(layout.driven_history[i].data(), c.n_ports, c.n_rows, forces, force_width, to);
+                respond(layout.driven_history[i].data(), c.n_ports, c.n_rows, pushes, force_width, to);
             };
             if (!c.driven && woven[i]) continue;
             if (!(recurs && woven[i]))
                 for (int p = 0; p < c.n_ports; ++p)
-                    inputs.push_back({&c.w[std::size_t(2 * p) * c.n], forces + p, force_width});
+                    inputs.push_back({&c.w[std::size_t(2 * p) * c.n], pushes + p, force_width});
             if (nb < kBlock) laws.add_inputs(i, inputs);
             if (!c.driven) {
                 if (recurs)
@@ -250,8 +274,10 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             if (!finite(driven + nb, c.n_rows, kBlock + 1)) return {i, start};
             emit(c, driven, 1, kBlock + 1, start, nb, job);
         }
+        if (left) loom.set(woven);
+        left = false;
         if (place + 1 == kWeave) {
-            loom.template pass<Passage::out>();
+            loom.template pass<Passage::out>(force - forces.data());
         } else {
             for (int i = 0; i < n_components; ++i) {
                 const Component<T>& c = components[i];
@@ -261,7 +287,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
                 const int step = c.driven ? kBlock + 1 : 1;
                 for (int r = 0; r < c.n_rows; ++r) rows[r * step] = last[r * step];
             }
-            loom.template pass<Passage::on>();
+            loom.template pass<Passage::on>(force - forces.data());
             loom.unwind(next_lines.data(), driven_lines, 1);
         }
 

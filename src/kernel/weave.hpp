@@ -100,21 +100,21 @@ struct Threads {
     }
 
     // Under the forces of a block: the responses h(0) and h(1) (or e) of port p are numbers 4 + 2p and 5 + 2p.
-    void push(int n_ports, std::ptrdiff_t stride) {
+    void push(int n_ports, std::ptrdiff_t first, std::ptrdiff_t stride) {
         for (int p = 0; p < n_ports; ++p) {
             P u{}, v{};
             if constexpr (slow) {
 #pragma GCC unroll 16
                 for (int b = 0; b < kBlock; ++b) {
-                    const P next = mul_add(bent, v, neg_mul_add(other, u, beam.template force<one_row>(b * stride + p)));
+                    const P next = mul_add(bent, v, neg_mul_add(other, u, beam.template force<one_row>(first + b * stride + p)));
                     u = u + v;
                     v = next;
                 }
             } else {
 #pragma GCC unroll 16
                 for (int b = 0; b < kBlock; b += 2) {
-                    u = mul_add(other, v, neg_mul_add(det, u, beam.template force<one_row>(b * stride + p)));
-                    v = mul_add(other, u, neg_mul_add(det, v, beam.template force<one_row>((b + 1) * stride + p)));
+                    u = mul_add(other, v, neg_mul_add(det, u, beam.template force<one_row>(first + b * stride + p)));
+                    v = mul_add(other, u, neg_mul_add(det, v, beam.template force<one_row>(first + (b + 1) * stride + p)));
                 }
             }
             const P h0 = beam[4 + 2 * p], h1 = beam[5 + 2 * p];
@@ -162,7 +162,7 @@ enum class Passage { in, on, out };
 // In: from the modes' numbers, reading samples 0 .. kBlock. On: under the forces of the block that ends, reading samples
 // 1 .. kBlock of the next one. Out: the same without reading, to the modes' numbers.
 template <class T, Passage kind, int N, bool slow, bool one_row>
-void pass_beam(const Warp<T>* warps, int n_ports, std::ptrdiff_t stride) {
+void pass_beam(const Warp<T>* warps, int n_ports, std::ptrdiff_t first, std::ptrdiff_t stride) {
     Threads<T, N, slow, one_row> threads(warps);
     const auto& beam = threads.beam;
     if constexpr (kind == Passage::in) {
@@ -172,7 +172,7 @@ void pass_beam(const Warp<T>* warps, int n_ports, std::ptrdiff_t stride) {
         threads.add(0, threads.s);
     } else {
         threads.s = beam[2], threads.t = beam[3];
-        threads.push(n_ports, stride);
+        threads.push(n_ports, first, stride);
     }
     if constexpr (kind == Passage::out) {
         beam.set_modes(&Warp<T>::x, mul_add(beam.at_door(4), threads.s, beam.at_door(5) * threads.t));
@@ -185,9 +185,9 @@ void pass_beam(const Warp<T>* warps, int n_ports, std::ptrdiff_t stride) {
 
 // n <= N chunks.
 template <class T, Passage kind, bool slow, bool one_row, int N = kBeam<T>>
-void pass(const Warp<T>* warps, int n, int n_ports, std::ptrdiff_t stride) {
-    for (; n >= N; n -= N, warps += N) pass_beam<T, kind, N, slow, one_row || N == 1>(warps, n_ports, stride);
-    if constexpr (N > 1) pass<T, kind, slow, one_row, N / 2>(warps, n, n_ports, stride);
+void pass(const Warp<T>* warps, int n, int n_ports, std::ptrdiff_t first, std::ptrdiff_t stride) {
+    for (; n >= N; n -= N, warps += N) pass_beam<T, kind, N, slow, one_row || N == 1>(warps, n_ports, first, stride);
+    if constexpr (N > 1) pass<T, kind, slow, one_row, N / 2>(warps, n, n_ports, first, stride);
 }
 
 // The chunks of all components that are woven, in beams.
@@ -223,12 +223,13 @@ public:
             }
     }
 
+    // `first`: of the block's forces among those that the loom was told of.
     template <Passage kind>
-    void pass() {
+    void pass(std::ptrdiff_t first) {
         if (kind != Passage::out) std::fill(sums_.begin(), sums_.end(), T(0));
         for (const Beams& b : beams_) {
             const auto go = [&]<bool slow, bool one_row>() {
-                tonewood::pass<T, kind, slow, one_row>(&warps_[b.first], b.n, b.n_ports, layout_.force_width);
+                tonewood::pass<T, kind, slow, one_row>(&warps_[b.first], b.n, b.n_ports, first, layout_.force_width);
             };
             if (b.one_row) {
                 if (b.slow) go.template operator()<true, true>();

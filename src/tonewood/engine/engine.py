@@ -147,8 +147,14 @@ class Engine:
                 self.stepper.exchange(self.system)
             solves = self.stepper.n_solves
             ready = time.thread_time()
-            sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
+            pushes: Floats | None
+            if self.books:
+                sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
+            else:
+                sound, pushes = self.stepper.advance(self.state, steps, self.injections, self.controls)
             stepped = time.thread_time()
+            if pushes is None:  # of no connection that is not linear
+                pushes = np.empty((steps, 0))
             if self.books and before:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)

@@ -109,9 +109,14 @@ class KernelStepper:
 
     @property
     def guard_statistics(self) -> dict[str, int]:
-        """Blocks stepped with nonlinear connections, rows of contacts read in them, contacts woken inside a block."""
-        blocks, rows, woken = self._kernel.statistics()[6:9]
-        return {"blocks": blocks, "rows_read": rows, "woken": woken}
+        """How contacts were left out.
+
+        Blocks stepped with nonlinear connections, rows of contacts read in them, contacts woken inside a block;
+        windows of 64 samples begun by strings that may touch something, and those in which nothing could.
+        """
+        return dict(
+            zip(("blocks", "rows_read", "woken", "windows", "calm"), self._kernel.statistics()[6:], strict=True)
+        )
 
     def _load(self, system: System) -> None:
         nonlinear, solve, before = system.nonlinear, system.solve, self._nonlinear
@@ -248,6 +253,35 @@ class KernelStepper:
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
     ) -> tuple[Floats, Floats]:
         """Advance `state` in place by n steps; see `NumpyStepper.run`."""
+        out, linear, nonlinear = self._step(state, n, injections, controls)
+        return out, self._all_forces(linear, nonlinear)
+
+    def advance(
+        self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
+    ) -> tuple[Floats, Floats | None]:
+        """As `run`, with the forces only if nonlinear ones were solved for.
+
+        Zeros for every sample and every contact of an instrument that touches nothing would cost as much as a tenth of
+        its steps.
+        """
+        out, linear, nonlinear = self._step(state, n, injections, controls)
+        return out, None if nonlinear is None else self._all_forces(linear, nonlinear)
+
+    def _all_forces(self, linear: Floats, nonlinear: Floats | None) -> Floats:
+        """(n, m) of all connections from those of linear and nonlinear ones; the latter are put back to zero."""
+        if len(self._active) == len(self.system.connections):
+            return linear
+        forces = np.zeros((len(linear), len(self.system.connections)))
+        forces[:, self._active] = linear
+        if nonlinear is not None:
+            forces[:, self._nonlinear] = nonlinear
+            nonlinear[:] = 0.0
+        return forces
+
+    def _step(
+        self, state: State, n: int, injections: Sequence[Injection], controls: Sequence[Control]
+    ) -> tuple[Floats, Floats, Floats | None]:
+        """Step; returns the output, the forces of linear connections, and of nonlinear ones if any were solved for."""
         if state.modes.dtype != self.dtype:
             raise ValueError(f"a state of {state.modes.dtype} does not fit a kernel of {np.dtype(self.dtype)}")
         m, on = len(self.system.connections), self._nonlinear
@@ -285,20 +319,13 @@ class KernelStepper:
             strings = [t.name for t in self.system.tensions] + [g.name for g in self.system.geometric]
             names = names or ", ".join(strings)
             raise NumericalError(f"the forces of {names} were not found at {t:.6f} s")
-        if len(self._active) == m:
-            forces = active_forces
-        else:
-            forces = np.zeros((n, m))
-            forces[:, self._active] = active_forces
-        if self._kernel.statistics()[0] > solves:
-            forces[:, on] = law_forces
-            law_forces[:] = 0.0
         if n:
-            state.forces[:] = forces[-1]
+            state.forces[:] = 0.0
+            state.forces[self._active], state.forces[on] = active_forces[-1], law_forces[-1]
             state.series[on], state.slip[on] = series, slip
         state.sample += n
         self._steps += n
-        return out, forces
+        return out, active_forces, law_forces if self._kernel.statistics()[0] > solves else None
 
     def start(self) -> State:
         """Return the state of rest in this kernel's precision."""

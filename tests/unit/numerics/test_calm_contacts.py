@@ -1,0 +1,193 @@
+"""Contacts that the energy of their strings leaves out of reach for 64 samples: none is ever missed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from nonlinear_scenes import LENGTH, TENSION, body, hang, held_string
+
+from tonewood import _kernel
+from tonewood.numerics.connections import Connection, SpringDashpot, Term
+from tonewood.numerics.forcing import Segment, compile_force
+from tonewood.numerics.kernel import KernelStepper
+from tonewood.numerics.laws import Contact
+from tonewood.numerics.stepper import NumpyStepper
+from tonewood.numerics.string_modes import string_basis
+from tonewood.numerics.system import Control, Probe, Readout, System
+
+DT = 1 / 48000
+FRETS = 6
+ISAS = _kernel.instruction_sets()
+
+
+def fretted(clearance=3e-4, rate=1 / DT, law=(1e10, 2.3), turned=0.0):
+    """Two strings on a body, in two directions each, over frets that see both; `turned`: phase of the shapes, rad."""
+    places = {f"f{k}": LENGTH / 2 ** ((k + 1) / 12) for k in range(FRETS)} | {"pluck": 0.11 * LENGTH}
+    components = {"body": body(["b0", "b1"])}
+    connections = []
+    for i in range(2):
+        density = TENSION / (2 * LENGTH * 110 * 1.3**i) ** 2
+        string = string_basis(LENGTH, TENSION, density, 5e-5, lambda w, k: 2e-4 + 0 * w, n_modes=45)
+        string = string.with_places(places)
+        if turned:
+            string = type(string).complex(
+                string.poles,
+                dict(zip(string.points, string.right * np.exp(1j * turned), strict=True)),
+                left=dict(zip(string.points, string.left, strict=True)),
+            )
+        components[f"s{i}a"] = string
+        components[f"s{i}b"] = held_string(37, places | {"bridge": 0.013 * LENGTH}, density=density, damping=0.5)
+        connections += [
+            Connection(f"joint{i}", (Term(f"s{i}a", "bridge"), Term("body", f"b{i}", -0.97))),
+            Connection(f"stay{i}", (Term(f"s{i}b", "bridge"),), SpringDashpot(3e3, 0.2)),
+        ]
+        connections += [
+            Connection(
+                f"s{i}f{k}",
+                (Term(f"s{i}a", f"f{k}", 0.95), Term(f"s{i}b", f"f{k}", 0.3)),
+                Contact(*law, loss=0.3, offset=-clearance * (1 + 0.2 * k)),
+            )
+            for k in range(FRETS)
+        ]
+    readouts = [
+        Readout("a", "acceleration", (Probe("body", "b0"),)),
+        Readout("f", "force", (), (("s0f2", 1.0), ("joint1", 0.5))),
+    ]
+    return System.build(components, connections, readouts, dt=1 / rate)
+
+
+def plucked(system, heights, places):
+    state = system.start()
+    for i, (height, place) in enumerate(zip(heights, places, strict=True)):
+        hang(system, state, f"s{i}b", height[1], place)
+        modes = system.modes_of(state, f"s{i}a")
+        basis = system.compiled[system.slot(f"s{i}a")].basis
+        q = basis.right[basis.index("pluck")].real / basis.stiffness
+        end = basis.right[basis.index("bridge")].real
+        q = q - end / basis.stiffness * (end @ q) / (end @ (end / basis.stiffness))
+        q *= height[0] / (2 * np.sum(basis.right[basis.index("pluck")].real * q))
+        modes[0], modes[1] = q, q * basis.poles.real / basis.poles.imag
+    return state
+
+
+def both_ways(system, state, n, isa=None, injections=(), controls=()):
+    """Kernel with bounds and without; asserts that they agree in every bit."""
+    runs, states, steppers = [], [], []
+    for guarded in (True, False):
+        stepper, at = KernelStepper(system, isa=isa, guarded=guarded), state.copy()
+        runs.append(stepper.run(at, n, injections, controls))
+        states.append(at)
+        steppers.append(stepper)
+    for a, b in zip(*runs, strict=True):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(states[0].modes, states[1].modes)
+    np.testing.assert_array_equal(states[0].series, states[1].series)
+    return runs[0], steppers[0].guard_statistics
+
+
+def contacts(system, forces):
+    return forces[:, [j for j, c in enumerate(system.connections) if isinstance(c.law, Contact)]]
+
+
+@pytest.mark.parametrize("isa", ISAS)
+def test_random_plucks_near_the_clearance_miss_no_contact(isa):
+    system = fretted()
+    rng = np.random.default_rng(11)
+    touched = calm = broken = 0
+    for _ in range(16):
+        # from far below what reaches a fret to what just does, each string for itself
+        heights = rng.uniform(-1, 1, (2, 2)) * 10 ** rng.uniform(-4.0, -2.8, (2, 1))
+        state = plucked(system, heights, rng.uniform(0.05, 0.5, 2) * LENGTH)
+        (_, forces), statistics = both_ways(system, state, 640, isa)
+        acted = contacts(system, forces).any()
+        touched += acted
+        calm += statistics["calm"]
+        broken += acted and statistics["calm"] > 0
+        assert statistics["windows"] == 20
+    assert 3 <= touched <= 12
+    assert broken > 0
+    assert 80 < calm < 16 * 20
+
+
+def test_calm_windows_are_the_steps_of_the_twin():
+    system = fretted()
+    rng = np.random.default_rng(2)
+    for size in (1e-5, 1.5e-4, 4e-4):
+        start = plucked(
+            system, size * rng.uniform([[0.5], [0.1]], [[1.0], [0.2]], (2, 2)), [0.1 * LENGTH, 0.2 * LENGTH]
+        )
+        twin = start.copy()
+        expected, expected_forces = NumpyStepper(system).run(twin, 320)
+        (out, forces), statistics = both_ways(system, start, 320)
+        assert statistics["calm"] > 0
+        np.testing.assert_allclose(out, expected, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_allclose(forces, expected_forces, atol=1e-9 * np.abs(expected_forces).max())
+        np.testing.assert_array_equal(contacts(system, forces) != 0, contacts(system, expected_forces) != 0)
+
+
+@pytest.mark.parametrize("clearance", [1e-8, 3e-7, 2e-6])
+def test_a_string_at_rest_is_shaken_against_its_frets(clearance):
+    """What comes through the bridge ends the calm inside a window, at any sample of it."""
+    system = fretted(clearance)
+    state = system.start()
+    push = compile_force("body", system.compiled[system.slot("body")].basis, "b1", [Segment(0.0, 0.01, 0.0, 300.0)], DT)
+    (_, forces), statistics = both_ways(system, state, 640, injections=push)
+    _, expected = NumpyStepper(system).run(system.start(), 320, push)
+    assert 0 < statistics["calm"] < 20
+    acted = contacts(system, forces).any(axis=1)
+    first = int(np.argmax(acted))
+    assert first == int(np.argmax(contacts(system, expected).any(axis=1)))
+    assert acted.any()
+    assert first % 64
+    np.testing.assert_allclose(forces[:320], expected, atol=1e-8 * np.abs(expected).max())
+
+
+def test_runs_cut_at_windows_are_the_same_to_the_bit():
+    system = fretted()
+    whole = plucked(system, [(2e-4, 1e-4), (6e-4, 0.0)], [0.1 * LENGTH, 0.3 * LENGTH])
+    cut, stepper = whole.copy(), KernelStepper(system)
+    out, forces = stepper.run(whole, 512)
+    pieces = [stepper.run(cut, n) for n in (64, 192, 128, 128)]
+    assert stepper.guard_statistics["calm"] > 0
+    np.testing.assert_array_equal(np.concatenate([p[0] for p in pieces]), out)
+    np.testing.assert_array_equal(np.concatenate([p[1] for p in pieces]), forces)
+    np.testing.assert_array_equal(whole.modes, cut.modes)
+
+
+def test_forces_come_only_where_contacts_were_solved_for():
+    system = fretted()
+    a = plucked(system, [(1e-5, 0.0), (1e-5, 0.0)], [0.1 * LENGTH, 0.3 * LENGTH])
+    b, one, other = a.copy(), KernelStepper(system), KernelStepper(system)
+    out, none = one.advance(a, 128)
+    expected, forces = other.run(b, 128)
+    assert none is None
+    np.testing.assert_array_equal(out, expected)
+    np.testing.assert_array_equal(a.forces, forces[-1])
+    np.testing.assert_array_equal(b.forces, forces[-1])
+    a = plucked(system, [(2e-3, 0.0), (2e-3, 0.0)], [0.1 * LENGTH, 0.3 * LENGTH])
+    b = a.copy()
+    (_, some), (_, forces) = one.advance(a, 320), other.run(b, 320)
+    np.testing.assert_array_equal(some, forces)
+    assert contacts(system, forces).any()
+    # and nothing of it is left in the next run
+    system_forces = one.run(a, 64)[1], other.run(b, 64)[1]
+    np.testing.assert_array_equal(*system_forces)
+
+
+def test_frets_that_move_are_looked_at_block_by_block():
+    system = fretted()
+    state = plucked(system, [(1e-5, 0.0), (1e-5, 0.0)], [0.1 * LENGTH, 0.3 * LENGTH])
+    rising = [Control("s0f1", 0, offset=np.linspace(-4e-4, 1e-5, 321))]
+    (_, forces), statistics = both_ways(system, state, 320, controls=rising)
+    assert statistics["calm"] == 5
+    assert contacts(system, forces)[:, 1].any()
+
+
+def test_modes_whose_shapes_turn_have_no_such_energy():
+    system = fretted(1e-3, turned=0.05)
+    state = plucked(system, [(1e-4, 0.0), (1e-4, 0.0)], [0.1 * LENGTH, 0.3 * LENGTH])
+    twin = state.copy()
+    expected, _ = NumpyStepper(system).run(twin, 128)
+    (out, _), statistics = both_ways(system, state, 128)
+    assert statistics["calm"] == 0
+    np.testing.assert_allclose(out, expected, atol=1e-9 * np.abs(expected).max())
