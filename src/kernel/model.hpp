@@ -354,7 +354,7 @@ struct TensePorts {
     Array<double> sums;
     // of a sample
     Array<double> alone, moved, force, next, wrong, base, fixed;  // by port
-    Array<double> change, slope, off;                             // by pair
+    Array<double> change_at, slope_at, bend_at, change, slope, off;  // by pair
     Array<double> changed;             // (ports, width): `change` as a matrix, if not `single`
     Array<double> y, linear, fixed_part;
     Array<double> inverse;             // (ports, ports)

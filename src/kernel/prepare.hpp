@@ -343,7 +343,8 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
     to.lanes.assign(n_sums * 64, 0), to.sums.assign(n_sums, 0.0);
     to.y.assign(2 * n_places, 0.0), to.linear.assign(l.f_width, 0.0), to.fixed_part.assign(l.force_width, 0.0);
     for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.next, &to.wrong, &to.base, &to.fixed}) a->assign(n, 0.0);
-    for (Array<double>* a : {&to.change, &to.slope, &to.off}) a->assign(to.pair_width, 0.0);
+    for (Array<double>* a : {&to.change_at, &to.slope_at, &to.bend_at, &to.change, &to.slope, &to.off})
+        a->assign(to.pair_width, 0.0);
     to.onto_ports.assign(n * n, 0.0), to.changed.assign(to.single ? 0 : n * n, 0.0);
     to.inverse.assign(n * n, 0.0), to.pivots.assign(n, 0);
     to.onto_linear.assign(n * l.f_width, 0.0), to.onto_forces.assign(n * l.force_width, 0.0);

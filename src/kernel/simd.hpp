@@ -30,10 +30,15 @@ struct Simd {
     // Sum of the lanes: halves are added until one is left.
     static double sum(V v) { return double(folded<width / 2>(v, std::make_index_sequence<width>{})[0]); }
     static double sum(const T* p) { return sum(load(p)); }
-    static T largest(V v) {
-        T most = v[0];
-        for (int i = 1; i < width; ++i) most = v[i] > most ? v[i] : most;
-        return most;
+    static T largest(V v) { return peak<width / 2>(v, std::make_index_sequence<width>{})[0]; }
+    template <int Half, std::size_t... I>
+    static V peak(V v, std::index_sequence<I...> lanes) {
+        if constexpr (Half == 0) {
+            return v;
+        } else {
+            const V other = __builtin_shufflevector(v, v, int(I ^ Half)...);
+            return peak<Half / 2>(v > other ? v : other, lanes);
+        }
     }
     template <int Half, std::size_t... I>
     static V folded(V v, std::index_sequence<I...> lanes) {

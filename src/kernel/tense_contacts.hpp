@@ -79,7 +79,7 @@ private:
         const int a = int(ws_.active.size()), w = int(wide(a));
         int iterations = 0;
         const bool foldable = all_linear();
-        const bool done = foldable ? folded(iterations) : stretched_.find(kLawTolerance<T>, false, [&](double* force) {
+        const bool done = foldable ? folded(iterations) : stretched_.find(kLawTolerance<T>, [&](double* force) {
             for (int p = 0; p < n; ++p) ports.sum[p] = ports.alone[p] + ports.moved[p];
             std::fill_n(ports.active_free.data(), w, 0.0);
             add_product(ports.active_meets.data(), w, ports.sum.data(), n, ports.active_free.data());
@@ -129,10 +129,7 @@ private:
         add_product(ports.answers.data(), w, ports.given.data(), a, force);
         add_product(ports.active_ports.data(), ports.width, force, a, ports.fixed.data(), fixed);
         stretched_.onto_ = ports.onto_with_laws.data(), stretched_.fixed_ = fixed;
-        const bool done = stretched_.find(kForceTolerance<T>, true, [&](double* to) {
-            add_product(ports.onto_with_laws.data(), ports.width, ports.moved.data(), n, ports.base.data(), to);
-            return true;
-        });
+        const bool done = stretched_.find_linear();
         stretched_.onto_ = ports.onto_ports.data(), stretched_.fixed_ = ports.fixed.data();
         for (int p = 0; p < n; ++p) ports.sum[p] = -(ports.alone[p] + ports.moved[p]);
         add_product(ports.caught.data(), w, ports.sum.data(), n, force);

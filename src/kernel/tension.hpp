@@ -200,10 +200,7 @@ private:
 
     // Tensions and forces where only linear connections act.
     bool linear_step(double* f, double* now) {
-        const bool done = find(kForceTolerance<T>, true, [&](double* force) {
-            add_product(onto_, ports_.width, ports_.moved.data(), ports_.width, ports_.base.data(), force);
-            return true;
-        });
+        const bool done = find_linear();
         statistics_.failures += !done;
         add_moved();
         add_product(ports_.onto_forces.data(), layout_.force_width, ports_.alone.data(), ports_.width,
@@ -227,13 +224,13 @@ private:
         add_product(ports_.onto_linear.data(), layout_.f_width, ports_.alone.data(), ports_.width, linear_part(), f);
     }
 
-    // Tensions, and the forces on the ports: `answer` tells these from the displacements ports.moved. `plain`: it adds
-    // them to ports.base and nothing else, so that this is close.
-    template <class Answer>
-    bool find(double tolerance, bool plain, const Answer& answer) {
+    // Tensions, and the forces on the ports: `turn(k)` goes nearer to both once more, and says whether it `failed`; true
+    // if it changed nothing. A string whose tension went too far from where its modes were visited is visited again.
+    template <class Turn>
+    bool search(const Turn& turn) {
         int iterations = 0;
-        bool done = false;
-        while (!done && iterations++ < kMaxTensionIterations) {
+        bool done = false, failed = false;
+        while (!done && !failed && iterations++ < kMaxTensionIterations) {
             if (iterations == 1) {
                 std::copy(ws_.at.begin(), ws_.at.end(), ws_.tension.begin());
                 std::fill(ws_.last_tension.begin(), ws_.last_tension.end(), NAN);
@@ -242,18 +239,53 @@ private:
                     if (ws_.far[s] != 0.0) ws_.at[s] = ws_.tension[s], look(s);
                 fold();
             }
+            if (!expand()) break;
             bool told = false;
-            for (int turn = 0; !told && turn < kMaxTurns; ++turn) {
-                if (!displacements(plain)) return book(iterations, false);
-                if (strong_ && !plain) return book(iterations, false);
-                bool settled = false;
-                if (!settle(turn == 0 ? 3 : kMaxTurns, tolerance, answer, settled)) return book(iterations, false);
-                told = !raise_tensions() && settled;
-            }
-            done = told && all_close();
+            for (int k = 0; !told && !failed && k < kMaxTurns; ++k) told = turn(k, failed);
+            const bool close = all_close();
+            done = told && close, failed = failed || (close && !told);
         }
         std::copy(ws_.tension.begin(), ws_.tension.end(), ws_.used.begin());
-        return book(iterations, done);
+        statistics_.tension_iterations += iterations;
+        statistics_.most_tension_iterations = std::max<std::int64_t>(statistics_.most_tension_iterations, iterations);
+        return done;
+    }
+
+    // Where port forces are onto^T d and a fixed part: one product for each turn.
+    bool find_linear() {
+        const int width = ports_.width;
+        double *const force = ports_.force.data(), *const moved = ports_.moved.data(), *const next = ports_.next.data();
+        return search([&](int, bool&) {
+            displacements();
+            if (strong_) invert_ports();
+            move_ports(force);
+            for (int p = 0; p < width; p += S::width) S::store(&ports_.wrong[p], of(ports_.alone, p) + S::load(moved + p));
+            add_product(onto_, width, ports_.wrong.data(), width, fixed_, next);
+            S::V sizes{}, unsettled{};
+            for (int p = 0; p < width; p += S::width) sizes = most(sizes, size(S::load(next + p)));
+            const double enough = kForceTolerance<T> * S::largest(sizes) / (strong_ ? 1.0 : std::min(1.0, 2 * largest_));
+            for (int p = 0; p < width; p += S::width) {
+                const S::V now = S::load(next + p), wrong = now - S::load(force + p);
+                unsettled += size(wrong) <= enough ? S::V{} : S::V{} + 1.0;
+                if (strong_) S::store(&ports_.wrong[p], wrong);
+                else S::store(force + p, now);
+            }
+            if (strong_) add_product(ports_.inverse.data(), width, ports_.wrong.data(), width, force);
+            move_ports(force);
+            return S::sum(unsettled + raise_tensions()) == 0.0;
+        });
+    }
+
+    // Where laws answer too: `answer` tells the forces from the displacements ports.alone and ports.moved.
+    template <class Answer>
+    bool find(double tolerance, const Answer& answer) {
+        return search([&](int turn, bool& failed) {
+            displacements();
+            add_product(onto_, ports_.width, ports_.alone.data(), ports_.width, fixed_, ports_.base.data());
+            bool settled = false;
+            failed = strong_ || !settle(turn == 0 ? 3 : kMaxTurns, tolerance, answer, settled);
+            return !failed && S::sum(raise_tensions()) == 0.0 && settled;
+        });
     }
 
     bool book(int iterations, bool done) {
@@ -262,62 +294,66 @@ private:
         return done;
     }
 
-    // Where the ports come to by themselves at the tensions tried, and how their compliances differ from those at rest.
-    bool displacements(bool plain) {
+    // Compliances, less what they are at rest, and two derivatives at the tensions that modes were visited at. False if
+    // one of these is no number.
+    bool expand() {
         S::V highest{}, outside{};
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const S::V tension = of(ws_.tension, s), rise = tension * of(ports_.most, s);
-            highest = rise > highest ? rise : highest;
-            const S::V not_below = tension >= of(ports_.low, s) ? S::V{} : S::V{} + 1.0;
-            outside += tension < of(ports_.high, s) ? not_below : S::V{} + 1.0;
+            const S::V at = of(ws_.at, s);
+            highest = most(highest, at * of(ports_.most, s));
+            const S::V not_below = at >= of(ports_.low, s) ? S::V{} : S::V{} + 1.0;
+            outside += at < of(ports_.high, s) ? not_below : S::V{} + 1.0;
         }
         if (S::sum(outside) != 0.0)
             for (int s = 0; s < n_strings(); ++s) {
-                if (!std::isfinite(ws_.tension[s])) return false;
+                if (!std::isfinite(ws_.at[s])) return false;
                 enter_cell(s);
             }
         largest_ = S::largest(highest);
         strong_ = largest_ > kStrong;
-        double *const to = ports_.alone.data(), *const off = ports_.off.data();
-        for (int s = 0; s < ports_.strings; s += S::width) {
-            const S::V tension = of(ws_.tension, s), by = tension - of(ws_.at, s), above = tension - of(ports_.low, s);
-            for (int p = s; p < ports_.width; p += ports_.strings) {
-                S::store(to + p, port_sum(1, p) - by * (port_sum(2, p) - by * port_sum(4, p)));
-                if (ports_.single) S::store(off + p, above);
-            }
-        }
-        if (!ports_.single)
-            for (std::size_t q = 0; q < ports_.pairs.size(); ++q)
-                off[q] = ws_.tension[ports_.pairs[q].string] - ports_.low[ports_.pairs[q].string];
-        double *const change = ports_.change.data(), *const slope = ports_.slope.data();
+        for (std::size_t q = 0; q < ports_.pairs.size(); ++q)
+            if (const int s = ports_.pairs[q].string; s >= 0) ports_.off[q] = ws_.at[s] - ports_.low[s];
         for (int q = 0, width = ports_.pair_width; q < width; q += S::width) {
-            const S::V by = S::load(off + q);
-            S::V value{}, rise{};
+            const S::V by = of(ports_.off, q);
+            S::V value{}, rise{}, bend{};
             for (int j = kTaylor - 1; j >= 0; --j) {
+                bend = bend * by + rise;
                 rise = rise * by + value;
                 value = value * by + S::load(&ports_.changes[std::size_t(j) * width + q]);
             }
-            S::store(change + q, value), S::store(slope + q, rise);
+            S::store(&ports_.change_at[q], value), S::store(&ports_.slope_at[q], rise), S::store(&ports_.bend_at[q], bend);
         }
-        if (!ports_.single)
-            for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
-                const auto& pair = ports_.pairs[q];
-                ports_.changed[std::size_t(pair.to) * ports_.width + pair.from] = change[q];
-                ports_.changed[std::size_t(pair.from) * ports_.width + pair.to] = change[q];
-            }
-        double *const base = ports_.base.data(), *const force = ports_.force.data(), *const moved = ports_.moved.data();
-        if (plain) std::copy_n(base, ports_.width, moved);
-        add_product(onto_, ports_.width, to, ports_.width, fixed_, base);
-        if (plain)
-            for (int p = 0; p < ports_.width; p += S::width)
-                S::store(force + p, S::load(force + p) + (S::load(base + p) - S::load(moved + p)));
-        if (strong_) invert_ports();
         return true;
+    }
+
+    // Where the ports come to by themselves at the tensions tried, and how their compliances differ from those at rest.
+    void displacements() {
+        for (int s = 0; s < ports_.strings; s += S::width) {
+            const S::V by = of(ws_.tension, s) - of(ws_.at, s);
+            for (int p = s; p < ports_.width; p += ports_.strings) {
+                S::store(&ports_.alone[p], port_sum(1, p) - by * (port_sum(2, p) - by * port_sum(4, p)));
+                if (ports_.single) change(p, by);
+            }
+        }
+        if (ports_.single) return;
+        for (std::size_t q = 0; q < ports_.pairs.size(); ++q)
+            ports_.off[q] = ws_.tension[ports_.pairs[q].string] - ws_.at[ports_.pairs[q].string];
+        for (int q = 0; q < ports_.pair_width; q += S::width) change(q, of(ports_.off, q));
+        for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
+            const auto& pair = ports_.pairs[q];
+            ports_.changed[std::size_t(pair.to) * ports_.width + pair.from] = ports_.change[q];
+            ports_.changed[std::size_t(pair.from) * ports_.width + pair.to] = ports_.change[q];
+        }
+    }
+    void change(int q, S::V by) {
+        const S::V slope = of(ports_.slope_at, q), bend = by * of(ports_.bend_at, q);
+        S::store(&ports_.change[q], of(ports_.change_at, q) + by * (slope + bend));
+        S::store(&ports_.slope[q], slope + 2.0 * bend);
     }
 
     // Compliances about the tension of a string, made anew where it leaves their cell.
     void enter_cell(int s) {
-        const double tension = ws_.tension[s], most = ports_.most[s];
+        const double tension = ws_.at[s], most = ports_.most[s];
         if (tension >= ports_.low[s] && tension < ports_.high[s]) return;
         const auto begin = [&](int index) { return std::expm1(kCell * index) / most; };
         int index = int(std::log1p(most * tension) / kCell);
@@ -349,24 +385,19 @@ private:
     // what is wrong by about the largest rise of a mode's stiffness; `settled` once that is below `tolerance`.
     template <class Answer>
     bool settle(int turns, double tolerance, const Answer& answer, bool& settled) {
-        const int width = ports_.width;
-        double *const force = ports_.force.data(), *const next = ports_.next.data(), *const wrong = ports_.wrong.data();
-        const double shrinks = strong_ ? 1.0 : std::min(1.0, 2 * largest_);
-        for (int turn = 0; turn < turns; ++turn) {
+        double *const force = ports_.force.data(), *const next = ports_.next.data();
+        const double shrinks = std::min(1.0, 2 * largest_);
+        for (int turn = 0; !settled && turn < turns; ++turn) {
             move_ports(force);
             if (!answer(next)) return false;
             S::V changes{}, sizes{}, check{};
-            for (int p = 0; p < width; p += S::width) {
-                const S::V now = S::load(next + p), off = now - S::load(force + p);
-                const S::V change = off < 0.0 ? -off : off, size = now < 0.0 ? -now : now;
-                changes = change > changes ? change : changes, sizes = size > sizes ? size : sizes;
-                check += change;
-                S::store(wrong + p, off), S::store(force + p, strong_ ? S::load(force + p) : now);
+            for (int p = 0; p < ports_.width; p += S::width) {
+                const S::V now = S::load(next + p), change = size(now - S::load(force + p));
+                changes = most(changes, change), sizes = most(sizes, size(now)), check += change;
+                S::store(force + p, now);
             }
             if (!(S::sum(check) <= 1e300)) return false;
-            if (strong_) add_product(ports_.inverse.data(), width, wrong, width, force);
             settled = S::largest(changes) * shrinks <= tolerance * S::largest(sizes);
-            if (settled) break;
         }
         move_ports(force);
         return true;
@@ -418,17 +449,17 @@ private:
     static S::V most(S::V a, S::V b) { return a > b ? a : b; }
     static S::V size(S::V a) { return a < 0.0 ? -a : a; }
 
-    // Newton's step of every tension, at the forces found; true if one of them changed.
-    bool raise_tensions() {
+    // Newton's step of every tension, at the forces found; the sum of what is returned counts those that changed.
+    S::V raise_tensions() {
         S::V changed{};
         double *const pushed = ws_.pushed.data(), *const sharp = ws_.sharp.data();
+        const double* const third = &ports_.changes[3 * std::size_t(ports_.pair_width)];
         if (!ports_.single) {
             std::fill_n(pushed, ports_.strings, 0.0), std::fill_n(sharp, ports_.strings, 0.0);
-            const double* const bend = &ports_.changes[3 * std::size_t(ports_.pair_width)];
             for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
                 const auto& pair = ports_.pairs[q];
                 const double both = ports_.force[pair.to] * ports_.force[pair.from] * (pair.to == pair.from ? 1.0 : 2.0);
-                pushed[pair.string] -= 2 * both * ports_.slope[q], sharp[pair.string] += std::abs(both * bend[q]);
+                pushed[pair.string] -= 2 * both * ports_.slope[q], sharp[pair.string] += std::abs(both * third[q]);
             }
         }
         for (int s = 0; s < ports_.strings; s += S::width) {
@@ -441,7 +472,7 @@ private:
                 gained += crossed * (port_sum(3, p) - by * turns), falls += crossed * turns;
                 if (ports_.single) {
                     push += f * f * of(ports_.slope, p);
-                    bends += size(f * f * S::load(&ports_.changes[3 * std::size_t(ports_.pair_width) + p]));
+                    bends += size(f * f * S::load(third + p));
                 }
             }
             if (ports_.single) push *= -2.0, S::store(pushed + s, push), S::store(sharp + s, bends);
@@ -461,7 +492,7 @@ private:
             S::store(&ws_.tension[s], stays ? tension : next);
             changed += stays ? S::V{} : S::V{} + 1.0;
         }
-        return S::sum(changed) != 0.0;
+        return changed;
     }
 
     // Whether the sums of the visit tell the motion of all strings at the tensions found: what their polynomials leave
