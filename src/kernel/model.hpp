@@ -329,18 +329,18 @@ struct TensePorts {
         int component, port, string;
         int line, force, place;  // of its displacement in a line, of its force among all ports', in `y` below
     };
-    struct Pair {  // of ports of one component, to <= from
-        int component, string, to, from;
+    struct Pair {  // ports of one component, to <= from, which is number `component` of its string's
+        int component, to, from;
+        int pair, to_port, from_port;  // where the first string's stand among pairs and ports
     };
-    // Every string has a lane; port j of a string is number j * strings + string. What has no string or no port is empty
-    // (component -1), and all its numbers are zero.
+    // Every string has a lane, padded to kLane: port p of its component c is number (c most_ports + p) strings + string,
+    // pair k number k strings + string. What there is none of is empty (component -1), all its numbers zero.
+    int strings = 0, most_components = 0, most_ports = 0, width = 0, pair_width = 0;
+    std::vector<Pair> pairs;           // those of a port with itself first
     std::vector<Port> ports;
     std::vector<int> real;             // those that are not empty
-    std::vector<Pair> pairs;           // if `single`, one for each port, in the same order
     std::vector<int> first, string_of; // by component: its first port; its string
     std::vector<std::size_t> forces_at;  // by component: where port forces for its modes stand
-    bool single = true;                // no component has more than one
-    int strings = 0, width = 0, pair_width = 0;  // padded to kLane
     // by string: EA/(4 L) and its inverse; largest relative change of a mode's stiffness per newton and its inverse;
     // tensions that its cell reaches from and to
     Array<double> kappa, over_kappa, most, over_most, low, high;
@@ -354,8 +354,7 @@ struct TensePorts {
     Array<double> sums;
     // of a sample
     Array<double> alone, moved, force, next, wrong, base, fixed;  // by port
-    Array<double> change_at, slope_at, bend_at, change, slope, off;  // by pair
-    Array<double> changed;             // (ports, width): `change` as a matrix, if not `single`
+    Array<double> change_at, slope_at, bend_at, change, slope;  // by pair
     Array<double> y, linear, fixed_part;
     Array<double> inverse;             // (ports, ports)
     std::vector<int> pivots;

@@ -295,19 +295,20 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
     const auto padded = [](std::size_t n) { return (n + kLane - 1) / kLane * kLane; };
     to = TensePorts{};
     const std::size_t n_strings = tensions.strings.size(), strings = padded(n_strings), n_places = l.port_rows.size();
-    std::size_t ranks = 0, n_forces = 0;
+    std::size_t n_forces = 0;
     for (const auto& string : tensions.strings) {
-        std::size_t ports = 0;
-        for (const int i : string.components) {
-            ports += components[i].n_ports;
-            to.single = to.single && components[i].n_ports <= 1;
-        }
-        ranks = std::max(ranks, ports);
+        to.most_components = std::max(to.most_components, int(string.components.size()));
+        for (const int i : string.components) to.most_ports = std::max(to.most_ports, components[i].n_ports);
     }
-    const std::size_t n = strings * ranks;
-    to.strings = int(strings), to.width = int(n);
+    const std::size_t n = strings * to.most_components * to.most_ports;
+    for (int apart = 0; apart < to.most_ports; ++apart)
+        for (int c = 0; c < to.most_components; ++c)
+            for (int p = 0; p + apart < to.most_ports; ++p) {
+                const int first = c * to.most_ports + p, here = int(strings);
+                to.pairs.push_back({c, p, p + apart, int(to.pairs.size()) * here, first * here, (first + apart) * here});
+            }
+    to.strings = int(strings), to.width = int(n), to.pair_width = int(strings * to.pairs.size());
     to.ports.assign(n, {-1, 0, 0, 0, 0, 0});
-    if (to.single) to.pairs.assign(n, {-1, -1, 0, 0});
     to.first.assign(components.size(), 0), to.string_of = to.first;
     to.own.assign(components.size(), 0), to.forces_at = to.own;
     for (Array<double>* a : {&to.kappa, &to.over_kappa, &to.most, &to.low}) a->assign(strings, 0.0);
@@ -321,8 +322,9 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
         const auto& string = tensions.strings[s];
         to.kappa[s] = string.kappa, to.over_kappa[s] = string.kappa > 0.0 ? 1 / string.kappa : 0.0;
         to.most[s] = 1e-300, to.high[s] = 0.0;  // its cell is still to be entered
-        std::size_t port = s;
-        for (const int i : string.components) {
+        for (std::size_t c = 0; c < string.components.size(); ++c) {
+            const int i = string.components[c];
+            std::size_t port = c * to.most_ports * strings + s;
             to.first[i] = int(port), to.string_of[i] = int(s);
             to.own[i] = kSharedSums * strings + port, to.forces_at[i] = n_forces;
             n_forces += components[i].n_ports;
@@ -330,22 +332,17 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
             for (int p = 0; p < components[i].n_ports; ++p, port += strings) {
                 to.ports[port] = {i, p, int(s), l.row[i] + p, l.port[i] + p, place[i] + p};
                 to.real.push_back(int(port));
-                if (to.single) to.pairs[port] = {i, int(s), int(port), int(port)};
-                for (int q = 0; q < components[i].n_ports - p && !to.single; ++q)
-                    to.pairs.push_back({i, int(s), int(port), int(port + q * strings)});
             }
         }
         to.over_most[s] = 1 / to.most[s];
     }
-    to.pair_width = int(padded(to.pairs.size()));
     to.changes.assign(std::size_t(kTaylor) * to.pair_width, 0.0);
     const std::size_t n_sums = (kSharedSums * strings + kPortSums * n + kPadding - 1) / kPadding * kPadding;
     to.lanes.assign(n_sums * 64, 0), to.sums.assign(n_sums, 0.0);
     to.y.assign(2 * n_places, 0.0), to.linear.assign(l.f_width, 0.0), to.fixed_part.assign(l.force_width, 0.0);
     for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.next, &to.wrong, &to.base, &to.fixed}) a->assign(n, 0.0);
-    for (Array<double>* a : {&to.change_at, &to.slope_at, &to.bend_at, &to.change, &to.slope, &to.off})
-        a->assign(to.pair_width, 0.0);
-    to.onto_ports.assign(n * n, 0.0), to.changed.assign(to.single ? 0 : n * n, 0.0);
+    for (Array<double>* a : {&to.change_at, &to.slope_at, &to.bend_at, &to.change, &to.slope}) a->assign(to.pair_width, 0.0);
+    to.onto_ports.assign(n * n, 0.0);
     to.inverse.assign(n * n, 0.0), to.pivots.assign(n, 0);
     to.onto_linear.assign(n * l.f_width, 0.0), to.onto_forces.assign(n * l.force_width, 0.0);
     for (const int p : to.real) {

@@ -185,7 +185,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
         }
         if (nonlinear.k) laws.begin_block(start, nb, lines.data(), force);
 
-        if (tense) stretched.begin_block();
+        if (tense) stretched.begin_block(place > 0);
         // forces, sample by sample
         for (int b = 0; b < nb; ++b) {
             double* now = force + std::size_t(b) * force_width;
@@ -232,7 +232,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             for (int b = 0; b < nb; ++b)
                 job.out[(start + b) * job.n_channels + channel] += weight * job.forces[(start + b) * m + connection];
         laws.emit(start, nb);
-        if (tense) stretched.finish_block(nb, lines.data());
+        if (tense) stretched.finish_block(nb, nonlinear.k > 0 || place + 1 == kWeave || start + nb == job.n, lines.data());
         if (longitudinal) along.finish_block(nb, lines.data());
 
         // the correction: inputs known by now move the state; what is driven one way is read on the way

@@ -45,6 +45,10 @@ constexpr int kNewtons = 2;  // corrections of a reciprocal: its error is square
 template <class T>
 constexpr double kNear = sizeof(T) == sizeof(double) ? 2e-4 : 2e-2;  // and was at most this
 
+// relative change of a mode's stiffness up to which a step may be told by three terms, its cube being lost
+template <class T>
+constexpr double kTold = sizeof(T) == sizeof(double) ? 3e-5 : 5e-3;
+
 // `state` (Taut) holds s of the last tension that a visit ended with, which must be near.
 // Sums as vectors: h xi^2, h after^2, h m U after, h m^2 U^2, h m^2 U after, and for each port r xi, r after, r m U,
 // r m after, r m^2 U, r m^2 after.
@@ -87,7 +91,12 @@ void visit(const Component<T>& c, T* state, const Visit<T>& v) {
                     push = push + V::load(doors + 3 * n + k + j) * pushed;
                 }
                 const V rise = h * made, stiff = rise + T(1);
-                for (int i = 0; i < kNewtons; ++i) s = s + s * (T(1) - stiff * s);
+                if constexpr (Begin) {  // its tension is near the one that s is of, by kTold
+                    const V off = T(1) - stiff * s;
+                    s = s + s * (off + off * off);
+                } else {
+                    for (int i = 0; i < kNewtons; ++i) s = s + s * (T(1) - stiff * s);
+                }
                 push = push - rise * ((xi + u + push) * s);
                 xi = u + push;
                 up = V::load(at + kPadding) * up - V::load(at + 2 * kPadding) * xi + V::load(at + 3 * kPadding) * push;

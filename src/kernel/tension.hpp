@@ -25,9 +25,6 @@ constexpr double kForceTolerance = sizeof(T) == sizeof(double) ? 1e-14 : 1e-7;  
 template <class T>
 constexpr double kSettled = sizeof(T) == sizeof(double) ? 1e-15 : 1e-8;  // of a mode's stiffness, between two turns
 constexpr int kMaxTensionIterations = 200, kMaxTurns = 100;
-// relative change of a mode's stiffness up to which port displacements may be told by three terms, its cube being lost
-template <class T>
-constexpr double kTold = sizeof(T) == sizeof(double) ? 3e-5 : 5e-3;
 constexpr double kFar = 0.1;      // and up to which one visit may go on
 constexpr double kCell = 0.01;    // the same over a cell of compliances
 constexpr double kStrong = 0.05;  // beyond it forces are found by an inverse
@@ -46,9 +43,11 @@ public:
         for (const int i : tensions_.components) pushed_[i].reserve(components[i].guarded.n), ws_.pending[i] = 0;
     }
 
-    // A block begins: it depends on nothing but the state then.
-    void begin_block() {
+    // A block begins; `entered` if it goes on where the one before ended. Else it depends on nothing but the state.
+    void begin_block(bool entered) {
         ws_.inverted = false;
+        goes_on_ = entered;
+        if (entered) return;
         for (const int i : tensions_.components) taut_.enter(i), ws_.kept_at[i] = INFINITY;
         for (Array<double>* a : {&ports_.force, &ports_.base}) std::fill(a->begin(), a->end(), 0.0);
         for (int s = 0; s < n_strings(); ++s)
@@ -65,9 +64,10 @@ public:
         return true;
     }
 
-    // The last step and the rows of the stretched components at the end of a block.
-    void finish_block(int nb, double* lines) {
+    // The end of a block, rows of the stretched components there and, if it is `asked` for, their state.
+    void finish_block(int nb, bool asked, double* lines) {
         for (const int i : tensions_.components) {
+            if (!asked && components_[i].n_rows == components_[i].n_ports) continue;
             make(i);
             taut_.tell(i);
             rows(i, 0, nb, lines);
@@ -92,7 +92,7 @@ private:
         for (int s = 0; s < ports_.strings; s += S::width) {
             const S::V last = of(ws_.means[0], s), kappa = of(ports_.kappa, s), old = of(ws_.stretch, s);
             S::V foreseen = 3 * (last - of(ws_.means[1], s)) + of(ws_.means[2], s);
-            if (b > 0) {
+            if (goes_on_) {
                 const S::V stretch = last * of(ports_.over_kappa, s) - old;
                 const S::V gone_on = kappa * (stretch + 3 * (stretch - old) + of(ws_.past, s));
                 foreseen = kappa > 0.0 ? gone_on : foreseen;
@@ -102,7 +102,7 @@ private:
         }
         for (int s = 0; s < n_strings(); ++s) look(s);
         fold();
-        if (b == 0)
+        if (!goes_on_)
             for (int s = 0; s < ports_.strings; s += S::width)
                 S::store(&ws_.past[s], of(ws_.means[0], s) * of(ports_.over_kappa, s) - of(ws_.stretch, s));
         double* line = lines + std::size_t(b) * layout_.width;
@@ -115,7 +115,7 @@ private:
         at_once_(line, ports_.fixed_part.data());
         for (const int p : ports_.real) ports_.fixed[p] = ports_.fixed_part[ports_.ports[p].force];
         line_ = line;
-        linear_known_ = false;
+        linear_known_ = false, goes_on_ = true;
     }
 
     // Forces of the linear connections while the ports do not move by themselves.
@@ -144,7 +144,7 @@ private:
             const double half = c.stretched.most_half;
             v.inputs = known_[i].data(), v.n_inputs = int(known_[i].size());
             v.own = lanes(ports_.own[i]);
-            if (ws_.pending[i] && std::abs(ws_.used[s] - ws_.kept_at[i]) * half < kNear<T> &&
+            if (ws_.pending[i] && std::abs(ws_.used[s] - ws_.kept_at[i]) * half < kTold<T> &&
                 std::abs(at - ws_.used[s]) * half < kNear<T>) {
                 v.made = ws_.used[s], v.forces = forces_on(i);
                 visit<T, true, true, true>(c, taut_.state(i), v);
@@ -311,17 +311,18 @@ private:
             }
         largest_ = S::largest(highest);
         strong_ = largest_ > kStrong;
-        for (std::size_t q = 0; q < ports_.pairs.size(); ++q)
-            if (const int s = ports_.pairs[q].string; s >= 0) ports_.off[q] = ws_.at[s] - ports_.low[s];
-        for (int q = 0, width = ports_.pair_width; q < width; q += S::width) {
-            const S::V by = of(ports_.off, q);
-            S::V value{}, rise{}, bend{};
-            for (int j = kTaylor - 1; j >= 0; --j) {
-                bend = bend * by + rise;
-                rise = rise * by + value;
-                value = value * by + S::load(&ports_.changes[std::size_t(j) * width + q]);
+        for (int s = 0; s < ports_.strings; s += S::width) {
+            const S::V by = of(ws_.at, s) - of(ports_.low, s);
+            for (int q = s; q < ports_.pair_width; q += ports_.strings) {
+                S::V value{}, rise{}, bend{};
+                for (int j = kTaylor - 1; j >= 0; --j) {
+                    bend = bend * by + rise;
+                    rise = rise * by + value;
+                    value = value * by + S::load(&ports_.changes[std::size_t(j) * ports_.pair_width + q]);
+                }
+                S::store(&ports_.change_at[q], value), S::store(&ports_.slope_at[q], rise);
+                S::store(&ports_.bend_at[q], bend);
             }
-            S::store(&ports_.change_at[q], value), S::store(&ports_.slope_at[q], rise), S::store(&ports_.bend_at[q], bend);
         }
         return true;
     }
@@ -330,25 +331,14 @@ private:
     void displacements() {
         for (int s = 0; s < ports_.strings; s += S::width) {
             const S::V by = of(ws_.tension, s) - of(ws_.at, s);
-            for (int p = s; p < ports_.width; p += ports_.strings) {
+            for (int p = s; p < ports_.width; p += ports_.strings)
                 S::store(&ports_.alone[p], port_sum(1, p) - by * (port_sum(2, p) - by * port_sum(4, p)));
-                if (ports_.single) change(p, by);
+            for (int q = s; q < ports_.pair_width; q += ports_.strings) {
+                const S::V slope = of(ports_.slope_at, q), bend = by * of(ports_.bend_at, q);
+                S::store(&ports_.change[q], of(ports_.change_at, q) + by * (slope + bend));
+                S::store(&ports_.slope[q], slope + 2.0 * bend);
             }
         }
-        if (ports_.single) return;
-        for (std::size_t q = 0; q < ports_.pairs.size(); ++q)
-            ports_.off[q] = ws_.tension[ports_.pairs[q].string] - ws_.at[ports_.pairs[q].string];
-        for (int q = 0; q < ports_.pair_width; q += S::width) change(q, of(ports_.off, q));
-        for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
-            const auto& pair = ports_.pairs[q];
-            ports_.changed[std::size_t(pair.to) * ports_.width + pair.from] = ports_.change[q];
-            ports_.changed[std::size_t(pair.from) * ports_.width + pair.to] = ports_.change[q];
-        }
-    }
-    void change(int q, S::V by) {
-        const S::V slope = of(ports_.slope_at, q), bend = by * of(ports_.bend_at, q);
-        S::store(&ports_.change[q], of(ports_.change_at, q) + by * (slope + bend));
-        S::store(&ports_.slope[q], slope + 2.0 * bend);
     }
 
     // Compliances about the tension of a string, made anew where it leaves their cell.
@@ -360,25 +350,32 @@ private:
         while (index > 0 && tension < begin(index)) --index;
         while (tension >= begin(index + 1)) ++index;
         ports_.low[s] = begin(index), ports_.high[s] = begin(index + 1);
-        for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
-            const auto& pair = ports_.pairs[q];
-            if (pair.string != s) continue;
+        const auto& components = tensions_.strings[s].components;
+        for (const auto& pair : ports_.pairs) {
+            if (pair.component >= int(components.size())) continue;
+            const Component<T>& c = components_[components[pair.component]];
+            if (pair.from >= c.n_ports) continue;
             double terms[kTaylor];
-            compliances(components_[pair.component], ports_.low[s], ports_.ports[pair.to].port, ports_.ports[pair.from].port,
-                        terms);
-            for (int j = 0; j < kTaylor; ++j) ports_.changes[std::size_t(j) * ports_.pair_width + q] = terms[j];
+            compliances(c, ports_.low[s], pair.to, pair.from, terms);
+            for (int j = 0; j < kTaylor; ++j)
+                ports_.changes[std::size_t(j) * ports_.pair_width + pair.pair + s] = terms[j];
         }
     }
 
     // ports.moved = (Z(T) - Z(0)) f
     void move_ports(const double* force) {
-        double* const to = ports_.moved.data();
-        if (ports_.single) {
-            for (int p = 0; p < ports_.width; p += S::width) S::store(to + p, of(ports_.change, p) * S::load(force + p));
-            return;
-        }
-        std::fill_n(to, ports_.width, 0.0);
-        add_product(ports_.changed.data(), ports_.width, force, ports_.width, to);
+        double *const moved = ports_.moved.data(), *const change = ports_.change.data();
+        for (const auto& [component, to, from, pair, to_port, from_port] : ports_.pairs)
+            for (int s = 0; s < ports_.strings; s += S::width) {
+                double *const one = moved + to_port + s, *const other = moved + from_port + s;
+                const S::V z = S::load(change + pair + s), by_one = z * S::load(force + from_port + s);
+                if (to == from) {
+                    S::store(one, by_one);
+                } else {
+                    S::store(one, S::load(one) + by_one);
+                    S::store(other, S::load(other) + z * S::load(force + to_port + s));
+                }
+            }
     }
 
     // The forces that the displacements call up and that make the displacements, at the tensions tried. Each turn shrinks
@@ -452,16 +449,7 @@ private:
     // Newton's step of every tension, at the forces found; the sum of what is returned counts those that changed.
     S::V raise_tensions() {
         S::V changed{};
-        double *const pushed = ws_.pushed.data(), *const sharp = ws_.sharp.data();
         const double* const third = &ports_.changes[3 * std::size_t(ports_.pair_width)];
-        if (!ports_.single) {
-            std::fill_n(pushed, ports_.strings, 0.0), std::fill_n(sharp, ports_.strings, 0.0);
-            for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
-                const auto& pair = ports_.pairs[q];
-                const double both = ports_.force[pair.to] * ports_.force[pair.from] * (pair.to == pair.from ? 1.0 : 2.0);
-                pushed[pair.string] -= 2 * both * ports_.slope[q], sharp[pair.string] += std::abs(both * third[q]);
-            }
-        }
         for (int s = 0; s < ports_.strings; s += S::width) {
             const S::V tension = of(ws_.tension, s), at = of(ws_.at, s), by = tension - at;
             const S::V bent = shared_sums(3, s) + 2.0 * shared_sums(4, s), kappa = of(ports_.kappa, s);
@@ -470,14 +458,14 @@ private:
             for (int p = s; p < ports_.width; p += ports_.strings) {
                 const S::V f = of(ports_.force, p), crossed = 4.0 * f, turns = port_sum(4, p) + port_sum(5, p);
                 gained += crossed * (port_sum(3, p) - by * turns), falls += crossed * turns;
-                if (ports_.single) {
-                    push += f * f * of(ports_.slope, p);
-                    bends += size(f * f * S::load(third + p));
-                }
             }
-            if (ports_.single) push *= -2.0, S::store(pushed + s, push), S::store(sharp + s, bends);
-            else push = S::load(pushed + s);
-            S::store(&ws_.after[s], gained);
+            // what pairs of forces give to the stretch: -2 f f' dZ/dT, and how it bends
+            for (const auto& pair : ports_.pairs) {
+                const S::V both = of(ports_.force, pair.to_port + s) * of(ports_.force, pair.from_port + s) *
+                                  (pair.to == pair.from ? 2.0 : 4.0);
+                push -= both * of(ports_.slope, pair.pair + s), bends += size(both * S::load(third + pair.pair + s));
+            }
+            S::store(&ws_.after[s], gained), S::store(&ws_.pushed[s], push), S::store(&ws_.sharp[s], 0.5 * bends);
             const S::V least_tension = kappa * of(ws_.stretch, s), over_most = of(ports_.over_most, s);
             const S::V excess = tension - least_tension - kappa * (gained + push);
             const S::V reach = kFar * (at + over_most), steepness = most(1.0 + kappa * falls, S::V{} + 0.5);
@@ -687,7 +675,7 @@ private:
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
     int sample_ = 0;
-    bool strong_ = false, linear_known_ = false;
+    bool strong_ = false, linear_known_ = false, goes_on_ = false;
     double largest_ = 0.0;  // rise of a mode's stiffness
     const double* line_ = nullptr;
     const double *onto_ = ports_.onto_ports.data(), *fixed_ = ports_.fixed.data();
