@@ -340,7 +340,6 @@ struct TensePorts {
     std::vector<Port> ports;
     std::vector<int> real;             // those that are not empty
     std::vector<int> first, string_of; // by component: its first port; its string
-    std::vector<std::size_t> forces_at;  // by component: where port forces for its modes stand
     // by string: EA/(4 L) and its inverse; largest relative change of a mode's stiffness per newton and its inverse;
     // tensions that its cell reaches from and to
     Array<double> kappa, over_kappa, most, over_most, low, high;
@@ -373,8 +372,6 @@ struct TensePorts {
 struct TensionSpace {
     Array<char> u, y, yields;  // of modes, as T
     Array<char> taut;        // of modes, as T: taut.hpp
-    Array<double> kept_at;   // by component: tension that its s are of
-    std::vector<char> pending;  // by component: its last step is still to be made
     TensePorts ports;
     // by string
     Array<double> stretch, past, tension, used, at, after, pushed, sharp, far, last_tension, last_excess;

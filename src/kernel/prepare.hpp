@@ -295,7 +295,6 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
     const auto padded = [](std::size_t n) { return (n + kLane - 1) / kLane * kLane; };
     to = TensePorts{};
     const std::size_t n_strings = tensions.strings.size(), strings = padded(n_strings), n_places = l.port_rows.size();
-    std::size_t n_forces = 0;
     for (const auto& string : tensions.strings) {
         to.most_components = std::max(to.most_components, int(string.components.size()));
         for (const int i : string.components) to.most_ports = std::max(to.most_ports, components[i].n_ports);
@@ -310,7 +309,7 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
     to.strings = int(strings), to.width = int(n), to.pair_width = int(strings * to.pairs.size());
     to.ports.assign(n, {-1, 0, 0, 0, 0, 0});
     to.first.assign(components.size(), 0), to.string_of = to.first;
-    to.own.assign(components.size(), 0), to.forces_at = to.own;
+    to.own.assign(components.size(), 0);
     for (Array<double>* a : {&to.kappa, &to.over_kappa, &to.most, &to.low}) a->assign(strings, 0.0);
     to.over_most.assign(strings, 1.0), to.high.assign(strings, INFINITY);
     std::vector<int> place(components.size(), 0);
@@ -326,8 +325,7 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
             const int i = string.components[c];
             std::size_t port = c * to.most_ports * strings + s;
             to.first[i] = int(port), to.string_of[i] = int(s);
-            to.own[i] = kSharedSums * strings + port, to.forces_at[i] = n_forces;
-            n_forces += components[i].n_ports;
+            to.own[i] = kSharedSums * strings + port;
             to.most[s] = std::max(to.most[s], double(components[i].stretched.most_half));
             for (int p = 0; p < components[i].n_ports; ++p, port += strings) {
                 to.ports[port] = {i, p, int(s), l.row[i] + p, l.port[i] + p, place[i] + p};
@@ -419,7 +417,6 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, const La
     }
     for (Array<char>* a : {&ws.u, &ws.y, &ws.yields}) a->assign(capacity * sizeof(T), 0);
     ws.taut.assign(kTautState * capacity * sizeof(T), 0);
-    ws.kept_at.assign(n, 0.0), ws.pending.assign(n, 0);
     arrange_ports(components, layout, tensions, ws.ports);
     for (Array<double>* a : {&ws.stretch, &ws.past, &ws.tension, &ws.used, &ws.at, &ws.after, &ws.pushed, &ws.sharp, &ws.far,
                              &ws.last_tension, &ws.last_excess, &ws.means[0], &ws.means[1], &ws.means[2]})

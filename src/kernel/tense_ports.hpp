@@ -41,9 +41,10 @@ struct Visit {
     bool first = false;
 };
 
-constexpr int kNewtons = 2;  // corrections of a reciprocal: its error is squared in each
+// The tension of a step to make is near the one that s is of, by kTold; that of sums by kNear.
+constexpr int kNewtons = 2;  // corrections of a reciprocal for these: its error is squared in each
 template <class T>
-constexpr double kNear = sizeof(T) == sizeof(double) ? 2e-4 : 2e-2;  // and was at most this
+constexpr double kNear = sizeof(T) == sizeof(double) ? 2e-4 : 2e-2;
 
 // relative change of a mode's stiffness up to which a step may be told by three terms, its cube being lost
 template <class T>
@@ -60,7 +61,7 @@ void visit(const Component<T>& c, T* state, const Visit<T>& v) {
     constexpr int kMost = P < 0 ? kMaxStretchedPorts : (P > 0 ? P : 1);
     const int n_ports = P < 0 ? c.n_ports : P;
     const std::size_t n = c.n, step = std::size_t(kTautNumbers + n_ports) * kPadding;
-    const T *numbers = c.stretched.taut.data(), *const doors = c.stretched.doors.data();
+    const T *const numbers = c.stretched.taut.data(), *const doors = c.stretched.doors.data();
     const T made = T(v.made), tried = T(v.tried);
     T force[kMost] = {};
     if constexpr (Make)
@@ -75,57 +76,66 @@ void visit(const Component<T>& c, T* state, const Visit<T>& v) {
             to_v = to_v + V::load(doors + 6 * n + k) * x + V::load(doors + 7 * n + k) * y;
         }
     };
-    for (std::size_t k = 0; k < n; k += kPadding, numbers += step, state += kTautState * kPadding)
-        for (std::size_t j = 0; j < kPadding; j += V::size) {
-            const T* const at = numbers + j;
-            T* const to = state + j;
-            const V h = V::load(at);
-            V xi = V::load(to), up = V::load(to + kPadding), s = V::load(to + 2 * kPadding);
-            if constexpr (Make) {
-                V u = xi + up, push{}, given{};
-                for (int p = 0; p < n_ports; ++p) push = push + V::load(at + (kTautNumbers + p) * kPadding) * force[p];
-                if constexpr (!Plain) {
-                    input(k + j, v.made_in, u, given);
-                    V pushed{};
-                    for (int l = 0; l < v.n_loads; ++l) pushed = pushed + V::load(v.loads[l].row + k + j) * v.loads[l].force;
-                    push = push + V::load(doors + 3 * n + k + j) * pushed;
-                }
-                const V rise = h * made, stiff = rise + T(1);
-                if constexpr (Begin) {  // its tension is near the one that s is of, by kTold
-                    const V off = T(1) - stiff * s;
-                    s = s + s * (off + off * off);
-                } else {
-                    for (int i = 0; i < kNewtons; ++i) s = s + s * (T(1) - stiff * s);
-                }
-                push = push - rise * ((xi + u + push) * s);
-                xi = u + push;
-                up = V::load(at + kPadding) * up - V::load(at + 2 * kPadding) * xi + V::load(at + 3 * kPadding) * push;
-                if constexpr (!Plain) up = up + given;
-                xi.store(to), up.store(to + kPadding);
-            }
-            if constexpr (Begin) {
-                V u = xi + up;
-                if constexpr (!Plain) {
-                    V unused{};
-                    input(k + j, v.begun, u, unused);
-                }
-                const V stiff = h * tried + T(1);
-                for (int i = 0; i < kNewtons; ++i) s = s + s * (T(1) - stiff * s);
-                const V U = (xi + u) * s, after = U - xi, m = h * s, mU = m * U, mz = m * after, hq = h * mU;
-                add_products(all[0], h * xi, xi);
-                add_products(all[1], h * after, after);
-                add_products(all[2], hq, after);
-                add_products(all[3], hq, mU);
-                add_products(all[4], hq, mz);
-                for (int p = 0; p < n_ports; ++p) {
-                    const V r = V::load(at + (kTautNumbers + p) * kPadding), rm = r * m;
-                    add_products(each[p][0], r, xi), add_products(each[p][1], r, after);
-                    add_products(each[p][2], r, mU), add_products(each[p][3], r, mz);
-                    add_products(each[p][4], rm, mU), add_products(each[p][5], rm, mz);
-                }
-            }
-            s.store(to + 2 * kPadding);
+    const auto make_step = [&](std::size_t k, const T* at, T* to) {
+        const V h = V::load(at);
+        V xi = V::load(to), up = V::load(to + kPadding), s = V::load(to + 2 * kPadding);
+        V u = xi + up, push{}, given{};
+        for (int p = 0; p < n_ports; ++p) push = push + V::load(at + (kTautNumbers + p) * kPadding) * force[p];
+        if constexpr (!Plain) {
+            input(k, v.made_in, u, given);
+            V pushed{};
+            for (int l = 0; l < v.n_loads; ++l) pushed = pushed + V::load(v.loads[l].row + k) * v.loads[l].force;
+            push = push + V::load(doors + 3 * n + k) * pushed;
         }
+        const V rise = h * made, stiff = rise + T(1);
+        const V off = T(1) - stiff * s;
+        s = s + s * (off + off * off);
+        push = push - rise * ((xi + u + push) * s);
+        xi = u + push;
+        up = V::load(at + kPadding) * up - V::load(at + 2 * kPadding) * xi + V::load(at + 3 * kPadding) * push;
+        if constexpr (!Plain) up = up + given;
+        xi.store(to), up.store(to + kPadding), s.store(to + 2 * kPadding);
+    };
+    const auto begin_step = [&](std::size_t k, const T* at, T* to) {
+        const V h = V::load(at), xi = V::load(to);
+        V u = xi + V::load(to + kPadding), s = V::load(to + 2 * kPadding);
+        if constexpr (!Plain) {
+            V unused{};
+            input(k, v.begun, u, unused);
+        }
+        const V stiff = h * tried + T(1);
+        for (int i = 0; i < kNewtons; ++i) s = s + s * (T(1) - stiff * s);
+        s.store(to + 2 * kPadding);
+        const V U = (xi + u) * s, after = U - xi, m = h * s, mU = m * U, mz = m * after, hq = h * mU;
+        add_products(all[0], h * xi, xi);
+        add_products(all[1], h * after, after);
+        add_products(all[2], hq, after);
+        add_products(all[3], hq, mU);
+        add_products(all[4], hq, mz);
+        for (int p = 0; p < n_ports; ++p) {
+            const V r = V::load(at + (kTautNumbers + p) * kPadding), rm = r * m;
+            add_products(each[p][0], r, xi), add_products(each[p][1], r, after);
+            add_products(each[p][2], r, mU), add_products(each[p][3], r, mz);
+            add_products(each[p][4], rm, mU), add_products(each[p][5], rm, mz);
+        }
+    };
+    // modes that begin the next step are one pace behind those that make theirs, which do not wait for them
+    constexpr std::size_t paces = kPadding / V::size;
+    const std::size_t count = n / V::size;
+    const auto place = [&](std::size_t i, const auto& use) {
+        const std::size_t group = i / paces, j = i % paces * V::size;
+        use(i * V::size, numbers + group * step + j, state + group * kTautState * kPadding + j);
+    };
+    if constexpr (Make && Begin) {
+        place(0, make_step);
+        for (std::size_t i = 1; i < count; ++i) place(i, make_step), place(i - 1, begin_step);
+        place(count - 1, begin_step);
+    } else {
+        for (std::size_t i = 0; i < count; ++i) {
+            if constexpr (Make) place(i, make_step);
+            if constexpr (Begin) place(i, begin_step);
+        }
+    }
     if constexpr (Begin) {
         for (int i = 0; i < kSharedSums; ++i) {
             T* const to = v.shared + i * v.next_shared;

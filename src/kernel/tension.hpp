@@ -40,7 +40,15 @@ public:
         : components_(components), layout_(layout), solve_(solve), tensions_(tensions), ws_(space), ports_(space.ports),
           statistics_(statistics), job_(job), known_(known), at_once_(layout), taut_(taut), pushed_(components.size()),
           forces_(space.ports.ports.size()) {
-        for (const int i : tensions_.components) pushed_[i].reserve(components[i].guarded.n), ws_.pending[i] = 0;
+        std::size_t n_forces = 0;
+        for (int s = 0; s < n_strings(); ++s)
+            for (const int i : tensions_.strings[s].components) {
+                pushed_[i].reserve(components[i].guarded.n);
+                part_of_[i] = int(parts_.size());
+                parts_.push_back({&components[i], &known_[i], &pushed_[i], taut_.state(i), lanes(ports_.own[i]),
+                                  forces_.data() + n_forces, layout_.port[i], i, s});
+                n_forces += components[i].n_ports;
+            }
     }
 
     // A block begins; `entered` if it goes on where the one before ended. Else it depends on nothing but the state.
@@ -48,7 +56,7 @@ public:
         ws_.inverted = false;
         goes_on_ = entered;
         if (entered) return;
-        for (const int i : tensions_.components) taut_.enter(i), ws_.kept_at[i] = INFINITY;
+        for (Part& part : parts_) taut_.enter(part.slot), part.kept_at = INFINITY;
         for (Array<double>* a : {&ports_.force, &ports_.base}) std::fill(a->begin(), a->end(), 0.0);
         for (int s = 0; s < n_strings(); ++s)
             for (int j = 0; j < 3; ++j) ws_.means[j][s] = job_.tension[3 * tensions_.strings[s].index + j];
@@ -66,11 +74,11 @@ public:
 
     // The end of a block, rows of the stretched components there and, if it is `asked` for, their state.
     void finish_block(int nb, bool asked, double* lines) {
-        for (const int i : tensions_.components) {
-            if (!asked && components_[i].n_rows == components_[i].n_ports) continue;
-            make(i);
-            taut_.tell(i);
-            rows(i, 0, nb, lines);
+        for (Part& part : parts_) {
+            if (!asked && part.c->n_rows == part.c->n_ports) continue;
+            make(part);
+            taut_.tell(part.slot);
+            rows(part.slot, 0, nb, lines);
         }
         for (int s = 0; s < n_strings(); ++s)
             for (int j = 0; j < 3; ++j) job_.tension[3 * tensions_.strings[s].index + j] = ws_.means[j][s];
@@ -82,7 +90,16 @@ private:
     static constexpr int kWidth = Simd<T>::width;
 
     T* lanes(std::size_t sum) const { return reinterpret_cast<T*>(ports_.lanes.data()) + sum * kWidth; }
-    T* forces_on(int i) { return forces_.data() + ports_.forces_at[i]; }
+
+    struct Part {  // a stretched component
+        const Component<T>* c;
+        const std::vector<Input<T>>* known;
+        std::vector<Load<T>>* pushed;
+        T *state, *sums, *forces;
+        int port, slot, string;  // its first port among all forces
+        bool pending = false;    // its last step is still to be made
+        double kept_at = 0.0;    // tension that its s are of
+    };
     int n_strings() const { return int(tensions_.strings.size()); }
 
     // The stretched components come to sample b; what they are there, and what pulls at them from outside.
@@ -110,8 +127,8 @@ private:
             const auto& port = ports_.ports[p];
             line[port.line] = port_sum(0)[p], line[layout_.width + port.line] = 0.0;
         }
-        for (const int i : tensions_.components)
-            if (components_[i].n_rows > components_[i].n_ports) taut_.tell(i), rows(i, components_[i].n_ports, b, lines);
+        for (const Part& part : parts_)
+            if (part.c->n_rows > part.c->n_ports) taut_.tell(part.slot), rows(part.slot, part.c->n_ports, b, lines);
         at_once_(line, ports_.fixed_part.data());
         for (const int p : ports_.real) ports_.fixed[p] = ports_.fixed_part[ports_.ports[p].force];
         line_ = line;
@@ -139,48 +156,46 @@ private:
         v.tried = at, v.begun = sample_, v.first = true;
         v.shared = lanes(s), v.next_shared = std::size_t(ports_.strings) * kWidth;
         v.next_own = std::size_t(ports_.width) * kWidth, v.next_port = v.next_shared;
+        v.made = ws_.used[s];
         for (const int i : tensions_.strings[s].components) {
-            const Component<T>& c = components_[i];
-            const double half = c.stretched.most_half;
-            v.inputs = known_[i].data(), v.n_inputs = int(known_[i].size());
-            v.own = lanes(ports_.own[i]);
-            if (ws_.pending[i] && std::abs(ws_.used[s] - ws_.kept_at[i]) * half < kTold<T> &&
-                std::abs(at - ws_.used[s]) * half < kNear<T>) {
-                v.made = ws_.used[s], v.forces = forces_on(i);
-                visit<T, true, true, true>(c, taut_.state(i), v);
+            Part& part = parts_[part_of_[i]];
+            const Component<T>& c = *part.c;
+            v.inputs = part.known->data(), v.n_inputs = int(part.known->size());
+            v.own = part.sums, v.forces = part.forces;
+            if (part.pending && std::abs(v.made - part.kept_at) * c.stretched.most_half < kTold<T> &&
+                std::abs(at - v.made) * c.stretched.most_half < kNear<T>) {
+                visit<T, true, true, true>(c, part.state, v);
                 taut_.has_moved(i);
-                ws_.pending[i] = 0;
+                part.pending = false;
             } else {
-                make(i);
-                bring_near(i, at);
+                make(part);
+                bring_near(part, at, kNear<T>);
                 if (v.n_inputs)
-                    visit<T, false, true, false>(c, taut_.state(i), v);
+                    visit<T, false, true, false>(c, part.state, v);
                 else
-                    visit<T, false, true, true>(c, taut_.state(i), v);
+                    visit<T, false, true, true>(c, part.state, v);
             }
-            ws_.kept_at[i] = at;
+            part.kept_at = at;
             v.first = false;
         }
     }
 
     // Makes the step that is due.
-    void make(int i) {
-        if (!ws_.pending[i]) return;
+    void make(Part& part) {
+        if (!part.pending) return;
         Visit<T> v;
-        v.made = ws_.used[ports_.string_of[i]], v.forces = forces_on(i);
-        bring_near(i, v.made);
-        visit<T, true, false, true>(components_[i], taut_.state(i), v);
-        taut_.has_moved(i);
-        ws_.kept_at[i] = v.made;
-        ws_.pending[i] = 0;
+        v.made = ws_.used[part.string], v.forces = part.forces;
+        bring_near(part, v.made, kTold<T>);
+        visit<T, true, false, true>(*part.c, part.state, v);
+        taut_.has_moved(part.slot);
+        part.kept_at = v.made, part.pending = false;
     }
 
     // What is kept of a component's modes must be near the next tension.
-    void bring_near(int i, double tension) {
-        const Component<T>& c = components_[i];
-        if (std::abs(tension - ws_.kept_at[i]) * c.stretched.most_half < kNear<T>) return;
-        taut_.yield(i, tension);
-        ws_.kept_at[i] = tension;
+    void bring_near(Part& part, double tension, double limit) {
+        if (std::abs(tension - part.kept_at) * part.c->stretched.most_half < limit) return;
+        taut_.yield(part.slot, tension);
+        part.kept_at = tension;
     }
 
     // Sums of a visit, those of the same kind side by side.
@@ -531,22 +546,18 @@ private:
     void finish_sample(const double* now) {
         std::swap(ws_.means[2], ws_.means[1]), std::swap(ws_.means[1], ws_.means[0]);
         std::copy(ws_.used.begin(), ws_.used.end(), ws_.means[0].begin());
-        for (int s = 0; s < n_strings(); ++s) {
-            for (const int i : tensions_.strings[s].components) {
-                for (int p = 0; p < components_[i].n_ports; ++p) forces_on(i)[p] = T(now[layout_.port[i] + p]);
-                if (known_[i].empty() && pushed_[i].empty()) {
-                    ws_.pending[i] = 1;
-                    continue;
-                }
-                Visit<T> v;
-                v.made = ws_.used[s], v.forces = forces_on(i), v.made_in = sample_;
-                v.inputs = known_[i].data(), v.n_inputs = int(known_[i].size());
-                v.loads = pushed_[i].data(), v.n_loads = int(pushed_[i].size());
-                bring_near(i, v.made);
-                visit<T, true, false, false>(components_[i], taut_.state(i), v);
-                taut_.has_moved(i);
-                ws_.kept_at[i] = v.made;
-            }
+        for (Part& part : parts_) {
+            for (int p = 0; p < part.c->n_ports; ++p) part.forces[p] = T(now[part.port + p]);
+            part.pending = true;
+            if (part.known->empty() && part.pushed->empty()) continue;
+            Visit<T> v;
+            v.made = ws_.used[part.string], v.forces = part.forces, v.made_in = sample_;
+            v.inputs = part.known->data(), v.n_inputs = int(part.known->size());
+            v.loads = part.pushed->data(), v.n_loads = int(part.pushed->size());
+            bring_near(part, v.made, kTold<T>);
+            visit<T, true, false, false>(*part.c, part.state, v);
+            taut_.has_moved(part.slot);
+            part.kept_at = v.made, part.pending = false;
         }
     }
 
@@ -682,6 +693,8 @@ private:
     Direct at_once_;
     Taut<T>& taut_;
     std::vector<std::vector<Load<T>>> pushed_;  // forces on guarded ports, by component
+    std::vector<Part> parts_;  // string by string
+    std::vector<int> part_of_ = std::vector<int>(components_.size(), -1);  // by component
     Array<T> forces_;                           // on fixed ports, of the step found last
 };
 
