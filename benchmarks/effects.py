@@ -1,28 +1,33 @@
 """What leaving effects out saves and costs: one table over scores and instruments.
 
     python benchmarks/effects.py SCORE.mid ... [--seconds 8] [--instruments steel_guitar african_harp]
+    python benchmarks/effects.py --law --instruments classical_guitar african_harp
 
-Each score's first seconds are rendered with effects `all`, `auto` and none but the second polarization (linear), in
-turn, on one core; times are those of stepping, in seconds of the processor. `nylon_guitar` is the classical guitar with
+Each score, or its first seconds, is rendered with effects `all`, `auto` and none but the second polarization (linear),
+a block of each in turn, on one core; times are seconds of the processor. `nylon_guitar` is the classical guitar with
 all there is: rising tensions and frets; `steel_guitar` is taken with frets, too. `awake` is the share of modes stepped.
-Errors are those of `auto` against `all`: the largest sample difference with rising tension always on, in dB re the peak
-(additive effects alone), and by how much the fundamentals of the notes are off while they sound, in cents: 95 % of the
-windows of 50 ms in which they are within 20 dB of their loudest (where they beat with another string's partial, the
-pitch of both together is ill-defined), and the note that is off most in the mean of its power. `plan` is the predicted
-time of `auto` over the real one.
+Errors are those of `auto` against `all`: the largest sample difference with rising tension always on, over the first
+seconds, in dB re the peak (additive effects alone), and by how much the fundamentals of the notes are off while they
+sound, in cents: 95 % of the windows of 50 ms in which they are within 20 dB of their loudest, and the note that is off
+most in the mean of its power. They are followed in the force of the note's own string on its bridge: in the sound,
+partials of two strings at one frequency beat, and the pitch of both together is ill-defined. `plan` is the predicted
+time of `auto` over the real one. Rows are printed as they are done; Ctrl-C leaves it at those.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import oaconvolve
+from scipy.signal import firwin, lfilter, oaconvolve
 
 import tonewood as tw
+from tonewood.engine.rungs import BANDS
 
 Floats = NDArray[np.float64]
 FS = 48000
@@ -31,6 +36,9 @@ FRETS = {"frets": {"plugin": "frets", "action_first": 1.5e-3, "action_twelfth": 
 LINEAR = ["second_polarization", "dampers"]
 #: seconds over which samples are compared
 SAMPLES = 3.0
+#: forces of strings are kept at every so many samples, below a third of the rate that leaves
+COARSE = 8
+LOW_PASS = firwin(127, 2000.0, fs=FS)
 
 
 #: Pa, of nylon: with a string's bending stiffness E pi r^4 / 4 it gives its axial stiffness E pi r^2
@@ -57,77 +65,183 @@ def instrument(name: str) -> tw.Instrument:
     return tw.Instrument.from_values({**found.resolved, "connections": FRETS}, found.folder)
 
 
+class Listened:
+    """A render and what is kept of it: sound, and every string's force on its bridge at a lower rate.
+
+    Parameters
+    ----------
+    score, made : what is played on what; further options are those of a renderer.
+    seconds : how much of it; None is all.
+    strings : keep their forces.
+    """
+
+    def __init__(
+        self, score: tw.Score, made: tw.Instrument, seconds: float | None, *, strings: bool = True, **options: object
+    ):
+        self.renderer = tw.Renderer(score, made, FS, max_duration=seconds, tail=tw.Tail(cap=2.0), **options)  # type: ignore[arg-type]  # options are those of a renderer
+        self.sound: list[NDArray[np.float32]] = []
+        self.forces: list[NDArray[np.float32]] = []
+        self.seconds = 0.0
+        engine = self.renderer.engine
+        if strings:
+            stepper, step = engine.stepper, engine.stepper._step
+            names = [f"{s.components[0]}.bridge" for s in engine.model.strings.values()]
+            places = [[c.name for c in engine.system.connections].index(name) for name in names]
+            self._memory, self._count = np.zeros((len(LOW_PASS) - 1, len(names))), 0
+
+            def kept(*args: Any) -> tuple[Floats, Floats, Floats | None]:
+                sound, linear, others = step(*args)
+                began = time.thread_time()
+                self._keep(linear[:, np.searchsorted(stepper._active, places)])
+                self.seconds -= time.thread_time() - began
+                return sound, linear, others
+
+            stepper._step = kept  # type: ignore[method-assign]  # watched, not changed
+        self._blocks = self.renderer.blocks(4096)
+
+    def _keep(self, pushes: Floats) -> None:
+        """Every COARSE-th sample of what a low pass leaves."""
+        low, self._memory = lfilter(LOW_PASS, 1.0, pushes, axis=0, zi=self._memory)
+        self.forces.append(low[-self._count % COARSE :: COARSE].astype(np.float32))
+        self._count += len(pushes)
+
+    def advance(self) -> bool:
+        """Render the next block and count its time; False at the end."""
+        began = time.thread_time()
+        block = next(self._blocks, None)
+        self.seconds += time.thread_time() - began
+        if block is not None:
+            self.sound.append(block[:, 0].astype(np.float32))
+        return block is not None
+
+
 def rendered(
-    score: tw.Score, made: tw.Instrument, seconds: float, **options: object
+    score: tw.Score, made: tw.Instrument, seconds: float | None, **options: Any
 ) -> tuple[Floats, tw.Renderer, float]:
     """Sound, renderer and seconds of the processor."""
-    renderer = tw.Renderer(score, made, FS, max_duration=seconds, tail=tw.Tail(cap=2.0), **options)  # type: ignore[arg-type]  # options are those of a renderer
-    began = time.thread_time()
-    blocks = list(renderer.blocks(4096))
-    return np.concatenate(blocks)[:, 0], renderer, time.thread_time() - began
+    one = Listened(score, made, seconds, strings=False, **options)
+    while one.advance():
+        pass
+    return np.concatenate(one.sound).astype(float), one.renderer, one.seconds
 
 
-def partial(y: Floats, freq: float, width: float = 0.04) -> NDArray[np.complex128]:
-    t = np.arange(-3 * width, 3 * width, 1 / FS)
+def partial(y: Floats, freq: float, fs: float, width: float = 0.04) -> NDArray[np.complex128]:
+    t = np.arange(-3 * width, 3 * width, 1 / fs)
     window = np.exp(-0.5 * (t / width) ** 2)
-    carrier = np.exp(-2j * np.pi * freq * np.arange(len(y)) / FS)
+    carrier = np.exp(-2j * np.pi * freq * np.arange(len(y)) / fs)
     return np.asarray(oaconvolve(y * carrier, window / window.sum(), mode="same"))
 
 
-def detuning(a: Floats, b: Floats, notes: list[tuple[float, float, float]]) -> tuple[Floats, Floats]:
-    """Cents by which the fundamentals of notes (Hz, from and to s) differ: in all windows in which they are strong, and
-    of each note in the mean, weighted by power.
+def detuning(a: Floats, b: Floats, freq: float) -> tuple[Floats, float]:
+    """Cents by which the fundamental of a note differs while it sounds: in all windows in which it is strong, and in
+    the mean, weighted by power.
     """
-    out, means, step = [np.zeros(1)], [0.0], FS // 20
-    for freq, start, stop in notes:
-        here = slice(round(start * FS), min(round(stop * FS), len(a)))
-        if here.stop - here.start < FS // 4:
-            continue
-        x, y = (partial(s[here], freq)[step:-step:step] for s in (a, b))
-        turn = np.angle(y[1:] * np.conj(x[1:]) * np.conj(y[:-1] * np.conj(x[:-1])))
-        cents = turn * FS / (2 * np.pi * freq * step) * 1200 / np.log(2)
-        power = abs(x[1:] * y[:-1])
-        strong = np.minimum(abs(x), abs(y)) > 0.1 * abs(x).max()
-        out.append(abs(cents[strong[1:] & strong[:-1]]))
-        means.append(abs(float(power @ cents)) / float(power.sum()))
-    return np.concatenate(out), np.array(means)
+    fs = FS / COARSE
+    step = round(fs / 20)
+    if len(a) < fs / 4:
+        return np.zeros(0), 0.0
+    x, y = (partial(s, freq, fs)[step:-step:step] for s in (a, b))
+    turn = np.angle(y[1:] * np.conj(x[1:]) * np.conj(y[:-1] * np.conj(x[:-1])))
+    cents = turn * fs / (2 * np.pi * freq * step) * 1200 / np.log(2)
+    power = abs(x[1:] * y[:-1])
+    strong = np.minimum(abs(x), abs(y)) > 0.1 * abs(x).max()
+    return abs(cents[strong[1:] & strong[:-1]]), abs(float(power @ cents)) / max(float(power.sum()), 1e-300)
 
 
-def row(score: tw.Score, made: tw.Instrument, seconds: float, predict: bool) -> str:
-    auto, stream, t_auto = rendered(score, made, seconds, effects="auto")
-    every, _, t_all = rendered(score, made, seconds, effects="all")
-    *_, t_linear = rendered(score, made, seconds, effects=LINEAR)
-    n = min(len(auto), len(every))
-    strings = stream.model.strings
-    notes = [(strings[p.string].freq(p.stop), p.note.time, p.end) for p in stream.performance.notes]
-    cents, means = detuning(every[:n], auto[:n], notes)
-    short = min(SAMPLES, seconds)
-    exact = rendered(score, made, short, effects="auto", budget_cents=0.0)[0]
-    m = min(len(exact), n)
-    difference = float(abs(exact[:m] - every[:m]).max() / abs(every[:m]).max())
+def row(score: tw.Score, made: tw.Instrument, seconds: float | None, predict: bool, told: Told) -> str:
+    """One line of the table; the three renders take turns, a block at a time."""
+    auto, every = (Listened(score, made, seconds, effects=mode) for mode in ("auto", "all"))
+    linear = Listened(score, made, seconds, strings=False, effects=LINEAR)
+    going = [auto, every, linear]
+    while going:
+        going = [one for one in going if one.advance()]
+        told(auto.renderer.time)
+    stream, strings = auto.renderer, auto.renderer.model.strings
+    a, b = (np.concatenate(one.forces) for one in (auto, every))
+    windows, worst, fs = [np.zeros(1)], 0.0, FS / COARSE
+    start = stream.performance.timeline.start
+    for p in stream.performance.notes:
+        here = slice(round((p.note.time - start) * fs), min(round((p.end - start) * fs), len(a), len(b)))
+        column = list(strings).index(p.string)
+        cents, mean = detuning(a[here, column], b[here, column], strings[p.string].freq(p.stop))
+        windows.append(cents)
+        worst = max(worst, mean)
+    exact = rendered(score, made, SAMPLES if seconds is None else min(SAMPLES, seconds), budget_cents=0.0)[0]
+    whole = np.concatenate(every.sound)
+    m = min(len(exact), len(whole))
+    difference = float(abs(exact[:m] - whole[:m]).max() / abs(whole[:m]).max())
     db = f"{20 * np.log10(difference):.0f}" if difference > 0 else "same bits"
     ledger = stream.engine.ledger
     awake = ledger.mode_samples / ledger.samples / stream.model.n_modes
     on = [r.seconds_active for r in stream.summary().effects if r.name == "tension_modulation"]
-    share = f"{100 * np.mean(on) / stream.summary().duration_s:.0f} %" if on else "-"
+    duration = stream.summary().duration_s
+    share = f"{100 * np.mean(on) / duration:.0f} %" if on else "-"
     foreseen = "-"
     if predict:
         plan = tw.plan(score, made, FS, max_duration=seconds, tail=tw.Tail(cap=2.0))
-        foreseen = f"{plan.predicted_s / t_auto:.2f}"
+        foreseen = f"{plan.predicted_s / auto.seconds:.2f}"
+    all_cents = np.concatenate(windows)
     return (
-        f"{n / FS:.0f} | {t_auto:.1f} | {t_all / t_auto:.2f} | {t_auto / t_linear:.2f} | {share} | {100 * awake:.0f} % "
-        f"| {db} | {np.quantile(cents, 0.95):.3f} | {means.max():.2f} | {foreseen}"
+        f"{duration:.0f} | {auto.seconds:.1f} | {every.seconds / auto.seconds:.2f} "
+        f"| {auto.seconds / linear.seconds:.2f} | {share} | {100 * awake:.0f} % "
+        f"| {db} | {np.quantile(all_cents, 0.95):.3f} | {worst:.2f} | {foreseen}"
+    )
+
+
+class Told:
+    """Says how far it is, on one line of the error stream, if that is a terminal or a file that is watched."""
+
+    def __init__(self, what: str):
+        self.what, self._next = what, 0.0
+
+    def __call__(self, seconds: float) -> None:
+        if time.perf_counter() >= self._next:
+            self._next = time.perf_counter() + 1.0
+            print(f"\r{self.what}: {seconds:.0f} s ", end="", file=sys.stderr, flush=True)
+
+
+def law(name: str) -> str:
+    """What a sample takes with all strings at every level of sleep, and the straight line through that; in ns."""
+    engine = tw.Renderer(tw.Score([tw.Note(0.0, 1.0, note=60)]), tw.load_instrument(name), FS).engine
+    engine.advance(32)
+    systems = []
+    for level in range(BANDS + 1):
+        bases: dict[str, Any] = {}
+        for string, fretting in engine.frettings.items():
+            bases |= engine.sleeper.compiled(string, fretting, level)
+        systems.append(engine.system.with_compiled(bases))
+    modes = np.array([sum(c.basis.n_modes for c in system.compiled) for system in systems])
+    times = np.full((9, len(systems)), np.inf)
+    for taken in times:
+        for i, system in enumerate(systems):
+            engine.stepper.exchange(system)
+            state = system.start()
+            engine.stepper.advance(state, 256)
+            began = time.thread_time()
+            engine.stepper.advance(state, 4096)
+            taken[i] = (time.thread_time() - began) / 4096 * 1e9
+    least = times.min(axis=0)
+    slope, fixed = np.polyfit(modes, least, 1)
+    off = 100 * (least / (fixed + slope * modes) - 1)
+    return (
+        f"{name}: {fixed:.0f} ns + {slope:.2f} ns per mode; modes {', '.join(map(str, modes))}: "
+        f"{', '.join(f'{t:.0f} ({o:+.0f} %)' for t, o in zip(least, off, strict=True))}"
     )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scores", nargs="+", type=Path)
-    parser.add_argument("--seconds", type=float, default=8.0)
+    parser.add_argument("scores", nargs="*", type=Path)
+    parser.add_argument("--law", action="store_true", help="what a sample takes against the modes that are awake")
+    parser.add_argument("--seconds", type=float, default=None, help="of each score; all of it where left out")
     parser.add_argument("--instruments", nargs="+", default=["nylon_guitar", "steel_guitar", "african_harp"])
     parser.add_argument("--no-plan", action="store_true")
     args = parser.parse_args()
     began = time.perf_counter()
+    if args.law:
+        for name in args.instruments:
+            print(law(name), flush=True)
+        return
     columns = [
         "instrument",
         "score",
@@ -151,12 +265,16 @@ def main() -> None:
             print(f"| {name} without frets: {fault} |{' |' * (len(columns) - 1)}")
             made = tw.load_instrument(name)
         for path in args.scores:
-            print(
-                f"| {name} | {path.stem} | {row(tw.read_midi(path), made, args.seconds, not args.no_plan)} |",
-                flush=True,
-            )
+            told = Told(f"{name} {path.stem}")
+            line = row(tw.read_midi(path), made, args.seconds, not args.no_plan, told)
+            print("\r", end="", file=sys.stderr)
+            print(f"| {name} | {path.stem} | {line} |", flush=True)
     print(f"\n{time.perf_counter() - began:.0f} s in all")
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        print("\nstopped: the rows above are whole")
+        sys.exit(130)

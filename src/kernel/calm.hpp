@@ -13,6 +13,10 @@
 // With L as the string leans when its port is moved slowly, D is the compliance at that place while the port is fast.
 // A group of contacts is calm for a window if the energies of its strings leave it room; the step in which one
 // passes what it was given is looked at again the other way (nonlinear.hpp).
+//
+// Strings on which known forces act are not woven. Block by block the same is said of their motion about the place
+// where the means of these forces would hold them, the port where it is; a deviation e from the mean adds e z to the
+// state in its step, so that sqrt V grows by |e| sqrt V(z), and V, while below v, by 2 |e| sqrt(v V(z)) + e^2 V(z).
 #pragma once
 
 #include <algorithm>
@@ -41,87 +45,197 @@ double energy(const Component<T>& c, const T* x, const T* y) {
 }
 
 template <class T>
+double read(const Component<T>& c, const T* row, const T* modes) {
+    using S = Simd<T>;
+    typename S::V sum{};
+    for (int k = 0; k < 2 * c.n; k += S::width) sum += S::load(row + k) * S::load(modes + k);
+    return S::sum(sum);
+}
+
+// What an input does that stays as it is, per its value.
+template <class T>
+struct Held {
+    const T* vector;
+    Array<T> modes;      // (2, n): the state that it holds
+    Array<double> rows;  // (n_guarded) in that state
+    double port, jump;   // the port in that state; by how far one step moves it
+    double size;         // square root of the energy that one step gives
+};
+
+template <class T>
+Held<T> hold(const Component<T>& c, const T* vector) {
+    const std::size_t n = c.n;
+    const double size = std::sqrt(energy(c, vector, vector + n));
+    Held<T> held{vector, Array<T>(2 * n), Array<double>(c.guarded.n), 0.0, 0.0, size};
+    using S = Simd<T>;
+    for (std::size_t k = 0; k < n; k += S::width) {
+        const auto x = S::load(vector + k), y = S::load(vector + n + k), kappa = S::load(&c.kappa[k]);
+        const auto per = kappa > T(0) ? T(1) / kappa : typename S::V{};
+        const auto e00 = S::load(&c.e[k]), e01 = S::load(&c.e[n + k]);
+        const auto e10 = S::load(&c.e[2 * n + k]), e11 = S::load(&c.e[3 * n + k]);
+        S::store(&held.modes[k], per * ((T(1) - e11) * x + e01 * y));
+        S::store(&held.modes[n + k], per * (e10 * x + (T(1) - e00) * y));
+    }
+    for (std::size_t r = 0; r < held.rows.size(); ++r)
+        held.rows[r] = read(c, &c.guarded.rows[2 * r * n], held.modes.data());
+    held.port = read(c, c.rows.data(), held.modes.data()), held.jump = read(c, c.rows.data(), vector);
+    return held;
+}
+
+template <class T>
 class Calm {
     using S = Simd<double>;
+    enum : char { no, for_window, for_block };
 
 public:
     Calm(const std::vector<Component<T>>& components, const Layout& layout, const Nonlinear& nl)
-        : components_(components), layout_(layout), nl_(nl), calm_(nl.groups.size(), 0) {
+        : components_(components), layout_(layout), nl_(nl), calm_(nl.groups.size(), no) {
         if (!nl_.k) return;
-        energy_.assign(layout_.single_width, 0.0), after_ = energy_;
-        most_.assign(layout_.single_width, std::numeric_limits<double>::infinity()), sway_ = most_;
+        const std::size_t n = layout_.single_width;
+        energy_.assign(n, 0.0), after_ = shift_ = held_force_ = energy_;
+        most_.assign(n, std::numeric_limits<double>::infinity()), sway_ = most_;
         worth_ = nl_.worth;
+        part_.assign(components_.size(), 0);
+        for (const Nonlinear::Group& group : nl_.groups)
+            for (std::size_t q = 0; q < group.components.size(); ++q) part_[group.components[q]] = int(q);
     }
 
     bool any() const { return count_ > 0; }
     bool all() const { return count_ == int(calm_.size()); }
-    bool operator[](int group) const { return calm_[group]; }
+    bool all_for_window() const { return all() && !n_pushed_; }
+    bool operator[](int group) const { return calm_[group] != no; }
     // what a newton at a port takes of the tightest slack where contacts are bounded block by block, as Nonlinear::worth
     const double* worth() const { return worth_.data(); }
 
-    // A window begins in the state of `job`. Group g may be calm if `may(g)`; `modes` are those of the job.
+    // A window begins in the state of `job`. Group g may be calm if `may(g)`.
     template <class May>
     void begin(const Job<T>& job, const May& may) {
         for (int g = 0; g < int(calm_.size()); ++g) {
             release(g);
             if (!nl_.groups[g].calm || !may(g)) continue;
             const Nonlinear::Group& group = nl_.groups[g];
-            const std::size_t n = group.components.size();
-            double taken = 0.0;
-            for (std::size_t q = 0; q < n; ++q) {
-                const int i = group.components[q], lane = layout_.port[i];
+            for (const int i : group.components) {
                 const std::size_t offset = components_[i].offset;
-                energy_[lane] = energy(components_[i], job.modes[0] + offset, job.modes[1] + offset);
-                taken += share(group, q, energy_[lane]);
+                energy_[layout_.port[i]] = energy(components_[i], job.modes[0] + offset, job.modes[1] + offset);
             }
-            const double spare = 1.0 - kEnergyMargin - taken;
-            if (!(spare > 0.0)) continue;
-            for (std::size_t q = 0; q < n; ++q) {
-                const int lane = layout_.port[group.components[q]];
-                const double part = (share(group, q, energy_[lane]) + spare / double(n)) / group.strain[q];
-                most_[lane] = part * part, sway_[lane] = group.sway[q], worth_[lane] = 0.0;
-            }
-            calm_[g] = 1, ++count_;
+            take(g, group.strain, group.sway, nullptr, for_window);
         }
+    }
+
+    // A block of nb samples begins, with known inputs on components of group g: whether it is calm in it.
+    bool begin_block(int g, const Job<T>& job, const std::vector<std::vector<Input<T>>>& known, int nb) {
+        release(g);
+        const Nonlinear::Group& group = nl_.groups[g];
+        const std::size_t n_parts = group.components.size(), width = layout_.single_width;
+        if (jumps_.empty()) jumps_.assign(kBlock * width, 0.0), at_rest_.assign(nl_.n_guarded, 0.0);
+        for (Array<double>* a : {&added_, &strain_, &sway_of_}) a->assign(n_parts, 0.0);
+        for (std::size_t q = 0; q < n_parts; ++q) {
+            const int i = group.components[q], lane = layout_.port[i];
+            const Component<T>& c = components_[i];
+            const T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
+            double* const rows = &at_rest_[nl_.first[i]];
+            std::fill_n(rows, c.guarded.n, 0.0);
+            shift_[lane] = held_force_[lane] = 0.0;
+            double jumps[kBlock] = {}, added = 0.0, port = 0.0;
+            if (!known[i].empty()) {
+                moved_.resize(2 * c.n);
+                std::copy_n(x, c.n, moved_.data()), std::copy_n(y, c.n, moved_.data() + c.n);
+                for (const Input<T>& input : known[i]) {
+                    double values[kBlock] = {}, mean = 0.0, off = 0.0;
+                    for (int b = 0; b < nb; ++b) mean += values[b] = input.values[b * input.stride];
+                    mean /= nb;
+                    const Held<T>& held = held_by(c, input.vector);
+                    for (int b = 0; b < nb; ++b) {
+                        values[b] -= mean;
+                        off += std::abs(values[b]), jumps[b] += values[b] * held.jump;
+                    }
+                    added += off * held.size;
+                    settle(mean, held, rows, port);
+                }
+                // and a force on the port that keeps it where it is
+                const Held<T>& kept = held_by(c, c.w.data());
+                held_force_[lane] = read(c, c.rows.data(), moved_.data()) / kept.port;
+                settle(held_force_[lane], kept, rows, port);
+                energy_[lane] = energy(c, moved_.data(), moved_.data() + c.n);
+            } else {
+                energy_[lane] = energy(c, x, y);
+            }
+            for (int b = 0; b < kBlock; ++b) jumps_[b * width + lane] = jumps[b];
+            added_[q] = added, shift_[lane] = port;
+        }
+        for (const int j : group.contacts) {
+            double room = -nl_.laws[j].offset * (1 - kEnergyMargin);
+            for (const Nonlinear::Term& t : nl_.terms[j]) room += t.factor * at_rest_[nl_.first[t.component] + t.port];
+            if (!(room > 0.0)) return release(g), false;
+            const double over = 1.0 / room;
+            for (const Nonlinear::Term& t : nl_.terms[j]) {
+                const int q = part_[t.component];
+                const Guarded<T>& guarded = components_[t.component].guarded;
+                const double per = std::abs(t.factor) * over, lean = per * guarded.lean[t.port];
+                strain_[q] = std::max(strain_[q], per * guarded.swing[t.port]);
+                sway_of_[q] = std::max(sway_of_[q], lean);
+            }
+        }
+        for (std::size_t q = 0; q < n_parts; ++q)
+            strain_[q] /= 1 - kSway, sway_of_[q] = kSway / (sway_of_[q] * double(n_parts));
+        return take(g, strain_, sway_of_, added_.data(), for_block);
     }
 
     // No group is calm.
     void end() {
         for (int g = 0; count_ && g < int(calm_.size()); ++g) release(g);
     }
-
-    void release(int g) {
-        for (const int i : nl_.groups[g].components) {
-            const int lane = layout_.port[i];
-            if (!nl_.groups[g].calm) break;
-            energy_[lane] = 0.0, most_[lane] = sway_[lane] = std::numeric_limits<double>::infinity();
-            worth_[lane] = nl_.worth[lane];
-        }
-        count_ -= calm_[g], calm_[g] = 0;
+    void end_block() {
+        for (int g = 0; n_pushed_ && g < int(calm_.size()); ++g)
+            if (calm_[g] == for_block) release(g);
     }
 
-    // Energies after a step under port forces `now`, between the line at its beginning and the free one after it; false
-    // if one passes what it was given.
-    bool meets(const double* line, const double* now) {
+    void release(int g) {
+        const Nonlinear::Group& group = nl_.groups[g];
+        if (!group.calm) return;
+        for (const int i : group.components) {
+            const int lane = layout_.port[i];
+            energy_[lane] = shift_[lane] = held_force_[lane] = 0.0, worth_[lane] = nl_.worth[lane];
+            most_[lane] = sway_[lane] = std::numeric_limits<double>::infinity();
+        }
+        count_ -= calm_[g] != no, n_pushed_ -= calm_[g] == for_block, calm_[g] = no;
+    }
+
+    // Energies after sample b of the block under port forces `now`, between the line at its beginning and the free one
+    // after it; false if one passes what it was given.
+    bool meets(int b, const double* line, const double* now) {
+        return n_pushed_ ? meets<true>(b, line, now) : meets<false>(b, line, now);
+    }
+
+    // A block of a window in which all groups are calm, after the fact: energies of all its samples, which stand unless
+    // one passes what it was given.
+    bool stays(const double* lines, const double* force) {
         S::V least{};
         for (int p = 0; p < layout_.single_width; p += S::width) {
-            const S::V force = S::load(now + p);
-            const S::V u = S::load(line + layout_.width + p) + S::load(&layout_.single_history[p]) * force;
-            const S::V next = S::load(&energy_[p]) + force * (u - S::load(line + p));
-            S::store(&after_[p], next);
-            const S::V size = u < 0.0 ? -u : u;
-            const S::V left = S::load(&most_[p]) - next, room = S::load(&sway_[p]) - size;
+            const S::V most = S::load(&most_[p]), sway = S::load(&sway_[p]);
+            S::V sum = S::load(&energy_[p]), u = S::load(lines + p), highest = sum, farthest{};
+            for (int b = 0; b < kBlock; ++b) {
+                const S::V next = S::load(lines + std::size_t(b + 1) * layout_.width + p);
+                const S::V size = next < 0.0 ? -next : next;
+                sum += S::load(force + std::size_t(b) * layout_.force_width + p) * (next - u);
+                highest = highest < sum ? sum : highest, farthest = farthest < size ? size : farthest;
+                u = next;
+            }
+            S::store(&after_[p], sum);
+            const S::V left = most - highest, room = sway - farthest;
             least = left < least ? left : least;
             least = room < least ? room : least;
         }
-        return !(S::sum(least) < 0.0);
+        if (S::sum(least) < 0.0) return false;
+        commit();
+        return true;
     }
 
     // Of a group, as `meets` found.
     bool passed(int g, const double* line, const double* now) const {
         for (const int i : nl_.groups[g].components) {
             const int p = layout_.port[i];
-            const double u = line[layout_.width + p] + layout_.single_history[p] * now[p];
+            const double u = line[layout_.width + p] + layout_.single_history[p] * now[p] - shift_[p];
             if (!(after_[p] <= most_[p]) || !(std::abs(u) <= sway_[p])) return true;
         }
         return false;
@@ -131,17 +245,79 @@ public:
     void commit() { std::swap(energy_, after_); }
 
 private:
-    static double share(const Nonlinear::Group& group, std::size_t q, double energy) {
-        return std::sqrt(std::max(energy, 0.0)) * group.strain[q];
+    // The state in `moved_` is counted from where an input of this size holds it.
+    void settle(double size, const Held<T>& held, double* rows, double& port) {
+        using V = Simd<T>;
+        for (std::size_t k = 0; k < held.modes.size(); k += V::width)
+            V::store(&moved_[k], V::load(&moved_[k]) - V::load(&held.modes[k]) * T(size));
+        for (std::size_t r = 0; r < held.rows.size(); ++r) rows[r] += size * held.rows[r];
+        port += size * held.port;
+    }
+
+    template <bool pushed>
+    bool meets(int b, const double* line, const double* now) {
+        S::V least{};
+        for (int p = 0; p < layout_.single_width; p += S::width) {
+            S::V force = S::load(now + p);
+            S::V u = S::load(line + layout_.width + p) + S::load(&layout_.single_history[p]) * force;
+            S::V way = u - S::load(line + p);
+            if constexpr (pushed) {
+                way -= S::load(&jumps_[std::size_t(b) * layout_.single_width + p]);
+                u -= S::load(&shift_[p]);
+                force -= S::load(&held_force_[p]);
+            }
+            const S::V next = S::load(&energy_[p]) + force * way;
+            S::store(&after_[p], next);
+            const S::V size = u < 0.0 ? -u : u;
+            const S::V left = S::load(&most_[p]) - next, room = S::load(&sway_[p]) - size;
+            least = left < least ? left : least;
+            least = room < least ? room : least;
+        }
+        return !(S::sum(least) < 0.0);
+    }
+
+    // Shares the room out among the strings of a group, whose energies stand in their lanes; `added`: the most that
+    // square roots of these are still given.
+    bool take(int g, const Array<double>& strain, const Array<double>& sway, const double* added, char how) {
+        const Nonlinear::Group& group = nl_.groups[g];
+        const std::size_t n = group.components.size();
+        const auto root = [&](std::size_t q) {
+            return std::sqrt(std::max(energy_[layout_.port[group.components[q]]], 0.0)) + (added ? added[q] : 0.0);
+        };
+        double spare = 1.0 - kEnergyMargin;
+        for (std::size_t q = 0; q < n; ++q) spare -= root(q) * strain[q];
+        if (!(spare > 0.0)) return release(g), false;
+        for (std::size_t q = 0; q < n; ++q) {
+            const int lane = layout_.port[group.components[q]];
+            const double most = root(q) + spare / (double(n) * strain[q]);
+            most_[lane] = most * most, sway_[lane] = sway[q], worth_[lane] = 0.0;
+            if (!added) continue;
+            energy_[lane] += (2 * most + added[q]) * added[q];
+            if (!(energy_[lane] < most_[lane])) return release(g), false;
+        }
+        calm_[g] = how, ++count_, n_pushed_ += how == for_block;
+        return true;
+    }
+
+    const Held<T>& held_by(const Component<T>& c, const T* vector) {
+        for (const Held<T>& held : held_)
+            if (held.vector == vector) return held;
+        return held_.emplace_back(hold(c, vector));
     }
 
     const std::vector<Component<T>>& components_;
     const Layout& layout_;
     const Nonlinear& nl_;
     std::vector<char> calm_;
-    int count_ = 0;
+    std::vector<int> part_;  // by component: its place in its group
+    int count_ = 0, n_pushed_ = 0;
     Array<double> energy_, after_, most_, sway_;  // (single_width): by port
+    // where inputs hold it, with which force on it (single_width), and how far they move it (kBlock, single_width)
+    Array<double> shift_, held_force_, jumps_;
     Array<double> worth_;                         // (force_width)
+    std::vector<Held<T>> held_;                   // of this run
+    Array<double> at_rest_, added_, strain_, sway_of_;
+    Array<T> moved_;
 };
 
 }  // namespace

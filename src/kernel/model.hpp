@@ -57,7 +57,7 @@ struct Guarded {
     // (n), of a stretched string: |row| in the rest of the block <= pulled * T/2 sqrt(sum a (y+ + y)^2)
     std::vector<double> pulled;
     // of a woven string of one port, if its modes are passive there (calm.hpp): weights (2, n_modes) of the squares of a
-    // mode's two numbers in its energy; |row| <= lean |port| + sqrt(swing energy), (n) each
+    // mode's two numbers in its energy; |row| <= lean |port| + swing sqrt(energy), (n) each
     Array<T> energy;
     std::vector<double> swing, lean;
 };
@@ -264,6 +264,7 @@ struct Workspace {
     std::vector<int> awake_list, active, previous;
     std::vector<char> series_alive;  // by series group
     bool any_alive = false;
+    Array<double> least_slack;       // by group: of contacts that slept when the block began
     // by component
     Array<double> norm, added;       // of the state at the block's beginning; of what known forces add in it
     Array<double> pull, pull_worth;  // (., kBlock) T/2 sqrt(sum a (y+ + y)^2) at most; share of the tightest slack per it

@@ -62,13 +62,15 @@ public:
         std::copy_n(ws_.last_force.data(), nl_.k, job_.last_force);
     }
 
-    // A window of kWeave blocks begins: which groups of contacts are out of reach in it. `may(i)` whether component i may
-    // be woven; `follow(i)` brings its modes to the beginning of the present block, and `leave(i)` does besides
-    // what it takes that it is woven no more.
+    // A window of kWeave blocks begins: which groups of contacts are out of reach in it. `whole`: all of its blocks
+    // will come; `bounded`: lines tell all motion of the strings that energies may bound (calm.hpp). `may(i)` whether
+    // component i may be woven; `follow(i)` brings its modes to the beginning of the present block, and `leave(i)` does
+    // besides what it takes that it is woven no more.
     template <class May>
-    void begin_window(bool whole, const May& may) {
+    void begin_window(bool whole, bool bounded, const May& may) {
         if (!nl_.k) return;
-        if (!whole) return calm_.end();
+        bounded_ = bounded;
+        if (!whole || !bounded) return calm_.end();
         calm_.begin(job_, [&](int g) {
             ++statistics_.windows;
             for (const int i : nl_.groups[g].components)
@@ -91,7 +93,8 @@ public:
     void begin_block(std::int64_t start, int nb, double* lines, const double* force) {
         start_ = start, nb_ = nb, lines_ = lines, fixed_forces_ = force;
         ++statistics_.blocks;
-        if (rested_ && calm_.all()) return;  // nothing of the below has changed since
+        if (rested_ && calm_.all_for_window()) return;  // nothing of the below has changed since
+        calm_.end_block();
         for (int i = 0; i < int(components_.size()); ++i) ws_.awake_rows[i].clear(), ws_.loaded[i].clear();
         std::fill(ws_.row_awake.begin(), ws_.row_awake.end(), 0);
         std::fill(ws_.is_loaded.begin(), ws_.is_loaded.end(), 0);
@@ -106,10 +109,13 @@ public:
             if (nl_.group_of_law[control.connection] >= 0) ws_.driven[nl_.group_of_law[control.connection]] = 1;
         }
         for (int g = 0; g < int(nl_.groups.size()); ++g) {
-            if (calm_[g])
+            if (calm_[g] || calm_for_block(g))
                 rest(g);
             else
                 guard(g);
+            double& least = ws_.least_slack[g] = INFINITY;
+            for (const int j : nl_.groups[g].contacts)
+                if (!ws_.awake[j]) least = std::min(least, ws_.slack[j]);
         }
         ws_.awake_list.clear();
         for (int j = 0; j < nl_.k; ++j) {
@@ -127,7 +133,16 @@ public:
             weigh(g);
         }
         if (still_) std::fill(ws_.taken.begin(), ws_.taken.end(), 0.0);
-        rested_ = still_ && calm_.all();
+        rested_ = still_ && calm_.all_for_window();
+    }
+
+    // Whether nothing acts in the block unless an energy passes what it was given: then its samples may be made without
+    // asking, if `stayed` is asked in the end. If that says no, nothing of them stands.
+    bool may_stay() const { return rested_; }
+    bool stayed() {
+        if (!calm_.stays(lines_, fixed_forces_)) return false;
+        forget();
+        return true;
     }
 
     // Whether sample b is known to need nothing else than the port forces `now`, which are those without nonlinear ones.
@@ -135,7 +150,7 @@ public:
         if (!still_) return false;
         using S = Simd<double>;
         double* const taken = ws_.taken.data();
-        bool below = !calm_.any() || calm_.meets(line_at(b), now);
+        bool below = !calm_.any() || calm_.meets(b, line_at(b), now);
         if (!calm_.all()) {
             const double* const worth = calm_.worth();
             for (int p = 0; p < layout_.force_width; p += S::width) {
@@ -147,8 +162,7 @@ public:
         }
         if (below) {
             if (calm_.any()) calm_.commit();
-            for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
-            ws_.previous.clear();
+            forget();
             return true;
         }
         still_ = false;
@@ -272,6 +286,12 @@ private:
         }
     }
 
+    // No nonlinear force acted in the sample before.
+    void forget() {
+        for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
+        ws_.previous.clear();
+    }
+
     bool tense(int i) const { return components_[i].stretched.on; }
     bool is_contact(int j) const { return nl_.laws[j].kind == Law::contact; }
     const T* x(int i) const { return job_.modes[0] + components_[i].offset; }
@@ -308,6 +328,15 @@ private:
             for (const int i : nl_.groups[index].components) follow(i);
     }
 
+    // Whether a group on which known forces act is calm for a block; without bounds all contacts are looked at anyhow.
+    bool calm_for_block(int index) {
+        const Nonlinear::Group& group = nl_.groups[index];
+        if (!group.calm || !bounded_ || !nl_.asleep_allowed || ws_.driven[index] || moved_by_series(index)) return false;
+        for (const int i : group.components)
+            if (!known_[i].empty()) return calm_.begin_block(index, job_, known_, nb_);
+        return false;
+    }
+
     // A group is calm no more from this block on: its contacts are seen to in the other way, as if they had been so
     // since the block began.
     void stir(int index, int b) {
@@ -325,7 +354,7 @@ private:
     // Stirs the groups that the forces tried in sample b could bring out of their calm.
     void stir_by(int b) {
         const double *line = line_at(b), *now = fixed_forces_ + std::size_t(b) * layout_.force_width;
-        const bool meets = calm_.meets(line, now);
+        const bool meets = calm_.meets(b, line, now);
         if (meets && !ws_.any_alive) return;
         for (int g = 0; g < int(nl_.groups.size()); ++g)
             if (calm_[g] && (calm_.passed(g, line, now) || moved_by_series(g))) stir(g, b);
@@ -487,13 +516,14 @@ private:
     // Wakes contacts that the forces tried in sample b could have brought into touch.
     void wake_by(int b) {
         if (calm_.any()) stir_by(b);
-        if (ws_.any_alive) find_series();
+        const double farthest = ws_.any_alive ? find_series() : 0.0;
         for (int index = 0; index < int(nl_.groups.size()); ++index) {
             if (!ws_.asleep[index]) continue;
             const Nonlinear::Group& group = nl_.groups[index];
             ws_.level_after[index] = ws_.level[index] + share_taken(index, b);
             double yielding = 0.0;
-            if (ws_.any_alive)
+            // one bound for all sleeping contacts first
+            if (ws_.any_alive && ws_.level_after[index] + farthest / ws_.least_slack[index] * (1 + kMargin<T>) >= 1.0)
                 for (const int j : group.contacts)
                     if (!ws_.awake[j] && series_lives(j)) {
                         const double most = std::max(std::abs(ws_.series[j]), std::abs(ws_.series_after[j]));
@@ -703,18 +733,22 @@ private:
         }
     }
 
-    // Displacements of the residual compliances after the step, under the forces tried.
-    void find_series() {
+    // Displacements of the residual compliances after the step, under the forces tried; the largest one, before or after.
+    double find_series() {
         const double old = (1 - nl_.theta) / nl_.theta, per = 1 / nl_.theta;
-        for (int s = 0; s < nl_.n_series; ++s) {
-            if (!ws_.series_alive[s]) continue;
-            for (const int j : nl_.in_series[s]) ws_.series_after[j] = -old * ws_.series[j];
-        }
-        for (const int q : ws_.active) {
+        const int k = nl_.k;
+        const double* const __restrict before = ws_.series.data();
+        double* const __restrict after = ws_.series_after.data();
+        for (int j = 0; j < k; ++j) after[j] = -old * before[j];
+        for (const int q : ws_.active) {  // a force moves its own group and nothing else
             if (!series_lives(q)) continue;
-            const double push = per * ws_.law_force[q], *row = &nl_.residual[std::size_t(q) * nl_.k];
-            for (const int j : nl_.in_series[nl_.series[q]]) ws_.series_after[j] += row[j] * push;
+            const double push = per * ws_.law_force[q];
+            const double* const __restrict row = &nl_.residual[std::size_t(q) * k];
+            for (int j = 0; j < k; ++j) after[j] += row[j] * push;
         }
+        double farthest = 0.0;
+        for (int j = 0; j < k; ++j) farthest = std::max({farthest, std::abs(before[j]), std::abs(after[j])});
+        return farthest;
     }
 
     bool series_lives(int j) const { return nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]]; }
@@ -741,7 +775,7 @@ private:
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
     Taut<T>& taut_;
-    bool any_tense_ = false, kept_ = false, still_ = false, rested_ = false;
+    bool any_tense_ = false, kept_ = false, still_ = false, rested_ = false, bounded_ = false;
     std::int64_t start_ = 0;
     int nb_ = 0, sample_ = 0;
     double* lines_ = nullptr;

@@ -110,7 +110,7 @@ void derive_energy(Component<T>& c) {
             const double a = modes[k].a(x[k], y[k]) - lean, b = modes[k].b(x[k], y[k]);
             swing += 2 * modes[k].compliance * (a * a + b * b);
         }
-        g.lean[r] = std::abs(lean), g.swing[r] = swing;
+        g.lean[r] = std::abs(lean), g.swing[r] = std::sqrt(swing);
     }
     g.energy = std::move(weights);
 }
@@ -276,7 +276,7 @@ void arrange(const std::vector<Component<T>>& components, const Layout& layout, 
                     const std::size_t q = std::find(parts.begin(), parts.end(), t.component) - parts.begin();
                     const Guarded<T>& g = components[t.component].guarded;
                     const double per = std::abs(t.factor) / -nl.laws[j].offset;
-                    group.strain[q] = std::max(group.strain[q], per * std::sqrt(g.swing[t.port]) / (1 - kSway));
+                    group.strain[q] = std::max(group.strain[q], per * g.swing[t.port] / (1 - kSway));
                     if (per * g.lean[t.port] > 0.0)
                         group.sway[q] = std::min(group.sway[q], kSway / (per * g.lean[t.port] * double(n_parts)));
                 }
@@ -460,7 +460,7 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, c
     ws.row_awake.assign(n_guarded, 0), ws.is_loaded.assign(n_guarded, 0);
     ws.quiet.assign(nl.groups.size(), 0), ws.driven = ws.quiet, ws.taken.assign(layout.force_width, 0.0);
     ws.level.assign(nl.groups.size(), 0.0), ws.level_after.assign(nl.groups.size(), 0.0);
-    ws.asleep.assign(nl.groups.size(), 0);
+    ws.asleep.assign(nl.groups.size(), 0), ws.least_slack.assign(nl.groups.size(), 0.0);
     ws.awake_rows.resize(n), ws.loaded.resize(n), ws.worth.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
         const Component<T>& c = components[i];

@@ -91,6 +91,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
 
     Array<double> lines(std::size_t(kBlock + 1) * width);       // rows at samples 0 .. kBlock: free, then moved
     Array<double> next_lines(std::size_t(kBlock + 1) * width);  // free rows of the next block, of what is woven
+    Array<double> free_lines;                                   // those of a block that may have to be gone through again
     std::vector<Array<double>> driven_lines(n_components);      // rows of driven components, likewise
     Array<double> forces(std::size_t(kWeave * kBlock) * force_width);  // of ports, a line per sample of a window
     double* force = forces.data();                              // those of the block
@@ -135,6 +136,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     std::vector<int> followed(n_components, 0);
     laws.follow = [&](int i) {
         const Component<T>& c = components[i];
+        if (!woven[i]) return;
         for (int& q = followed[i]; q < place; ++q) {
             const double* then = forces.data() + std::size_t(q) * kBlock * force_width + layout.port[i];
             recur_store<T, true>(c, job.modes[0] + c.offset, job.modes[1] + c.offset,
@@ -142,6 +144,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
         }
     };
     laws.leave = [&](int i) {
+        if (!woven[i]) return;
         laws.follow(i);
         woven[i] = 0, left = true;
     };
@@ -156,7 +159,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
                 return whole && !c.woven.chunks.empty() && !c.stretched.on && !c.geometric &&
                        !touched(job, i, start, kWeave * kBlock);
             };
-            laws.begin_window(whole && !tense && !longitudinal, may);
+            laws.begin_window(whole, !tense && !longitudinal, may);
             for (int i = 0; i < n_components; ++i) to_weave[i] = (!components[i].guarded.n || laws.calm(i)) && may(i);
             std::fill(followed.begin(), followed.end(), 0);
             if (to_weave != woven) loom.set(woven = to_weave);
@@ -186,7 +189,9 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
         if (nonlinear.k) laws.begin_block(start, nb, lines.data(), force);
 
         if (tense) stretched.begin_block(place > 0);
-        // forces, sample by sample
+        // forces, sample by sample; where nothing is expected to touch anything, that is looked at in the end
+        bool asks = !(direct && nonlinear.k && laws.may_stay());
+        if (!asks) free_lines = lines;
         for (int b = 0; b < nb; ++b) {
             double* now = force + std::size_t(b) * force_width;
             double* const f_out = job.forces + (start + b) * m;
@@ -199,7 +204,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
                 // what acts nonlinearly, if anything does, is told by the other way
                 const double* line = lines.data() + std::size_t(b) * width;
                 at_once(line, now);
-                if (nonlinear.k && !laws.stays_still(b, now)) {
+                if (nonlinear.k && asks && !laws.stays_still(b, now)) {
                     if (!connect(b, now)) return {Fault::kUnsolved, start + b};
                     acts = laws.commit(b);
                     if (!acts) at_once(line, now);
@@ -225,6 +230,10 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             if (!direct) std::copy(f.begin(), f.begin() + m, f_out);
             spread(b, nb, force, lines.data());
             if (nonlinear.k) laws.push_on(b, now);
+            if (!asks && b + 1 == nb && !laws.stayed()) {
+                std::copy(free_lines.begin(), free_lines.end(), lines.begin());
+                asks = true, b = -1;
+            }
         }
 
         std::fill_n(job.out + start * job.n_channels, nb * job.n_channels, 0.0);

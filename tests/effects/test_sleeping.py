@@ -193,3 +193,40 @@ def test_work_follows_the_modes_that_are_awake() -> None:
         missing += sum(int(p.counts[0] - p.counts[level]) for p in rungs.parts.values())
     assert stepped == whole - missing
     assert missing > 0.4 * whole
+
+
+def test_strings_that_trade_energy_between_looks_stay_within_their_bound() -> None:
+    """Two strings in unison pass what they have to and fro: in between, a force is larger than at both ends.
+
+    What is supposed of an interval from its beginning alone holds all the same.
+    """
+    notes = [NOTE(0.0, 3, string="B3", stop=5, force=2.0)]
+    stream = renderer(notes, 3.0, mode="auto")
+    engine, sleeper = stream.engine, stream.engine.sleeper
+    engine.advance(round(0.1 * FS / GRID))
+    sleeper.look(engine.state.sample, engine.system, engine.state, engine.frettings, (), ())
+    awake = np.ones((len(sleeper.components), BANDS), dtype=bool)
+    step, steps = 4 * GRID / FS, 140
+    forces, starts = [], []
+    for _ in range(steps):
+        force, _, doubled, _ = sleeper._listening.look(engine.state)
+        forces.append(force)
+        starts.append(
+            (force, np.sqrt(doubled.sum(axis=0) + sleeper._doubled_body(engine.system, engine.state, doubled)))
+        )
+        engine.advance(4)
+    course = np.array(forces)
+    drives = np.array([sleeper._driving(f) for f in course])
+    traded = False
+    for n in (8, 30, 70):
+        for i in range(0, steps - n, 10):
+            inside, ends = course[i : i + n].max(axis=0), np.maximum(course[i], course[i + n])
+            traded |= bool(np.any((inside > 1.5 * ends) & (inside > 0.05 * course.max(axis=0))))
+            bound = sleeper._velocity(*starts[i], awake, n * step)
+            most = drives[i : i + n].max(axis=0)
+            # all octaves together: the motion of the loudest is seen in the modes of others, at a moment's phase
+            assert np.all(most.sum(axis=1) <= bound.sum(axis=1))
+            # and it is one that decisions can be made with: within 26 dB of what happens where most is going on
+            loudest = np.unravel_index(np.argmax(most), bound.shape)
+            assert bound[loudest] < 20 * most[loudest]
+    assert traded  # what both ends tell would not have been a bound

@@ -39,6 +39,7 @@ class Listening:
     gathers, spread : (C,) of each part, see `Part`.
     decay, lasting : (C, BANDS) 1/s, slowest decay of each band, and s, one over it; 0 where it has no mode.
     loudest : (n_readouts, C, BANDS) of the readouts per N of a held mode.
+    reach, kick : (C, BANDS) of each part, see `Part`.
     """
 
     def __init__(self, model: Model, components: Sequence[str]):
@@ -56,7 +57,9 @@ class Listening:
         #: q = turn[0] x and q' = turn[1] x + turn[2] y, stiffness
         self._turn, self._stiffness = np.zeros((3, total)), np.zeros(total)
         self._speed, self._weights, self._freq = np.zeros(total), np.zeros((1 + r, total)), np.zeros(total)
-        self._total = np.zeros((1 + r, total + 1))
+        #: twice the energy of a held mode per square of its size
+        self._square = np.zeros(total)
+        self._total = np.zeros((2 + r, total + 1))
         self._ends = np.zeros((n, BANDS + 1), dtype=np.intp)
         #: held modes of bands of few modes, at their places, and how many of each component
         self._few, self._bent, self._freq_few = np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0)
@@ -65,6 +68,7 @@ class Listening:
         self._picks: dict[int, tuple[slice, Floats, Floats, NDArray[np.intp], Floats]] = {}
         self._reads: list[tuple[slice, Floats, Floats, Floats, Floats]] = []
         self.gathers, self.spread = np.zeros(n), np.zeros(n)
+        self.reach, self.kick = np.zeros((n, BANDS)), np.zeros((n, BANDS))
         self.decay, self.lasting, self.loudest = (
             np.full((n, BANDS), _AT_ONCE),
             np.zeros((n, BANDS)),
@@ -79,11 +83,13 @@ class Listening:
         self._known[i] = compiled, part, level
         start, n = self._starts[i], compiled.basis.n_modes
         here, modes = slice(start, start + self._sizes[i]), slice(start, start + n)
-        self._turn[:, here], self._stiffness[here], self._weights[:, here], self._speed[here] = 0.0, 0.0, 0.0, 0.0
+        self._turn[:, here], self._weights[:, here] = 0.0, 0.0
+        self._stiffness[here] = self._speed[here] = self._square[here] = 0.0
         self._turn[:, modes], self._stiffness[modes] = _turning(compiled.basis), compiled.basis.stiffness
         self._ends[i] = start
         self._picks.pop(i, None)
         self.gathers[i] = self.spread[i] = 0.0
+        self.reach[i] = self.kick[i] = 0.0
         self.decay[i], self.lasting[i], self.loudest[:, i] = _AT_ONCE, 0.0, 0.0
         if part is not None:
             pick = part.picks(self.components[i], self.model, level)
@@ -91,11 +97,14 @@ class Listening:
             few = part.few[:m]
             held = slice(start, start + m)
             self._weights[:, held] = np.vstack([part.push[:m], part.heard[:, :m]]) * np.where(few, 1.0, 1.0 / _MEAN)
+            # the square of a velocity is half of that of its amplitude, in the mean
+            self._square[held] = np.where(few, 1.0, 2.0)
             self._freq[held] = part.held.freq_rad[:m]
             self._ends[i] += np.minimum(part.counts, m)
             places = start + np.flatnonzero(few)
             self._picks[i] = modes, pick, self._speed[held], places, np.ascontiguousarray(pick[few])
             self.gathers[i], self.spread[i] = part.compliance, part.spread
+            self.reach[i], self.kick[i] = part.reach, part.kick
             there = np.isfinite(part.decay)
             self.decay[i, there] = np.clip(part.decay[there], 1 / _AT_ONCE, _AT_ONCE)
             self.lasting[i, there] = 1 / self.decay[i, there]
@@ -107,8 +116,9 @@ class Listening:
             self._reads.append((modes, pick, speed, bending, self._bent[at : at + len(few_here)]))
             at += len(few_here)
 
-    def look(self, state: State) -> tuple[Floats, Floats, Floats]:
-        """Forces of bands on the bridge (C, BANDS), N, what is heard of them (R, C, BANDS), and energies (C,), J.
+    def look(self, state: State) -> tuple[Floats, Floats, Floats, Floats]:
+        """Forces of bands on the bridge (C, BANDS), N, what is heard of them (R, C, BANDS), twice their energies
+        (C, BANDS) and the energies of all modes (C,), J.
 
         Sums of amplitudes. Where a band has many modes they are told by their velocities alone, in the mean over a
         period: slow motions of the bridge bend high modes, too, but hardly move them.
@@ -122,10 +132,11 @@ class Listening:
             np.dot(bending, q[modes], out=bends)
         size = np.abs(speed)
         size[self._few] = np.hypot(speed[self._few], self._freq_few * bent)
-        np.cumsum(self._weights * size, axis=1, out=self._total[:, 1:])
+        np.cumsum(self._weights * size, axis=1, out=self._total[1:, 1:])
+        np.cumsum(self._square * size * size, out=self._total[0, 1:])
         at = self._total[:, self._ends]
         each = at[:, :, :-1] - at[:, :, 1:]
-        return each[0], each[1:], energy
+        return each[1], each[2:], each[0], energy
 
 
 def _turning(basis: ModalBasis) -> Floats:

@@ -49,6 +49,8 @@ class Part:
     held : its modes with the bridge held.
     counts : (BANDS + 1,) held modes kept at each level.
     push : (n_held,) N at the bridge per velocity of a held mode.
+    reach : (BANDS,) N at the bridge, at most, per root of twice a band's energy in J: its modes in step.
+    kick : (BANDS,) largest velocity that a mode gathers per metre of the bridge, kg^-1/2 s^-1.
     heard : (n_readouts, n_held) of the readouts per velocity of a held mode that is left out at once.
     few : (n_held,) whether its band has only some modes.
     compliance : largest g^2 / 2 W^2, N/m: N that a mode in tune gathers per metre of the bridge.
@@ -61,6 +63,8 @@ class Part:
     held: HeldModes
     counts: NDArray[np.intp]
     push: Floats
+    reach: Floats
+    kick: Floats
     heard: Floats
     few: NDArray[np.bool_]
     compliance: float
@@ -97,6 +101,8 @@ class Part:
             held=held,
             counts=counts,
             push=push,
+            reach=np.array([math.sqrt(float(push[band] @ push[band])) for band in bands]),
+            kick=np.array([0.5 * push[band].max(initial=0.0) for band in bands]),
             heard=(per_newton + transfer.stopped_at(component, w)) * push,
             few=np.concatenate([np.full(b.stop - b.start, f) for b, f in zip(bands[::-1], few[::-1], strict=True)]),
             compliance=gathered,
@@ -124,13 +130,18 @@ class Part:
         fewer = self.at(component, model, level)[0]
         return self._picks if fewer is None else fewer.held
 
-    def plucked(self, shortest: float) -> Floats:
-        """(BANDS,) forces on the bridge per N that is let go at the point ``pluck`` within `shortest` s."""
+    def plucked(self, shortest: float) -> tuple[Floats, Floats]:
+        """(BANDS,) forces on the bridge, and roots of twice the energies, per N that is let go within `shortest` s.
+
+        It is let go at the point ``pluck``.
+        """
         held, w = self.held, self.held.freq_rad
         bent = np.abs(held.vectors @ self.compiled.basis.right[self.compiled.basis.index("pluck")].real) / w**2
-        each = held.force * bent * np.minimum(1.0, 2.0 / (w * max(shortest, 1e-9)))
-        total = np.concatenate([[0.0], np.cumsum(each)])
-        return np.asarray(total[self.counts[:-1]] - total[self.counts[1:]])
+        amplitude = bent * np.minimum(1.0, 2.0 / (w * max(shortest, 1e-9)))
+        each = np.stack([held.force * amplitude, (w * amplitude) ** 2])
+        total = np.concatenate([np.zeros((2, 1)), np.cumsum(each, axis=1)], axis=1)
+        force, square = total[:, self.counts[:-1]] - total[:, self.counts[1:]]
+        return force, np.sqrt(np.maximum(square, 0.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,11 @@ have put into it meanwhile is bounded from what the other strings do in its band
     |F|' <= -sigma |F| + g^2 / (2 W^2) |v|,      |v| <= sum 2 |Y| |F_others|,
 
 as if every partial met a mode exactly in tune; W, g are a held mode's frequency and force, v the velocity of the
-bridge, Y the body's largest mobility in the band. Where that would pass the budget before the next look, the band is
-woken. It wakes at rest: the displacement and the velocity of the string are what they were, and so is its energy.
+bridge, Y the body's largest mobility in the band. Strings are looked at now and then; between two looks the forces of
+those that are awake are bounded by what they were at the first, and by the energy that strings and body had in the band
+then: by themselves they only lose it, whatever they pass to each other. Where what has come in would pass the budget
+before the next look, the band is woken. It wakes at rest: the displacement and the velocity of the string are what they
+were, and so is its energy.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from tonewood.engine.timeline import Play, Timeline
 from tonewood.engine.transfer import Transfer
 from tonewood.instrument.assembly import Model
 from tonewood.numerics.connections import Rigid, SpringDashpot
+from tonewood.numerics.motion import to_motion
 from tonewood.numerics.system import Compiled, State, System
 
 Floats = NDArray[np.float64]
@@ -45,8 +49,8 @@ _TENSE = 8.0
 _SOON, _LATE = 0.08, 0.75
 #: s, for which a string that is not played again is taken to sleep
 _AFTER = 4.0
-#: room for what comes in from the bridge before the next look
-_ROOM = 1.3
+#: ratio of frequencies by which a body's mode may lie outside a band and yet move with it
+_AROUND = 1.5
 #: a force that sets in shakes the body up to twice as much as it does when it lasts
 _ONSET = 2.0
 #: share of its first size to which the body's slowest mode must decay after a stroke
@@ -66,7 +70,8 @@ class Asleep:
     level : string -> how many bands sleep, from the highest.
     own, own_heard : (C, BANDS) N and (R, C, BANDS): what slept off, decaying.
     driven : (C, BANDS) N, bound on what came in since.
-    force : (C, BANDS) N, all that strings do, at the last look.
+    force : (C, BANDS) N, of all that is awake, at the last look.
+    root : (BANDS,) roots of twice the energy (J) of strings and body in each band, at the last look.
     peak : (R,) largest sample of each readout so far.
     last, following : samples of the last look, and of the next at the latest.
     shaken_until : sample until which all are awake.
@@ -78,6 +83,7 @@ class Asleep:
     own_heard: Floats
     driven: Floats
     force: Floats
+    root: Floats
     peak: Floats
     last: int = 0
     following: int = 0
@@ -88,7 +94,7 @@ class Asleep:
         """Return an independent copy."""
         return Asleep(
             dict(self.level), self.own.copy(), self.own_heard.copy(), self.driven.copy(), self.force.copy(),
-            self.peak.copy(), self.last, self.following, self.shaken_until, self.touched,
+            self.root.copy(), self.peak.copy(), self.last, self.following, self.shaken_until, self.touched,
         )  # fmt: skip
 
 
@@ -125,8 +131,9 @@ class Sleeper:
         n, r = len(self.components), len(model.system.readouts)
         none = np.zeros((n, BANDS))
         self.state = Asleep(
-            dict.fromkeys(self.names, 0), none.copy(), np.zeros((r, n, BANDS)), none.copy(), none.copy(), np.zeros(r)
-        )
+            dict.fromkeys(self.names, 0), none.copy(), np.zeros((r, n, BANDS)), none.copy(), none.copy(),
+            np.zeros(BANDS), np.zeros(r),
+        )  # fmt: skip
         self.largest = dict.fromkeys(self.names, 0.0)
         self._met: System | None = None
         if not self.enabled:
@@ -141,6 +148,10 @@ class Sleeper:
         self._mobility = _ONSET * np.stack(between)
         self._mobility[:, np.arange(n), np.arange(n)] = 0.0
         body = model.system.compiled[model.system.slot("body")].basis
+        freq = np.abs(body.poles)
+        self._near_body = np.array(
+            [(freq >= low / _AROUND) & (freq < high * _AROUND) for high, low in itertools.pairwise(edges)], dtype=float
+        )
         slowest = float(body.damping_rate[body.damping_rate > 0].min(initial=np.inf))
         self._shaken = math.ceil(-math.log(_DECAYED) / slowest * model.fs)
         # connections of each string besides its ends; dashpots and springs among them hold it awake while they act
@@ -270,37 +281,47 @@ class Sleeper:
         if system is not self._met:
             self._meet(system, frettings)
         rungs = self._rungs
-        force, heard, energies = strings.look(state)
+        force, heard, doubled, energies = strings.look(state)
         decay, lasting, loudest, gathers = strings.decay, strings.lasting, strings.loudest, strings.gathers[:, None]
-        still = self._quiet >= _ROOM * (self._of @ energies)
-        free = still & self._loose & [name not in busy for name in self.names]
+        free = self._loose & [name not in busy for name in self.names]
         level = np.array([s.level[name] for name in self.names])
         asleep = np.arange(BANDS) < level[self._owner, None]
-        lost = -np.expm1(decay * ((s.last - now) * dt))
+        elapsed = (now - s.last) * dt
+        lost = -np.expm1(-elapsed * decay)
+        quiet = np.where(asleep, s.own + s.driven, 0.0)
         s.own, s.own_heard = s.own * (1.0 - lost), s.own_heard * (1.0 - lost)
-        own = np.where(asleep, s.own, 0.0)
-        came = self._driving(np.maximum(force + own + np.where(asleep, s.driven, 0.0), s.force)) * gathers
+        came = (self._velocity(s.force, s.root, ~asleep, elapsed) + self._driving(quiet)) * gathers
         s.driven = np.where(asleep, s.driven * (1.0 - lost) + came * lost * lasting, 0.0)
-        force = force + own + s.driven
+        quiet = np.where(asleep, s.own, 0.0) + s.driven
+        root = np.sqrt(doubled.sum(axis=0) + self._doubled_body(system, state, doubled))
         for play in fresh:
-            force += self._foreseen(play, frettings[play.string or ""])
-        s.force, s.last = force, now
-        drive = self._driving(force)
-        coming, apart = drive * gathers, drive * strings.spread[:, None]
+            begun, gained = self._foreseen(play, frettings[play.string or ""])
+            force, root = force + begun, root + gained
+        s.force, s.root, s.last = force, root, now
+
+        def moved(ahead: float) -> Floats:
+            """(C, BANDS) m/s, bound on the velocities of the ends for so many seconds."""
+            return self._velocity(force, root, ~asleep, ahead) + self._driving(quiet)
+
+        def still(velocity: Floats, ahead: float) -> NDArray[np.bool_]:
+            """(n_strings,) whether they reach nothing meanwhile."""
+            speed = np.sqrt(2.0 * energies) + ahead * np.sum(strings.kick * velocity, axis=1)
+            return np.asarray(self._quiet >= self._of @ (0.5 * speed * speed))
 
         def kept(ahead: float) -> NDArray[np.intp]:
             """(n_strings,) bands that may go on sleeping for so many seconds."""
-            left = np.exp(-ahead * decay)
+            left, velocity = np.exp(-ahead * decay), moved(ahead)
+            coming, apart = velocity * gathers, velocity * strings.spread[:, None]
             soon = s.driven * left + coming * lasting * (1.0 - left) + apart
             going_on = self._within(self._levels(s.own_heard + soon * loudest), self.budget)
-            return np.where(free, np.minimum(level, going_on), 0)
+            return np.where(free & still(velocity, ahead), np.minimum(level, going_on), 0)
 
-        # where a string might touch something it is looked at sooner: a contact moves the others as no bound tells
-        late = still.all() and np.array_equal(kept(_LATE), level)
+        late = bool(np.all(kept(_LATE) == level))
         after = level if late else kept(_SOON)
-        at_last = np.maximum(coming * lasting, s.driven) + apart
+        velocity = moved(_LATE)
+        at_last = np.maximum(velocity * gathers * lasting, s.driven) + velocity * strings.spread[:, None]
         resting = self._levels(np.where(asleep, s.own_heard, heard) + at_last * loudest)
-        deeper = self._within(resting, _LEAVE * self.budget)
+        deeper = np.where(still(velocity, _LATE), self._within(resting, _LEAVE * self.budget), 0)
         done = self._levels(s.own_heard + s.driven * loudest)
         wanted: dict[str, int] = {}
         for k, name in enumerate(self.names):
@@ -339,17 +360,51 @@ class Sleeper:
         self.state.last, self.state.following = now, now + math.floor(_SOON / self.model.system.dt)
         return dict.fromkeys(self.sleeping, 0)
 
-    def _foreseen(self, play: Play, fretting: Fretting) -> Floats:
-        """(C, BANDS) N, what a gesture's force leaves in its string when it is let go."""
-        out, name = np.zeros((len(self.components), BANDS)), play.string or ""
+    def _foreseen(self, play: Play, fretting: Fretting) -> tuple[Floats, Floats]:
+        """What a gesture's force leaves in its string when it is let go: (C, BANDS) N, and (BANDS,) roots of twice the
+        energies, J.
+        """
+        out, gained, name = np.zeros((len(self.components), BANDS)), np.zeros(BANDS), play.string or ""
         rungs = self.rungs(name, fretting)
         segments = play.gesture.segments
         if rungs is None:
-            return np.full_like(out, _ENDLESS)
+            return np.full_like(out, _ENDLESS), np.full_like(gained, _ENDLESS)
         size, shortest = max(largest(s) for s in segments), min(s.stop - s.start for s in segments)
         for c, weight in self.model.strings[name].weights(play.gesture.angle_deg).items():
-            out[self.components.index(c)] = abs(weight) * size * rungs.parts[c].plucked(shortest)
-        return out
+            force, root = rungs.parts[c].plucked(shortest)
+            out[self.components.index(c)] = abs(weight) * size * force
+            gained += abs(weight) * size * root
+        return out, gained
+
+    def _doubled_body(self, system: System, state: State, doubled: Floats) -> Floats:
+        """(BANDS,) twice the energy of the body in each band, J.
+
+        Complex modes' energies are not theirs alone to tell: such a body is taken to have as much as the strings.
+        """
+        basis = system.compiled[system.slot("body")].basis
+        if not basis.is_real:
+            return np.asarray(doubled.sum(axis=0))
+        q, v = to_motion(basis, np.asarray(system.modes_of(state, "body"), dtype=np.float64))
+        return np.asarray(self._near_body @ (v * v + basis.stiffness * (q * q)))
+
+    def _velocity(self, force: Floats, root: Floats, awake: NDArray[np.bool_], ahead: float) -> Floats:
+        """(C, BANDS) m/s, bound on each end's velocity for `ahead` s.
+
+        No string's force passes what all the energy there is would make of it; nor what it is now and what its modes
+        gather, in tune, from the ends' velocities meanwhile.
+
+        Parameters
+        ----------
+        force : (C, BANDS) N, of strings now.
+        root : (BANDS,) roots of twice the energy of all.
+        awake : (C, BANDS) which bands of them are.
+        """
+        listening = self._listening
+        utmost = np.where(awake, listening.reach * root, 0.0)
+        # whichever strings have the energy, the squares of their shares add up to one
+        velocity = np.sqrt((self._mobility**2 @ (utmost**2).T[:, :, None])[:, :, 0].T)
+        gathered = (listening.gathers * ahead + listening.spread)[:, None] * velocity
+        return np.asarray(np.minimum(velocity, self._driving(np.minimum(utmost, force + gathered))))
 
     def _driving(self, force: Floats) -> Floats:
         """(C, BANDS) m/s, bound on each end's velocity under forces of strings (C, BANDS)."""

@@ -287,14 +287,15 @@ class KernelStepper:
         m, on = len(self.system.connections), self._nonlinear
         if state.series.size != m or state.slip.size != m:
             state.series, state.slip = np.zeros(m), np.zeros(m)
-        if self.system.nonlinear is not None and state.series.any():
+        remembers = np.count_nonzero(state.series) > 0
+        if self.system.nonlinear is not None and remembers:
             state.series = self.system.nonlinear.settled_series(state.series)
         out = np.empty((n, len(self.system.readouts)))
         active_forces = np.empty((n, len(self._active)))
         if self._law_forces.shape != (n, len(on)):
             self._law_forces = np.zeros((n, len(on)))
-        law_forces, solves = self._law_forces, self._kernel.statistics()[0]
-        series, slip, last = state.series[on], state.slip[on], state.forces[on]
+        law_forces, solves = self._law_forces, self.n_solves
+        series, slip, last = state.series.take(on), state.slip.take(on), state.forces.take(on)
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
         if len(state.tension) != len(self.system.tensions):
             state.tension = np.zeros((len(self.system.tensions), 3))
@@ -319,13 +320,15 @@ class KernelStepper:
             strings = [t.name for t in self.system.tensions] + [g.name for g in self.system.geometric]
             names = names or ", ".join(strings)
             raise NumericalError(f"the forces of {names} were not found at {t:.6f} s")
+        solved = self.n_solves > solves
         if n:
             state.forces[:] = 0.0
-            state.forces[self._active], state.forces[on] = active_forces[-1], law_forces[-1]
-            state.series[on], state.slip[on] = series, slip
+            state.forces[self._active] = active_forces[-1]
+        if n and (solved or remembers):
+            state.forces[on], state.series[on], state.slip[on] = law_forces[-1], series, slip
         state.sample += n
         self._steps += n
-        return out, active_forces, law_forces if self._kernel.statistics()[0] > solves else None
+        return out, active_forces, law_forces if solved else None
 
     def start(self) -> State:
         """Return the state of rest in this kernel's precision."""

@@ -209,7 +209,11 @@ def _planned(ledger: Ledger, engine: Engine, per_string: Mapping[str, float], se
                     continue
                 when = spans(ledger.tense[name])
                 why = "always: effects are all" if choice.mode == "all" else "always: it is among those named"
-                if choice.mode == "auto":
+                if model.system.geometric:
+                    # all strings' tensions are solved for together where one of them moves along itself
+                    when, own = whole, "it moves along itself" if string.along else "another string moves along itself"
+                    why = f"always: {own}"
+                elif choice.mode == "auto":
                     cents = ledger.largest[name]
                     size = f"its tension rises by up to {cents:.2g} cents" if cents < 1e9 else "a gesture moves it"
                     why = f"{size}; the budget is {choice.budget_cents:g}"

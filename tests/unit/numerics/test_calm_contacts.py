@@ -142,6 +142,43 @@ def test_a_string_at_rest_is_shaken_against_its_frets(clearance):
     np.testing.assert_allclose(forces[:320], expected, atol=1e-8 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("isa", ISAS)
+def test_strings_drawn_near_their_frets_miss_no_contact(isa):
+    """Known forces that grow, are let go or strike: what they hold and what they shake is bounded block by block."""
+    system = fretted(1e-3)
+    rng = np.random.default_rng(7)
+    touched, unread = 0, 0
+    for _ in range(12):
+        pushes = []
+        for name in ("s0a", "s0b", "s1a"):
+            force, ramp = rng.uniform(-1, 1) * 10 ** rng.uniform(-0.7, 1.2), rng.choice([3.7, 40.3, 300.6]) * DT
+            course = [Segment(0.0, ramp, 0.0, force / ramp)]
+            basis = system.compiled[system.slot(name)].basis
+            pushes += compile_force(name, basis, "pluck", course, DT, time=rng.uniform(0, 200) * DT)
+        (_, forces), statistics = both_ways(system, system.start(), 576, isa, pushes)
+        acted = contacts(system, forces).any()
+        touched += acted
+        unread += statistics["rows_read"] == 0
+        assert not (acted and statistics["rows_read"] == 0)
+    assert 2 <= touched <= 9
+    assert unread >= 3
+
+
+def test_drawn_strings_take_the_steps_of_the_twin():
+    system = fretted(4e-4)
+    basis = system.compiled[system.slot("s0a")].basis
+    for force in (0.5, -0.8, 4.0):
+        push = compile_force(
+            "s0a", basis, "pluck", [Segment(0.0, 100 * DT, 0.0, force / (100 * DT))], DT, time=3.3 * DT
+        )
+        a, b = system.start(), system.start()
+        expected, expected_forces = NumpyStepper(system).run(a, 256, push)
+        out, forces = KernelStepper(system).run(b, 256, push)
+        np.testing.assert_allclose(out, expected, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_allclose(forces, expected_forces, atol=1e-9 * np.abs(expected_forces).max())
+        np.testing.assert_array_equal(contacts(system, forces) != 0, contacts(system, expected_forces) != 0)
+
+
 def test_runs_cut_at_windows_are_the_same_to_the_bit():
     system = fretted()
     whole = plucked(system, [(2e-4, 1e-4), (6e-4, 0.0)], [0.1 * LENGTH, 0.3 * LENGTH])
