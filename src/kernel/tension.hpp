@@ -266,29 +266,35 @@ private:
         return done;
     }
 
-    // Where port forces are onto^T d and a fixed part: one product for each turn.
+    // Where port forces are onto^T d and a fixed part. A product brings the forces three digits nearer, a Newton step the
+    // tensions as near as the forces allow: two products for each turn.
     bool find_linear() {
         const int width = ports_.width;
-        double *const force = ports_.force.data(), *const moved = ports_.moved.data(), *const next = ports_.next.data();
-        return search([&](int, bool&) {
+        double *const force = ports_.force.data(), *const next = ports_.next.data(), *const all = ports_.wrong.data();
+        const auto answer = [&](double* to) {
+            move_ports(force);
+            for (int p = 0; p < width; p += S::width) S::store(all + p, of(ports_.alone, p) + of(ports_.moved, p));
+            add_product(onto_, width, all, width, fixed_, to);
+        };
+        const bool done = search([&](int, bool&) {
             displacements();
             if (strong_) invert_ports();
-            move_ports(force);
-            for (int p = 0; p < width; p += S::width) S::store(&ports_.wrong[p], of(ports_.alone, p) + S::load(moved + p));
-            add_product(onto_, width, ports_.wrong.data(), width, fixed_, next);
+            else answer(force);
+            answer(next);
             S::V sizes{}, unsettled{};
             for (int p = 0; p < width; p += S::width) sizes = most(sizes, size(S::load(next + p)));
             const double enough = kForceTolerance<T> * S::largest(sizes) / (strong_ ? 1.0 : std::min(1.0, 2 * largest_));
             for (int p = 0; p < width; p += S::width) {
                 const S::V now = S::load(next + p), wrong = now - S::load(force + p);
                 unsettled += size(wrong) <= enough ? S::V{} : S::V{} + 1.0;
-                if (strong_) S::store(&ports_.wrong[p], wrong);
-                else S::store(force + p, now);
+                S::store(all + p, wrong);
+                if (!strong_) S::store(force + p, now);
             }
-            if (strong_) add_product(ports_.inverse.data(), width, ports_.wrong.data(), width, force);
-            move_ports(force);
+            if (strong_) add_product(ports_.inverse.data(), width, all, width, force);
             return S::sum(unsettled + raise_tensions()) == 0.0;
         });
+        move_ports(force);
+        return done;
     }
 
     // Where laws answer too: `answer` tells the forces from the displacements ports.alone and ports.moved.
