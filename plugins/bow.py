@@ -9,18 +9,27 @@ hyperbola of Smith & Woodhouse (2000, J. Mech. Phys. Solids 48, 1633). Between S
 the string moves as Helmholtz saw it: one slip in each period. Z = sqrt(T mu), beta the bow's place as a share of the
 length, r the resistance of the bridge. The bow's work is f v_b h in each step, what it heats is |f v| h
 (`tonewood.numerics.laws.Friction`). The hair itself is stiff and light here.
+
+The hair pushes on the string's surface, and the string rolls under it (McIntyre, Schumacher & Woodhouse 1983, J.
+Acoust. Soc. Am. 74, 1325): besides its centre the surface moves by y with
+
+    m y'' + 2 Z_R y' + y / C = f,      Z_R = mu c_R / 2,  c_R^2 = G / rho,  C = r^2 x (L - x) / (L G J),  m = mu w / 2
+
+for a round string of one material, with torsional waves to both sides that do not come back, and the width w of the
+hair. Friction that falls with speed needs that resistance: on a compliance without one, as that of the modes that are
+left out, it turns unstable as steps get finer.
 """
 
 from __future__ import annotations
 
 import math
 
-from tonewood.instrument.attached import Attached, Motion, Site
+from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
 from tonewood.instrument.directions import Direction, unit_vector
 from tonewood.instrument.effects import contact_effect
 from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.numerics.connections import Connection
+from tonewood.numerics.connections import Connection, Term
 from tonewood.numerics.laws import Friction
 from tonewood.params import Parameters, described, quantity
 
@@ -36,6 +45,9 @@ class BowParameters(Parameters):
     speed: float = quantity("m/s", low=1e-4, high=10.0, default=0.1, doc="of half of the difference")
     attack_time: float = quantity("s", low=1e-4, high=5.0, default=0.03, doc="in which force and velocity grow")
     release_time: float = quantity("s", low=1e-4, high=5.0, default=0.05, doc="in which they vanish")
+    roll_impedance: float = quantity("N s/m", low=1e-3, high=1e4, default=4.0, doc="2 Z_R, of the string rolling")
+    roll_compliance: float = quantity("m/N", low=1e-9, high=1e-2, default=2e-5, doc="C, of the string rolling")
+    roll_mass: float = quantity("kg", low=1e-8, high=1e-2, default=1e-5, doc="m, of the string under the hair")
     sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a note that nobody ends")
     slide_time: float = quantity(
         "s", low=0.0, high=5.0, default=0.0, doc="in which the stop slides under the bow from that of the note before"
@@ -59,8 +71,12 @@ class Bow(Exciter[BowParameters]):
         if not terms:
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
         # a normal force of 1 N, so that the scale of its motion is the bow force in N
-        law = Friction(1.0, p.static, p.dynamic, p.speed, residual=True)
-        return Attached(connections=(Connection(hair, terms, law),), resting=(hair,))
+        law = Friction(1.0, p.static, p.dynamic, p.speed)
+        # that end of the string's radius which the hair rubs rolls back as it is pushed
+        own, m = f"{site.string}.{name}.roll", p.roll_mass
+        roll = loose_mass(m, math.sqrt(1 / (p.roll_compliance * m)), 0.5 * p.roll_impedance / m)
+        terms = (*terms, Term(own, "mass", 1.0))
+        return Attached(components={own: roll}, connections=(Connection(hair, terms, law),), resting=(hair,))
 
     def gesture(self, event: Event, place: Place) -> Gesture:
         """A stroke that begins at time 0."""

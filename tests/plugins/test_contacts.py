@@ -56,7 +56,8 @@ def test_low_action_buzzes(tmp_path: Path) -> None:
     touched = [i for i in range(1, 15) if low.forces[f"S.frets.{i}"].any()]
     assert len(touched) >= 3
     assert band_energy(low.out[-9600:], 3000, 8000) > 30 * band_energy(free.out[-9600:], 3000, 8000)
-    assert all(low.forces[f"S.frets.{i}"].min() >= 0 for i in touched)
+    # the law may pull a little where it is left faster than 1 / loss
+    assert all(low.forces[f"S.frets.{i}"].min() >= -0.01 * low.forces[f"S.frets.{i}"].max() for i in touched)
 
 
 def test_one_high_fret(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from tonewood.engine.switching import (
     LOOK,
     SELDOM,
     TOUCHED,
+    Rise,
     TensionSwitch,
     affordable,
     paid,
@@ -279,10 +280,10 @@ class Engine:
             return
         wanted = self.tense | self.awaited
         raised: dict[str, float] = {}
+        seen: dict[str, Rise] = {}
         leaving = self.tense & self.awaited
         if look or leaving:
             busy = {active.play.string or "" for active in self.active}
-            seen: dict[str, float] = {}
             on = set(wanted)
             for name, energy in self.switch.energies(self.system, self.state).items():
                 if not look and name not in leaving:
@@ -296,16 +297,16 @@ class Engine:
                 else:
                     on.discard(name)
                     if name not in busy:
-                        seen[name] = rise.off(found)
+                        seen[name] = rise
                     if found != self.frettings[name].raised:
                         raised[name] = found
                 self.ledger.foreseen(name, rise.off(0.0))
-            self.ledger.left(seen)
             wanted = frozenset(on)
         raised |= {name: 0.0 for name in wanted if self.frettings[name].raised}
         if self.watching:
             self.tense, self.awaited = wanted, frozenset()
             self._raise(raised, {})
+            self._enter(seen)
             return
         # what the higher tension has stored is not paid twice
         refund = {n: -raising(self.system, self.state, n, -self.frettings[n].raised) for n in wanted - self.tense}
@@ -322,6 +323,12 @@ class Engine:
             self.state.tension[changed] = 0.0
             self.tense = tense
             self._exchange(self.system.with_tensions(tense), "tension let rise or left out")
+        self._enter(seen)
+
+    def _enter(self, seen: Mapping[str, Rise]) -> None:
+        """Tell the ledger what is left out of what strings do, but for those that change at once."""
+        left = seen.keys() - self.tense - self.awaited
+        self.ledger.left({name: seen[name].off(self.frettings[name].raised) for name in left})
 
     def _raise(self, raised: Mapping[str, float], credit: Mapping[str, float]) -> set[str]:
         """Raise tensions by so many cents, or lower them, and tell which strings could not pay for it."""

@@ -21,11 +21,13 @@ besides g,
     theta rho+ + (1 - theta) rho = R f,      Z~ -> Z~ + R / theta,
 
 with the stored energy rho R^-1 rho / 2, and loses (2 theta - 1) / 2 of (rho+ - rho) R^-1 (rho+ - rho). With
-theta = 1/2, as for rigid connections, rho would change its sign for ever after a contact has opened.
+theta = 1/2, as for rigid connections, rho would change its sign for ever after a contact has opened. With
+theta = 1 / (1 + exp(-s h)) it does so under exp(-s t), whatever the step h, and the loss is of the order of h^2.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -71,8 +73,8 @@ class SpringDashpot:
 
 Law = Rigid | SpringDashpot | NonlinearLaw
 
-#: theta of the residual compliance in series with nonlinear laws
-SERIES = 0.6
+#: 1/s, rate at which the residual compliance in series with a nonlinear law forgets, once nothing pushes on it
+FORGETTING = 4e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,6 +203,7 @@ class NonlinearSolve:
     from_linear : (k, m) m/N, Z_nl: gaps per force of the linear connections.
     answer : (m, k) G Z_ln: linear forces are -answer @ (nonlinear forces) besides.
     residual : (k, k) m/N, R of the gaps whose laws have it; zero elsewhere.
+    theta : of R in series.
     """
 
     index: NDArray[np.intp]
@@ -209,6 +212,7 @@ class NonlinearSolve:
     from_linear: Floats
     answer: Floats
     residual: Floats
+    theta: float
 
     def settled_series(self, series: Floats) -> Floats:
         """(m,) displacements in series as this system goes on with those of the one before it.
@@ -238,7 +242,7 @@ def _numbers(law: Law, dt: float) -> tuple[bool, bool, float, float, float]:
 
 
 def nonlinear_solve(
-    laws: Sequence[Law], linear: LinearSolve, compliance: Floats, residual: Floats
+    laws: Sequence[Law], linear: LinearSolve, compliance: Floats, residual: Floats, dt: float
 ) -> NonlinearSolve | None:
     """Eliminate the linear connections for the others; None if there are no others. Shapes as in `linear_solve`.
 
@@ -248,14 +252,14 @@ def nonlinear_solve(
     if not index.size:
         return None
     chosen = tuple(law for law in laws if not isinstance(law, (Rigid, SpringDashpot)))
-    series = np.array([law.residual for law in chosen], dtype=bool)
+    series, theta = np.array([law.residual for law in chosen], dtype=bool), 1 / (1 + math.exp(-FORGETTING * dt))
     R = residual[np.ix_(index, index)] * np.outer(series, series)
     # most connections are no linear ones: only those have a force to answer with
     on = np.flatnonzero(linear.G.any(axis=1))
     answer = np.zeros((len(compliance), index.size))
     answer[on] = linear.G[on[:, None], on] @ compliance[on[:, None], index]
-    Z = compliance[np.ix_(index, index)] - compliance[index[:, None], on] @ answer[on] + R / SERIES
-    return NonlinearSolve(index, chosen, 0.5 * (Z + Z.T), compliance[index], answer, R)
+    Z = compliance[np.ix_(index, index)] - compliance[index[:, None], on] @ answer[on] + R / theta
+    return NonlinearSolve(index, chosen, 0.5 * (Z + Z.T), compliance[index], answer, R, theta)
 
 
 def scaled_pinv(matrix: Floats, rtol: float = 1e-12) -> Floats:

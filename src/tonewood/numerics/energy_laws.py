@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.numerics.connections import SERIES, Rigid, SpringDashpot, scaled_pinv
+from tonewood.numerics.connections import Rigid, SpringDashpot, scaled_pinv
 from tonewood.numerics.laws import Contact, Friction, NonlinearLaw
 from tonewood.numerics.system import System
 
@@ -55,6 +55,7 @@ class LawEnergies:
         self._laws: tuple[NonlinearLaw, ...] = solve.laws if solve else ()
         self._elastic = [_without_losses(law) for law in self._laws]
         self._residual = solve.residual if solve else np.zeros((0, 0))
+        self._theta = solve.theta if solve else 0.5
         self._in_series = np.flatnonzero(np.diag(self._residual) > 0)
         self._series_stiffness = _inverse(self._residual, self._in_series)
 
@@ -68,9 +69,9 @@ class LawEnergies:
         """
         path = np.zeros((len(forces) + 1, self._on.size))
         path[0] = self._start(start)
-        pushed = forces[:, self._on] @ self._residual.T / SERIES
+        pushed = forces[:, self._on] @ self._residual.T / self._theta
         for t in range(len(forces) if self._on.size else 0):
-            path[t + 1] = pushed[t] - (1 - SERIES) / SERIES * path[t]
+            path[t + 1] = pushed[t] - (1 - self._theta) / self._theta * path[t]
         return path
 
     def _start(self, start: Floats) -> Floats:
@@ -115,7 +116,7 @@ class LawEnergies:
             flows.stored[self._names[row]] = share
         held = series[:, self._in_series]
         bend, jump = 0.5 * held * (held @ self._series_stiffness), np.diff(held, axis=0)
-        heat = (SERIES - 0.5) * jump * (jump @ self._series_stiffness)
+        heat = (self._theta - 0.5) * jump * (jump @ self._series_stiffness)
         for k, law in enumerate(self._laws):
             name, at = self._names[self._on[k]], int(np.searchsorted(self._in_series, k))
             yields = bool(np.any(self._in_series == k))

@@ -19,7 +19,6 @@ from scipy.linalg import lstsq, qr
 
 from tonewood import _kernel
 from tonewood.errors import NumericalError, TonewoodError
-from tonewood.numerics.connections import SERIES
 from tonewood.numerics.laws import (
     CompiledPotential,
     Contact,
@@ -149,7 +148,7 @@ class KernelStepper:
                 [_law(law) for law in laws],
                 terms,
                 system.dt,
-                SERIES,
+                0.5 if nonlinear is None else nonlinear.theta,
                 self._guarded,
                 *(np.ascontiguousarray(a) for a in (*arrays, weights[:, self._nonlinear])),
             )

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import NumericalError
-from tonewood.numerics.connections import SERIES, LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
+from tonewood.numerics.connections import LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
 from tonewood.numerics.geometric import GeometricSolve
 from tonewood.numerics.law_solve import Drives, Grip, find_forces, settle
 from tonewood.numerics.laws import Friction
@@ -251,7 +251,7 @@ class NumpyStepper:
         series, slip = series.copy(), slip.copy()
         if nonlinear is not None:
             on = nonlinear.index
-            lag = (1 - SERIES) / SERIES * series[on]
+            lag = (1 - nonlinear.theta) / nonlinear.theta * series[on]
             found = find_forces(
                 nonlinear.laws, nonlinear.Z, gap_free[on] + nonlinear.from_linear @ f - lag, gap[on] + series[on],
                 s.dt, drives, guess[on], grips,
@@ -265,7 +265,7 @@ class NumpyStepper:
                 raise NumericalError(f"the forces of {names} were not found at {time:.6f} s")
             f = f - nonlinear.answer @ found.forces
             f[on] = found.forces
-            series[on] = nonlinear.residual @ found.forces / SERIES - lag
+            series[on] = nonlinear.residual @ found.forces / nonlinear.theta - lag
             for i, grip in grips.items():
                 slip[on[i]] = grip.velocity
         after = [
@@ -284,4 +284,4 @@ class NumpyStepper:
                 compliance += a @ np.einsum("pmx,qmx->pq", c.rows[: len(c.ports)], W[i]) @ a.T
         laws = [c.law for c in s.connections]
         linear = linear_solve(laws, compliance, residual, s.dt)
-        return linear, nonlinear_solve(laws, linear, compliance, residual)
+        return linear, nonlinear_solve(laws, linear, compliance, residual, s.dt)

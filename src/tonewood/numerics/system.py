@@ -229,6 +229,7 @@ class Elimination:
     connections: tuple[Connection, ...]
     linear: LinearLaws
     gap: GapCompliance
+    dt: float
 
     @cached_property
     def solve(self) -> LinearSolve:
@@ -239,7 +240,7 @@ class Elimination:
     def nonlinear(self) -> NonlinearSolve | None:
         """Of the others, if there are any."""
         laws = [c.law for c in self.connections]
-        return nonlinear_solve(laws, self.solve, self.gap.compliance, self.gap.residual)
+        return nonlinear_solve(laws, self.solve, self.gap.compliance, self.gap.residual, self.dt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,7 +321,7 @@ class System:
             layout=layout,
             compiled=(),
             connections=joined,
-            elimination=Elimination(joined, linear, GapCompliance((), layout)),
+            elimination=Elimination(joined, linear, GapCompliance((), layout), dt),
             tensions=tuple(tensions),
             tension_on=(True,) * len(tensions),
             geometric=tuple(geometric),
@@ -405,7 +406,7 @@ class System:
         known = dict(zip(self.names, self.compiled, strict=False)) | dict(changes)
         compiled = tuple(known[name] for name in self.names)
         linear, gap = self.elimination.linear, GapCompliance(compiled, self.layout)
-        return self._with(compiled, Elimination(self.connections, linear, gap))
+        return self._with(compiled, Elimination(self.connections, linear, gap, self.dt))
 
     def with_basis(self, name: str, basis: ModalBasis) -> System:
         """Exchange one component's basis."""
@@ -421,7 +422,7 @@ class System:
                 raise ValueError("a connection's terms cannot change, only its law")
             connections[j] = new
         linear = self.elimination.linear.changed({j: new.law for j, new in changes.items()}, self.dt)
-        return self._with(self.compiled, Elimination(tuple(connections), linear, self.elimination.gap))
+        return self._with(self.compiled, Elimination(tuple(connections), linear, self.elimination.gap, self.dt))
 
     def _with(self, compiled: tuple[Compiled, ...], elimination: Elimination) -> System:
         # what `replace` does; several of these are made for every note

@@ -151,7 +151,7 @@ class Renderer:
             raise TonewoodError(f"is {max_duration} s; more than 0 is allowed", key="max_duration")
         self.fs, self.tail, self.max_duration = int(fs), tail, max_duration
         # an instrument may need finer steps to be as accurate as others are
-        finer = instrument.spec.oversampling if level.name == "standard" else level.oversampling
+        finer = level.oversampling * (instrument.spec.oversampling if level.as_asked else 1)
         engine_fs = finer * self.fs
         limit = None if level.freq_limit is None else min(level.freq_limit, FREQ_LIMIT * engine_fs)
         chosen = with_effects(instrument, effects, budget_db, budget_cents)
