@@ -84,6 +84,7 @@ struct Woven {
 
 // A string's polarization whose tension rises with amplitude, in mass-normalised coordinates y.
 constexpr int kMaxStretchedPorts = 32;
+constexpr int kTautNumbers = 4, kTautState = 3;  // by mode, and another one for each port
 
 template <class T>
 struct Stretched {
@@ -92,9 +93,8 @@ struct Stretched {
     Array<T> a, half;        // (n): weights of S; w a / 2, w the displacement per modal force held over a step
     Array<T> reading;        // (n): y = reading * first number
     Array<T> kick;           // (2, n): state per modal force held over a step
-    // the same in the first numbers x themselves: S = sum weight x^2; state per sum of row * port force, row that of the
-    // port's displacement
-    Array<T> weight, gain;   // (n), (2, n)
+    Array<double> gain;      // (2, n): state per sum of row * port force, row that of the port's displacement
+    Array<T> taut, doors;    // taut.hpp
     Array<T> phi, c;         // (n_ports, n): port displacement per y, y per port force
     Array<T> guarded_phi, guarded_c;  // the same of guarded ports
 };
@@ -264,6 +264,7 @@ struct Workspace {
     std::vector<int> awake_list, active, previous;
     std::vector<char> series_alive;  // by series group
     bool any_alive = false;
+    Array<double> least_slack;       // by group: of contacts that slept when the block began
     // by component
     Array<double> norm, added;       // of the state at the block's beginning; of what known forces add in it
     Array<double> pull, pull_worth;  // (., kBlock) T/2 sqrt(sum a (y+ + y)^2) at most; share of the tightest slack per it
@@ -322,43 +323,38 @@ struct Tensions {
 // The fixed ports of stretched components, and how their compliances change with the tensions: as Taylor's polynomials
 // about the beginning of the cell that a tension lies in, which tells all of them.
 constexpr int kTaylor = 8;
-constexpr int kSharedSums = 4, kPortSums = 6;  // of a pass over modes, by string and by port
+constexpr int kSharedSums = 5, kPortSums = 6;  // of a pass over modes, by string and by port
 
 struct TensePorts {
     struct Port {
         int component, port, string;
         int line, force, place;  // of its displacement in a line, of its force among all ports', in `y` below
     };
-    struct Pair {  // of ports of one component, to <= from
-        int component, string, to, from;
+    struct Pair {  // ports of one component, to <= from, which is number `component` of its string's
+        int component, to, from;
+        int pair, to_port, from_port;  // where the first string's stand among pairs and ports
     };
-    struct Cell {
-        int index = -1;
-        double most = 0;         // largest relative change of a mode's stiffness per newton
-        double low = 0, high = 0;  // tensions it reaches from and to
-    };
+    // Every string has a lane, padded to kLane: port p of its component c is number (c most_ports + p) strings + string,
+    // pair k number k strings + string. What there is none of is empty (component -1), all its numbers zero.
+    int strings = 0, most_components = 0, most_ports = 0, width = 0, pair_width = 0;
+    std::vector<Pair> pairs;           // those of a port with itself first
     std::vector<Port> ports;
-    std::vector<Pair> pairs;           // if `single`, one for each port, in the same order
-    struct Range {
-        int first, last, first_pair, last_pair;
-    };
-    std::vector<Range> ranges;         // of ports and of pairs, by string
-    std::vector<int> first, string_of; // by component: its first port among all; its string
-    bool single = true;                // no component has more than one
-    int width = 0, pair_width = 0;     // padded to kLane
-    std::vector<Cell> cells;           // by string
+    std::vector<int> real;             // those that are not empty
+    std::vector<int> first, string_of; // by component: its first port; its string
+    // by string: EA/(4 L) and its inverse; largest relative change of a mode's stiffness per newton and its inverse;
+    // tensions that its cell reaches from and to
+    Array<double> kappa, over_kappa, most, over_most, low, high;
     Array<double> changes;             // (kTaylor, pair_width): compliances less those at rest
     Array<double> onto_forces;         // (ports, force_width): port forces per displacement of a port by itself
     Array<double> onto_ports;          // (ports, width): forces on these ports alone
     Array<double> onto_linear;         // (ports, f_width): the same for forces of linear connections
-    // sums of a pass: shared by a string's components, then six for each port
-    std::vector<std::size_t> shared, own;  // by string, by component: the first one
+    // sums of a visit, (kSharedSums, strings) and (kPortSums, width)
+    std::vector<std::size_t> own;      // by component: the first one of its first port
     Array<char> lanes;                 // of the sums, as T
     Array<double> sums;
     // of a sample
-    Array<double> of_port[kPortSums], alone, moved, force, next, wrong, base, fixed, by, gained, steep;  // by port
-    Array<double> change, slope, off, both, pushed, sharp;                                               // by pair
-    Array<double> changed;             // (ports, width): `change` as a matrix, if not `single`
+    Array<double> alone, moved, force, next, wrong, base, fixed;  // by port
+    Array<double> change_at, slope_at, bend_at, change, slope;  // by pair
     Array<double> y, linear, fixed_part;
     Array<double> inverse;             // (ports, ports)
     std::vector<int> pivots;
@@ -376,11 +372,11 @@ struct TensePorts {
 
 struct TensionSpace {
     Array<char> u, y, yields;  // of modes, as T
-    Array<double> kept_at;   // by component: tension that yields are of
-    std::vector<char> pending;  // by component: its last step is still to be made
+    Array<char> taut;        // of modes, as T: taut.hpp
     TensePorts ports;
     // by string
-    Array<double> stretch, past, tension, used, at, after, steepness, pushed, sharp, last_tension, last_excess;
+    Array<double> stretch, past, tension, used, at, after, pushed, sharp, far, last_tension, last_excess;
+    Array<double> means[3];  // of the last steps, the latest first
     Array<double> fixed, matrix, inverse, right, scale, solution, wrong;
     std::vector<char> done;
     bool inverted = false;   // in this block

@@ -224,8 +224,8 @@ public:
         laid_out_ = false;
     }
 
-    // Weights and responses of a string's modes, of a component just set: a, half, reading (n), kick (2, n).
-    void set_stretched(std::size_t slot, In a, In half, In reading, In kick) {
+    // Weights and responses of a string's modes, of a component just set: a, half, reading (n), kick (2, n), E (4, n).
+    void set_stretched(std::size_t slot, In a, In half, In reading, In kick, In e) {
         if (slot >= components_.size()) throw std::invalid_argument("no such component slot");
         Component<T>& c = components_[slot];
         const std::size_t n = c.n, p = c.n_ports;
@@ -233,18 +233,16 @@ public:
         expect("half", half, {n});
         expect("reading", reading, {n});
         expect("kick", kick, {2, n});
+        expect("e", e, {4, n});
         if (c.driven || n == 0 || p > kMaxStretchedPorts) throw std::invalid_argument("a stretched string has too many ports");
         Stretched<T>& s = c.stretched;
         s.a.assign(a.data(), a.data() + n), s.half.assign(half.data(), half.data() + n);
         s.reading.assign(reading.data(), reading.data() + n), s.kick.assign(kick.data(), kick.data() + 2 * n);
         s.most_half = *std::max_element(half.data(), half.data() + n);
-        s.weight.assign(n, T(0)), s.gain.assign(2 * n, T(0));
-        for (std::size_t k = 0; k < n; ++k) {
-            const double r = reading.data()[k];
-            if (r == 0.0) continue;
-            s.weight[k] = T(a.data()[k] * r * r);
-            s.gain[k] = T(kick.data()[k] / r), s.gain[n + k] = T(kick.data()[n + k] / r);
-        }
+        s.gain.assign(2 * n, 0.0);
+        for (std::size_t k = 0; k < 2 * n; ++k)
+            if (const double r = reading.data()[k % n]; r != 0.0) s.gain[k] = kick.data()[k] / r;
+        derive_taut(c, e.data(), s.gain.data());
         s.phi.assign(p * n, T(0)), s.c.assign(p * n, T(0));
         for (std::size_t q = 0; q < p; ++q)
             for (std::size_t k = 0; k < n; ++k) {

@@ -13,6 +13,7 @@
 #include "guard.hpp"
 #include "law_solve.hpp"
 #include "lines.hpp"
+#include "taut.hpp"
 
 namespace tonewood {
 namespace {
@@ -30,9 +31,9 @@ class NonlinearStep {
 public:
     NonlinearStep(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
                   const Nonlinear& nonlinear, Workspace& workspace, Statistics& statistics, const Job<T>& job,
-                  const std::vector<std::vector<Input<T>>>& known)
+                  const std::vector<std::vector<Input<T>>>& known, Taut<T>& taut)
         : components_(components), layout_(layout), m_(solve.m), nl_(nonlinear), ws_(workspace),
-          statistics_(statistics), job_(job), known_(known), calm_(components, layout, nonlinear) {
+          statistics_(statistics), job_(job), known_(known), taut_(taut), calm_(components, layout, nonlinear) {
         for (const Component<T>& c : components_) any_tense_ = any_tense_ || c.stretched.on;
         if (!nl_.k) return;
         std::copy_n(job.series, nl_.k, ws_.series.data());
@@ -112,6 +113,9 @@ public:
                 rest(g);
             else
                 guard(g);
+            double& least = ws_.least_slack[g] = INFINITY;
+            for (const int j : nl_.groups[g].contacts)
+                if (!ws_.awake[j]) least = std::min(least, ws_.slack[j]);
         }
         ws_.awake_list.clear();
         for (int j = 0; j < nl_.k; ++j) {
@@ -512,13 +516,14 @@ private:
     // Wakes contacts that the forces tried in sample b could have brought into touch.
     void wake_by(int b) {
         if (calm_.any()) stir_by(b);
-        if (ws_.any_alive) find_series();
+        const double farthest = ws_.any_alive ? find_series() : 0.0;
         for (int index = 0; index < int(nl_.groups.size()); ++index) {
             if (!ws_.asleep[index]) continue;
             const Nonlinear::Group& group = nl_.groups[index];
             ws_.level_after[index] = ws_.level[index] + share_taken(index, b);
             double yielding = 0.0;
-            if (ws_.any_alive)
+            // one bound for all sleeping contacts first
+            if (ws_.any_alive && ws_.level_after[index] + farthest / ws_.least_slack[index] * (1 + kMargin<T>) >= 1.0)
                 for (const int j : group.contacts)
                     if (!ws_.awake[j] && series_lives(j)) {
                         const double most = std::max(std::abs(ws_.series[j]), std::abs(ws_.series_after[j]));
@@ -598,6 +603,7 @@ private:
         using S = Simd<T>;
         const Component<T>& c = components_[t.component];
         const T* row = c.guarded.rows.data() + 2 * std::size_t(t.port) * c.n;
+        taut_.tell(t.component);
         const T *sx = x(t.component), *sy = y(t.component);
         typename S::V sum{}, more{};
         for (int k = 0; k < c.n; k += S::width) {
@@ -727,18 +733,22 @@ private:
         }
     }
 
-    // Displacements of the residual compliances after the step, under the forces tried.
-    void find_series() {
+    // Displacements of the residual compliances after the step, under the forces tried; the largest one, before or after.
+    double find_series() {
         const double old = (1 - nl_.theta) / nl_.theta, per = 1 / nl_.theta;
-        for (int s = 0; s < nl_.n_series; ++s) {
-            if (!ws_.series_alive[s]) continue;
-            for (const int j : nl_.in_series[s]) ws_.series_after[j] = -old * ws_.series[j];
-        }
-        for (const int q : ws_.active) {
+        const int k = nl_.k;
+        const double* const __restrict before = ws_.series.data();
+        double* const __restrict after = ws_.series_after.data();
+        for (int j = 0; j < k; ++j) after[j] = -old * before[j];
+        for (const int q : ws_.active) {  // a force moves its own group and nothing else
             if (!series_lives(q)) continue;
-            const double push = per * ws_.law_force[q], *row = &nl_.residual[std::size_t(q) * nl_.k];
-            for (const int j : nl_.in_series[nl_.series[q]]) ws_.series_after[j] += row[j] * push;
+            const double push = per * ws_.law_force[q];
+            const double* const __restrict row = &nl_.residual[std::size_t(q) * k];
+            for (int j = 0; j < k; ++j) after[j] += row[j] * push;
         }
+        double farthest = 0.0;
+        for (int j = 0; j < k; ++j) farthest = std::max({farthest, std::abs(before[j]), std::abs(after[j])});
+        return farthest;
     }
 
     bool series_lives(int j) const { return nl_.series[j] >= 0 && ws_.series_alive[nl_.series[j]]; }
@@ -764,6 +774,7 @@ private:
     Statistics& statistics_;
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
+    Taut<T>& taut_;
     bool any_tense_ = false, kept_ = false, still_ = false, rested_ = false, bounded_ = false;
     std::int64_t start_ = 0;
     int nb_ = 0, sample_ = 0;

@@ -139,6 +139,31 @@ void derive_pulled(Component<T>& c) {
     }
 }
 
+
+// Makes what Taut reads of a component, from its matrices e (4, n) and its gain (2, n).
+template <class T>
+void derive_taut(Component<T>& c, const double* e, const double* gain) {
+    Stretched<T>& s = c.stretched;
+    const std::size_t n = c.n, p = c.n_ports, step = kTautNumbers + p;
+    s.taut.assign(n * step, T(0)), s.doors.assign(8 * n, T(0));
+    for (std::size_t k = 0; k < n; ++k) {
+        const double g = gain[k], e00 = e[k], e01 = e[n + k], e10 = e[2 * n + k], e11 = e[3 * n + k];
+        if (g == 0.0 && e00 == 0.0) continue;  // padding
+        if (!(g > 0.0) || e01 == 0.0) throw std::invalid_argument("a mode of a stretched string does not yield to force");
+        const double root = std::sqrt(g), det = e00 * e11 - e01 * e10, tilt = gain[n + k] / g;
+        T* const to = &s.taut[k / kPadding * kPadding * step + k % kPadding];
+        const double numbers[kTautNumbers] = {double(s.half[k]), det, (1 - e00) * (1 - e11) - e01 * e10,
+                                              e01 * tilt - e11 + det};
+        for (int i = 0; i < kTautNumbers; ++i) to[i * kPadding] = T(numbers[i]);
+        if (double(to[kPadding]) > det) to[kPadding] = std::nextafter(to[kPadding], T(0));  // rounded, it must not grow
+        for (std::size_t q = 0; q < p; ++q) to[(kTautNumbers + q) * kPadding] = T(double(c.rows[2 * q * n + k]) * root);
+        const double doors[8] = {1 / root, (e00 - 1) / root, e01 / root,                 // in
+                                 root, (1 - e00) * root / e01, root / e01,               // out
+                                 (det - e11) / root, e01 / root};                        // of known inputs to v
+        for (int i = 0; i < 8; ++i) s.doors[i * n + k] = T(doors[i]);
+    }
+}
+
 // (all ports, all ports), fixed ones first: the farthest a port moves in a block per force on each.
 template <class T>
 Array<double> reach_of(const Component<T>& c) {
@@ -267,53 +292,63 @@ void arrange(const std::vector<Component<T>>& components, const Layout& layout, 
 template <class T>
 void arrange_ports(const std::vector<Component<T>>& components, const Layout& l, const Tensions& tensions,
                    TensePorts& to) {
-    const auto padded = [](std::size_t n) { return int((n + kLane - 1) / kLane * kLane); };
+    const auto padded = [](std::size_t n) { return (n + kLane - 1) / kLane * kLane; };
     to = TensePorts{};
-    to.first.assign(components.size(), 0), to.string_of = to.first, to.own.assign(components.size(), 0);
-    to.cells.assign(tensions.strings.size(), {});
-    std::vector<int> place(components.size(), 0);
-    for (std::size_t i = 0, n = 0; i < components.size(); ++i) {
-        place[i] = int(n);
-        if (!components[i].driven) n += components[i].n_ports;
+    const std::size_t n_strings = tensions.strings.size(), strings = padded(n_strings), n_places = l.port_rows.size();
+    for (const auto& string : tensions.strings) {
+        to.most_components = std::max(to.most_components, int(string.components.size()));
+        for (const int i : string.components) to.most_ports = std::max(to.most_ports, components[i].n_ports);
     }
-    std::size_t n_sums = 0;
-    for (int s = 0; s < int(tensions.strings.size()); ++s) {
-        to.shared.push_back(n_sums);
-        const int first_of_string = int(to.ports.size()), first_pair = int(to.pairs.size());
-        n_sums += kSharedSums;
-        for (const int i : tensions.strings[s].components) {
-            const int n_ports = components[i].n_ports, first = to.first[i] = int(to.ports.size());
-            to.string_of[i] = s;
-            to.cells[s].most = std::max({to.cells[s].most, double(components[i].stretched.most_half), 1e-300});
-            to.own[i] = n_sums, n_sums += std::size_t(kPortSums) * n_ports;
-            to.single = to.single && n_ports <= 1;
-            for (int p = 0; p < n_ports; ++p) {
-                to.ports.push_back({i, p, s, l.row[i] + p, l.port[i] + p, place[i] + p});
-                for (int q = p; q < n_ports; ++q) to.pairs.push_back({i, s, first + p, first + q});
+    const std::size_t n = strings * to.most_components * to.most_ports;
+    for (int apart = 0; apart < to.most_ports; ++apart)
+        for (int c = 0; c < to.most_components; ++c)
+            for (int p = 0; p + apart < to.most_ports; ++p) {
+                const int first = c * to.most_ports + p, here = int(strings);
+                to.pairs.push_back({c, p, p + apart, int(to.pairs.size()) * here, first * here, (first + apart) * here});
+            }
+    to.strings = int(strings), to.width = int(n), to.pair_width = int(strings * to.pairs.size());
+    to.ports.assign(n, {-1, 0, 0, 0, 0, 0});
+    to.first.assign(components.size(), 0), to.string_of = to.first;
+    to.own.assign(components.size(), 0);
+    for (Array<double>* a : {&to.kappa, &to.over_kappa, &to.most, &to.low}) a->assign(strings, 0.0);
+    to.over_most.assign(strings, 1.0), to.high.assign(strings, INFINITY);
+    std::vector<int> place(components.size(), 0);
+    for (std::size_t i = 0, ports = 0; i < components.size(); ++i) {
+        place[i] = int(ports);
+        if (!components[i].driven) ports += components[i].n_ports;
+    }
+    for (std::size_t s = 0; s < n_strings; ++s) {
+        const auto& string = tensions.strings[s];
+        to.kappa[s] = string.kappa, to.over_kappa[s] = string.kappa > 0.0 ? 1 / string.kappa : 0.0;
+        to.most[s] = 1e-300, to.high[s] = 0.0;  // its cell is still to be entered
+        for (std::size_t c = 0; c < string.components.size(); ++c) {
+            const int i = string.components[c];
+            std::size_t port = c * to.most_ports * strings + s;
+            to.first[i] = int(port), to.string_of[i] = int(s);
+            to.own[i] = kSharedSums * strings + port;
+            to.most[s] = std::max(to.most[s], double(components[i].stretched.most_half));
+            for (int p = 0; p < components[i].n_ports; ++p, port += strings) {
+                to.ports[port] = {i, p, int(s), l.row[i] + p, l.port[i] + p, place[i] + p};
+                to.real.push_back(int(port));
             }
         }
-        to.ranges.push_back({first_of_string, int(to.ports.size()), first_pair, int(to.pairs.size())});
+        to.over_most[s] = 1 / to.most[s];
     }
-    const std::size_t n = to.ports.size(), n_places = l.port_rows.size();
-    to.width = padded(n), to.pair_width = padded(to.pairs.size());
     to.changes.assign(std::size_t(kTaylor) * to.pair_width, 0.0);
-    n_sums = (n_sums + kPadding - 1) / kPadding * kPadding;
+    const std::size_t n_sums = (kSharedSums * strings + kPortSums * n + kPadding - 1) / kPadding * kPadding;
     to.lanes.assign(n_sums * 64, 0), to.sums.assign(n_sums, 0.0);
     to.y.assign(2 * n_places, 0.0), to.linear.assign(l.f_width, 0.0), to.fixed_part.assign(l.force_width, 0.0);
-    for (Array<double>& a : to.of_port) a.assign(to.width, 0.0);
-    for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.next, &to.wrong, &to.base, &to.fixed, &to.by, &to.gained,
-                             &to.steep})
-        a->assign(to.width, 0.0);
-    for (Array<double>* a : {&to.change, &to.slope, &to.off, &to.both, &to.pushed, &to.sharp}) a->assign(to.pair_width, 0.0);
-    to.onto_ports.assign(n * to.width, 0.0), to.changed.assign(to.single ? 0 : n * to.width, 0.0);
+    for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.next, &to.wrong, &to.base, &to.fixed}) a->assign(n, 0.0);
+    for (Array<double>* a : {&to.change_at, &to.slope_at, &to.bend_at, &to.change, &to.slope}) a->assign(to.pair_width, 0.0);
+    to.onto_ports.assign(n * n, 0.0);
     to.inverse.assign(n * n, 0.0), to.pivots.assign(n, 0);
-    for (const auto& port : to.ports) {
-        const double* linear = &l.pull[(n_places + port.place) * l.f_width];
-        const double* forces = &l.direct[std::size_t(port.place) * l.force_width];
-        to.onto_linear.insert(to.onto_linear.end(), linear, linear + l.f_width);
-        to.onto_forces.insert(to.onto_forces.end(), forces, forces + l.force_width);
-        double* own = &to.onto_ports[std::size_t(&port - to.ports.data()) * to.width];
-        for (std::size_t q = 0; q < n; ++q) own[q] = forces[to.ports[q].force];
+    to.onto_linear.assign(n * l.f_width, 0.0), to.onto_forces.assign(n * l.force_width, 0.0);
+    for (const int p : to.real) {
+        const std::size_t from = to.ports[p].place;
+        const double *linear = &l.pull[(n_places + from) * l.f_width], *forces = &l.direct[from * l.force_width];
+        std::copy_n(linear, l.f_width, &to.onto_linear[std::size_t(p) * l.f_width]);
+        std::copy_n(forces, l.force_width, &to.onto_forces[std::size_t(p) * l.force_width]);
+        for (const int q : to.real) to.onto_ports[std::size_t(p) * n + q] = forces[to.ports[q].force];
     }
 }
 
@@ -344,7 +379,7 @@ inline void arrange_laws(const Nonlinear& nl, const Layout& l, int m, TensePorts
             for (int p = 0; p < l.force_width; ++p)
                 forces[p] -= nl.answer[j * l.f_width + q] * l.push[std::size_t(q) * l.force_width + p];
         }
-        for (std::size_t t = 0; t < n; ++t) to.law_ports[j * width + t] = forces[to.ports[t].force];
+        for (const int t : to.real) to.law_ports[j * width + t] = forces[to.ports[t].force];
     }
 }
 
@@ -381,11 +416,11 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, const La
             }
     }
     for (Array<char>* a : {&ws.u, &ws.y, &ws.yields}) a->assign(capacity * sizeof(T), 0);
-    ws.kept_at.assign(n, 0.0), ws.pending.assign(n, 0);
-    for (Array<double>* a : {&ws.stretch, &ws.past, &ws.tension, &ws.used, &ws.at, &ws.after, &ws.steepness, &ws.pushed, &ws.sharp,
-                             &ws.last_tension, &ws.last_excess})
-        a->assign(tensions.strings.size(), 0.0);
+    ws.taut.assign(kTautState * capacity * sizeof(T), 0);
     arrange_ports(components, layout, tensions, ws.ports);
+    for (Array<double>* a : {&ws.stretch, &ws.past, &ws.tension, &ws.used, &ws.at, &ws.after, &ws.pushed, &ws.sharp, &ws.far,
+                             &ws.last_tension, &ws.last_excess, &ws.means[0], &ws.means[1], &ws.means[2]})
+        a->assign(ws.ports.strings, 0.0);
     for (Array<double>* a : {&ws.fixed, &ws.right, &ws.scale, &ws.solution, &ws.wrong}) a->assign(m, 0.0);
     ws.matrix.assign(m * m, 0.0), ws.inverse.assign(m * m, 0.0), ws.done.assign(m, 0);
     if (!nl.k) return;
@@ -425,7 +460,7 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, c
     ws.row_awake.assign(n_guarded, 0), ws.is_loaded.assign(n_guarded, 0);
     ws.quiet.assign(nl.groups.size(), 0), ws.driven = ws.quiet, ws.taken.assign(layout.force_width, 0.0);
     ws.level.assign(nl.groups.size(), 0.0), ws.level_after.assign(nl.groups.size(), 0.0);
-    ws.asleep.assign(nl.groups.size(), 0);
+    ws.asleep.assign(nl.groups.size(), 0), ws.least_slack.assign(nl.groups.size(), 0.0);
     ws.awake_rows.resize(n), ws.loaded.resize(n), ws.worth.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
         const Component<T>& c = components[i];

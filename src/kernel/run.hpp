@@ -101,8 +101,9 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     Array<double> y(2 * n_ports);  // port displacements at the step's beginning, then free at its end
     std::vector<std::vector<Input<T>>> known(n_components);
     std::vector<Array<double>> known_values(job.n_injections);
-    NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known);
-    TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job, known);
+    Taut<T> taut(components, space, job);
+    NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known, taut);
+    TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job, known, taut);
     TenseContacts<T> both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
     GeometricStep<T> along(components, layout, geometric, statistics, job);
     const bool tense = !tensions.strings.empty(), longitudinal = !geometric.strings.empty();
@@ -187,6 +188,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
         }
         if (nonlinear.k) laws.begin_block(start, nb, lines.data(), force);
 
+        if (tense) stretched.begin_block(place > 0);
         // forces, sample by sample; where nothing is expected to touch anything, that is looked at in the end
         bool asks = !(direct && nonlinear.k && laws.may_stay());
         if (!asks) free_lines = lines;
@@ -239,7 +241,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             for (int b = 0; b < nb; ++b)
                 job.out[(start + b) * job.n_channels + channel] += weight * job.forces[(start + b) * m + connection];
         laws.emit(start, nb);
-        if (tense) stretched.finish_block(nb, lines.data());
+        if (tense) stretched.finish_block(nb, nonlinear.k > 0 || place + 1 == kWeave || start + nb == job.n, lines.data());
         if (longitudinal) along.finish_block(nb, lines.data());
 
         // the correction: inputs known by now move the state; what is driven one way is read on the way

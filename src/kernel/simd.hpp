@@ -30,6 +30,16 @@ struct Simd {
     // Sum of the lanes: halves are added until one is left.
     static double sum(V v) { return double(folded<width / 2>(v, std::make_index_sequence<width>{})[0]); }
     static double sum(const T* p) { return sum(load(p)); }
+    static T largest(V v) { return peak<width / 2>(v, std::make_index_sequence<width>{})[0]; }
+    template <int Half, std::size_t... I>
+    static V peak(V v, std::index_sequence<I...> lanes) {
+        if constexpr (Half == 0) {
+            return v;
+        } else {
+            const V other = __builtin_shufflevector(v, v, int(I ^ Half)...);
+            return peak<Half / 2>(v > other ? v : other, lanes);
+        }
+    }
     template <int Half, std::size_t... I>
     static V folded(V v, std::index_sequence<I...> lanes) {
         if constexpr (Half == 0) return v;
@@ -100,6 +110,12 @@ inline Pack<T, N> mul_add(const Pack<T, N>& x, T y, const Pack<T, N>& z) {
     if constexpr (N == 1) return {x.a * y + z.a};
     else return {mul_add(x.a, y, z.a), mul_add(x.b, y, z.b)};
 }
+// sum += x * y, all vectors into one
+template <class T, int N>
+inline void add_products(typename Simd<T>::V& sum, const Pack<T, N>& x, const Pack<T, N>& y) {
+    if constexpr (N == 1) sum += x.a * y.a;
+    else add_products(sum, x.a, y.a), add_products(sum, x.b, y.b);
+}
 // x * y + s and s - x * y for a scalar s
 template <class T, int N>
 inline Pack<T, N> mul_plus(const Pack<T, N>& x, const Pack<T, N>& y, T s) {
@@ -115,6 +131,21 @@ template <class T, int N>
 inline Pack<T, N> operator*(const Pack<T, N>& x, const Pack<T, N>& y) {
     if constexpr (N == 1) return {x.a * y.a};
     else return {x.a * y.a, x.b * y.b};
+}
+template <class T, int N>
+inline Pack<T, N> operator*(const Pack<T, N>& x, T y) {
+    if constexpr (N == 1) return {x.a * y};
+    else return {x.a * y, x.b * y};
+}
+template <class T, int N>
+inline Pack<T, N> operator+(const Pack<T, N>& x, T y) {
+    if constexpr (N == 1) return {x.a + y};
+    else return {x.a + y, x.b + y};
+}
+template <class T, int N>
+inline Pack<T, N> operator-(T x, const Pack<T, N>& y) {
+    if constexpr (N == 1) return {x - y.a};
+    else return {x - y.a, x - y.b};
 }
 template <class T, int N>
 inline Pack<T, N> operator+(const Pack<T, N>& x, const Pack<T, N>& y) {

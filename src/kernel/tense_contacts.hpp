@@ -79,7 +79,7 @@ private:
         const int a = int(ws_.active.size()), w = int(wide(a));
         int iterations = 0;
         const bool foldable = all_linear();
-        const bool done = foldable ? folded(iterations) : stretched_.find(kLawTolerance<T>, false, [&](double* force) {
+        const bool done = foldable ? folded(iterations) : stretched_.find(kLawTolerance<T>, [&](double* force) {
             for (int p = 0; p < n; ++p) ports.sum[p] = ports.alone[p] + ports.moved[p];
             std::fill_n(ports.active_free.data(), w, 0.0);
             add_product(ports.active_meets.data(), w, ports.sum.data(), n, ports.active_free.data());
@@ -129,10 +129,7 @@ private:
         add_product(ports.answers.data(), w, ports.given.data(), a, force);
         add_product(ports.active_ports.data(), ports.width, force, a, ports.fixed.data(), fixed);
         stretched_.onto_ = ports.onto_with_laws.data(), stretched_.fixed_ = fixed;
-        const bool done = stretched_.find(kForceTolerance<T>, true, [&](double* to) {
-            add_product(ports.onto_with_laws.data(), ports.width, ports.moved.data(), n, ports.base.data(), to);
-            return true;
-        });
+        const bool done = stretched_.find_linear();
         stretched_.onto_ = ports.onto_ports.data(), stretched_.fixed_ = ports.fixed.data();
         for (int p = 0; p < n; ++p) ports.sum[p] = -(ports.alone[p] + ports.moved[p]);
         add_product(ports.caught.data(), w, ports.sum.data(), n, force);
@@ -262,8 +259,9 @@ private:
         using V = typename S::V;
         const Component<T>& c = components_[i];
         const T* u = stretched_.buffer(ts_.u, i);
-        const T* kept = stretched_.buffer(ts_.yields, i);
-        stretched_.keep(i, tension);
+        T* const kept = stretched_.buffer(ts_.yields, i);
+        const T *const half = c.stretched.half.data(), one = 1;
+        for (int k = 0; k < c.n; k += S::width) S::store(kept + k, one / (one + S::load(half + k) * T(tension)));
         const int count = c.n_ports + int(ts_.active_ports[i].size());
         for (int p = 0; p < count; ++p) {
             const T* at = phi(i, p);

@@ -1,25 +1,25 @@
 // Visits to the modes of a stretched component, one for each sample: the step that is due is made, and what the next one
 // takes is summed on the same way.
 //
-// Everything is in the first numbers x of the modes and the rows r of the ports. With g = gain, a = weight, both of T-free
-// motion x_u, and s = 1 / (1 + g a T / 2):
-//     U = (x_u + x) s,     D = (x_u + x + g r f) s,     x+ = x_u + g (r f - a T D / 2),
-// U being x + x+ without port forces, D with them. About the tension T of a visit, with m = a g s,
-//     port displacement       sum r (U - x) - tau/2 sum r m U + tau^2/4 sum r m^2 U,
-//     S+                      sum a (U - x)^2 - tau sum a m U (U - x)
-//                             + f (2 sum r m (U - x) - tau sum r m^2 (2 U - x)) + f^2 R,   R = -2 dZ/dT,
-// Z(T) = sum r^2 g s the port's compliance: tensions near T need no other visit.
+// In the numbers xi, v of taut.hpp, r the rows of the ports: with h = half and s = 1 / (1 + h T),
+//     U = (2 xi + v) s,     D = (2 xi + v + r f) s,     push p = r f - h T D,
+// U being xi + xi+ without port forces, D with them. About the tension T of a visit, with after = U - xi and m = h s,
+//     port displacement       sum r after - tau sum r m U + tau^2 sum r m^2 U,
+//     S+                      2 sum h after^2 - 4 tau sum h m U after + 2 tau^2 sum h m^2 (U^2 + 2 U after)
+//                             + 4 f (sum r m after - tau sum r m^2 (U + after)) + f^2 R,   R = -2 dZ/dT,
+// Z(T) = sum r^2 s the port's compliance: tensions near T need no other visit.
 #pragma once
 
 #include <algorithm>
 #include <cmath>
 
 #include "sweep.hpp"
+#include "taut.hpp"
 
 namespace tonewood {
 namespace {
 
-// A force on modes for a sample: of a port by its row, or a known one by what it adds to the state.
+// A force on modes for a sample: of a port by its row.
 template <class T>
 struct Load {
     const T* row;
@@ -35,88 +35,124 @@ struct Visit {
     double tried = 0;     // tension that sums are taken at
     const Input<T>* inputs = nullptr;     // known inputs, those of sample `made_in` and those of sample `begun`
     int n_inputs = 0, made_in = 0, begun = 0;
+    // where sums go, a vector each, and from one to the next of the same string or port; `first`: the shared ones begin
+    T *shared = nullptr, *own = nullptr;
+    std::size_t next_shared = 0, next_own = 0, next_port = 0;
+    bool first = false;
 };
 
-constexpr int kNewtons = 2;  // corrections of a reciprocal: its error is squared in each
+// The tension of a step to make is near the one that s is of, by kTold; that of sums by kNear.
+constexpr int kNewtons = 2;  // corrections of a reciprocal for these: its error is squared in each
 template <class T>
-constexpr double kNear = sizeof(T) == sizeof(double) ? 2e-4 : 2e-2;  // and was at most this
+constexpr double kNear = sizeof(T) == sizeof(double) ? 2e-4 : 2e-2;
 
-// `kept` (n): s of the last tension that a visit ended with, which must be near.
-// `shared` and `own`: sums as vectors, added to; of the string x a x, y a y (y = U - x), U a m y, a m^2 (U^2 + x^2), and
-// for each port r x, r U, r m x, r m U, r m^2 x, r m^2 U.
+// relative change of a mode's stiffness up to which a step may be told by three terms, its cube being lost
+template <class T>
+constexpr double kTold = sizeof(T) == sizeof(double) ? 3e-5 : 5e-3;
+
+// `state` (Taut) holds s of the last tension that a visit ended with, which must be near.
+// Sums as vectors: h xi^2, h after^2, h m U after, h m^2 U^2, h m^2 U after, and for each port r xi, r after, r m U,
+// r m after, r m^2 U, r m^2 after.
 template <class T, int P, bool Make, bool Begin, bool Plain>
-void visit(const Component<T>& c, T* sx, T* sy, T* kept, const Visit<T>& v, T* shared, T* own) {
+void visit(const Component<T>& c, T* state, const Visit<T>& v) {
+    constexpr int N = kPadding / Simd<T>::width < 2 ? 1 : 2;  // vectors at a time: their latencies overlap
+    using V = Pack<T, N>;
     using S = Simd<T>;
-    using V = typename S::V;
     constexpr int kMost = P < 0 ? kMaxStretchedPorts : (P > 0 ? P : 1);
     const int n_ports = P < 0 ? c.n_ports : P;
-    const std::size_t n = c.n;
-    const T *const e = c.e.data(), *const weights = c.stretched.weight.data(), *const gains = c.stretched.gain.data();
-    const T* const rows = c.rows.data();
-    const T half_made = T(0.5 * v.made), half_tried = T(0.5 * v.tried);
+    const std::size_t n = c.n, step = std::size_t(kTautNumbers + n_ports) * kPadding;
+    const T *const numbers = c.stretched.taut.data(), *const doors = c.stretched.doors.data();
+    const T made = T(v.made), tried = T(v.tried);
     T force[kMost] = {};
     if constexpr (Make)
         for (int p = 0; p < n_ports; ++p) force[p] = v.forces[p];
-    V all[kSharedSums], each[kMost][kPortSums];
-    if constexpr (Begin) {
-        for (int i = 0; i < kSharedSums; ++i) all[i] = S::load(shared + i * S::width);
-        for (int p = 0; p < n_ports; ++p)
-            for (int i = 0; i < kPortSums; ++i) each[p][i] = V{};
-    }
-    for (std::size_t k = 0; k < n; k += S::width) {
-        const V a = S::load(weights + k), gain = S::load(gains + k), e00 = S::load(e + k), e01 = S::load(e + n + k);
-        V x = S::load(sx + k), y = S::load(sy + k), s = S::load(kept + k);
-        if constexpr (Make) {
-            V free = e00 * x + e01 * y, next = S::load(e + 2 * n + k) * x + S::load(e + 3 * n + k) * y, push{};
-            for (int p = 0; p < n_ports; ++p) push += S::load(rows + 2 * p * n + k) * force[p];
-            if constexpr (!Plain) {
-                for (int j = 0; j < v.n_inputs; ++j) {
-                    const T value = T(v.inputs[j].values[v.made_in * v.inputs[j].stride]);
-                    free += S::load(v.inputs[j].vector + k) * value, next += S::load(v.inputs[j].vector + n + k) * value;
-                }
-                for (int j = 0; j < v.n_loads; ++j) push += S::load(v.loads[j].row + k) * v.loads[j].force;
-            }
-            const V pull = a * half_made, stiff = T(1) + gain * pull;
-            for (int i = 0; i < kNewtons; ++i) s *= T(2) - stiff * s;
-            push -= pull * ((x + free + gain * push) * s);
-            x = free + gain * push, y = next + S::load(gains + n + k) * push;
-            S::store(sx + k, x), S::store(sy + k, y);
+    typename S::V all[kSharedSums] = {}, each[kMost][kPortSums] = {};
+    // of known inputs (x, y) in a sample: what they add to xi, and to v beyond what follows from that
+    const auto input = [&](std::size_t k, int sample, V& to_xi, V& to_v) {
+        for (int j = 0; j < v.n_inputs; ++j) {
+            const T value = T(v.inputs[j].values[sample * v.inputs[j].stride]);
+            const V x = V::load(v.inputs[j].vector + k) * value, y = V::load(v.inputs[j].vector + n + k) * value;
+            to_xi = to_xi + V::load(doors + k) * x;
+            to_v = to_v + V::load(doors + 6 * n + k) * x + V::load(doors + 7 * n + k) * y;
         }
-        if constexpr (Begin) {
-            V free = e00 * x + e01 * y;
-            if constexpr (!Plain)
-                for (int j = 0; j < v.n_inputs; ++j)
-                    free += S::load(v.inputs[j].vector + k) * T(v.inputs[j].values[v.begun * v.inputs[j].stride]);
-            const V stiff = T(1) + gain * (a * half_tried);
-            for (int i = 0; i < kNewtons; ++i) s *= T(2) - stiff * s;
-            const V U = (x + free) * s, after = U - x, m = a * gain * s, am = a * m;
-            all[0] += a * x * x;
-            all[1] += a * after * after;
-            all[2] += am * U * after;
-            all[3] += am * m * (U * U + x * x);
-            for (int p = 0; p < n_ports; ++p) {
-                const V r = S::load(rows + 2 * p * n + k), rm = r * m, rmm = rm * m;
-                each[p][0] += r * x, each[p][1] += r * U;
-                each[p][2] += rm * x, each[p][3] += rm * U;
-                each[p][4] += rmm * x, each[p][5] += rmm * U;
-            }
+    };
+    const auto make_step = [&](std::size_t k, const T* at, T* to) {
+        const V h = V::load(at);
+        V xi = V::load(to), up = V::load(to + kPadding), s = V::load(to + 2 * kPadding);
+        V u = xi + up, push{}, given{};
+        for (int p = 0; p < n_ports; ++p) push = push + V::load(at + (kTautNumbers + p) * kPadding) * force[p];
+        if constexpr (!Plain) {
+            input(k, v.made_in, u, given);
+            V pushed{};
+            for (int l = 0; l < v.n_loads; ++l) pushed = pushed + V::load(v.loads[l].row + k) * v.loads[l].force;
+            push = push + V::load(doors + 3 * n + k) * pushed;
         }
-        S::store(kept + k, s);
+        const V rise = h * made, stiff = rise + T(1);
+        const V off = T(1) - stiff * s;
+        s = s + s * (off + off * off);
+        push = push - rise * ((xi + u + push) * s);
+        xi = u + push;
+        up = V::load(at + kPadding) * up - V::load(at + 2 * kPadding) * xi + V::load(at + 3 * kPadding) * push;
+        if constexpr (!Plain) up = up + given;
+        xi.store(to), up.store(to + kPadding), s.store(to + 2 * kPadding);
+    };
+    const auto begin_step = [&](std::size_t k, const T* at, T* to) {
+        const V h = V::load(at), xi = V::load(to);
+        V u = xi + V::load(to + kPadding), s = V::load(to + 2 * kPadding);
+        if constexpr (!Plain) {
+            V unused{};
+            input(k, v.begun, u, unused);
+        }
+        const V stiff = h * tried + T(1);
+        for (int i = 0; i < kNewtons; ++i) s = s + s * (T(1) - stiff * s);
+        s.store(to + 2 * kPadding);
+        const V U = (xi + u) * s, after = U - xi, m = h * s, mU = m * U, mz = m * after, hq = h * mU;
+        add_products(all[0], h * xi, xi);
+        add_products(all[1], h * after, after);
+        add_products(all[2], hq, after);
+        add_products(all[3], hq, mU);
+        add_products(all[4], hq, mz);
+        for (int p = 0; p < n_ports; ++p) {
+            const V r = V::load(at + (kTautNumbers + p) * kPadding), rm = r * m;
+            add_products(each[p][0], r, xi), add_products(each[p][1], r, after);
+            add_products(each[p][2], r, mU), add_products(each[p][3], r, mz);
+            add_products(each[p][4], rm, mU), add_products(each[p][5], rm, mz);
+        }
+    };
+    // modes that begin the next step are one pace behind those that make theirs, which do not wait for them
+    constexpr std::size_t paces = kPadding / V::size;
+    const std::size_t count = n / V::size;
+    const auto place = [&](std::size_t i, const auto& use) {
+        const std::size_t group = i / paces, j = i % paces * V::size;
+        use(i * V::size, numbers + group * step + j, state + group * kTautState * kPadding + j);
+    };
+    if constexpr (Make && Begin) {
+        place(0, make_step);
+        for (std::size_t i = 1; i < count; ++i) place(i, make_step), place(i - 1, begin_step);
+        place(count - 1, begin_step);
+    } else {
+        for (std::size_t i = 0; i < count; ++i) {
+            if constexpr (Make) place(i, make_step);
+            if constexpr (Begin) place(i, begin_step);
+        }
     }
     if constexpr (Begin) {
-        for (int i = 0; i < kSharedSums; ++i) S::store(shared + i * S::width, all[i]);
+        for (int i = 0; i < kSharedSums; ++i) {
+            T* const to = v.shared + i * v.next_shared;
+            S::store(to, v.first ? all[i] : S::load(to) + all[i]);
+        }
         for (int p = 0; p < n_ports; ++p)
-            for (int i = 0; i < kPortSums; ++i) S::store(own + (p * kPortSums + i) * S::width, each[p][i]);
+            for (int i = 0; i < kPortSums; ++i) S::store(v.own + p * v.next_port + i * v.next_own, each[p][i]);
     }
 }
 
 template <class T, bool Make, bool Begin, bool Plain>
-void visit(const Component<T>& c, T* sx, T* sy, T* kept, const Visit<T>& v, T* shared, T* own) {
+void visit(const Component<T>& c, T* state, const Visit<T>& v) {
     switch (c.n_ports) {
-        case 0: return visit<T, 0, Make, Begin, Plain>(c, sx, sy, kept, v, shared, own);
-        case 1: return visit<T, 1, Make, Begin, Plain>(c, sx, sy, kept, v, shared, own);
-        case 2: return visit<T, 2, Make, Begin, Plain>(c, sx, sy, kept, v, shared, own);
-        default: return visit<T, -1, Make, Begin, Plain>(c, sx, sy, kept, v, shared, own);
+        case 0: return visit<T, 0, Make, Begin, Plain>(c, state, v);
+        case 1: return visit<T, 1, Make, Begin, Plain>(c, state, v);
+        case 2: return visit<T, 2, Make, Begin, Plain>(c, state, v);
+        default: return visit<T, -1, Make, Begin, Plain>(c, state, v);
     }
 }
 
@@ -128,7 +164,7 @@ void compliances(const Component<T>& c, double at, int p, int q, double* out) {
     const T *to = &c.rows[2 * std::size_t(p) * n], *from = &c.rows[2 * std::size_t(q) * n];
     std::fill_n(out, kTaylor, 0.0);
     for (std::size_t k = 0; k < n; ++k) {
-        const double gain = c.stretched.gain[k], half = 0.5 * gain * double(c.stretched.weight[k]);
+        const double gain = c.stretched.gain[k], half = double(c.stretched.half[k]);
         const double s = 1.0 / (1.0 + half * at);
         double term = double(to[k]) * double(from[k]) * gain * s;
         out[0] -= term * half * at;

@@ -25,9 +25,6 @@ constexpr double kForceTolerance = sizeof(T) == sizeof(double) ? 1e-14 : 1e-7;  
 template <class T>
 constexpr double kSettled = sizeof(T) == sizeof(double) ? 1e-15 : 1e-8;  // of a mode's stiffness, between two turns
 constexpr int kMaxTensionIterations = 200, kMaxTurns = 100;
-// relative change of a mode's stiffness up to which port displacements may be told by three terms, its cube being lost
-template <class T>
-constexpr double kTold = sizeof(T) == sizeof(double) ? 3e-5 : 5e-3;
 constexpr double kFar = 0.1;      // and up to which one visit may go on
 constexpr double kCell = 0.01;    // the same over a cell of compliances
 constexpr double kStrong = 0.05;  // beyond it forces are found by an inverse
@@ -39,10 +36,30 @@ class TensionStep {
 public:
     TensionStep(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
                 const Tensions& tensions, TensionSpace& space, Statistics& statistics, const Job<T>& job,
-                const std::vector<std::vector<Input<T>>>& known)
+                const std::vector<std::vector<Input<T>>>& known, Taut<T>& taut)
         : components_(components), layout_(layout), solve_(solve), tensions_(tensions), ws_(space), ports_(space.ports),
-          statistics_(statistics), job_(job), known_(known), at_once_(layout), pushed_(components.size()), forces_(space.ports.ports.size()) {
-        for (const int i : tensions_.components) pushed_[i].reserve(components[i].guarded.n), ws_.pending[i] = 0;
+          statistics_(statistics), job_(job), known_(known), at_once_(layout), taut_(taut), pushed_(components.size()),
+          forces_(space.ports.ports.size()) {
+        std::size_t n_forces = 0;
+        for (int s = 0; s < n_strings(); ++s)
+            for (const int i : tensions_.strings[s].components) {
+                pushed_[i].reserve(components[i].guarded.n);
+                part_of_[i] = int(parts_.size());
+                parts_.push_back({&components[i], &known_[i], &pushed_[i], taut_.state(i), lanes(ports_.own[i]),
+                                  forces_.data() + n_forces, layout_.port[i], i, s});
+                n_forces += components[i].n_ports;
+            }
+    }
+
+    // A block begins; `entered` if it goes on where the one before ended. Else it depends on nothing but the state.
+    void begin_block(bool entered) {
+        ws_.inverted = false;
+        goes_on_ = entered;
+        if (entered) return;
+        for (Part& part : parts_) taut_.enter(part.slot), part.kept_at = INFINITY;
+        for (Array<double>* a : {&ports_.force, &ports_.base}) std::fill(a->begin(), a->end(), 0.0);
+        for (int s = 0; s < n_strings(); ++s)
+            for (int j = 0; j < 3; ++j) ws_.means[j][s] = job_.tension[3 * tensions_.strings[s].index + j];
     }
 
     // Sample b of a block: rows of the stretched components, tensions, forces of the linear connections in f, port
@@ -55,12 +72,16 @@ public:
         return true;
     }
 
-    // The last step and the rows of the stretched components at the end of a block.
-    void finish_block(int nb, double* lines) {
-        for (const int i : tensions_.components) {
-            make(i);
-            rows(i, 0, nb, lines);
+    // The end of a block, rows of the stretched components there and, if it is `asked` for, their state.
+    void finish_block(int nb, bool asked, double* lines) {
+        for (Part& part : parts_) {
+            if (!asked && part.c->n_rows == part.c->n_ports) continue;
+            make(part);
+            taut_.tell(part.slot);
+            rows(part.slot, 0, nb, lines);
         }
+        for (int s = 0; s < n_strings(); ++s)
+            for (int j = 0; j < 3; ++j) job_.tension[3 * tensions_.strings[s].index + j] = ws_.means[j][s];
     }
 
 private:
@@ -68,47 +89,50 @@ private:
     using S = Simd<double>;
     static constexpr int kWidth = Simd<T>::width;
 
-    T* x(int i) const { return job_.modes[0] + components_[i].offset; }
-    T* y(int i) const { return job_.modes[1] + components_[i].offset; }
-    T* kept(int i) const { return buffer(ws_.yields, i); }
     T* lanes(std::size_t sum) const { return reinterpret_cast<T*>(ports_.lanes.data()) + sum * kWidth; }
-    T* forces_on(int i) { return forces_.data() + ports_.first[i]; }
+
+    struct Part {  // a stretched component
+        const Component<T>* c;
+        const std::vector<Input<T>>* known;
+        std::vector<Load<T>>* pushed;
+        T *state, *sums, *forces;
+        int port, slot, string;  // its first port among all forces
+        bool pending = false;    // its last step is still to be made
+        double kept_at = 0.0;    // tension that its s are of
+    };
     int n_strings() const { return int(tensions_.strings.size()); }
 
     // The stretched components come to sample b; what they are there, and what pulls at them from outside.
     void begin_sample(int b, double* lines) {
         sample_ = b;
-        if (b == 0) {  // a block depends on nothing but the state it begins with
-            ws_.inverted = false;
-            for (const int i : tensions_.components) ws_.kept_at[i] = INFINITY;
-            for (Array<double>* a : {&ports_.force, &ports_.base}) std::fill(a->begin(), a->end(), 0.0);
-        }
         // S, or the means of T at a block's beginning, going on as a parabola
-        for (int s = 0; s < n_strings(); ++s) {
-            const double *t = job_.tension + 3 * tensions_.strings[s].index, kappa = tensions_.strings[s].kappa;
-            double foreseen = 3 * (t[0] - t[1]) + t[2];
-            if (b > 0 && kappa > 0.0) {
-                const double stretch = t[0] / kappa - ws_.stretch[s];
-                foreseen = kappa * (stretch + 3 * (stretch - ws_.stretch[s]) + ws_.past[s]);
-                ws_.past[s] = ws_.stretch[s];
+        for (int s = 0; s < ports_.strings; s += S::width) {
+            const S::V last = of(ws_.means[0], s), kappa = of(ports_.kappa, s), old = of(ws_.stretch, s);
+            S::V foreseen = 3 * (last - of(ws_.means[1], s)) + of(ws_.means[2], s);
+            if (goes_on_) {
+                const S::V stretch = last * of(ports_.over_kappa, s) - old;
+                const S::V gone_on = kappa * (stretch + 3 * (stretch - old) + of(ws_.past, s));
+                foreseen = kappa > 0.0 ? gone_on : foreseen;
+                S::store(&ws_.past[s], old);
             }
-            ws_.at[s] = std::max(foreseen, 0.0);
-            look(s);
+            S::store(&ws_.at[s], foreseen > 0.0 ? foreseen : S::V{});
         }
+        for (int s = 0; s < n_strings(); ++s) look(s);
         fold();
-        for (int s = 0; s < n_strings(); ++s) {
-            const auto& string = tensions_.strings[s];
-            if (b == 0 && string.kappa > 0.0)
-                ws_.past[s] = job_.tension[3 * string.index] / string.kappa - ws_.stretch[s];
-        }
+        if (!goes_on_)
+            for (int s = 0; s < ports_.strings; s += S::width)
+                S::store(&ws_.past[s], of(ws_.means[0], s) * of(ports_.over_kappa, s) - of(ws_.stretch, s));
         double* line = lines + std::size_t(b) * layout_.width;
-        for (std::size_t p = 0; p < ports_.ports.size(); ++p) line[ports_.ports[p].line] = ports_.of_port[0][p];
-        for (const int i : tensions_.components) rows(i, components_[i].n_ports, b, lines);
-        for (const auto& port : ports_.ports) line[layout_.width + port.line] = 0.0;
+        for (const int p : ports_.real) {
+            const auto& port = ports_.ports[p];
+            line[port.line] = port_sum(0)[p], line[layout_.width + port.line] = 0.0;
+        }
+        for (const Part& part : parts_)
+            if (part.c->n_rows > part.c->n_ports) taut_.tell(part.slot), rows(part.slot, part.c->n_ports, b, lines);
         at_once_(line, ports_.fixed_part.data());
-        for (std::size_t p = 0; p < ports_.ports.size(); ++p) ports_.fixed[p] = ports_.fixed_part[ports_.ports[p].force];
+        for (const int p : ports_.real) ports_.fixed[p] = ports_.fixed_part[ports_.ports[p].force];
         line_ = line;
-        linear_known_ = false;
+        linear_known_ = false, goes_on_ = true;
     }
 
     // Forces of the linear connections while the ports do not move by themselves.
@@ -127,87 +151,75 @@ private:
 
     // Visits a string's modes at the tension ws.at, which may make the step that is due.
     void look(int s) {
-        T* const all = lanes(ports_.shared[s]);
-        std::fill_n(all, kSharedSums * kWidth, T(0));
+        const double at = ws_.at[s];
+        Visit<T> v;
+        v.tried = at, v.begun = sample_, v.first = true;
+        v.shared = lanes(s), v.next_shared = std::size_t(ports_.strings) * kWidth;
+        v.next_own = std::size_t(ports_.width) * kWidth, v.next_port = v.next_shared;
+        v.made = ws_.used[s];
         for (const int i : tensions_.strings[s].components) {
-            const Component<T>& c = components_[i];
-            const double at = ws_.at[s], half = c.stretched.most_half;
-            T* const own = lanes(ports_.own[i]);
-            Visit<T> v;
-            v.tried = at, v.begun = sample_;
-            v.inputs = known_[i].data(), v.n_inputs = int(known_[i].size());
-            if (ws_.pending[i] && std::abs(ws_.used[s] - ws_.kept_at[i]) * half < kNear<T> &&
-                std::abs(at - ws_.used[s]) * half < kNear<T>) {
-                v.made = ws_.used[s], v.forces = forces_on(i);
-                visit<T, true, true, true>(c, x(i), y(i), kept(i), v, all, own);
-                ws_.pending[i] = 0;
+            Part& part = parts_[part_of_[i]];
+            const Component<T>& c = *part.c;
+            v.inputs = part.known->data(), v.n_inputs = int(part.known->size());
+            v.own = part.sums, v.forces = part.forces;
+            if (part.pending && std::abs(v.made - part.kept_at) * c.stretched.most_half < kTold<T> &&
+                std::abs(at - v.made) * c.stretched.most_half < kNear<T>) {
+                visit<T, true, true, true>(c, part.state, v);
+                taut_.has_moved(i);
+                part.pending = false;
             } else {
-                make(i);
-                bring_near(i, at);
+                make(part);
+                bring_near(part, at, kNear<T>);
                 if (v.n_inputs)
-                    visit<T, false, true, false>(c, x(i), y(i), kept(i), v, all, own);
+                    visit<T, false, true, false>(c, part.state, v);
                 else
-                    visit<T, false, true, true>(c, x(i), y(i), kept(i), v, all, own);
+                    visit<T, false, true, true>(c, part.state, v);
             }
-            ws_.kept_at[i] = at;
+            part.kept_at = at;
+            v.first = false;
         }
     }
 
     // Makes the step that is due.
-    void make(int i) {
-        if (!ws_.pending[i]) return;
+    void make(Part& part) {
+        if (!part.pending) return;
         Visit<T> v;
-        v.made = ws_.used[ports_.string_of[i]], v.forces = forces_on(i);
-        bring_near(i, v.made);
-        visit<T, true, false, true>(components_[i], x(i), y(i), kept(i), v, nullptr, nullptr);
-        ws_.kept_at[i] = v.made;
-        ws_.pending[i] = 0;
+        v.made = ws_.used[part.string], v.forces = part.forces;
+        bring_near(part, v.made, kTold<T>);
+        visit<T, true, false, true>(*part.c, part.state, v);
+        taut_.has_moved(part.slot);
+        part.kept_at = v.made, part.pending = false;
     }
 
     // What is kept of a component's modes must be near the next tension.
-    void bring_near(int i, double tension) {
-        const Component<T>& c = components_[i];
-        if (!(std::abs(tension - ws_.kept_at[i]) * c.stretched.most_half < kNear<T>)) keep(i, tension);
+    void bring_near(Part& part, double tension, double limit) {
+        if (std::abs(tension - part.kept_at) * part.c->stretched.most_half < limit) return;
+        taut_.yield(part.slot, tension);
+        part.kept_at = tension;
     }
 
-    // 1 / (1 + a T g / 2) of a component's modes, divided.
-    void keep(int i, double tension) {
-        if (ws_.kept_at[i] == tension) return;
-        const Component<T>& c = components_[i];
-        const T *const a = c.stretched.weight.data(), *const gain = c.stretched.gain.data(), half = T(0.5 * tension);
-        T* const to = kept(i);
-        for (int k = 0; k < c.n; k += kWidth)
-            Simd<T>::store(to + k, T(1) / (T(1) + Simd<T>::load(gain + k) * (Simd<T>::load(a + k) * half)));
-        ws_.kept_at[i] = tension;
-    }
-
-    // Sums of a visit, those of ports side by side.
+    // Sums of a visit, those of the same kind side by side.
     void fold() {
         double* to = ports_.sums.data();
         const std::size_t n = ports_.sums.size();
         for (std::size_t k = 0; k < n; k += kWidth) {
             const V sum = sums<T, kWidth>(lanes(k));
-            for (int i = 0; i < kWidth; ++i) to[k + i] = double(sum[i]);
+            if constexpr (sizeof(T) == sizeof(double))
+                Simd<T>::store(to + k, sum);
+            else
+                for (int i = 0; i < kWidth; ++i) to[k + i] = double(sum[i]);
         }
-        for (std::size_t p = 0; p < ports_.ports.size(); ++p) {
-            const auto& port = ports_.ports[p];
-            const double* from = to + ports_.own[port.component] + std::size_t(port.port) * kPortSums;
-            for (int i = 0; i < kPortSums; ++i) ports_.of_port[i][p] = from[i];
-        }
-        for (int s = 0; s < n_strings(); ++s) ws_.stretch[s] = to[ports_.shared[s]];
+        for (int s = 0; s < ports_.strings * kSharedSums; s += S::width) S::store(to + s, 2.0 * S::load(to + s));
+        std::copy_n(shared_sum(0), ports_.strings, ws_.stretch.begin());
     }
 
     // Tensions and forces where only linear connections act.
     bool linear_step(double* f, double* now) {
-        const bool done = find(kForceTolerance<T>, true, [&](double* force) {
-            std::copy(ports_.base.begin(), ports_.base.end(), force);
-            add_product(onto_, ports_.width, ports_.moved.data(), int(ports_.ports.size()), force);
-            return true;
-        });
+        const bool done = find_linear();
         statistics_.failures += !done;
         add_moved();
-        std::copy(ports_.fixed_part.begin(), ports_.fixed_part.end(), now);
-        add_product(ports_.onto_forces.data(), layout_.force_width, ports_.alone.data(), int(ports_.ports.size()), now);
+        add_product(ports_.onto_forces.data(), layout_.force_width, ports_.alone.data(), ports_.width,
+                    ports_.fixed_part.data(), now);
         if (layout_.own_port.empty()) {
             linear_forces(f);
         } else {
@@ -218,43 +230,83 @@ private:
 
     // ports.alone becomes all of what ports move by.
     void add_moved() {
-        for (std::size_t p = 0; p < ports_.ports.size(); ++p) ports_.alone[p] += ports_.moved[p];
+        for (int p = 0; p < ports_.width; p += S::width)
+            S::store(&ports_.alone[p], of(ports_.alone, p) + of(ports_.moved, p));
     }
 
     // Forces of the linear connections, after that.
     void linear_forces(double* f) {
-        std::copy_n(linear_part(), layout_.f_width, f);
-        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.alone.data(), int(ports_.ports.size()), f);
+        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.alone.data(), ports_.width, linear_part(), f);
     }
 
-    // Tensions, and the forces on the ports: `answer` tells these from the displacements ports.moved. `plain`: it adds
-    // them to ports.base and nothing else, so that this is close.
-    template <class Answer>
-    bool find(double tolerance, bool plain, const Answer& answer) {
+    // Tensions, and the forces on the ports: `turn(k)` goes nearer to both once more, and says whether it `failed`; true
+    // if it changed nothing. A string whose tension went too far from where its modes were visited is visited again.
+    template <class Turn>
+    bool search(const Turn& turn) {
         int iterations = 0;
-        bool done = false;
-        while (!done && iterations++ < kMaxTensionIterations) {
+        bool done = false, failed = false;
+        while (!done && !failed && iterations++ < kMaxTensionIterations) {
             if (iterations == 1) {
                 std::copy(ws_.at.begin(), ws_.at.end(), ws_.tension.begin());
                 std::fill(ws_.last_tension.begin(), ws_.last_tension.end(), NAN);
             } else {
                 for (int s = 0; s < n_strings(); ++s)
-                    if (!close_enough(s)) ws_.at[s] = ws_.tension[s], look(s);
+                    if (ws_.far[s] != 0.0) ws_.at[s] = ws_.tension[s], look(s);
                 fold();
             }
+            if (!expand()) break;
             bool told = false;
-            for (int turn = 0; !told && turn < kMaxTurns; ++turn) {
-                if (!displacements(plain)) return book(iterations, false);
-                if (strong_ && !plain) return book(iterations, false);
-                bool settled = false;
-                if (!settle(turn == 0 ? 3 : kMaxTurns, tolerance, answer, settled)) return book(iterations, false);
-                told = !raise_tensions() && settled;
-            }
-            done = told;
-            for (int s = 0; s < n_strings(); ++s) done = done && close_enough(s);
+            for (int k = 0; !told && !failed && k < kMaxTurns; ++k) told = turn(k, failed);
+            const bool close = all_close();
+            done = told && close, failed = failed || (close && !told);
         }
-        for (int s = 0; s < n_strings(); ++s) ws_.used[s] = ws_.tension[s];
-        return book(iterations, done);
+        std::copy(ws_.tension.begin(), ws_.tension.end(), ws_.used.begin());
+        statistics_.tension_iterations += iterations;
+        statistics_.most_tension_iterations = std::max<std::int64_t>(statistics_.most_tension_iterations, iterations);
+        return done;
+    }
+
+    // Where port forces are onto^T d and a fixed part. A product brings the forces three digits nearer, a Newton step the
+    // tensions as near as the forces allow: two products for each turn.
+    bool find_linear() {
+        const int width = ports_.width;
+        double *const force = ports_.force.data(), *const next = ports_.next.data(), *const all = ports_.wrong.data();
+        const auto answer = [&](double* to) {
+            move_ports(force);
+            for (int p = 0; p < width; p += S::width) S::store(all + p, of(ports_.alone, p) + of(ports_.moved, p));
+            add_product(onto_, width, all, width, fixed_, to);
+        };
+        const bool done = search([&](int, bool&) {
+            displacements();
+            if (strong_) invert_ports();
+            else answer(force);
+            answer(next);
+            S::V sizes{}, unsettled{};
+            for (int p = 0; p < width; p += S::width) sizes = most(sizes, size(S::load(next + p)));
+            const double enough = kForceTolerance<T> * S::largest(sizes) / (strong_ ? 1.0 : std::min(1.0, 2 * largest_));
+            for (int p = 0; p < width; p += S::width) {
+                const S::V now = S::load(next + p), wrong = now - S::load(force + p);
+                unsettled += size(wrong) <= enough ? S::V{} : S::V{} + 1.0;
+                S::store(all + p, wrong);
+                if (!strong_) S::store(force + p, now);
+            }
+            if (strong_) add_product(ports_.inverse.data(), width, all, width, force);
+            return S::sum(unsettled + raise_tensions()) == 0.0;
+        });
+        move_ports(force);
+        return done;
+    }
+
+    // Where laws answer too: `answer` tells the forces from the displacements ports.alone and ports.moved.
+    template <class Answer>
+    bool find(double tolerance, const Answer& answer) {
+        return search([&](int turn, bool& failed) {
+            displacements();
+            add_product(onto_, ports_.width, ports_.alone.data(), ports_.width, fixed_, ports_.base.data());
+            bool settled = false;
+            failed = strong_ || !settle(turn == 0 ? 3 : kMaxTurns, tolerance, answer, settled);
+            return !failed && S::sum(raise_tensions()) == 0.0 && settled;
+        });
     }
 
     bool book(int iterations, bool done) {
@@ -263,113 +315,107 @@ private:
         return done;
     }
 
-    // Where the ports come to by themselves at the tensions tried, and how their compliances differ from those at rest.
-    bool displacements(bool plain) {
-        const int n = int(ports_.ports.size()), width = ports_.pair_width;
-        largest_ = 0.0;
-        for (int s = 0; s < n_strings(); ++s) {
-            if (!std::isfinite(ws_.tension[s])) return false;
-            enter_cell(s);
-            largest_ = std::max(largest_, ws_.tension[s] * ports_.cells[s].most);
+    // Compliances, less what they are at rest, and two derivatives at the tensions that modes were visited at. False if
+    // one of these is no number.
+    bool expand() {
+        S::V highest{}, outside{};
+        for (int s = 0; s < ports_.strings; s += S::width) {
+            const S::V at = of(ws_.at, s);
+            highest = most(highest, at * of(ports_.most, s));
+            const S::V not_below = at >= of(ports_.low, s) ? S::V{} : S::V{} + 1.0;
+            outside += at < of(ports_.high, s) ? not_below : S::V{} + 1.0;
         }
+        if (S::sum(outside) != 0.0)
+            for (int s = 0; s < n_strings(); ++s) {
+                if (!std::isfinite(ws_.at[s])) return false;
+                enter_cell(s);
+            }
+        largest_ = S::largest(highest);
         strong_ = largest_ > kStrong;
-        double *const by = ports_.by.data(), *const to = ports_.alone.data();
-        double *const off = ports_.off.data(), *const change = ports_.change.data(), *const slope = ports_.slope.data();
-        for (int s = 0; s < n_strings(); ++s) {
-            const auto& [first, last, first_pair, last_pair] = ports_.ranges[s];
-            for (int p = first; p < last; ++p) by[p] = ws_.tension[s] - ws_.at[s];
-            for (int q = first_pair; q < last_pair; ++q) off[q] = ws_.tension[s] - ports_.cells[s].low;
-        }
-        for (int p = 0; p < ports_.width; p += S::width) {
-            const S::V half = of(ports_.by, p) * 0.5;
-            S::store(to + p, of_port(1, p) - of_port(0, p) - half * (of_port(3, p) - half * of_port(5, p)));
-        }
-        for (int q = 0; q < width; q += S::width) {
-            const S::V by = S::load(off + q);
-            S::V value{}, rise{};
-            for (int j = kTaylor - 1; j >= 0; --j) {
-                rise = rise * by + value;
-                value = value * by + S::load(&ports_.changes[std::size_t(j) * width + q]);
+        for (int s = 0; s < ports_.strings; s += S::width) {
+            const S::V by = of(ws_.at, s) - of(ports_.low, s);
+            for (int q = s; q < ports_.pair_width; q += ports_.strings) {
+                S::V value{}, rise{}, bend{};
+                for (int j = kTaylor - 1; j >= 0; --j) {
+                    bend = bend * by + rise;
+                    rise = rise * by + value;
+                    value = value * by + S::load(&ports_.changes[std::size_t(j) * ports_.pair_width + q]);
+                }
+                S::store(&ports_.change_at[q], value), S::store(&ports_.slope_at[q], rise);
+                S::store(&ports_.bend_at[q], bend);
             }
-            S::store(change + q, value), S::store(slope + q, rise);
         }
-        if (!ports_.single)
-            for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
-                const auto& pair = ports_.pairs[q];
-                ports_.changed[std::size_t(pair.to) * ports_.width + pair.from] = change[q];
-                ports_.changed[std::size_t(pair.from) * ports_.width + pair.to] = change[q];
-            }
-        double *const base = ports_.base.data(), *const force = ports_.force.data();
-        if (plain)
-            for (int p = 0; p < ports_.width; p += S::width) S::store(force + p, S::load(force + p) - S::load(base + p));
-        add_product(onto_, ports_.width, to, n, fixed_, base);
-        if (plain)
-            for (int p = 0; p < ports_.width; p += S::width) S::store(force + p, S::load(force + p) + S::load(base + p));
-        if (strong_) invert_ports();
         return true;
+    }
+
+    // Where the ports come to by themselves at the tensions tried, and how their compliances differ from those at rest.
+    void displacements() {
+        for (int s = 0; s < ports_.strings; s += S::width) {
+            const S::V by = of(ws_.tension, s) - of(ws_.at, s);
+            for (int p = s; p < ports_.width; p += ports_.strings)
+                S::store(&ports_.alone[p], port_sum(1, p) - by * (port_sum(2, p) - by * port_sum(4, p)));
+            for (int q = s; q < ports_.pair_width; q += ports_.strings) {
+                const S::V slope = of(ports_.slope_at, q), bend = by * of(ports_.bend_at, q);
+                S::store(&ports_.change[q], of(ports_.change_at, q) + by * (slope + bend));
+                S::store(&ports_.slope[q], slope + 2.0 * bend);
+            }
+        }
     }
 
     // Compliances about the tension of a string, made anew where it leaves their cell.
     void enter_cell(int s) {
-        auto& cell = ports_.cells[s];
-        const double tension = ws_.tension[s];
-        if (cell.index >= 0 && tension >= cell.low && tension < cell.high) return;
-        const auto begin = [&](int index) { return std::expm1(kCell * index) / cell.most; };
-        int index = int(std::log1p(cell.most * tension) / kCell);
+        const double tension = ws_.at[s], most = ports_.most[s];
+        if (tension >= ports_.low[s] && tension < ports_.high[s]) return;
+        const auto begin = [&](int index) { return std::expm1(kCell * index) / most; };
+        int index = int(std::log1p(most * tension) / kCell);
         while (index > 0 && tension < begin(index)) --index;
         while (tension >= begin(index + 1)) ++index;
-        cell.index = index, cell.low = begin(index), cell.high = begin(index + 1);
-        for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
-            const auto& pair = ports_.pairs[q];
-            if (pair.string != s) continue;
+        ports_.low[s] = begin(index), ports_.high[s] = begin(index + 1);
+        const auto& components = tensions_.strings[s].components;
+        for (const auto& pair : ports_.pairs) {
+            if (pair.component >= int(components.size())) continue;
+            const Component<T>& c = components_[components[pair.component]];
+            if (pair.from >= c.n_ports) continue;
             double terms[kTaylor];
-            compliances(components_[pair.component], cell.low, ports_.ports[pair.to].port, ports_.ports[pair.from].port,
-                        terms);
-            for (int j = 0; j < kTaylor; ++j) ports_.changes[std::size_t(j) * ports_.pair_width + q] = terms[j];
+            compliances(c, ports_.low[s], pair.to, pair.from, terms);
+            for (int j = 0; j < kTaylor; ++j)
+                ports_.changes[std::size_t(j) * ports_.pair_width + pair.pair + s] = terms[j];
         }
     }
 
     // ports.moved = (Z(T) - Z(0)) f
     void move_ports(const double* force) {
-        const int n = int(ports_.ports.size());
-        double* const to = ports_.moved.data();
-        if (ports_.single) {
-            for (int p = 0; p < ports_.width; p += S::width) S::store(to + p, of(ports_.change, p) * S::load(force + p));
-            return;
-        }
-        std::fill_n(to, ports_.width, 0.0);
-        add_product(ports_.changed.data(), ports_.width, force, n, to);
+        double *const moved = ports_.moved.data(), *const change = ports_.change.data();
+        for (const auto& [component, to, from, pair, to_port, from_port] : ports_.pairs)
+            for (int s = 0; s < ports_.strings; s += S::width) {
+                double *const one = moved + to_port + s, *const other = moved + from_port + s;
+                const S::V z = S::load(change + pair + s), by_one = z * S::load(force + from_port + s);
+                if (to == from) {
+                    S::store(one, by_one);
+                } else {
+                    S::store(one, S::load(one) + by_one);
+                    S::store(other, S::load(other) + z * S::load(force + to_port + s));
+                }
+            }
     }
 
     // The forces that the displacements call up and that make the displacements, at the tensions tried. Each turn shrinks
     // what is wrong by about the largest rise of a mode's stiffness; `settled` once that is below `tolerance`.
     template <class Answer>
     bool settle(int turns, double tolerance, const Answer& answer, bool& settled) {
-        const int n = int(ports_.ports.size());
         double *const force = ports_.force.data(), *const next = ports_.next.data();
-        const double shrinks = strong_ ? 1.0 : std::min(1.0, 2 * largest_);
-        for (int turn = 0; turn < turns; ++turn) {
+        const double shrinks = std::min(1.0, 2 * largest_);
+        for (int turn = 0; !settled && turn < turns; ++turn) {
             move_ports(force);
             if (!answer(next)) return false;
             S::V changes{}, sizes{}, check{};
             for (int p = 0; p < ports_.width; p += S::width) {
-                const S::V now = S::load(next + p), wrong = now - S::load(force + p);
-                const S::V change = wrong < 0.0 ? -wrong : wrong, size = now < 0.0 ? -now : now;
-                changes = change > changes ? change : changes, sizes = size > sizes ? size : sizes;
-                check += change;
-                S::store(&ports_.wrong[p], wrong);
+                const S::V now = S::load(next + p), change = size(now - S::load(force + p));
+                changes = most(changes, change), sizes = most(sizes, size(now)), check += change;
+                S::store(force + p, now);
             }
             if (!(S::sum(check) <= 1e300)) return false;
-            double change = 0.0, size = 0.0;
-            for (int p = 0; p < S::width; ++p) change = std::max(change, changes[p]), size = std::max(size, sizes[p]);
-            if (strong_) {
-                for (int p = 0; p < n; ++p)
-                    for (int q = 0; q < n; ++q) force[p] += ports_.inverse[std::size_t(p) * n + q] * ports_.wrong[q];
-            } else {
-                std::copy_n(next, n, force);
-            }
-            settled = change * shrinks <= tolerance * size;
-            if (settled) break;
+            settled = S::largest(changes) * shrinks <= tolerance * S::largest(sizes);
         }
         move_ports(force);
         return true;
@@ -411,73 +457,72 @@ private:
     }
 
     static S::V of(const Array<double>& a, int p) { return S::load(&a[p]); }
-    S::V of_port(int sum, int p) const { return S::load(&ports_.of_port[sum][p]); }
+    const double* shared_sum(int kind) const { return &ports_.sums[std::size_t(kind) * ports_.strings]; }
+    const double* port_sum(int kind) const {
+        return &ports_.sums[std::size_t(kSharedSums) * ports_.strings + std::size_t(kind) * ports_.width];
+    }
+    S::V shared_sums(int kind, int s) const { return S::load(shared_sum(kind) + s); }
+    S::V port_sum(int kind, int p) const { return S::load(port_sum(kind) + p); }
+    static S::V least(S::V a, S::V b) { return a < b ? a : b; }
+    static S::V most(S::V a, S::V b) { return a > b ? a : b; }
+    static S::V size(S::V a) { return a < 0.0 ? -a : a; }
 
-    // Newton's step of every tension, at the forces found; true if one of them changed.
-    bool raise_tensions() {
-        bool changed = false;
-        double *const gained = ports_.gained.data(), *const steep = ports_.steep.data();
-        double *const pushed = ports_.pushed.data(), *const sharp = ports_.sharp.data();
-        for (int p = 0; p < ports_.width; p += S::width) {
-            const S::V f = of(ports_.force, p), rises = 2.0 * of_port(5, p) - of_port(4, p);
-            S::store(gained + p, f * (2.0 * (of_port(3, p) - of_port(2, p)) - of(ports_.by, p) * rises));
-            S::store(steep + p, f * rises);
-        }
-        if (ports_.single) {
-            for (int p = 0; p < ports_.width; p += S::width) both_pushed(p, of(ports_.force, p) * of(ports_.force, p));
-        } else {
-            for (std::size_t q = 0; q < ports_.pairs.size(); ++q) {
-                const auto& pair = ports_.pairs[q];
-                ports_.both[q] = ports_.force[pair.to] * ports_.force[pair.from] * (pair.to == pair.from ? 1.0 : 2.0);
+    // Newton's step of every tension, at the forces found; the sum of what is returned counts those that changed.
+    S::V raise_tensions() {
+        S::V changed{};
+        const double* const third = &ports_.changes[3 * std::size_t(ports_.pair_width)];
+        for (int s = 0; s < ports_.strings; s += S::width) {
+            const S::V tension = of(ws_.tension, s), at = of(ws_.at, s), by = tension - at;
+            const S::V bent = shared_sums(3, s) + 2.0 * shared_sums(4, s), kappa = of(ports_.kappa, s);
+            S::V gained = shared_sums(1, s) - by * (2.0 * shared_sums(2, s) - by * bent);
+            S::V falls = 2.0 * (shared_sums(2, s) - by * bent), push{}, bends{};
+            for (int p = s; p < ports_.width; p += ports_.strings) {
+                const S::V f = of(ports_.force, p), crossed = 4.0 * f, turns = port_sum(4, p) + port_sum(5, p);
+                gained += crossed * (port_sum(3, p) - by * turns), falls += crossed * turns;
             }
-            for (int q = 0; q < ports_.pair_width; q += S::width) both_pushed(q, of(ports_.both, q));
-        }
-        for (int s = 0; s < n_strings(); ++s) {
-            const double *all = &ports_.sums[ports_.shared[s]], by = ws_.tension[s] - ws_.at[s];
-            const auto& [first, last, first_pair, last_pair] = ports_.ranges[s];
-            double after = all[1] - by * all[2], steepness = all[2], push = 0.0, sharpness = 0.0;
-            for (int p = first; p < last; ++p) after += gained[p], steepness += steep[p];
-            for (int q = first_pair; q < last_pair; ++q) push += pushed[q], sharpness += sharp[q];
-            ws_.after[s] = after, ws_.steepness[s] = steepness, ws_.pushed[s] = push, ws_.sharp[s] = sharpness;
-        }
-        for (int s = 0; s < n_strings(); ++s) {
-            const double kappa = tensions_.strings[s].kappa, old = ws_.stretch[s];
-            const double excess = ws_.tension[s] - kappa * (old + ws_.after[s] + ws_.pushed[s]);
-            const double reach = kFar * (ws_.at[s] + 1 / ports_.cells[s].most);
-            const double steepness = std::max(1 + kappa * ws_.steepness[s], 0.5);
-            const double secant = (excess - ws_.last_excess[s]) / (ws_.tension[s] - ws_.last_tension[s]);
-            ws_.last_excess[s] = excess, ws_.last_tension[s] = ws_.tension[s];
-            const auto within = [&](double next) {
-                return std::max(std::clamp(next, ws_.at[s] - reach, ws_.at[s] + reach), kappa * old);
-            };
-            double next = within(ws_.tension[s] - excess / steepness);
-            const double still = kSettled<T> * std::max(1 / ports_.cells[s].most, 20 * next);
-            if (std::abs(next - ws_.tension[s]) <= std::max(still, 0.2 * kTensionTolerance<T> * next)) continue;
+            // what pairs of forces give to the stretch: -2 f f' dZ/dT, and how it bends
+            for (const auto& pair : ports_.pairs) {
+                const S::V both = of(ports_.force, pair.to_port + s) * of(ports_.force, pair.from_port + s) *
+                                  (pair.to == pair.from ? 2.0 : 4.0);
+                push -= both * of(ports_.slope, pair.pair + s), bends += size(both * S::load(third + pair.pair + s));
+            }
+            S::store(&ws_.after[s], gained), S::store(&ws_.pushed[s], push), S::store(&ws_.sharp[s], 0.5 * bends);
+            const S::V least_tension = kappa * of(ws_.stretch, s), over_most = of(ports_.over_most, s);
+            const S::V excess = tension - least_tension - kappa * (gained + push);
+            const S::V reach = kFar * (at + over_most), steepness = most(1.0 + kappa * falls, S::V{} + 0.5);
+            const S::V secant = (excess - of(ws_.last_excess, s)) / (tension - of(ws_.last_tension, s));
+            S::store(&ws_.last_excess[s], excess), S::store(&ws_.last_tension[s], tension);
+            const auto within = [&](S::V next) { return most(most(least(next, at + reach), at - reach), least_tension); };
+            const S::V near = within(tension - excess / steepness);
             // that was at constant forces; a secant knows how they answer, and goes less far where it is steeper
-            if (secant > steepness) next = within(ws_.tension[s] - excess / secant);
-            ws_.tension[s] = next;
-            changed = true;
+            const S::V next = secant > steepness ? within(tension - excess / secant) : near;
+            const S::V still = most(kSettled<T> * most(over_most, 20.0 * near), 0.2 * kTensionTolerance<T> * near);
+            const auto stays = size(near - tension) <= still;
+            S::store(&ws_.tension[s], stays ? tension : next);
+            changed += stays ? S::V{} : S::V{} + 1.0;
         }
         return changed;
     }
 
-    // What pairs of forces give to the stretch: -2 f f' dZ/dT, and how it bends.
-    void both_pushed(int q, S::V both) {
-        const S::V bend = both * S::load(&ports_.changes[3 * std::size_t(ports_.pair_width) + q]);
-        S::store(&ports_.pushed[q], -2.0 * both * of(ports_.slope, q));
-        S::store(&ports_.sharp[q], bend < 0.0 ? -bend : bend);
-    }
-
-    // Whether the sums of the visit tell the motion of a string at the tension found: what their polynomials leave out
-    // is bounded by Cauchy's inequality.
-    bool close_enough(int s) const {
-        const double kappa = tensions_.strings[s].kappa, by = std::abs(ws_.tension[s] - ws_.at[s]);
-        const double most = ports_.cells[s].most, near = by * most / (1 + most * std::min(ws_.tension[s], ws_.at[s]));
-        const double own = ports_.sums[ports_.shared[s] + 3];
-        const double lost = by * by * (own + 6 * std::sqrt(own * ws_.sharp[s]));
-        const double size = ws_.stretch[s] + ws_.after[s] + std::abs(ws_.pushed[s]);
-        return near <= kTold<T> &&
-               kappa * lost <= 0.5 * kTensionTolerance<T> * (ws_.tension[s] + 1e-2 * kappa * size);
+    // Whether the sums of the visit tell the motion of all strings at the tensions found: what their polynomials leave
+    // out is bounded by Cauchy's inequality. ws.far marks those where they do not.
+    bool all_close() {
+        S::V far{};
+        for (int s = 0; s < ports_.strings; s += S::width) {
+            const S::V tension = of(ws_.tension, s), at = of(ws_.at, s), by = size(tension - at), kappa = of(ports_.kappa, s);
+            const S::V near = by / (of(ports_.over_most, s) + least(tension, at)), stretch = of(ws_.stretch, s);
+            const S::V after = of(ws_.after, s), all = stretch + after + size(of(ws_.pushed, s));
+            const S::V crossed = shared_sums(3, s) * of(ws_.sharp, s);  // of which the root is meant
+            const S::V enough = 0.5 * kTensionTolerance<T> * (tension + 1e-2 * kappa * all);
+            const S::V left = enough - 36.0 * kappa * near * near * near * (shared_sums(1, s) + stretch);
+            const S::V lost = 12.0 * kappa * by * by;
+            const S::V is_far = lost * lost * crossed <= left * left ? S::V{} : S::V{} + 1.0;
+            const S::V marks = left >= 0.0 ? is_far : S::V{} + 1.0;
+            const S::V mark = near <= kTold<T> ? marks : S::V{} + 1.0;
+            S::store(&ws_.far[s], mark);
+            far += mark;
+        }
+        return S::sum(far) == 0.0;
     }
 
     // Newton's step of every tension; true if they were right already. `gain_of` adds what a component's stretch gains.
@@ -505,23 +550,20 @@ private:
 
     // The step is found, the port forces known. It is made at once where more than fixed ports and springs push.
     void finish_sample(const double* now) {
-        for (int s = 0; s < n_strings(); ++s) {
-            double* t = job_.tension + 3 * tensions_.strings[s].index;
-            t[2] = t[1], t[1] = t[0], t[0] = ws_.used[s];
-            for (const int i : tensions_.strings[s].components) {
-                for (int p = 0; p < components_[i].n_ports; ++p) forces_on(i)[p] = T(now[layout_.port[i] + p]);
-                if (known_[i].empty() && pushed_[i].empty()) {
-                    ws_.pending[i] = 1;
-                    continue;
-                }
-                Visit<T> v;
-                v.made = ws_.used[s], v.forces = forces_on(i), v.made_in = sample_;
-                v.inputs = known_[i].data(), v.n_inputs = int(known_[i].size());
-                v.loads = pushed_[i].data(), v.n_loads = int(pushed_[i].size());
-                bring_near(i, v.made);
-                visit<T, true, false, false>(components_[i], x(i), y(i), kept(i), v, nullptr, nullptr);
-                ws_.kept_at[i] = v.made;
-            }
+        std::swap(ws_.means[2], ws_.means[1]), std::swap(ws_.means[1], ws_.means[0]);
+        std::copy(ws_.used.begin(), ws_.used.end(), ws_.means[0].begin());
+        for (Part& part : parts_) {
+            for (int p = 0; p < part.c->n_ports; ++p) part.forces[p] = T(now[part.port + p]);
+            part.pending = true;
+            if (part.known->empty() && part.pushed->empty()) continue;
+            Visit<T> v;
+            v.made = ws_.used[part.string], v.forces = part.forces, v.made_in = sample_;
+            v.inputs = part.known->data(), v.n_inputs = int(part.known->size());
+            v.loads = part.pushed->data(), v.n_loads = int(part.pushed->size());
+            bring_near(part, v.made, kTold<T>);
+            visit<T, true, false, false>(*part.c, part.state, v);
+            taut_.has_moved(part.slot);
+            part.kept_at = v.made, part.pending = false;
         }
     }
 
@@ -530,7 +572,7 @@ private:
         using S = Simd<T>;
         const Component<T>& c = components_[i];
         double* line = lines + std::size_t(b) * layout_.width + layout_.row[i];
-        const T *sx = x(i), *sy = y(i);
+        const T *const sx = job_.modes[0] + c.offset, *const sy = job_.modes[1] + c.offset;
         for (int r = first; r < c.n_rows; ++r) {
             const T *rx = &c.rows[2 * std::size_t(r) * c.n], *ry = rx + c.n;
             V sum{}, more{};
@@ -545,9 +587,10 @@ private:
     // Coordinates before the step in ws.y, and in ws.u their sum with those after it without forces.
     void coordinates(int i) {
         using S = Simd<T>;
+        taut_.tell(i);
         const Component<T>& c = components_[i];
         const int n = c.n;
-        const T *const sx = x(i), *const sy = y(i), *const readings = c.stretched.reading.data();
+        const T *const sx = job_.modes[0] + c.offset, *const sy = job_.modes[1] + c.offset, *const readings = c.stretched.reading.data();
         const T *const e00 = c.e.data(), *const e01 = e00 + n;
         T *const here = buffer(ws_.y, i), *const both = buffer(ws_.u, i);
         for (int k = 0; k < n; k += kWidth) {
@@ -649,12 +692,15 @@ private:
     const Job<T>& job_;
     const std::vector<std::vector<Input<T>>>& known_;
     int sample_ = 0;
-    bool strong_ = false, linear_known_ = false;
+    bool strong_ = false, linear_known_ = false, goes_on_ = false;
     double largest_ = 0.0;  // rise of a mode's stiffness
     const double* line_ = nullptr;
     const double *onto_ = ports_.onto_ports.data(), *fixed_ = ports_.fixed.data();
     Direct at_once_;
+    Taut<T>& taut_;
     std::vector<std::vector<Load<T>>> pushed_;  // forces on guarded ports, by component
+    std::vector<Part> parts_;  // string by string
+    std::vector<int> part_of_ = std::vector<int>(components_.size(), -1);  // by component
     Array<T> forces_;                           // on fixed ports, of the step found last
 };
 

@@ -48,6 +48,7 @@ class _Kernel:
         half: NDArray[np.float64],
         reading: NDArray[np.float64],
         kick: NDArray[np.float64],
+        e: NDArray[np.float64],
     ) -> None: ...
     def set_tensions(
         self,

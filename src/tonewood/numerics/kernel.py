@@ -186,7 +186,7 @@ class KernelStepper:
             if (part := compiled.tension) is not None:
                 half = 0.5 * part.reading * part.kick[:, 0] * part.weights
                 alone = [_pack(a[None, :, None])[0, 0] for a in (part.weights, half, part.reading)]
-                self._kernel.set_stretched(slot, alone[0], alone[1], alone[2], _pack(part.kick[None])[0])
+                self._kernel.set_stretched(slot, *alone, _pack(part.kick[None])[0], component[0])
         return fresh
 
     def _arrays(
