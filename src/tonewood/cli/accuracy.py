@@ -64,7 +64,7 @@ def accuracy(
         if system is None:
             points = dial.run(quick=quick, tell=lambda share: advance(1 + 0.05 * share))
             more["dial"] = (dial.section(points), [p.to_dict() for p in points])
-            budgets = dial.budgets()
+            budgets = dial.budgets(quick=quick)
             more["effects"] = (dial.budget_section(budgets), [p.to_dict() for p in budgets])
     study = Study(outcomes, timing.machine(), quick, more)
     png = b""

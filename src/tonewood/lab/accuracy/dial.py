@@ -26,6 +26,8 @@ Floats = NDArray[np.float64]
 
 #: of the note; Hz of the sound; s of it, from when on partials are compared
 VELOCITY_MIDI, FS, DURATION, SETTLED = 64, 48000, 4.0, 0.1
+#: s, in a quick run
+SHORT = 1.5
 #: how far `standard` may be from `reference`: cents, share of a decay rate, dB
 LIMITS = (1.0, 0.05, 1.0)
 #: share of these by which a thousandth more force makes a motion a sensitive one; its strokes, and how far apart
@@ -100,9 +102,9 @@ def measure(instrument: Instrument, string: str, *, nudge: bool = True) -> list[
     Parameters
     ----------
     nudge : also what `reference` does for a thousandth more force; where that is much, strokes are compared by their
-        means. Without it one stroke is.
+        means. Without it one stroke is, and not for so long.
     """
-    case = _Case.of(instrument, string)
+    case = _Case.of(instrument, string, duration=DURATION if nudge else SHORT)
     options: dict[str, dict[str, Any]] = {name: {"accuracy": name} for name in LEVELS}
     if not nudge:
         return case.held_against({label: case.strokes(given) for label, given in options.items()}, "reference")
@@ -138,23 +140,30 @@ class _Case:
     string: str
     force: float
     let_go: float
+    duration: float = DURATION
 
     @classmethod
-    def of(cls, instrument: Instrument, string: str, force: float | None = None) -> _Case:
+    def of(cls, instrument: Instrument, string: str, force: float | None = None, duration: float = DURATION) -> _Case:
         """With the force of a velocity in the middle, if none is given."""
         note = Note(0.0, DURATION, string=string, stop=0, force=force, velocity_midi=None if force else VELOCITY_MIDI)
         renderer = Renderer(Score([note]), instrument, FS)
         motions = [m for play in renderer.performance.timeline.plays for m in play.gesture.motions]
         force = renderer.model.playing.velocity.value(VELOCITY_MIDI) if force is None else force
         # what moves on at a velocity goes on giving energy
-        return cls(instrument, string, force, 0.5 * DURATION if any(m.quantity == "velocity" for m in motions) else 0.0)
+        return cls(
+            instrument,
+            string,
+            force,
+            0.5 * duration if any(m.quantity == "velocity" for m in motions) else 0.0,
+            duration,
+        )
 
     def strokes(self, options: Mapping[str, Any], factors: Sequence[float] = (1.0,)) -> _Strokes:
         """A note rendered with some options, with these times the force."""
         sounds, spent, n_modes = [], 0.0, 0
         for factor in factors:
-            note = Note(0.0, self.let_go or DURATION, string=self.string, stop=0, force=self.force * factor)
-            renderer = Renderer(Score([note]), self.instrument, FS, max_duration=DURATION, **options)
+            note = Note(0.0, self.let_go or self.duration, string=self.string, stop=0, force=self.force * factor)
+            renderer = Renderer(Score([note]), self.instrument, FS, max_duration=self.duration, **options)
             sounds.append(np.concatenate(list(renderer.blocks(4096)))[:, 0])
             summary = renderer.summary()
             spent, n_modes = spent + 1 / summary.realtime_factor, summary.n_modes
@@ -180,7 +189,7 @@ class _Case:
         return [self.point(label, strokes, rendered[truth]) for label, strokes in rendered.items()]
 
 
-def budgets(*, tell: Tell = silent) -> list[DialPoint]:
+def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
     """What effects cost and add: the steel-string guitar with all of them, with budgets, without."""
     instrument = Instrument.load("steel_guitar")
     options: dict[str, dict[str, Any]] = {"all": {"effects": "all"}}
@@ -188,7 +197,7 @@ def budgets(*, tell: Tell = silent) -> list[DialPoint]:
         named = f"auto, {cents:g} cents, {db:g} dB"
         options[named] = {"effects": "auto", "budget_cents": cents, "budget_db": db}
     options["none"] = {"effects": "none"}
-    case = _Case.of(instrument, middle_string(instrument), FORCE)
+    case = _Case.of(instrument, middle_string(instrument), FORCE, SHORT if quick else DURATION)
     out = case.held_against({label: case.strokes(given) for label, given in options.items()}, "all")
     tell(1.0)
     return out
