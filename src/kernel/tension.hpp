@@ -283,10 +283,10 @@ private:
             answer(next);
             S::V sizes{}, unsettled{};
             for (int p = 0; p < width; p += S::width) sizes = most(sizes, size(S::load(next + p)));
-            const double enough = kForceTolerance<T> * S::largest(sizes) / (strong_ ? 1.0 : std::min(1.0, 2 * largest_));
+            const double enough = kForceTolerance<T> * S::largest(sizes), shrinks = strong_ ? 1.0 : std::min(1.0, 2 * largest_);
             for (int p = 0; p < width; p += S::width) {
                 const S::V now = S::load(next + p), wrong = now - S::load(force + p);
-                unsettled += size(wrong) <= enough ? S::V{} : S::V{} + 1.0;
+                unsettled += shrinks * size(wrong) <= enough ? S::V{} : S::V{} + 1.0;
                 S::store(all + p, wrong);
                 if (!strong_) S::store(force + p, now);
             }

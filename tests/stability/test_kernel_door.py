@@ -183,7 +183,8 @@ def stretched() -> list[tuple[str, list[Any]]]:
     one = np.zeros(PAD)
     one[0] = 1.0
     m = CONNECTIONS
-    made.insert(5, ("set_stretched", [0, one, 1e-3 * one, one, np.stack([1e-3 * one, 1e-3 * one])]))
+    kick, e = np.stack([1e-3 * one, 1e-3 * one]), component(0)[3]
+    made.insert(5, ("set_stretched", [0, one, 1e-3 * one, one, kick, e]))
     made.insert(6, ("set_tensions", [[(0, 10.0, [0])], np.eye(m), np.zeros(m)]))
     made[-1][1][9] = np.zeros((1, 3))
     return made
@@ -204,7 +205,8 @@ def test_tensions_that_do_not_fit_are_refused() -> None:
     parts = []
     for name, argument, wrong in (
         ("set_stretched", 0, 3), ("set_stretched", 0, 2), ("set_stretched", 1, np.ones(PAD + 1)),
-        ("set_stretched", 4, np.ones((1, PAD))), ("set_tensions", 0, [(0, 1.0, [3])]),
+        ("set_stretched", 4, np.ones((1, PAD))), ("set_stretched", 5, np.ones((2, PAD))),
+        ("set_tensions", 0, [(0, 1.0, [3])]),
         ("set_tensions", 0, [(0, 1.0, [-1])]),
         ("set_tensions", 0, [(-1, 1.0, [0])]), ("set_tensions", 1, np.eye(3)), ("set_tensions", 2, np.zeros(3)),
     ):  # fmt: skip

@@ -185,8 +185,8 @@ class KernelStepper:
                 self._kernel.set_guarded(slot, component[0], *guarded)
             if (part := compiled.tension) is not None:
                 half = 0.5 * part.reading * part.kick[:, 0] * part.weights
-                alone = [_pack(a[None, :, None])[0, 0] for a in (part.weights, half, part.reading)]
-                self._kernel.set_stretched(slot, *alone, _pack(part.kick[None])[0], component[0])
+                weights, half, reading = (_pack(a[None, :, None])[0, 0] for a in (part.weights, half, part.reading))
+                self._kernel.set_stretched(slot, weights, half, reading, _pack(part.kick[None])[0], component[0])
         return fresh
 
     def _arrays(
