@@ -28,6 +28,7 @@ constexpr int kMaxTensionIterations = 200, kMaxTurns = 100;
 constexpr double kFar = 0.1;      // and up to which one visit may go on
 constexpr double kCell = 0.01;    // the same over a cell of compliances
 constexpr double kStrong = 0.05;  // beyond it forces are found by an inverse
+constexpr double kSoft = 0.01;    // and up to which they and the tensions are found side by side
 
 template <class T>
 class TensionStep {
@@ -254,6 +255,7 @@ private:
                     if (ws_.far[s] != 0.0) ws_.at[s] = ws_.tension[s], look(s);
                 fold();
             }
+            if (is_beyond()) continue;
             if (!expand()) break;
             bool told = false;
             for (int k = 0; !told && !failed && k < kMaxTurns; ++k) told = turn(k, failed);
@@ -266,8 +268,22 @@ private:
         return done;
     }
 
-    // Where port forces are onto^T d and a fixed part. A product brings the forces three digits nearer, a Newton step the
-    // tensions as near as the forces allow: two products for each turn.
+    // Whether a tension must be higher, by what its string is stretched already, than the visit to its modes can tell:
+    // ws.far marks such strings.
+    bool is_beyond() {
+        S::V beyond{};
+        for (int s = 0; s < ports_.strings; s += S::width) {
+            const S::V at = of(ws_.at, s), least_tension = of(ports_.kappa, s) * of(ws_.stretch, s);
+            const S::V mark = least_tension > at + kFar * (at + of(ports_.over_most, s)) ? S::V{} + 1.0 : S::V{};
+            S::store(&ws_.far[s], mark), S::store(&ws_.tension[s], most(of(ws_.tension, s), least_tension));
+            beyond += mark;
+        }
+        return S::sum(beyond) != 0.0;
+    }
+
+    // Where port forces are onto^T d and a fixed part. As a rule a product brings the forces three digits nearer, a Newton
+    // step the tensions as near as the forces allow: two products for each turn. Where stiffness rises much, the forces
+    // are settled first, so that a secant tells of nothing but tensions.
     bool find_linear() {
         const int width = ports_.width;
         double *const force = ports_.force.data(), *const next = ports_.next.data(), *const all = ports_.wrong.data();
@@ -278,12 +294,25 @@ private:
         };
         const bool done = search([&](int, bool&) {
             displacements();
+            const bool soft = largest_ <= kSoft;
             if (strong_) invert_ports();
             else answer(force);
+            for (int product = 0; !strong_ && !soft && product < kMaxTurns; ++product) {
+                std::copy_n(force, width, next);
+                answer(force);
+                double change = 0.0, size = 0.0;
+                for (int p = 0; p < width; ++p) {
+                    change = std::max(change, std::abs(force[p] - next[p]));
+                    size = std::max(size, std::abs(force[p]));
+                }
+                if (change * largest_ <= kForceTolerance<T> * size) break;
+            }
             answer(next);
             S::V sizes{}, unsettled{};
-            for (int p = 0; p < width; p += S::width) sizes = most(sizes, size(S::load(next + p)));
-            const double enough = kForceTolerance<T> * S::largest(sizes), shrinks = strong_ ? 1.0 : std::min(1.0, 2 * largest_);
+            // they are differences, of the fixed part and what displacements call up: rounded as these are
+            for (int p = 0; p < width; p += S::width)
+                sizes = most(sizes, most(size(S::load(next + p)), size(S::load(fixed_ + p))));
+            const double enough = kForceTolerance<T> * (strong_ ? 4 : 1) * S::largest(sizes), shrinks = strong_ ? 1.0 : std::min(1.0, 2 * largest_);
             for (int p = 0; p < width; p += S::width) {
                 const S::V now = S::load(next + p), wrong = now - S::load(force + p);
                 unsettled += shrinks * size(wrong) <= enough ? S::V{} : S::V{} + 1.0;
@@ -291,7 +320,7 @@ private:
                 if (!strong_) S::store(force + p, now);
             }
             if (strong_) add_product(ports_.inverse.data(), width, all, width, force);
-            return S::sum(unsettled + raise_tensions()) == 0.0;
+            return S::sum(unsettled + raise_tensions(!soft)) == 0.0;
         });
         move_ports(force);
         return done;
@@ -305,7 +334,7 @@ private:
             add_product(onto_, ports_.width, ports_.alone.data(), ports_.width, fixed_, ports_.base.data());
             bool settled = false;
             failed = strong_ || !settle(turn == 0 ? 3 : kMaxTurns, tolerance, answer, settled);
-            return !failed && S::sum(raise_tensions()) == 0.0 && settled;
+            return !failed && S::sum(raise_tensions(true)) == 0.0 && settled;
         });
     }
 
@@ -421,7 +450,7 @@ private:
         return true;
     }
 
-    // ports.inverse = (I - onto^T (Z(T) - Z(0)))^-1 by Gauss and Jordan: its diagonal dominates as that of 1 + a T w / 2.
+    // ports.inverse^T = (I - onto^T (Z(T) - Z(0)))^-1 by Gauss and Jordan: its diagonal dominates as that of 1 + a T w / 2.
     void invert_ports() {
         const int n = int(ports_.ports.size());
         double *const a = ports_.inverse.data(), *const unit = ports_.wrong.data();
@@ -432,7 +461,7 @@ private:
                 double sum = to == p ? 1.0 : 0.0;
                 for (int q = 0; q < n; ++q)
                     sum -= onto_[std::size_t(q) * ports_.width + to] * ports_.moved[q];
-                a[std::size_t(to) * n + p] = sum;
+                a[std::size_t(p) * n + to] = sum;
             }
         }
         int* const pivots = ports_.pivots.data();
@@ -468,7 +497,7 @@ private:
     static S::V size(S::V a) { return a < 0.0 ? -a : a; }
 
     // Newton's step of every tension, at the forces found; the sum of what is returned counts those that changed.
-    S::V raise_tensions() {
+    S::V raise_tensions(bool by_secant) {
         S::V changed{};
         const double* const third = &ports_.changes[3 * std::size_t(ports_.pair_width)];
         for (int s = 0; s < ports_.strings; s += S::width) {
@@ -495,7 +524,7 @@ private:
             const auto within = [&](S::V next) { return most(most(least(next, at + reach), at - reach), least_tension); };
             const S::V near = within(tension - excess / steepness);
             // that was at constant forces; a secant knows how they answer, and goes less far where it is steeper
-            const S::V next = secant > steepness ? within(tension - excess / secant) : near;
+            const S::V next = by_secant ? (secant > steepness ? within(tension - excess / secant) : near) : near;
             const S::V still = most(kSettled<T> * most(over_most, 20.0 * near), 0.2 * kTensionTolerance<T> * near);
             const auto stays = size(near - tension) <= still;
             S::store(&ws_.tension[s], stays ? tension : next);

@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 #: points of the control grid from one look at the strings to the next, while a tension rises and while none does
 LOOK, SELDOM = 16, 64
 #: share of the budget below which a rise is left out; above the whole of it, it comes back
-_LEAVE = 0.9
+_LEAVE = 0.8
 #: budgets above which no raised tension can stand for one that rises
 _HOPELESS = 3.0
 #: partials among which the strongest is sought; those above have no more than what these leave of the energy
