@@ -36,26 +36,6 @@ def sound(stream: tw.Renderer, block: int = 4096) -> Floats:
     return np.concatenate(list(stream.blocks(block)))
 
 
-def followed(stream: tw.Renderer) -> tuple[Floats, dict[str, Floats]]:
-    """The sound, and the force of each string's first polarization on its bridge from the first sample stepped on.
-
-    In the sound partials of two strings at one frequency beat, and neither can be followed; here they are apart.
-    """
-    engine, kept = stream.engine, []
-    stepper, step = engine.stepper, engine.stepper._step
-    names = [f"{s.components[0]}.bridge" for s in engine.model.strings.values()]
-    places = [[c.name for c in engine.system.connections].index(name) for name in names]
-
-    def watched(*args: Any) -> tuple[Floats, Floats, Floats | None]:
-        out, linear, others = step(*args)
-        kept.append(linear[:, np.searchsorted(stepper._active, places)])
-        return out, linear, others
-
-    stepper._step = watched  # type: ignore[method-assign]  # watched, not changed
-    heard = sound(stream)
-    return heard, dict(zip(engine.model.strings, np.concatenate(kept).T, strict=True))
-
-
 def partial(y: Floats, freq: float, fs: float = FS, width: float = 0.04) -> NDArray[np.complex128]:
     """Slowly varying amplitude of the partials within some 1 / (pi `width`) Hz of `freq`."""
     from scipy.signal import oaconvolve

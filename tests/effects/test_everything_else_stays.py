@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from effect_scenes import compared, detuned, followed, sound
+from effect_scenes import compared, detuned, sound
 
 import tonewood as tw
 from tonewood.instrument.registry import list_instruments
@@ -24,9 +24,9 @@ def pair(score: tw.Score, name: str, seconds: float | None, fs: int) -> tuple[tw
 
 
 def check(score: tw.Score, name: str, seconds: float | None, fs: int, moments: bool) -> None:
-    """Compare partials of strings at all `moments`, or notes in the mean."""
+    """Compare partials at all `moments`, or notes in the mean."""
     auto, all_ = pair(score, name, seconds, fs)
-    (a, mine), (b, theirs) = followed(auto), followed(all_)
+    a, b = sound(auto), sound(all_)
     # additive effects alone: with all detuning ones held the same
     same = a
     if auto.model.system.tensions:
@@ -42,17 +42,15 @@ def check(score: tw.Score, name: str, seconds: float | None, fs: int, moments: b
     assert all(bound is not None and bound <= auto.model.choice.budget_cents for bound in bounds)
     n = min(len(a), len(b))
     assert abs(n - max(len(a), len(b))) <= 0.3 * fs
-    start = auto.performance.timeline.start
     for played in auto.performance.notes[:8]:
         # while it sounds: before and after, its band holds what is left of others
-        x, y = theirs[played.string], mine[played.string]
-        first, last = round((played.note.time - start) * fs), min(round((played.end - start) * fs), len(x), len(y))
+        first, last = round(played.note.time * fs), min(round(played.end * fs), n)
         if last - first < 0.25 * fs:
             continue
         freq = auto.model.strings[played.string].freq(played.stop)
-        assert abs(detuned(x[first:last], y[first:last], freq, fs)) < auto.model.choice.budget_cents
+        assert abs(detuned(b[first:last, 0], a[first:last, 0], freq, fs)) < auto.model.choice.budget_cents
         if moments:
-            cents, _ = compared(x[first:last], y[first:last], freq, fs)
+            cents, _ = compared(b[first:last, 0], a[first:last, 0], freq, fs)
             assert abs(cents).max(initial=0.0) < auto.model.choice.budget_cents
 
 

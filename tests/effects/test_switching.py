@@ -33,7 +33,9 @@ SCENES = {
 @pytest.mark.parametrize("scene", SCENES)
 def test_auto_is_within_its_budget_of_all(scene: str) -> None:
     notes, seconds, freqs = SCENES[scene]
-    streams = {mode: renderer(notes, seconds, duet(mode=mode)) for mode in ("all", "auto")}
+    # over frets that nothing touches: what buzzes answers the least change of pitch with other partials
+    high = {"connections.frets.action_first": 3e-3, "connections.frets.action_twelfth": 6e-3}
+    streams = {mode: renderer(notes, seconds, duet(mode=mode).replace(high)) for mode in ("all", "auto")}
     all_, auto = (sound(stream)[:, 0] for stream in streams.values())
     off = [r for r in streams["auto"].summary().effects if r.name == "tension_modulation"]
     assert any(r.seconds_active < seconds for r in off)  # something was left out

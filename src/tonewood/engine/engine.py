@@ -11,7 +11,6 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +21,7 @@ from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, s
 from tonewood.engine.ledger import Ledger
 from tonewood.engine.sleeping import Asleep, Sleeper
 from tonewood.engine.surroundings import Surroundings, holds_at, string_of
-from tonewood.engine.switching import (
-    CHEAP,
-    LOOK,
-    SELDOM,
-    TOUCHED,
-    Rise,
-    TensionSwitch,
-    affordable,
-    paid,
-    raising,
-    string_energy,
-)
+from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable, string_energy
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.numerics.connections import Connection
@@ -243,7 +231,7 @@ class Engine:
             over = len(self.active) < before + len(fresh)
             self._exchange(self.surroundings.woken(self.system, self.active), "partners that come and go")
             if self.switch.enabled:
-                self._switch(now, over)
+                self._switch(now, fresh)
             if (fresh or over or now >= self.sleeper.state.following) and self._sleeps:
                 self._look_after_sleepers(now, fresh)
         wanted = holds_at(self.active, now)
@@ -251,123 +239,52 @@ class Engine:
             self.holds = wanted
             self._exchange(self.surroundings.held(self.system, wanted), "holds")
 
-    def _foresee(self, moved: dict[str, Fretting], fresh: Sequence[Play]) -> None:
-        """Let tensions rise, or raise them, as the gestures that begin call for."""
-        played = [play for play in fresh if play.string in self.switch.strings]
-        if not played:
+    def _switch(self, now: int, fresh: Sequence[Play]) -> None:
+        """Let tensions rise that gestures or what moves call for, and leave out those that do not matter."""
+        look = now % self._look == 0
+        fresh = [play for play in fresh if play.string in self.switch.strings]
+        if not (look or fresh or self.awaited):
             return
-        energies = self.switch.energies(self.system, self.state)
-        for play in played:
-            name = play.string or ""
-            fretting = moved.get(name, self.frettings[name])
-            swing, _ = self.switch.seen(self.system, self.state, name, self.frettings[name].stop, energies[name])
-            rise = self.switch.foreseen(play, fretting, swing)
-            self.ledger.foreseen(name, rise.off(0.0))
-            if name in self.tense | self.awaited:
-                continue
-            raised: float | None = fretting.raised
-            if rise.off(fretting.raised) > self.switch.budget:
-                raised = self.switch.raised(name, rise)
-            if raised is None:
-                self.awaited |= {name}
-            elif raised != fretting.raised:
-                moved[name] = replace(fretting, raised=raised)
-
-    def _switch(self, now: int, over: bool) -> None:
-        """Let tensions rise that what moves calls for, leave them where they are raised, or at rest."""
-        look = over or now % self._look == 0
-        if not (look or self.awaited):
-            return
+        energies = dict(zip(self.switch.strings, self.switch.energies(self.system, self.state).tolist(), strict=True))
         wanted = self.tense | self.awaited
-        raised: dict[str, float] = {}
-        seen: dict[str, Rise] = {}
-        leaving = self.tense & self.awaited
-        if look or leaving:
-            busy = {active.play.string or "" for active in self.active}
-            on = set(wanted)
-            for name, energy in self.switch.energies(self.system, self.state).items():
-                if not look and name not in leaving:
-                    continue
-                stop = self.frettings[name].stop
-                _, rise = self.switch.seen(self.system, self.state, name, stop, energy)
-                before = None if name in wanted else self.frettings[name].raised
-                found = self.switch.wanted(name, rise, before, name in busy)
-                if found is None:
-                    on.add(name)
-                else:
-                    on.discard(name)
-                    if name not in busy:
-                        seen[name] = rise
-                    if found != self.frettings[name].raised:
-                        raised[name] = found
-                self.ledger.foreseen(name, rise.off(0.0))
-            wanted = frozenset(on)
-        raised |= {name: 0.0 for name in wanted if self.frettings[name].raised}
+        if look:
+            rises = {n: self.switch.rise(n, self.frettings[n].stop, e) for n, e in energies.items()}
+            wanted = self.switch.wanted(rises, wanted, {a.play.string or "" for a in self.active})
+            self.ledger.rises(rises, wanted)
+        for play in fresh:
+            name = play.string or ""
+            cents = self.switch.foreseen(play, self.frettings[name], energies[name])
+            self.ledger.foreseen(name, cents)
+            if cents > self.switch.budget:
+                wanted |= {name}
         if self.watching:
-            self.tense, self.awaited = wanted, frozenset()
-            self._raise(raised, {})
-            self._enter(seen)
+            self.tense = wanted
             return
-        # what the higher tension has stored is not paid twice
-        refund = {n: -raising(self.system, self.state, n, -self.frettings[n].raised) for n in wanted - self.tense}
-        admitted = {n for n in wanted - self.tense if affordable(self.system, self.state, n, refund[n])}
-        left = self.tense - wanted
-        credit = {name: string_energy(self.system, self.state, name)[1] for name in left}
-        raised = {name: cents for name, cents in raised.items() if name in admitted or name not in wanted}
-        poor = self._raise(raised, credit)
-        tense = (wanted & self.tense) | admitted | (poor & left)
-        # some wait until they can pay for their tension's rise, others until they can leave it where it is
-        self.awaited = (wanted - tense) | poor
+        admitted = {name for name in wanted - self.tense if affordable(self.system, self.state, name)}
+        tense = (wanted & self.tense) | admitted
+        self.awaited = wanted - tense
         if tense != self.tense:
             changed = [name in tense ^ self.tense for name in self.switch.strings]
             self.state.tension[changed] = 0.0
             self.tense = tense
             self._exchange(self.system.with_tensions(tense), "tension let rise or left out")
-        self._enter(seen)
-
-    def _enter(self, seen: Mapping[str, Rise]) -> None:
-        """Tell the ledger what is left out of what strings do, but for those that change at once."""
-        left = seen.keys() - self.tense - self.awaited
-        self.ledger.left({name: seen[name].off(self.frettings[name].raised) for name in left})
-
-    def _raise(self, raised: Mapping[str, float], credit: Mapping[str, float]) -> set[str]:
-        """Raise tensions by so many cents, or lower them, and tell which strings could not pay for it."""
-        able = {
-            name
-            for name, cents in raised.items()
-            if self.switch.cheap(
-                self.system, self.state, name, cents - self.frettings[name].raised, credit.get(name, 0.0)
-            )
-        }
-        if able:
-            moved = {name: replace(self.frettings[name], raised=raised[name]) for name in able}
-            self._touch(moved, (), self.state.sample, credit)
-        return {name for name, cents in raised.items() if self.frettings[name].raised != cents}
 
     def _take(self, now: int) -> list[Play]:
         """Hold strings as they are due to be held, and begin the gestures due to begin; these are returned."""
         moved, fresh = self._due(now)
-        if fresh and self.switch.enabled:
-            self._foresee(moved, fresh)
         if moved or fresh:
             self._touch(moved, fresh, now)
         self.active = [a for a in self.active if a.stop > now]
         return fresh
 
-    def _touch(
-        self,
-        moved: Mapping[str, Fretting],
-        fresh: Sequence[Play],
-        now: int,
-        credit: Mapping[str, float] = MappingProxyType({}),
-    ) -> None:
-        """Hold strings otherwise, and begin gestures; `credit`, J, need not be paid where a tension is raised."""
+    def _touch(self, moved: Mapping[str, Fretting], fresh: Sequence[Play], now: int) -> None:
+        """Hold strings otherwise, and begin gestures."""
         taken = {play.string for play in fresh if play.string is not None}
         called = taken | moved.keys()
         if risen := {name: 0 for name in self.sleeper.sleeping if name in called}:
             self._rest(risen)
         if moved:
-            self._refret(moved, credit, TOUCHED if fresh else CHEAP)
+            self._refret(moved)
         # a string is held by one finger at a time: a new gesture ends the one before it; a gesture whose string changed
         # under it is compiled anew for what is left of it
         again = [a.play for a in self.active if a.play.string in moved.keys() - taken]
@@ -403,14 +320,10 @@ class Engine:
         frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in wanted.items()}
         return {name: fretting for name, fretting in frettings.items() if fretting != self.frettings[name]}, fresh
 
-    def _refret(self, wanted: Mapping[str, Fretting], credit: Mapping[str, float], share: float) -> None:
-        """Give strings other bases and carry their motion over.
-
-        Of strings that cannot pay for a tension that is raised, with this share of their kinetic energy and with their
-        `credit` (J), the tension stays as it is.
-        """
+    def _refret(self, wanted: Mapping[str, Fretting]) -> None:
+        """Give strings other bases and carry their motion over."""
         carried: dict[str, Floats] = {}
-        restopped, before_raised = {}, {name: self.frettings[name].raised for name in wanted}
+        restopped = {}
         pull = pulls(self.system, self.state)
         for name, fretting in wanted.items():
             before = self.frettings[name]
@@ -424,14 +337,6 @@ class Engine:
         self._put(carried)
         if restopped:
             share_velocities(self.system, self.state)
-        poor = {}
-        for name, fretting in wanted.items():
-            if fretting.raised > before_raised[name]:
-                cost = -raising(self.system, self.state, name, before_raised[name] - fretting.raised)
-                if not paid(self.system, self.state, name, cost - credit.get(name, 0.0), share):
-                    poor[name] = replace(fretting, raised=before_raised[name])
-        if poor:
-            self._refret(poor, {}, 0.0)
         self.ticker.exchanges += len(wanted)
         if self.books:
             self.books.changed("stops, bends and dampers", self.system, self.state)

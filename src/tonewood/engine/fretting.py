@@ -28,17 +28,13 @@ _CACHE = 96
 
 @dataclass(frozen=True, slots=True)
 class Fretting:
-    """How a string is held now: stop, bend in cents, added damping (1/s), place of the plucking finger (m), touches.
-
-    Its tension may be `raised`, by so many cents, in place of the rise that its motion would bring about.
-    """
+    """How a string is held now: stop, bend in cents, added damping (1/s), place of the plucking finger (m), touches."""
 
     stop: float = 0.0
     cents: float = 0.0
     added_damping: float = 0.0
     place: float | None = None
     touches: tuple[tuple[str, float], ...] = ()
-    raised: float = 0.0
 
     def changed(self, change: Change) -> Fretting:
         """What a change of the left hand makes of it."""
@@ -61,9 +57,6 @@ class Fingerboard:
             (name, Fretting()): {c: system.compiled[system.slot(c)] for c in string.components}
             for name, string in model.strings.items()
         }
-
-        #: bases whose tensions are not raised
-        self._plain: dict[tuple[str, Fretting], dict[str, ModalBasis]] = {}
 
     def playable(self, name: str, fretting: Fretting) -> Fretting:
         """The finger's place only where it lies on the string's speaking part, and is not the usual one."""
@@ -88,18 +81,12 @@ class Fingerboard:
         if fretting.added_damping:
             ringing = self.bases(name, replace(fretting, added_damping=0.0))
             return damped({c: compiled.basis for c, compiled in ringing.items()}, fretting.added_damping)
-        string, plain = self.model.strings[name], replace(fretting, raised=0.0)
-        if (name, plain) not in self._plain:
-            if len(self._plain) >= _CACHE:
-                self._plain.pop(next(iter(self._plain)))
-            self._plain[name, plain] = string.bases(
-                plain.stop,
-                bend_cents=plain.cents,
-                pluck_from_bridge=plain.place,
-                touches=dict(plain.touches),
-            )
-        bases = self._plain[name, plain]
-        return string.raised(bases, fretting.raised) if fretting.raised else bases
+        return self.model.strings[name].bases(
+            fretting.stop,
+            bend_cents=fretting.cents,
+            pluck_from_bridge=fretting.place,
+            touches=dict(fretting.touches),
+        )
 
     def laws(self, name: str, fretting: Fretting) -> dict[str, Connection]:
         """Laws of what always touches a string, at its stop."""
@@ -140,8 +127,7 @@ class Fingerboard:
         whole = string.n_modes(fretting.stop)
         if all(compiled[p.component].n_modes == whole for p in string.polarizations):
             return compiled
-        bases = string.bases(fretting.stop, bend_cents=fretting.cents, whole=True)
-        return string.raised(bases, fretting.raised) if fretting.raised else bases
+        return string.bases(fretting.stop, bend_cents=fretting.cents, whole=True)
 
 
 def pulls(system: System, state: State) -> Pull:

@@ -97,8 +97,7 @@ class Ledger:
         self.tense: dict[str, Spans] = defaultdict(Spans)
         self.held: dict[str, Spans] = defaultdict(Spans)
         self.touched: dict[tuple[str, str], Spans] = defaultdict(Spans)
-        #: string -> by how much partials were off while its tension did not rise, and largest rise that was foreseen or
-        #: seen, cents
+        #: string -> largest rise of tension that was left out, and that was foreseen or seen, cents
         self.left_out: dict[str, float] = defaultdict(float)
         self.largest: dict[str, float] = defaultdict(float)
         self._modes = {name: self.n_modes(name) for name in model.strings}
@@ -164,10 +163,12 @@ class Ledger:
                     self.touched[key].add(start, n)
         return touched
 
-    def left(self, bounds: Mapping[str, float]) -> None:
-        """Enter a look at strings whose tension does not rise: cents by which they are off at most."""
-        for name, cents in bounds.items():
-            self.left_out[name] = max(self.left_out[name], cents)
+    def rises(self, rises: Mapping[str, float], tense: Collection[str]) -> None:
+        """Enter a look at the strings: cents by which each would rise, and which do."""
+        for name, cents in rises.items():
+            if name not in tense:
+                self.left_out[name] = max(self.left_out[name], cents)
+            self.foreseen(name, cents)
 
     def foreseen(self, name: str, cents: float) -> None:
         """Enter by how much a string's tension will rise."""

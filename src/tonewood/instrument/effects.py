@@ -32,19 +32,15 @@ class Norms:
     ----------
     level : amplitude at the outputs of what would be left out, ratio to the loudest sample.
     energy : J, of the string.
-    partial : J, of the strongest of its partials, in both planes; what is more than all counts as all.
     tension, axial_stiffness : N, of the string.
     length : m, speaking.
-    raised_cents : by which the string is stepped at a higher tension already.
     """
 
     level: float = 0.0
     energy: float = 0.0
-    partial: float = math.inf
     tension: float = 1.0
     axial_stiffness: float = 0.0
     length: float = 1.0
-    raised_cents: float = 0.0
 
 
 def level_db(norms: Norms) -> float:
@@ -52,24 +48,14 @@ def level_db(norms: Norms) -> float:
     return 20 * math.log10(norms.level) if norms.level > 0 else -math.inf
 
 
-def mean_rise(norms: Norms, energy: float | None = None) -> float:
-    """By how much the mean tension of a string of energy E (or another) raises its partials, cents.
-
-    With S = int u_x^2 dx = E / T in the mean (half of the energy is potential), dT = EA S / (2 L) and df/f = dT / 2T.
-    """
-    rise = norms.axial_stiffness * (norms.energy if energy is None else energy) / (2 * norms.length * norms.tension)
-    return _CENTS * rise / (2 * norms.tension)
-
-
 def rise_of_tension(norms: Norms) -> float:
-    """By how much any partial is off, at most, in the mean over a period, where tension does not rise (cents).
+    """By how much a string of energy E sounds sharper for its stretch, at most, in the mean over a period (cents).
 
-    Besides the mean rise, a partial of energy E_n is raised by its own share, whose tension pulls in step with it: half
-    as much again where it makes up the whole (Duffing's equation; of two planes each pulls the other likewise, up or
-    down). Of the mean, what the tension is raised by already does not count.
+    With S = int u_x^2 dx = E / T in the mean (half of the energy is potential), dT = EA S / (2 L) and df/f = dT / 2T;
+    half as much again for a partial's own share, whose tension pulls in step with it.
     """
-    own = 0.5 * mean_rise(norms, min(norms.partial, norms.energy))
-    return abs(mean_rise(norms) - norms.raised_cents) + own
+    rise = norms.axial_stiffness * norms.energy / (2 * norms.length * norms.tension)
+    return 1.5 * _CENTS * rise / (2 * norms.tension)
 
 
 def nothing(n: int) -> float:
@@ -131,8 +117,7 @@ TENSION_MODULATION = Effect(
     "tension_modulation", "tension that rises with amplitude: glides, turning planes", "detuning",
     "a gesture's force bends the string so far that its tension would rise by more than the budget; every gesture that "
     "moves a mass, a bow or a finger",
-    "the string's energy, and that of its strongest partial: they bound the rise, of which a part may be stepped as a "
-    "tension that is higher but steady",
+    "the string's energy, which bounds the mean rise of its tension",
     bound=rise_of_tension, cost=lambda n: 8.0 * n,
 )  # fmt: skip
 LONGITUDINAL = Effect(

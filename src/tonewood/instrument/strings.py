@@ -218,7 +218,7 @@ class StringModel:
         Parameters
         ----------
         stop : 0 is open; a fraction on a continuous string.
-        bend_cents : by which the pitch is changed, by the tension.
+        bend_cents : by which the tension is changed.
         added_damping : 1/s, added to every mode's damping rate.
         pluck_from_bridge : m; the string's usual place where left out. Must lie on the speaking part.
         touches : point of what touches the string -> m, where it lies elsewhere than its part says.
@@ -249,14 +249,6 @@ class StringModel:
         if self.along:
             out[self.along.component] = self._longitudinal(end, self.along.motion)
         return damped(out, added_damping) if added_damping else out
-
-    def raised(self, bases: Mapping[str, ModalBasis], cents: float) -> dict[str, ModalBasis]:
-        """The same bases at a tension higher by so many cents (of an ideal string): same shapes, same modes."""
-        ratio = ratio_of_cents(cents) ** 2
-        return {
-            component: self.resonator.detuned(basis, ratio * cast(float, basis.metadata["tension"]))
-            for component, basis in bases.items()
-        }
 
     def n_modes(self, stop: float = 0) -> int:
         """Modes per polarization of a stop before tension raises any above the limit."""

@@ -37,9 +37,9 @@ class HeldModes:
     Attributes
     ----------
     stiffness, shape : (n,) w_k^2 (1/s^2) and a_k (1/sqrt(kg)) of the free-interface modes, in order of frequency.
-    freq_rad : (m,) W_j, rad/s, one between every two w_k: n - 1 of them, or the lowest ones only.
-    damping_rate : (m,) s_j, 1/s.
-    force : (m,) g_j, N per m sqrt(kg).
+    freq_rad : (n - 1,) W_j, rad/s, one between every two w_k.
+    damping_rate : (n - 1,) s_j, 1/s.
+    force : (n - 1,) g_j, N per m sqrt(kg).
     """
 
     stiffness: Floats
@@ -49,8 +49,8 @@ class HeldModes:
     force: Floats
 
     @classmethod
-    def of(cls, basis: ModalBasis, point: str, count: int | None = None) -> HeldModes:
-        """Hold `point` of a basis of real modes with stiffness; all held modes, or the lowest `count` of them.
+    def of(cls, basis: ModalBasis, point: str) -> HeldModes:
+        """Hold `point` of a basis of real modes with stiffness.
 
         Raises
         ------
@@ -62,7 +62,7 @@ class HeldModes:
         a, k = basis.right[i].real, basis.stiffness
         if np.any(np.diff(k) <= 0) or np.any(a == 0.0):
             raise ValueError(f"the point {point!r} must move in every mode, and no two may have one frequency")
-        freq = np.sqrt(_roots(k, a * a, count))
+        freq = np.sqrt(_roots(k, a * a))
         u = a / (k[None, :] - (freq**2)[:, None])
         g = 1 / np.sqrt(np.sum(u * u, axis=1))
         return cls(k, a, freq, (g[:, None] * u) ** 2 @ basis.damping_rate, g)
@@ -84,21 +84,20 @@ class HeldModes:
         return float(np.sum(self.shape**2 / self.stiffness))
 
 
-def _roots(poles: Floats, weights: Floats, count: int | None = None) -> Floats:
-    """(n - 1,) x_j in (poles_j, poles_j+1) with sum weights / (poles - x) = 0, or the lowest `count` of them.
+def _roots(poles: Floats, weights: Floats) -> Floats:
+    """(n - 1,) x_j in (poles_j, poles_j+1) with sum weights / (poles - x) = 0.
 
     Newton's method on the sum times the distances to both ends, which has no poles there and is nearly straight;
     bisection where it would leave the bracket.
     """
-    below, above = poles[:-1][:count], poles[1:][:count]
-    low, high = below.copy(), above.copy()
+    low, high = poles[:-1].copy(), poles[1:].copy()
     x = 0.25 * (np.sqrt(low) + np.sqrt(high)) ** 2
     for _ in range(60):
         inverse = 1 / (poles[None, :] - x[:, None])
         total, slope = inverse @ weights, inverse**2 @ weights
         low, high = np.where(total < 0, x, low), np.where(total < 0, high, x)
-        width = (above - x) * (x - below)
-        step = -total * width / (slope * width + total * (above + below - 2 * x))
+        width = (poles[1:] - x) * (x - poles[:-1])
+        step = -total * width / (slope * width + total * (poles[1:] + poles[:-1] - 2 * x))
         new = x + step
         inside = (new >= low) & (new <= high)
         new = np.where(inside, new, 0.5 * (low + high))
