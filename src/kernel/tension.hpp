@@ -25,10 +25,11 @@ constexpr double kForceTolerance = sizeof(T) == sizeof(double) ? 1e-14 : 1e-7;  
 template <class T>
 constexpr double kSettled = sizeof(T) == sizeof(double) ? 1e-15 : 1e-8;  // of a mode's stiffness, between two turns
 constexpr int kMaxTensionIterations = 200, kMaxTurns = 100;
-constexpr double kFar = 0.1;      // and up to which one visit may go on
-constexpr double kCell = 0.01;    // the same over a cell of compliances
-constexpr double kStrong = 0.05;  // beyond it forces are found by an inverse
-constexpr double kSoft = 0.01;    // and up to which they and the tensions are found side by side
+// relative changes of a mode's stiffness
+constexpr double kFar = 0.1;      // that may be tried with the sums of one visit
+constexpr double kCell = 0.01;    // over a cell of compliances
+constexpr double kStrong = 0.05;  // beyond which forces are found by an inverse
+constexpr double kSoft = 0.01;    // up to which forces and tensions are found side by side
 
 template <class T>
 class TensionStep {
@@ -263,9 +264,7 @@ private:
             done = told && close, failed = failed || (close && !told);
         }
         std::copy(ws_.tension.begin(), ws_.tension.end(), ws_.used.begin());
-        statistics_.tension_iterations += iterations;
-        statistics_.most_tension_iterations = std::max<std::int64_t>(statistics_.most_tension_iterations, iterations);
-        return done;
+        return book(iterations, done);
     }
 
     // Whether a tension must be higher, by what its string is stretched already, than the visit to its modes can tell:

@@ -58,7 +58,7 @@ def integrated() -> Floats:
     x = (np.arange(96) + 0.5) * LENGTH / 96
 
     def slopes(basis: object, count: int) -> Floats:
-        vec = np.asarray(basis.metadata["vec"])  # type: ignore[attr-defined]
+        vec = np.asarray(basis.metadata["vec"])  # type: ignore[attr-defined]  # a basis, behind its protocol
         k = np.arange(1, len(vec)) * np.pi / LENGTH
         return np.asarray(-vec[0] / LENGTH + (k * np.cos(np.outer(x, k))) @ vec[1:])
 
@@ -85,7 +85,7 @@ def integrated() -> Floats:
         rates, (0, times[-1]), np.concatenate([begin, 0 * begin]), "DOP853", times, rtol=1e-11, atol=1e-16
     )
     q = found.y[: len(begin)].T
-    pick = np.asarray(bases[0].shape(0.3))  # type: ignore[misc]
+    pick = np.asarray(bases[0].shape(0.3))  # type: ignore[misc]  # made with a shape
     return np.column_stack([q[:, :N_ACROSS] @ pick, q[:, sizes[2] :] @ bases[2].right[0].real])
 
 
