@@ -210,8 +210,14 @@ void arrange(const std::vector<Component<T>>& components, const Layout& layout, 
     for (const Nonlinear::Term& t : nl.all_terms)
         if (!t.guarded && (components[t.component].stretched.on || components[t.component].geometric))
             nl.guarded[t.connection] = 0;
+    // a contact under which nothing moves, behind the stop of a string, is in no group
+    const auto is_idle = [&](int j) {
+        for (const Nonlinear::Term& t : nl.terms[j])
+            if (!t.guarded || components[t.component].guarded.peak[t.port] > 0.0) return false;
+        return nl.laws[j].offset <= 0.0 && nl.series[j] < 0;
+    };
     for (int j = 0; j < nl.k; ++j) {
-        if (!nl.guarded[j]) continue;
+        if (!nl.guarded[j] || is_idle(j)) continue;
         int to = int(nl.groups.size());
         for (const Nonlinear::Term& t : nl.terms[j])
             if (nl.group_of[t.component] >= 0) to = std::min(to, nl.group_of[t.component]);
@@ -266,8 +272,7 @@ void arrange(const std::vector<Component<T>>& components, const Layout& layout, 
         }
         group.calm = group.simple;
         for (const int i : group.components)
-            group.calm = group.calm && !components[i].guarded.energy.empty() && !components[i].stretched.on &&
-                         !components[i].geometric;
+            group.calm = group.calm && !components[i].guarded.energy.empty() && !components[i].geometric;
         if (group.calm) {
             group.strain.assign(n_parts, 0.0), group.sway.assign(n_parts, std::numeric_limits<double>::infinity());
             for (const int j : group.contacts)

@@ -27,7 +27,10 @@ public:
                   const Nonlinear& nonlinear, const Tensions& tensions, Workspace& workspace, TensionSpace& space,
                   Statistics& statistics, NonlinearStep<T>& laws, TensionStep<T>& stretched)
         : components_(components), layout_(layout), m_(solve.m), nl_(nonlinear), tensions_(tensions), ws_(workspace),
-          ts_(space), statistics_(statistics), laws_(laws), stretched_(stretched) {}
+          ts_(space), statistics_(statistics), laws_(laws), stretched_(stretched) {
+        for (const int p : ts_.ports.real)
+            if (ts_.ports.ports[p].line < layout_.single_width) alone_.push_back({ts_.ports.ports[p].line, p});
+    }
 
     // As TensionStep::step; `lines` and the guarded values hold the motion of the other components.
     bool step(int b, double* lines, double* f, double* now) {
@@ -35,11 +38,19 @@ public:
         laws_.begin_sample(b);
         std::fill(is_ready_.begin(), is_ready_.end(), 0);
         for (;;) {
+            bool told = true;  // where the strings' ports come to, by ports.alone
             if (ws_.active.empty()) {
                 if (!stretched_.linear_step(f, now)) return false;
                 laws_.let_go(b);
-            } else if (!(on_fixed_ports() && fixed_step(b, f, now)) && !joint_step(b, lines, f, now)) {
-                return false;
+            } else if (!on_fixed_ports() || !fixed_step(b, f, now)) {
+                if (!joint_step(b, lines, f, now)) return false;
+                told = false;
+            }
+            std::fill(is_moved_.begin(), is_moved_.end(), 0);
+            if (laws_.calm_.any()) tell_ports(b, lines, now, told);
+            if (ws_.active.empty() && laws_.rests(b, now)) {
+                stretched_.finish_sample(now);
+                return true;
             }
             note_pulls(b);
             laws_.wake_by(b);
@@ -53,6 +64,17 @@ public:
     }
 
 private:
+    // Where fixed ports of the strings come to, for energies.
+    void tell_ports(int b, const double* lines, const double* now, bool told) {
+        const double* const line = lines + std::size_t(b) * layout_.width;
+        for (const auto& [lane, p] : alone_) {
+            const auto& port = ts_.ports.ports[p];
+            laws_.calm_.comes_to(lane, told ? line[lane] + ts_.ports.alone[p]
+                                            : after({0, port.component, port.port, false, 1.0}, b, now) -
+                                                  layout_.single_history[lane] * now[lane]);
+        }
+    }
+
     // Whether nothing acts that would make a sum over modes necessary: a contact on a string, or friction, whose forces
     // may fall where motion grows.
     bool on_fixed_ports() const {
@@ -417,7 +439,6 @@ private:
 
     // Contacts awake that the motion found brings into touch join the active ones.
     bool touched(int b, const double* now) {
-        for (const int i : tensions_.components) is_moved_[i] = 0;
         return laws_.add_touching(ws_.active.size(), [&](int j) {
             double p = ws_.offset_after[j];
             for (const Term& t : nl_.terms[j]) p -= t.factor * after(t, b, now);
@@ -461,6 +482,10 @@ private:
     Statistics& statistics_;
     NonlinearStep<T>& laws_;
     TensionStep<T>& stretched_;
+    struct Alone {
+        int lane, port;
+    };
+    std::vector<Alone> alone_;  // ports that energies may be followed at: in a line, and among those of strings
     std::vector<char> is_moved_ = std::vector<char>(components_.size()), is_ready_ = is_moved_;
 };
 
