@@ -32,7 +32,7 @@ public:
     NonlinearStep(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
                   const Nonlinear& nonlinear, const Tensions& tensions, Workspace& workspace, Statistics& statistics,
                   const Job<T>& job, const std::vector<std::vector<Input<T>>>& known, Taut<T>& taut)
-        : components_(components), layout_(layout), m_(solve.m), nl_(nonlinear), ws_(workspace),
+        : components_(components), layout_(layout), solve_(solve), m_(solve.m), nl_(nonlinear), ws_(workspace),
           statistics_(statistics), job_(job), known_(known), taut_(taut),
           calm_(components, layout, nonlinear, tensions) {
         for (const Component<T>& c : components_) any_tense_ = any_tense_ || c.stretched.on;
@@ -505,7 +505,7 @@ private:
     const double* reach_of(const Term& t) const {
         const Component<T>& c = components_[t.component];
         const std::size_t port = t.guarded ? c.n_ports + t.port : t.port;
-        return &nl_.reach[t.component][port * (c.n_ports + c.guarded.n)];
+        return &c.guarded.reach[port * (c.n_ports + c.guarded.n)];
     }
 
     // Calls visit(port among all of the component) for every port that takes part in this block.
@@ -657,15 +657,27 @@ private:
     }
 
     void activate(int j) {
+        if (!ws_.known[j]) know(j);
         ws_.touching[j] = 1;
         ws_.active.push_back(j);
         ws_.law_force[j] = ws_.last_force[j];
     }
 
+    // What connection j calls up in the linear ones, and what it moves with them: few of all contacts ever act.
+    void know(int j) {
+        const std::size_t width = layout_.f_width, k = nl_.k;
+        double* const answer = &ws_.answer[j * width];
+        const double* const moved = &nl_.to_linear[j * width];
+        for (int i = 0; i < m_; ++i) answer[i] = dot(&solve_.g[std::size_t(i) * m_], moved, m_);
+        for (std::size_t i = 0; i < k; ++i)
+            ws_.z[i * k + j] = nl_.compliance[i * k + j] - dot(&nl_.from_linear[i * m_], answer, m_);
+        ws_.known[j] = 1;
+    }
+
     bool solve() {
         const auto find = [&] {
             int iterations = 0;
-            const bool done = find_forces(nl_, ws_, nl_.z.data(), iterations);
+            const bool done = find_forces(nl_, ws_, ws_.z.data(), iterations);
             return found(done, iterations);
         };
         const bool done = kept_ ? find() : settle(nl_, ws_, find);
@@ -689,7 +701,7 @@ private:
         return add_touching(before, [&](int j) {
             double p = ws_.free_p[j];
             for (std::size_t q = 0; q < before; ++q)
-                p -= nl_.z[std::size_t(j) * nl_.k + ws_.active[q]] * ws_.law_force[ws_.active[q]];
+                p -= ws_.z[std::size_t(j) * nl_.k + ws_.active[q]] * ws_.law_force[ws_.active[q]];
             return p;
         });
     }
@@ -709,7 +721,7 @@ private:
     void combine(int b, double* f, double* now) {
         std::copy_n(ws_.f0.data(), layout_.f_width, f);
         for (const int j : ws_.active) {
-            const double force = ws_.law_force[j], *answer = &nl_.answer[std::size_t(j) * layout_.f_width];
+            const double force = ws_.law_force[j], *answer = &ws_.answer[std::size_t(j) * layout_.f_width];
             for (int k = 0; k < layout_.f_width; ++k) f[k] -= answer[k] * force;
         }
         distribute(b, f, now);
@@ -789,6 +801,7 @@ private:
 
     const std::vector<Component<T>>& components_;
     const Layout& layout_;
+    const Solve& solve_;
     const int m_;
     const Nonlinear& nl_;
     Workspace& ws_;

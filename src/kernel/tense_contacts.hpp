@@ -107,7 +107,7 @@ private:
             add_product(ports.active_meets.data(), w, ports.sum.data(), n, ports.active_free.data());
             for (int i = 0; i < a; ++i)
                 ws_.free_p[ws_.active[i]] = ports.law_free[ws_.active[i]] - ports.active_free[i];
-            if (!find_forces(nl_, ws_, nl_.z.data(), iterations)) return false;
+            if (!find_forces(nl_, ws_, ws_.z.data(), iterations)) return false;
             for (int i = 0; i < a; ++i) ports.active_force[i] = ws_.law_force[ws_.active[i]];
             add_product(ports.onto_ports.data(), ports.width, ports.moved.data(), n, ports.base.data(), force);
             add_product(ports.active_ports.data(), ports.width, ports.active_force.data(), a, force);
@@ -118,7 +118,7 @@ private:
         stretched_.add_moved();
         stretched_.linear_forces(f);
         for (const int j : ws_.active) {
-            const double* answer = &nl_.answer[std::size_t(j) * layout_.f_width];
+            const double* answer = &ws_.answer[std::size_t(j) * layout_.f_width];
             for (int q = 0; q < layout_.f_width; ++q) f[q] -= answer[q] * ws_.law_force[j];
         }
         laws_.distribute(b, f, now);
@@ -167,7 +167,7 @@ private:
         const std::size_t w = wide(a);
         double *const z = ws_.matrix.data(), *const answers = ports.answers.data();
         for (int i = 0; i < a; ++i)
-            for (int j = 0; j < a; ++j) z[i * w + j] = nl_.z[std::size_t(ws_.active[i]) * nl_.k + ws_.active[j]];
+            for (int j = 0; j < a; ++j) z[i * w + j] = mutual(ws_.z.data(), nl_.k, ws_.active[i], ws_.active[j]);
         ws_.gathered.clear();
         invert_laws(ws_, z, ports.law_slope.data(), a);
         for (int i = 0; i < a; ++i) {
@@ -188,6 +188,30 @@ private:
         ports.folded = true;
     }
 
+    // How law j sees and pushes fixed ports of strings, the linear connections answering.
+    void know(int j) {
+        TensePorts& ports = ts_.ports;
+        const std::size_t n = ports.ports.size(), m = m_;
+        double *const meets = &ports.meets[std::size_t(j) * ports.width], *const forces = ports.law_forces.data();
+        std::fill_n(forces, layout_.force_width, 0.0);
+        const auto takes = [&](const Term& t) {
+            if (t.guarded) return;
+            forces[layout_.port[t.component] + t.port] += t.factor;
+            if (components_[t.component].stretched.on) meets[ports.first[t.component] + t.port * ports.strings] += t.factor;
+        };
+        std::fill_n(meets, ports.width, 0.0);
+        for (const Term& t : nl_.terms[j]) takes(t);
+        for (const Term& t : nl_.driven[j]) takes(t);
+        const double *from_linear = &nl_.from_linear[j * m], *answer = &ws_.answer[std::size_t(j) * layout_.f_width];
+        for (std::size_t t = 0; t < n; ++t) meets[t] += dot(from_linear, &ports.onto_linear[t * layout_.f_width], m_);
+        for (std::size_t q = 0; q < m; ++q)
+            for (int p = 0; p < layout_.force_width; ++p)
+                forces[p] -= answer[q] * layout_.push[q * layout_.force_width + p];
+        for (const int t : ports.real)
+            ports.law_ports[std::size_t(j) * ports.width + t] = forces[ports.ports[t].force];
+        ports.known[j] = 1;
+    }
+
     // How the active laws see and push fixed ports of strings, side by side.
     void gather_active() {
         TensePorts& ports = ts_.ports;
@@ -197,6 +221,7 @@ private:
         std::fill_n(ports.active_meets.data(), n * w, 0.0);
         for (std::size_t i = 0; i < a; ++i) {
             const std::size_t j = ws_.active[i];
+            if (!ports.known[j]) know(int(j));
             for (std::size_t p = 0; p < n; ++p) ports.active_meets[p * w + i] = ports.meets[j * width + p];
             std::copy_n(&ports.law_ports[j * width], width, &ports.active_ports[i * width]);
         }
@@ -310,12 +335,8 @@ private:
             const std::size_t j = ws_.active[s];
             for (int q = 0; q < m; ++q)
                 all[(m + s) * w + q] = all[q * w + m + s] = nl_.from_linear[j * m + q];
-            for (int t = 0; t < a; ++t) {
-                const std::size_t other = ws_.active[t];
-                double z = nl_.z[j * k + other];
-                for (int q = 0; q < m; ++q) z += nl_.from_linear[j * m + q] * nl_.answer[other * layout_.f_width + q];
-                all[(m + s) * w + m + t] = z;
-            }
+            for (int t = 0; t < a; ++t)
+                all[(m + s) * w + m + t] = nl_.compliance[j * k + std::size_t(ws_.active[t])];
         }
         std::copy(ts_.fixed.begin(), ts_.fixed.end(), v);
         for (const int j : ws_.active) ws_.free_p[j] = ws_.rest_p[j];
