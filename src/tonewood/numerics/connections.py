@@ -37,7 +37,7 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from tonewood.numerics.laws import NonlinearLaw
+from tonewood.numerics.laws import Contact, NonlinearLaw
 
 Floats = NDArray[np.float64]
 
@@ -212,6 +212,11 @@ class NonlinearLaws:
         chosen = [(j, law) for j, law in enumerate(laws) if not isinstance(law, (Rigid, SpringDashpot))]
         index = np.array([j for j, _ in chosen], dtype=np.intp)
         return cls(index, tuple(law for _, law in chosen), 1 / (1 + math.exp(-FORGETTING * dt)))
+
+    @cached_property
+    def is_contact(self) -> NDArray[np.bool_]:
+        """(k,) which of them push one way only, from a clearance on."""
+        return np.array([isinstance(law, Contact) for law in self.laws], dtype=bool)
 
     def changed(self, laws: Mapping[int, Law], dt: float) -> NonlinearLaws:
         """The same with other laws at some places; itself if none of these is or was one of them."""

@@ -174,6 +174,7 @@ class KernelStepper:
     def _load_components(self, system: System, wiring: Sequence[_Wires], terms: Sequence[Term]) -> set[int]:
         """Load those that are others, or used otherwise, than before; returns their slots."""
         fresh: set[int] = set()
+        pushed = {slot for _, slot, _, on_guarded, _ in terms if not on_guarded}
         before, self._seen = self._seen, (system.compiled, wiring)
         if before[0] is system.compiled and before[1] is wiring:
             return fresh
@@ -183,9 +184,8 @@ class KernelStepper:
             fresh.add(slot)
             # strings come back to stops, and hands to strings
             ready = self._ready.setdefault(compiled, {})
-            pushed = any(slot == at and not on_guarded for _, at, _, on_guarded, _ in terms)
-            if (key := (slot, pushed, wires.key)) not in ready:
-                ready[key] = next(self._numbers), *self._arrays(compiled, wires, one_way, pushed)
+            if (key := (slot, slot in pushed, wires.key)) not in ready:
+                ready[key] = next(self._numbers), *self._arrays(compiled, wires, one_way, slot in pushed)
             number, component, guarded = ready[key]
             if known:
                 self._kernel.set_aside(slot, known[2])
@@ -234,8 +234,7 @@ class KernelStepper:
 
     def _wired(self, system: System) -> tuple[list[_Wires], list[Term]]:
         """Ports of every component as the connections now use them; made once for each set of those in use."""
-        laws = () if system.nonlinear is None else system.nonlinear.laws
-        contact = np.array([isinstance(law, Contact) for law in laws], dtype=bool)
+        contact = system.elimination.others.is_contact
         key = self._active.tobytes(), self._nonlinear.tobytes(), contact.tobytes()
         if key not in self._wirings:
             always = np.concatenate([self._active, self._nonlinear[~contact]])
