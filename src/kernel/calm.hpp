@@ -14,6 +14,10 @@
 // A group of contacts is calm for a window if the energies of its strings leave it room; the step in which one
 // passes what it was given is looked at again the other way (nonlinear.hpp).
 //
+// Strings of one rising tension have its potential besides, kappa S^2 / 2, and each may take all that they have
+// together: that sum is bounded, for what the tension does to modes is force held over a step, and the discrete gradient
+// takes as much from the potential. Nothing is known of their ports before their step is found (tense_contacts.hpp).
+//
 // Strings on which known forces act are not woven. Block by block the same is said of their motion about the place
 // where the means of these forces would hold them, the port where it is; a deviation e from the mean adds e z to the
 // state in its step, so that sqrt V grows by |e| sqrt V(z), and V, while below v, by 2 |e| sqrt(v V(z)) + e^2 V(z).
@@ -29,7 +33,9 @@
 namespace tonewood {
 namespace {
 
-constexpr double kEnergyMargin = 1e-6;  // room for rounding and for how exactly modes are known, relative
+// Room for rounding, and for how exactly modes and tensions are known, relative.
+template <class T>
+constexpr double kEnergyMargin = sizeof(T) == sizeof(double) ? 1e-6 : 1e-3;
 
 template <class T>
 double energy(const Component<T>& c, const T* x, const T* y) {
@@ -42,6 +48,18 @@ double energy(const Component<T>& c, const T* x, const T* y) {
         more += S::load(of_y + k) * b * b;
     }
     return S::sum(sum + more);
+}
+
+// S of a string's polarization.
+template <class T>
+double stretched(const Component<T>& c, const T* x) {
+    using S = Simd<T>;
+    typename S::V sum{};
+    for (int k = 0; k < c.n; k += S::width) {
+        const auto y = S::load(&c.stretched.reading[k]) * S::load(x + k);
+        sum += S::load(&c.stretched.a[k]) * y * y;
+    }
+    return S::sum(sum);
 }
 
 template <class T>
@@ -88,22 +106,35 @@ class Calm {
     enum : char { no, for_window, for_block };
 
 public:
-    Calm(const std::vector<Component<T>>& components, const Layout& layout, const Nonlinear& nl)
-        : components_(components), layout_(layout), nl_(nl), calm_(nl.groups.size(), no) {
+    Calm(const std::vector<Component<T>>& components, const Layout& layout, const Nonlinear& nl, const Tensions& tensions)
+        : components_(components), layout_(layout), nl_(nl), calm_(nl.groups.size(), no), tense_(nl.groups.size(), 0) {
         if (!nl_.k) return;
         const std::size_t n = layout_.single_width;
-        energy_.assign(n, 0.0), after_ = shift_ = held_force_ = energy_;
+        energy_.assign(n, 0.0), after_ = shift_ = held_force_ = own_ = energy_;
         most_.assign(n, std::numeric_limits<double>::infinity()), sway_ = most_;
         worth_ = nl_.worth;
         part_.assign(components_.size(), 0);
         for (const Nonlinear::Group& group : nl_.groups)
             for (std::size_t q = 0; q < group.components.size(); ++q) part_[group.components[q]] = int(q);
+        pool_of_.assign(components_.size(), -1);
+        for (const auto& string : tensions.strings) {
+            const int group = nl_.group_of[string.components.front()];
+            bool together = group >= 0 && nl_.groups[group].calm;
+            for (const int i : string.components) together = together && nl_.group_of[i] == group;
+            for (const int i : string.components) {
+                if (nl_.group_of[i] >= 0) tense_[nl_.group_of[i]] |= together ? kTense : kTense | kBarred;
+                if (together) pool_of_[i] = int(pools_.size());
+            }
+            if (together) pools_.push_back({string.components, string.kappa});
+        }
     }
 
     bool any() const { return count_ > 0; }
     bool all() const { return count_ == int(calm_.size()); }
     bool all_for_window() const { return all() && !n_pushed_; }
     bool operator[](int group) const { return calm_[group] != no; }
+    // whether tensions rise in a group
+    bool tense(int group) const { return tense_[group] != 0; }
     // what a newton at a port takes of the tightest slack where contacts are bounded block by block, as Nonlinear::worth
     const double* worth() const { return worth_.data(); }
 
@@ -112,11 +143,18 @@ public:
     void begin(const Job<T>& job, const May& may) {
         for (int g = 0; g < int(calm_.size()); ++g) {
             release(g);
-            if (!nl_.groups[g].calm || !may(g)) continue;
+            if (!nl_.groups[g].calm || tense_[g] & kBarred || !may(g)) continue;
             const Nonlinear::Group& group = nl_.groups[g];
             for (const int i : group.components) {
                 const std::size_t offset = components_[i].offset;
                 energy_[layout_.port[i]] = energy(components_[i], job.modes[0] + offset, job.modes[1] + offset);
+            }
+            for (const Pool& pool : pools_) {
+                if (nl_.group_of[pool.components[0]] != g) continue;
+                double stretch = 0.0;
+                for (const int i : pool.components) stretch += stretched(components_[i], job.modes[0] + components_[i].offset);
+                energy_[layout_.port[pool.components[0]]] += 0.5 * pool.kappa * stretch * stretch;
+                gather(pool, energy_);
             }
             take(g, group.strain, group.sway, nullptr, for_window);
         }
@@ -164,7 +202,7 @@ public:
             added_[q] = added, shift_[lane] = port;
         }
         for (const int j : group.contacts) {
-            double room = -nl_.laws[j].offset * (1 - kEnergyMargin);
+            double room = -nl_.laws[j].offset * (1 - kEnergyMargin<T>);
             for (const Nonlinear::Term& t : nl_.terms[j]) room += t.factor * at_rest_[nl_.first[t.component] + t.port];
             if (!(room > 0.0)) return release(g), false;
             const double over = 1.0 / room;
@@ -197,9 +235,13 @@ public:
             const int lane = layout_.port[i];
             energy_[lane] = shift_[lane] = held_force_[lane] = 0.0, worth_[lane] = nl_.worth[lane];
             most_[lane] = sway_[lane] = std::numeric_limits<double>::infinity();
+            if (pool_of_[i] >= 0) pools_[pool_of_[i]].most = most_[lane];
         }
         count_ -= calm_[g] != no, n_pushed_ -= calm_[g] == for_block, calm_[g] = no;
     }
+
+    // What the port of a string whose tension rises comes to but for its compliance at rest, as found for this sample.
+    void comes_to(int lane, double u) { own_[lane] = u; }
 
     // Energies after sample b of the block under port forces `now`, between the line at its beginning and the free one
     // after it; false if one passes what it was given.
@@ -235,8 +277,9 @@ public:
     bool passed(int g, const double* line, const double* now) const {
         for (const int i : nl_.groups[g].components) {
             const int p = layout_.port[i];
-            const double u = line[layout_.width + p] + layout_.single_history[p] * now[p] - shift_[p];
-            if (!(after_[p] <= most_[p]) || !(std::abs(u) <= sway_[p])) return true;
+            const double u = line[layout_.width + p] + own_[p] + layout_.single_history[p] * now[p] - shift_[p];
+            const double most = pool_of_[i] < 0 || !leads(i) ? most_[p] : pools_[pool_of_[i]].most;
+            if (!(after_[p] <= most) || !(std::abs(u) <= sway_[p])) return true;
         }
         return false;
     }
@@ -245,6 +288,23 @@ public:
     void commit() { std::swap(energy_, after_); }
 
 private:
+    static constexpr char kTense = 1, kBarred = 2;
+
+    // Components of one rising tension; the energy of all is kept at the port of the first.
+    struct Pool {
+        std::vector<int> components;
+        double kappa, most = std::numeric_limits<double>::infinity();
+    };
+    bool leads(int i) const { return pools_[pool_of_[i]].components[0] == i; }
+    double& gather(const Pool& pool, Array<double>& energy) const {
+        double& all = energy[layout_.port[pool.components[0]]];
+        for (std::size_t q = 1; q < pool.components.size(); ++q) {
+            double& one = energy[layout_.port[pool.components[q]]];
+            all += one, one = 0.0;
+        }
+        return all;
+    }
+
     // The state in `moved_` is counted from where an input of this size holds it.
     void settle(double size, const Held<T>& held, double* rows, double& port) {
         using V = Simd<T>;
@@ -259,7 +319,7 @@ private:
         S::V least{};
         for (int p = 0; p < layout_.single_width; p += S::width) {
             S::V force = S::load(now + p);
-            S::V u = S::load(line + layout_.width + p) + S::load(&layout_.single_history[p]) * force;
+            S::V u = S::load(line + layout_.width + p) + S::load(&own_[p]) + S::load(&layout_.single_history[p]) * force;
             S::V way = u - S::load(line + p);
             if constexpr (pushed) {
                 way -= S::load(&jumps_[std::size_t(b) * layout_.single_width + p]);
@@ -273,7 +333,9 @@ private:
             least = left < least ? left : least;
             least = room < least ? room : least;
         }
-        return !(S::sum(least) < 0.0);
+        bool below = !(S::sum(least) < 0.0);
+        for (const Pool& pool : pools_) below = gather(pool, after_) <= pool.most && below;
+        return below;
     }
 
     // Shares the room out among the strings of a group, whose energies stand in their lanes; `added`: the most that
@@ -284,13 +346,25 @@ private:
         const auto root = [&](std::size_t q) {
             return std::sqrt(std::max(energy_[layout_.port[group.components[q]]], 0.0)) + (added ? added[q] : 0.0);
         };
-        double spare = 1.0 - kEnergyMargin;
-        for (std::size_t q = 0; q < n; ++q) spare -= root(q) * strain[q];
+        // that of a pool, as Cauchy has it, at its first string
+        const auto strain_at = [&](std::size_t q) {
+            const int i = group.components[q], pool = pool_of_[i];
+            if (pool < 0) return strain[q];
+            double sum = 0.0;
+            for (const int other : pools_[pool].components)
+                if (leads(i)) sum += strain[part_[other]] * strain[part_[other]];
+            return std::sqrt(sum);
+        };
+        double spare = 1.0 - kEnergyMargin<T>;
+        for (std::size_t q = 0; q < n; ++q) spare -= root(q) * strain_at(q);
         if (!(spare > 0.0)) return release(g), false;
         for (std::size_t q = 0; q < n; ++q) {
-            const int lane = layout_.port[group.components[q]];
-            const double most = root(q) + spare / (double(n) * strain[q]);
-            most_[lane] = most * most, sway_[lane] = sway[q], worth_[lane] = 0.0;
+            const int i = group.components[q], lane = layout_.port[i];
+            sway_[lane] = sway[q], worth_[lane] = 0.0;
+            const double each = strain_at(q);
+            if (each == 0.0) continue;
+            const double most = root(q) + spare / (double(n) * each);
+            (pool_of_[i] < 0 ? most_[lane] : pools_[pool_of_[i]].most) = most * most;
             if (!added) continue;
             energy_[lane] += (2 * most + added[q]) * added[q];
             if (!(energy_[lane] < most_[lane])) return release(g), false;
@@ -309,9 +383,12 @@ private:
     const Layout& layout_;
     const Nonlinear& nl_;
     std::vector<char> calm_;
-    std::vector<int> part_;  // by component: its place in its group
+    std::vector<char> tense_;
+    std::vector<int> part_;     // by component: its place in its group
+    std::vector<int> pool_of_;  // likewise
+    std::vector<Pool> pools_;
     int count_ = 0, n_pushed_ = 0;
-    Array<double> energy_, after_, most_, sway_;  // (single_width): by port
+    Array<double> energy_, after_, most_, sway_, own_;  // (single_width): by port
     // where inputs hold it, with which force on it (single_width), and how far they move it (kBlock, single_width)
     Array<double> shift_, held_force_, jumps_;
     Array<double> worth_;                         // (force_width)

@@ -43,6 +43,11 @@ inline void solve_definite(const double* lower, const double* upper, const doubl
     for (int k = n - 1; k >= 0; --k) subtract(lower + k * w, b[k] *= over[k], 0, k);
 }
 
+// Compliance between two connections, (k, k) in all, as both tell it.
+inline double mutual(const double* z, int k, int i, int j) {
+    return 0.5 * (z[std::size_t(i) * k + j] + z[std::size_t(j) * k + i]);
+}
+
 // Whether a law's force is linear in its compressions.
 inline bool is_linear(const Law& law) { return law.kind == Law::spring && law.a[1] == 0.0 && law.a[2] == 0.0; }
 
@@ -176,11 +181,11 @@ inline bool find_forces(const Nonlinear& nl, Workspace& ws, const double* z, int
         noise = std::max(noise, kRounding * ws.size[j]);
     }
     const int n_stored = int(ws.stored.size());
-    const bool at_rest = z == nl.z.data();
+    const bool at_rest = z == ws.z.data();
     if (!at_rest || ws.gathered != ws.stored) {
         const std::size_t w = wide(n_stored);
         for (int i = 0; i < n_stored; ++i)
-            for (int j = 0; j < n_stored; ++j) ws.matrix[i * w + j] = z[std::size_t(ws.stored[i]) * k + ws.stored[j]];
+            for (int j = 0; j < n_stored; ++j) ws.matrix[i * w + j] = mutual(z, k, ws.stored[i], ws.stored[j]);
         ws.factored = false;
         if (at_rest) ws.gathered = ws.stored;
         else ws.gathered.clear();

@@ -60,6 +60,7 @@ struct Guarded {
     // mode's two numbers in its energy; |row| <= lean |port| + swing sqrt(energy), (n) each
     Array<T> energy;
     std::vector<double> swing, lean;
+    Array<double> reach;         // (all ports, all ports), fixed ones first: |row| per sum |force| over a block
 };
 
 // Modes that are read by one row each, kept in what it reads of them while no known force acts (weave.hpp), in chunks of
@@ -225,9 +226,9 @@ struct Nonlinear {
     double theta = 0.5;         // of the residual compliance in series
     bool asleep_allowed = true; // use the bounds of guard.hpp
     std::vector<Law> laws;
-    Array<double> z;            // (k, k): gaps per force, with the series part
+    Array<double> compliance;   // (k, k): gaps per force, linear connections left out, with the series part
     Array<double> from_linear;  // (k, m): gaps per force of the linear connections
-    Array<double> answer;       // (k, f_width): linear forces that a nonlinear one calls up
+    Array<double> to_linear;    // (k, f_width): gaps of the linear connections per force
     Array<double> residual;     // (k, k)
     Array<double> weights;      // (n_channels, k) of forces in the readouts
     std::vector<int> heard;     // connections with a weight
@@ -243,7 +244,6 @@ struct Nonlinear {
     Array<double> worth;  // (force_width): if all groups are simple, `worth` of the port times the ports in its group
     std::vector<Group> groups;
     std::vector<int> first;                        // by component: its first guarded port among all
-    std::vector<Array<double>> reach;  // by component: (all ports, all ports), fixed ones first: |row| per sum |force|
     int n_guarded = 0;
 };
 
@@ -282,7 +282,10 @@ struct Workspace {
     std::vector<char> quiet;         // by group: all asleep by one bound
     std::vector<char> driven;        // by group: a control moves one of its contacts
     Array<double> taken;             // (force_width): share of the tightest slack that a port's forces took in this block
-    // of the solve
+    // of the solve. Of connections that acted since the model changed: gaps per force, the linear ones answering (k, k),
+    // a column each, and the linear forces that they call up (k, f_width)
+    std::vector<char> known;
+    Array<double> z, answer;
     std::vector<int> stored, sliding;
     Array<double> x[12], matrix, f0;
     std::vector<int> gathered;       // connections whose compliances at rest stand in matrix
@@ -359,9 +362,10 @@ struct TensePorts {
     Array<double> y, linear, fixed_part;
     Array<double> inverse;             // (ports, ports)
     std::vector<int> pivots;
-    // of laws: compression lost per displacement of a port by itself, and forces on the ports per force of a law,
-    // (k, width) each; compressions while the ports do not move by themselves (k)
-    Array<double> meets, law_ports, law_free, sum;
+    // of laws that acted since the model changed: compression lost per displacement of a port by itself, and forces on
+    // the ports per force of a law, (k, width) each; compressions while the ports do not move by themselves (k)
+    std::vector<char> known;
+    Array<double> meets, law_ports, law_free, sum, law_forces;
     // the same of the laws that act alone: (ports, wide) and (laws, width)
     std::vector<int> active;
     Array<double> active_meets, active_ports, active_free, active_force;

@@ -91,6 +91,8 @@ Law make_law(const LawArrays& given) {
     return law;
 }
 
+constexpr std::size_t kAside = 4;  // components put aside for each one there is
+
 template <class T>
 class Kernel {
 public:
@@ -131,7 +133,27 @@ public:
         c.channels = channels;
         c.difference.assign(difference.begin(), difference.end());
         components_[slot] = std::move(c);
-        laid_out_ = false;
+        laid_out_ = arranged_ = false;
+    }
+
+    // Puts a component aside under a number, with all that was made of it.
+    void set_aside(std::size_t slot, std::int64_t number) {
+        if (slot >= components_.size()) throw std::invalid_argument("no such component slot");
+        if (aside_.size() >= kAside * components_.size()) aside_.erase(aside_.begin());
+        aside_.emplace_back(number, std::move(components_[slot]));
+        components_[slot] = {};
+        laid_out_ = arranged_ = false;
+    }
+
+    // Takes the component of this number back; false if it is not there.
+    bool take_back(std::size_t slot, std::int64_t number) {
+        if (slot >= components_.size()) throw std::invalid_argument("no such component slot");
+        const auto at = std::find_if(aside_.begin(), aside_.end(), [&](const auto& c) { return c.first == number; });
+        if (at == aside_.end()) return false;
+        components_[slot] = std::move(at->second);
+        aside_.erase(at);
+        laid_out_ = arranged_ = false;
+        return true;
     }
 
     // Ports that only contacts act on, of a component just set; histories are (kBlock, forced port, row).
@@ -168,44 +190,59 @@ public:
                             &guarded.on_rows[(p * kBlock + k) * n_rows]);
         derive_bounds(c, e.data(), rows.data());
         derive_energy(c);
-        laid_out_ = false;
+        laid_out_ = arranged_ = false;
     }
 
-    // k connections, each a law; terms are (connection, slot, port, guarded, factor). Call after set_solve.
-    void set_nonlinear(const std::vector<LawArrays>& laws,
-                       const std::vector<std::tuple<int, int, int, bool, double>>& terms, double dt, double theta,
-                       bool guarded, In z, In from_linear, In answer, In residual, In weights) {
-        const std::size_t k = laws.size(), m = solve_.m;
-        expect("z", z, {k, k});
-        expect("from_linear", from_linear, {k, m});
-        expect("answer", answer, {m, k});
-        expect("residual", residual, {k, k});
+    // k connections; terms are (connection, slot, port, guarded, factor). Call before set_laws and set_gaps.
+    void set_nonlinear(std::size_t k, const std::vector<std::tuple<int, int, int, bool, double>>& terms, double dt,
+                       double theta, bool guarded, In weights) {
         expect("weights", weights, {std::size_t(n_channels_), k});
         Nonlinear nl;
         nl.k = int(k), nl.dt = dt, nl.theta = theta, nl.asleep_allowed = guarded;
-        for (const LawArrays& law : laws) nl.laws.push_back(make_law(law));
+        nl.laws.resize(k);
         for (const auto& [connection, slot, port, is_guarded, factor] : terms) {
             if (connection < 0 || std::size_t(connection) >= k || slot < 0 || std::size_t(slot) >= components_.size() ||
                 port < 0)
                 throw std::invalid_argument("a nonlinear connection does not fit the components");
             nl.all_terms.push_back({connection, slot, port, is_guarded, factor});
         }
-        nl.z.assign(z.data(), z.data() + z.size());
-        nl.from_linear.assign(from_linear.data(), from_linear.data() + from_linear.size());
-        nl.residual.assign(residual.data(), residual.data() + residual.size());
         nl.weights.assign(weights.data(), weights.data() + weights.size());
-        const std::size_t f_width = (m + kLane - 1) / kLane * kLane;
-        nl.answer.assign(k * f_width, 0.0);
-        for (std::size_t i = 0; i < m; ++i)
-            for (std::size_t j = 0; j < k; ++j) nl.answer[j * f_width + i] = answer.data()[i * k + j];
         for (std::size_t j = 0; j < k; ++j)
             for (std::size_t o = 0; o < std::size_t(n_channels_); ++o)
                 if (nl.weights[o * k + j] != 0.0) {
                     nl.heard.push_back(int(j));
                     break;
                 }
+        nonlinear_ = std::move(nl);
+        laid_out_ = arranged_ = false;
+    }
+
+    // Laws of some of them.
+    void set_laws(const std::vector<std::pair<int, LawArrays>>& laws) {
+        for (const auto& [j, law] : laws) {
+            if (j < 0 || j >= nonlinear_.k) throw std::invalid_argument("no such connection");
+            nonlinear_.laws[j] = make_law(law);
+        }
+        laid_out_ = arranged_ = false;
+    }
+
+    // What their gaps give way by, the linear connections left out, and these (m, k) and (k, m). Call after set_solve.
+    void set_gaps(In compliance, In from_linear, In to_linear, In residual) {
+        Nonlinear& nl = nonlinear_;
+        const std::size_t k = nl.k, m = solve_.m;
+        expect("compliance", compliance, {k, k});
+        expect("from_linear", from_linear, {k, m});
+        expect("to_linear", to_linear, {m, k});
+        expect("residual", residual, {k, k});
+        nl.compliance.assign(compliance.data(), compliance.data() + compliance.size());
+        nl.from_linear.assign(from_linear.data(), from_linear.data() + from_linear.size());
+        nl.residual.assign(residual.data(), residual.data() + residual.size());
+        const std::size_t f_width = (m + kLane - 1) / kLane * kLane;
+        nl.to_linear.assign(k * f_width, 0.0);
+        for (std::size_t i = 0; i < m; ++i)
+            for (std::size_t j = 0; j < k; ++j) nl.to_linear[j * f_width + i] = to_linear.data()[i * k + j];
         // gaps that share residual compliance
-        nl.series.assign(k, -1);
+        nl.series.assign(k, -1), nl.n_series = 0;
         std::vector<std::size_t> open;
         for (std::size_t j = 0; j < k; ++j) {
             if (nl.series[j] >= 0 || nl.residual[j * k + j] == 0.0) continue;
@@ -219,9 +256,8 @@ public:
             }
             ++nl.n_series;
         }
-        nonlinear_ = std::move(nl);
         nonlinear_m_ = m;
-        laid_out_ = false;
+        laid_out_ = arranged_ = false;
     }
 
     // Weights and responses of a string's modes, of a component just set: a, half, reading (n), kick (2, n), E (4, n).
@@ -259,7 +295,7 @@ public:
                 s.guarded_c[q * n + k] = T(reading.data()[k] * g.w[2 * q * n + k]);
             }
         derive_pulled(c);
-        laid_out_ = false;
+        laid_out_ = arranged_ = false;
     }
 
     // Strings whose tension is on: (index in the state, kappa, components); matrix (m, m) and offset (m) of the linear
@@ -268,6 +304,7 @@ public:
         const std::size_t m = solve_.m;
         expect("matrix", matrix, {m, m});
         expect("offset", offset, {m});
+        const std::vector<Tensions::String> before = std::move(tensions_.strings);
         tensions_ = Tensions{};
         for (const auto& [index, kappa, parts] : strings) {
             for (const int i : parts)
@@ -278,6 +315,8 @@ public:
         tensions_.matrix.assign(matrix.data(), matrix.data() + matrix.size());
         tensions_.offset.assign(offset.data(), offset.data() + offset.size());
         laid_out_ = false;
+        arranged_ = arranged_ && std::ranges::equal(before, tensions_.strings, {}, &Tensions::String::components,
+                                                    &Tensions::String::components);
     }
 
     void set_solve(In g, In gamma, In constant, In weights) {
@@ -351,8 +390,10 @@ public:
         if (!laid_out_) {
             lay_out();
             arrange(components_, solve_, layout_, tensions_, capacity_, nonlinear_, space_);
-            arrange(components_, layout_, nonlinear_);
-            prepare(components_, nonlinear_, layout_, capacity_, workspace_);
+            if (!arranged_) arrange(components_, layout_, nonlinear_);
+            if (!arranged_) prepare(components_, nonlinear_, capacity_, workspace_);
+            make_room(nonlinear_, layout_, workspace_);
+            arranged_ = true;
         }
         nb::gil_scoped_release release;
         const Fault fault = run_(components_, layout_, solve_, nonlinear_, tensions_, geometric_, workspace_, space_, statistics_, job);
@@ -399,7 +440,7 @@ public:
             };
             part.reading = rows(reading, 1), part.yields = rows(yields, 1), part.kick = rows(kick, 2);
             part.to_port = rows(to_port, p), part.from_port = rows(from_port, p);
-            c.geometric = true;
+            arranged_ = arranged_ && c.geometric, c.geometric = true;
             string.parts.push_back(std::move(part));
         }
         string.order = string.parts.back().cosines - 1;
@@ -641,8 +682,10 @@ private:
     std::size_t capacity_;
     int n_channels_;
     std::vector<Component<T>> components_;
+    std::vector<std::pair<std::int64_t, Component<T>>> aside_;  // the one put there first is the first to go
     Layout layout_;
-    bool laid_out_ = false;
+    bool laid_out_ = false;  // rows, ports and linear connections
+    bool arranged_ = false;  // nonlinear connections
     Solve solve_;
     Nonlinear nonlinear_;
     std::size_t nonlinear_m_ = 0;  // linear connections that it was made for
@@ -665,6 +708,10 @@ void bind(nb::module_& m, const char* name) {
         .def("set_tensions", &K::set_tensions)
         .def("set_geometric", &K::set_geometric)
         .def("set_nonlinear", &K::set_nonlinear)
+        .def("set_laws", &K::set_laws)
+        .def("set_gaps", &K::set_gaps)
+        .def("set_aside", &K::set_aside)
+        .def("take_back", &K::take_back)
         // what is written to must be the caller's own array, never a converted copy of it
         .def("run", &K::run, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(),
              nb::arg().noconvert(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(),

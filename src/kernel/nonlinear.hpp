@@ -30,10 +30,11 @@ class NonlinearStep {
 
 public:
     NonlinearStep(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
-                  const Nonlinear& nonlinear, Workspace& workspace, Statistics& statistics, const Job<T>& job,
-                  const std::vector<std::vector<Input<T>>>& known, Taut<T>& taut)
-        : components_(components), layout_(layout), m_(solve.m), nl_(nonlinear), ws_(workspace),
-          statistics_(statistics), job_(job), known_(known), taut_(taut), calm_(components, layout, nonlinear) {
+                  const Nonlinear& nonlinear, const Tensions& tensions, Workspace& workspace, Statistics& statistics,
+                  const Job<T>& job, const std::vector<std::vector<Input<T>>>& known, Taut<T>& taut)
+        : components_(components), layout_(layout), solve_(solve), m_(solve.m), nl_(nonlinear), ws_(workspace),
+          statistics_(statistics), job_(job), known_(known), taut_(taut),
+          calm_(components, layout, nonlinear, tensions) {
         for (const Component<T>& c : components_) any_tense_ = any_tense_ || c.stretched.on;
         if (!nl_.k) return;
         std::copy_n(job.series, nl_.k, ws_.series.data());
@@ -48,10 +49,13 @@ public:
             const Law& law = nl_.laws[j];
             ws_.offset[j] = ws_.offset_after[j] = ws_.clearance[j] = law.offset;
             ws_.velocity[j] = law.velocity, ws_.scale[j] = 1.0;
-            ws_.awake[j] = !nl_.guarded[j];
+            // one that nothing moves under, and that is in no group for it, can act only if it is moved itself
+            ws_.awake[j] = !nl_.guarded[j] || (nl_.group_of_law[j] < 0 && !nl_.asleep_allowed);
             if (ws_.last_force[j] != 0.0) ws_.previous.push_back(j);
             if (nl_.series[j] >= 0 && ws_.series[j] != 0.0) ws_.series_alive[nl_.series[j]] = ws_.any_alive = true;
         }
+        for (int q = 0; q < job_.n_controls; ++q)
+            if (nl_.group_of_law[job_.controls[q].connection] < 0) ws_.awake[job_.controls[q].connection] = 1;
     }
 
     // Writes back what moved.
@@ -63,8 +67,8 @@ public:
     }
 
     // A window of kWeave blocks begins: which groups of contacts are out of reach in it. `whole`: all of its blocks
-    // will come; `bounded`: lines tell all motion of the strings that energies may bound (calm.hpp). `may(i)` whether
-    // component i may be woven; `follow(i)` brings its modes to the beginning of the present block, and `leave(i)` does
+    // will come; `bounded`: energies may bound strings (calm.hpp). `may(i)` whether those of component i may, which known
+    // forces forbid; `follow(i)` brings its modes to the beginning of the present block, and `leave(i)` does
     // besides what it takes that it is woven no more.
     template <class May>
     void begin_window(bool whole, bool bounded, const May& may) {
@@ -84,6 +88,9 @@ public:
 
     // Whether nothing can reach the contacts of a component in this window.
     bool calm(int i) const { return nl_.k && nl_.group_of[i] >= 0 && calm_[nl_.group_of[i]]; }
+
+    // Whether the next block asks for the state of a component, in the same window.
+    bool asks(int i) const { return nl_.k && nl_.group_of[i] >= 0 && !calm_[nl_.group_of[i]]; }
 
     std::function<void(int)> follow, leave;  // see begin_window
 
@@ -126,7 +133,7 @@ public:
         }
         for (int i = 0; i < int(components_.size()); ++i)
             if (!ws_.awake_rows[i].empty() && !tense(i)) read(i, ws_.awake_rows[i].data(), int(ws_.awake_rows[i].size()));
-        still_ = ws_.awake_list.empty() && !ws_.any_alive && !any_tense_;
+        still_ = ws_.awake_list.empty() && !ws_.any_alive && (!any_tense_ || calm_.all());
         for (int g = 0; g < int(nl_.groups.size()); ++g) {
             if (ws_.quiet[g]) continue;
             still_ = false;
@@ -169,6 +176,14 @@ public:
         for (int g = 0; g < int(nl_.groups.size()); ++g)
             for (int s = 0; s < b && !calm_[g]; ++s) ws_.level[g] += share_taken(g, s);
         return false;
+    }
+
+    // The same where tensions rise and energies leave out all contacts: whether the forces found for sample b may stand.
+    bool rests(int b, const double* now) {
+        if (!still_ || !calm_.meets(b, line_at(b), now)) return false;
+        calm_.commit();
+        forget();
+        return true;
     }
 
     // All forces of sample b, for the motion that the lines tell; `commit` makes them stand. `f` (f_width) holds those of
@@ -331,7 +346,9 @@ private:
     // Whether a group on which known forces act is calm for a block; without bounds all contacts are looked at anyhow.
     bool calm_for_block(int index) {
         const Nonlinear::Group& group = nl_.groups[index];
-        if (!group.calm || !bounded_ || !nl_.asleep_allowed || ws_.driven[index] || moved_by_series(index)) return false;
+        if (!group.calm || !bounded_ || !nl_.asleep_allowed || calm_.tense(index) || ws_.driven[index] ||
+            moved_by_series(index))
+            return false;
         for (const int i : group.components)
             if (!known_[i].empty()) return calm_.begin_block(index, job_, known_, nb_);
         return false;
@@ -340,10 +357,14 @@ private:
     // A group is calm no more from this block on: its contacts are seen to in the other way, as if they had been so
     // since the block began.
     void stir(int index, int b) {
-        calm_.release(index), rested_ = false;
+        calm_.release(index), rested_ = still_ = false;
         for (const int i : nl_.groups[index].components) leave(i);
         if (!nl_.asleep_allowed) return;
-        guard(index);
+        // stretched strings have left where the block began
+        if (calm_.tense(index))
+            for (const int j : nl_.groups[index].contacts) ws_.awake[j] = 1;
+        else
+            guard(index);
         ws_.quiet[index] = 0;
         sample_ = b;
         for (const int j : nl_.groups[index].contacts)
@@ -484,7 +505,7 @@ private:
     const double* reach_of(const Term& t) const {
         const Component<T>& c = components_[t.component];
         const std::size_t port = t.guarded ? c.n_ports + t.port : t.port;
-        return &nl_.reach[t.component][port * (c.n_ports + c.guarded.n)];
+        return &c.guarded.reach[port * (c.n_ports + c.guarded.n)];
     }
 
     // Calls visit(port among all of the component) for every port that takes part in this block.
@@ -636,15 +657,27 @@ private:
     }
 
     void activate(int j) {
+        if (!ws_.known[j]) know(j);
         ws_.touching[j] = 1;
         ws_.active.push_back(j);
         ws_.law_force[j] = ws_.last_force[j];
     }
 
+    // What connection j calls up in the linear ones, and what it moves with them: few of all contacts ever act.
+    void know(int j) {
+        const std::size_t width = layout_.f_width, k = nl_.k;
+        double* const answer = &ws_.answer[j * width];
+        const double* const moved = &nl_.to_linear[j * width];
+        for (int i = 0; i < m_; ++i) answer[i] = dot(&solve_.g[std::size_t(i) * m_], moved, m_);
+        for (std::size_t i = 0; i < k; ++i)
+            ws_.z[i * k + j] = nl_.compliance[i * k + j] - dot(&nl_.from_linear[i * m_], answer, m_);
+        ws_.known[j] = 1;
+    }
+
     bool solve() {
         const auto find = [&] {
             int iterations = 0;
-            const bool done = find_forces(nl_, ws_, nl_.z.data(), iterations);
+            const bool done = find_forces(nl_, ws_, ws_.z.data(), iterations);
             return found(done, iterations);
         };
         const bool done = kept_ ? find() : settle(nl_, ws_, find);
@@ -668,7 +701,7 @@ private:
         return add_touching(before, [&](int j) {
             double p = ws_.free_p[j];
             for (std::size_t q = 0; q < before; ++q)
-                p -= nl_.z[std::size_t(j) * nl_.k + ws_.active[q]] * ws_.law_force[ws_.active[q]];
+                p -= ws_.z[std::size_t(j) * nl_.k + ws_.active[q]] * ws_.law_force[ws_.active[q]];
             return p;
         });
     }
@@ -688,7 +721,7 @@ private:
     void combine(int b, double* f, double* now) {
         std::copy_n(ws_.f0.data(), layout_.f_width, f);
         for (const int j : ws_.active) {
-            const double force = ws_.law_force[j], *answer = &nl_.answer[std::size_t(j) * layout_.f_width];
+            const double force = ws_.law_force[j], *answer = &ws_.answer[std::size_t(j) * layout_.f_width];
             for (int k = 0; k < layout_.f_width; ++k) f[k] -= answer[k] * force;
         }
         distribute(b, f, now);
@@ -768,6 +801,7 @@ private:
 
     const std::vector<Component<T>>& components_;
     const Layout& layout_;
+    const Solve& solve_;
     const int m_;
     const Nonlinear& nl_;
     Workspace& ws_;

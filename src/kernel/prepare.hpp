@@ -189,10 +189,10 @@ Array<double> reach_of(const Component<T>& c) {
 // Sorts terms by connection, and joins the components of guarded contacts to groups: within one, forces use up one
 // another's slack.
 template <class T>
-void arrange(const std::vector<Component<T>>& components, const Layout& layout, Nonlinear& nl) {
+void arrange(std::vector<Component<T>>& components, const Layout& layout, Nonlinear& nl) {
     const int n = int(components.size());
     nl.terms.assign(nl.k, {}), nl.driven.assign(nl.k, {}), nl.guarded.assign(nl.k, 0);
-    nl.groups.clear(), nl.group_of.assign(n, -1), nl.first.clear(), nl.reach.assign(n, {});
+    nl.groups.clear(), nl.group_of.assign(n, -1), nl.first.clear();
     nl.group_of_law.assign(nl.k, -1), nl.worth.assign(layout.force_width, 0.0);
     nl.in_series.assign(nl.n_series, {});
     for (int j = 0; j < nl.k; ++j)
@@ -210,8 +210,14 @@ void arrange(const std::vector<Component<T>>& components, const Layout& layout, 
     for (const Nonlinear::Term& t : nl.all_terms)
         if (!t.guarded && (components[t.component].stretched.on || components[t.component].geometric))
             nl.guarded[t.connection] = 0;
+    // a contact under which nothing moves, behind the stop of a string, is in no group
+    const auto is_idle = [&](int j) {
+        for (const Nonlinear::Term& t : nl.terms[j])
+            if (!t.guarded || components[t.component].guarded.peak[t.port] > 0.0) return false;
+        return nl.laws[j].offset <= 0.0 && nl.series[j] < 0;
+    };
     for (int j = 0; j < nl.k; ++j) {
-        if (!nl.guarded[j]) continue;
+        if (!nl.guarded[j] || is_idle(j)) continue;
         int to = int(nl.groups.size());
         for (const Nonlinear::Term& t : nl.terms[j])
             if (nl.group_of[t.component] >= 0) to = std::min(to, nl.group_of[t.component]);
@@ -234,7 +240,10 @@ void arrange(const std::vector<Component<T>>& components, const Layout& layout, 
     std::erase_if(nl.groups, [](const Nonlinear::Group& g) { return g.contacts.empty(); });
     for (std::size_t g = 0; g < nl.groups.size(); ++g) {
         std::sort(nl.groups[g].contacts.begin(), nl.groups[g].contacts.end());
-        for (const int i : nl.groups[g].components) nl.group_of[i] = int(g), nl.reach[i] = reach_of(components[i]);
+        for (const int i : nl.groups[g].components) {
+            nl.group_of[i] = int(g);
+            if (components[i].guarded.reach.empty()) components[i].guarded.reach = reach_of(components[i]);
+        }
         Nonlinear::Group& group = nl.groups[g];
         const std::size_t n_parts = group.components.size();
         group.simple = true;
@@ -257,7 +266,7 @@ void arrange(const std::vector<Component<T>>& components, const Layout& layout, 
                 const double size = std::abs(t.factor), of_slack = size / ((1 - kQuiet) * room);
                 group.tightest[q] = std::max(group.tightest[q], size * c.guarded.peak[t.port] / room);
                 const double* reach =
-                    &nl.reach[t.component][std::size_t(c.n_ports + t.port) * (c.n_ports + c.guarded.n)];
+                    &c.guarded.reach[std::size_t(c.n_ports + t.port) * (c.n_ports + c.guarded.n)];
                 for (int p = 0; p < c.n_ports; ++p)
                     group.worth[q][p] = std::max(group.worth[q][p], of_slack * reach[p]);
                 if (c.stretched.on)
@@ -266,8 +275,7 @@ void arrange(const std::vector<Component<T>>& components, const Layout& layout, 
         }
         group.calm = group.simple;
         for (const int i : group.components)
-            group.calm = group.calm && !components[i].guarded.energy.empty() && !components[i].stretched.on &&
-                         !components[i].geometric;
+            group.calm = group.calm && !components[i].guarded.energy.empty() && !components[i].geometric;
         if (group.calm) {
             group.strain.assign(n_parts, 0.0), group.sway.assign(n_parts, std::numeric_limits<double>::infinity());
             for (const int j : group.contacts)
@@ -353,35 +361,16 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
     }
 }
 
-// How nonlinear connections see and push fixed ports of stretched components, the linear ones answering.
-inline void arrange_laws(const Nonlinear& nl, const Layout& l, int m, TensePorts& to) {
-    const std::size_t n = to.ports.size(), k = nl.k, width = to.width;
-    to.meets.assign(k * width, 0.0), to.law_ports = to.meets;
-    to.law_free.assign(k, 0.0), to.sum.assign(width, 0.0);
-    const std::size_t wide = (k + kLane - 1) / kLane * kLane;
-    to.active_meets.assign(n * wide, 0.0), to.active_ports = to.meets;
-    to.law_slope.assign(wide, 0.0), to.given = to.law_slope, to.answers.assign(k * wide, 0.0), to.caught = to.active_meets;
+// Room for how k laws see and push fixed ports of stretched components (tense_contacts.hpp).
+inline void arrange_laws(std::size_t k, const Layout& l, TensePorts& to) {
+    const std::size_t n = to.ports.size(), width = to.width, wide = (k + kLane - 1) / kLane * kLane;
+    to.known.assign(k, 0), to.law_forces.assign(l.force_width, 0.0);
+    for (Array<double>* a : {&to.meets, &to.law_ports, &to.active_ports}) a->assign(k * width, 0.0);
+    for (Array<double>* a : {&to.active_meets, &to.caught}) a->assign(n * wide, 0.0);
+    for (Array<double>* a : {&to.law_slope, &to.given, &to.active_free, &to.active_force}) a->assign(wide, 0.0);
+    to.law_free.assign(k, 0.0), to.sum.assign(width, 0.0), to.answers.assign(k * wide, 0.0);
     to.onto_with_laws = to.onto_ports, to.fixed_with_laws.assign(width, 0.0), to.folded = false;
-    to.active_free.assign(wide, 0.0), to.active_force = to.active_free, to.active.clear(), to.active.reserve(k);
-    Array<double> law_forces(k * l.force_width, 0.0);  // per force of a law on all ports
-    for (const auto& term : nl.all_terms) {
-        if (term.guarded) continue;
-        const std::size_t j = term.connection;
-        law_forces[j * l.force_width + l.port[term.component] + term.port] += term.factor;
-        for (std::size_t t = 0; t < n; ++t)
-            if (to.ports[t].component == term.component && to.ports[t].port == term.port)
-                to.meets[j * width + t] += term.factor;
-    }
-    for (std::size_t j = 0; j < k; ++j) {
-        double* forces = &law_forces[j * l.force_width];
-        for (int q = 0; q < m; ++q) {
-            for (std::size_t t = 0; t < n; ++t)
-                to.meets[j * width + t] += nl.from_linear[j * m + q] * to.onto_linear[t * l.f_width + q];
-            for (int p = 0; p < l.force_width; ++p)
-                forces[p] -= nl.answer[j * l.f_width + q] * l.push[std::size_t(q) * l.force_width + p];
-        }
-        for (const int t : to.real) to.law_ports[j * width + t] = forces[to.ports[t].force];
-    }
+    to.active.clear(), to.active.reserve(k);
 }
 
 // Which linear connections see stretched strings, and how.
@@ -425,8 +414,8 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, const La
     for (Array<double>* a : {&ws.fixed, &ws.right, &ws.scale, &ws.solution, &ws.wrong}) a->assign(m, 0.0);
     ws.matrix.assign(m * m, 0.0), ws.inverse.assign(m * m, 0.0), ws.done.assign(m, 0);
     if (!nl.k) return;
-    arrange_laws(nl, layout, int(m), ws.ports);
     const std::size_t k = nl.k;
+    arrange_laws(k, layout, ws.ports);
     ws.moved.assign(capacity * sizeof(T), 0);
     ws.wires.resize(n), ws.active_ports.resize(n);
     std::size_t most = 0;
@@ -441,8 +430,7 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, const La
 
 // Makes the buffers of a run.
 template <class T>
-void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, const Layout& layout,
-             std::size_t capacity, Workspace& ws) {
+void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, std::size_t capacity, Workspace& ws) {
     const std::size_t k = nl.k, n = components.size(), n_guarded = nl.n_guarded;
     for (Array<double>* a :
          {&ws.old_p, &ws.free_p, &ws.law_force, &ws.last_force, &ws.series, &ws.series_after, &ws.slip, &ws.slip_after,
@@ -459,7 +447,7 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, c
     ws.sizes.assign(nl.groups.empty() ? 0 : capacity * sizeof(T), 0);
     ws.value.assign(n_guarded * kStride, 0.0), ws.force.assign(n_guarded * kBlock, 0.0);
     ws.row_awake.assign(n_guarded, 0), ws.is_loaded.assign(n_guarded, 0);
-    ws.quiet.assign(nl.groups.size(), 0), ws.driven = ws.quiet, ws.taken.assign(layout.force_width, 0.0);
+    ws.quiet.assign(nl.groups.size(), 0), ws.driven = ws.quiet;
     ws.level.assign(nl.groups.size(), 0.0), ws.level_after.assign(nl.groups.size(), 0.0);
     ws.asleep.assign(nl.groups.size(), 0), ws.least_slack.assign(nl.groups.size(), 0.0);
     ws.awake_rows.resize(n), ws.loaded.resize(n), ws.worth.resize(n);
@@ -473,7 +461,14 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, c
     for (Array<double>& a : ws.x) a.assign(wide, 0.0);
     for (Array<double>* a : {&ws.matrix, &ws.lower, &ws.upper}) a->assign(k * wide, 0.0);
     ws.inverse.assign(std::size_t(kMostLinear) * kMostLinear, 0.0);
-    ws.over.assign(wide, 0.0), ws.gathered.clear(), ws.gathered.reserve(k), ws.f0.assign(layout.f_width, 0.0);
+    ws.over.assign(wide, 0.0), ws.gathered.clear(), ws.gathered.reserve(k);
+}
+
+// Those whose sizes linear connections tell, too. Nothing is known yet of what these answer.
+inline void make_room(const Nonlinear& nl, const Layout& layout, Workspace& ws) {
+    const std::size_t k = nl.k;
+    ws.taken.assign(layout.force_width, 0.0), ws.f0.assign(layout.f_width, 0.0);
+    ws.known.assign(k, 0), ws.z.resize(k * k), ws.answer.assign(k * layout.f_width, 0.0);
 }
 
 }  // namespace

@@ -102,7 +102,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     std::vector<std::vector<Input<T>>> known(n_components);
     std::vector<Array<double>> known_values(job.n_injections);
     Taut<T> taut(components, space, job);
-    NonlinearStep<T> laws(components, layout, solve, nonlinear, workspace, statistics, job, known, taut);
+    NonlinearStep<T> laws(components, layout, solve, nonlinear, tensions, workspace, statistics, job, known, taut);
     TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job, known, taut);
     TenseContacts<T> both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
     GeometricStep<T> along(components, layout, geometric, statistics, job);
@@ -156,11 +156,11 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             const bool whole = start + kWeave * kBlock <= job.n;
             const auto may = [&](int i) {
                 const Component<T>& c = components[i];
-                return whole && !c.woven.chunks.empty() && !c.stretched.on && !c.geometric &&
-                       !touched(job, i, start, kWeave * kBlock);
+                return whole && !c.woven.chunks.empty() && !c.geometric && !touched(job, i, start, kWeave * kBlock);
             };
-            laws.begin_window(whole, !tense && !longitudinal, may);
-            for (int i = 0; i < n_components; ++i) to_weave[i] = (!components[i].guarded.n || laws.calm(i)) && may(i);
+            laws.begin_window(whole, !longitudinal, may);
+            for (int i = 0; i < n_components; ++i)
+                to_weave[i] = (!components[i].guarded.n || laws.calm(i)) && may(i) && !components[i].stretched.on;
             std::fill(followed.begin(), followed.end(), 0);
             if (to_weave != woven) loom.set(woven = to_weave);
             loom.template pass<Passage::in>(0);
@@ -241,7 +241,10 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             for (int b = 0; b < nb; ++b)
                 job.out[(start + b) * job.n_channels + channel] += weight * job.forces[(start + b) * m + connection];
         laws.emit(start, nb);
-        if (tense) stretched.finish_block(nb, nonlinear.k > 0 || place + 1 == kWeave || start + nb == job.n, lines.data());
+        if (tense) {
+            const bool all = place + 1 == kWeave || start + nb == job.n;
+            stretched.finish_block(nb, [&](int i) { return all || laws.asks(i); }, lines.data());
+        }
         if (longitudinal) along.finish_block(nb, lines.data());
 
         // the correction: inputs known by now move the state; what is driven one way is read on the way

@@ -27,7 +27,10 @@ public:
                   const Nonlinear& nonlinear, const Tensions& tensions, Workspace& workspace, TensionSpace& space,
                   Statistics& statistics, NonlinearStep<T>& laws, TensionStep<T>& stretched)
         : components_(components), layout_(layout), m_(solve.m), nl_(nonlinear), tensions_(tensions), ws_(workspace),
-          ts_(space), statistics_(statistics), laws_(laws), stretched_(stretched) {}
+          ts_(space), statistics_(statistics), laws_(laws), stretched_(stretched) {
+        for (const int p : ts_.ports.real)
+            if (ts_.ports.ports[p].line < layout_.single_width) alone_.push_back({ts_.ports.ports[p].line, p});
+    }
 
     // As TensionStep::step; `lines` and the guarded values hold the motion of the other components.
     bool step(int b, double* lines, double* f, double* now) {
@@ -35,11 +38,19 @@ public:
         laws_.begin_sample(b);
         std::fill(is_ready_.begin(), is_ready_.end(), 0);
         for (;;) {
+            bool told = true;  // where the strings' ports come to, by ports.alone
             if (ws_.active.empty()) {
                 if (!stretched_.linear_step(f, now)) return false;
                 laws_.let_go(b);
-            } else if (!(on_fixed_ports() && fixed_step(b, f, now)) && !joint_step(b, lines, f, now)) {
-                return false;
+            } else if (!on_fixed_ports() || !fixed_step(b, f, now)) {
+                if (!joint_step(b, lines, f, now)) return false;
+                told = false;
+            }
+            std::fill(is_moved_.begin(), is_moved_.end(), 0);
+            if (laws_.calm_.any()) tell_ports(b, lines, now, told);
+            if (ws_.active.empty() && laws_.rests(b, now)) {
+                stretched_.finish_sample(now);
+                return true;
             }
             note_pulls(b);
             laws_.wake_by(b);
@@ -53,6 +64,17 @@ public:
     }
 
 private:
+    // Where fixed ports of the strings come to, for energies.
+    void tell_ports(int b, const double* lines, const double* now, bool told) {
+        const double* const line = lines + std::size_t(b) * layout_.width;
+        for (const auto& [lane, p] : alone_) {
+            const auto& port = ts_.ports.ports[p];
+            laws_.calm_.comes_to(lane, told ? line[lane] + ts_.ports.alone[p]
+                                            : after({0, port.component, port.port, false, 1.0}, b, now) -
+                                                  layout_.single_history[lane] * now[lane]);
+        }
+    }
+
     // Whether nothing acts that would make a sum over modes necessary: a contact on a string, or friction, whose forces
     // may fall where motion grows.
     bool on_fixed_ports() const {
@@ -85,7 +107,7 @@ private:
             add_product(ports.active_meets.data(), w, ports.sum.data(), n, ports.active_free.data());
             for (int i = 0; i < a; ++i)
                 ws_.free_p[ws_.active[i]] = ports.law_free[ws_.active[i]] - ports.active_free[i];
-            if (!find_forces(nl_, ws_, nl_.z.data(), iterations)) return false;
+            if (!find_forces(nl_, ws_, ws_.z.data(), iterations)) return false;
             for (int i = 0; i < a; ++i) ports.active_force[i] = ws_.law_force[ws_.active[i]];
             add_product(ports.onto_ports.data(), ports.width, ports.moved.data(), n, ports.base.data(), force);
             add_product(ports.active_ports.data(), ports.width, ports.active_force.data(), a, force);
@@ -96,7 +118,7 @@ private:
         stretched_.add_moved();
         stretched_.linear_forces(f);
         for (const int j : ws_.active) {
-            const double* answer = &nl_.answer[std::size_t(j) * layout_.f_width];
+            const double* answer = &ws_.answer[std::size_t(j) * layout_.f_width];
             for (int q = 0; q < layout_.f_width; ++q) f[q] -= answer[q] * ws_.law_force[j];
         }
         laws_.distribute(b, f, now);
@@ -145,7 +167,7 @@ private:
         const std::size_t w = wide(a);
         double *const z = ws_.matrix.data(), *const answers = ports.answers.data();
         for (int i = 0; i < a; ++i)
-            for (int j = 0; j < a; ++j) z[i * w + j] = nl_.z[std::size_t(ws_.active[i]) * nl_.k + ws_.active[j]];
+            for (int j = 0; j < a; ++j) z[i * w + j] = mutual(ws_.z.data(), nl_.k, ws_.active[i], ws_.active[j]);
         ws_.gathered.clear();
         invert_laws(ws_, z, ports.law_slope.data(), a);
         for (int i = 0; i < a; ++i) {
@@ -166,6 +188,30 @@ private:
         ports.folded = true;
     }
 
+    // How law j sees and pushes fixed ports of strings, the linear connections answering.
+    void know(int j) {
+        TensePorts& ports = ts_.ports;
+        const std::size_t n = ports.ports.size(), m = m_;
+        double *const meets = &ports.meets[std::size_t(j) * ports.width], *const forces = ports.law_forces.data();
+        std::fill_n(forces, layout_.force_width, 0.0);
+        const auto takes = [&](const Term& t) {
+            if (t.guarded) return;
+            forces[layout_.port[t.component] + t.port] += t.factor;
+            if (components_[t.component].stretched.on) meets[ports.first[t.component] + t.port * ports.strings] += t.factor;
+        };
+        std::fill_n(meets, ports.width, 0.0);
+        for (const Term& t : nl_.terms[j]) takes(t);
+        for (const Term& t : nl_.driven[j]) takes(t);
+        const double *from_linear = &nl_.from_linear[j * m], *answer = &ws_.answer[std::size_t(j) * layout_.f_width];
+        for (std::size_t t = 0; t < n; ++t) meets[t] += dot(from_linear, &ports.onto_linear[t * layout_.f_width], m_);
+        for (std::size_t q = 0; q < m; ++q)
+            for (int p = 0; p < layout_.force_width; ++p)
+                forces[p] -= answer[q] * layout_.push[q * layout_.force_width + p];
+        for (const int t : ports.real)
+            ports.law_ports[std::size_t(j) * ports.width + t] = forces[ports.ports[t].force];
+        ports.known[j] = 1;
+    }
+
     // How the active laws see and push fixed ports of strings, side by side.
     void gather_active() {
         TensePorts& ports = ts_.ports;
@@ -175,6 +221,7 @@ private:
         std::fill_n(ports.active_meets.data(), n * w, 0.0);
         for (std::size_t i = 0; i < a; ++i) {
             const std::size_t j = ws_.active[i];
+            if (!ports.known[j]) know(int(j));
             for (std::size_t p = 0; p < n; ++p) ports.active_meets[p * w + i] = ports.meets[j * width + p];
             std::copy_n(&ports.law_ports[j * width], width, &ports.active_ports[i * width]);
         }
@@ -288,12 +335,8 @@ private:
             const std::size_t j = ws_.active[s];
             for (int q = 0; q < m; ++q)
                 all[(m + s) * w + q] = all[q * w + m + s] = nl_.from_linear[j * m + q];
-            for (int t = 0; t < a; ++t) {
-                const std::size_t other = ws_.active[t];
-                double z = nl_.z[j * k + other];
-                for (int q = 0; q < m; ++q) z += nl_.from_linear[j * m + q] * nl_.answer[other * layout_.f_width + q];
-                all[(m + s) * w + m + t] = z;
-            }
+            for (int t = 0; t < a; ++t)
+                all[(m + s) * w + m + t] = nl_.compliance[j * k + std::size_t(ws_.active[t])];
         }
         std::copy(ts_.fixed.begin(), ts_.fixed.end(), v);
         for (const int j : ws_.active) ws_.free_p[j] = ws_.rest_p[j];
@@ -417,7 +460,6 @@ private:
 
     // Contacts awake that the motion found brings into touch join the active ones.
     bool touched(int b, const double* now) {
-        for (const int i : tensions_.components) is_moved_[i] = 0;
         return laws_.add_touching(ws_.active.size(), [&](int j) {
             double p = ws_.offset_after[j];
             for (const Term& t : nl_.terms[j]) p -= t.factor * after(t, b, now);
@@ -461,6 +503,10 @@ private:
     Statistics& statistics_;
     NonlinearStep<T>& laws_;
     TensionStep<T>& stretched_;
+    struct Alone {
+        int lane, port;
+    };
+    std::vector<Alone> alone_;  // ports that energies may be followed at: in a line, and among those of strings
     std::vector<char> is_moved_ = std::vector<char>(components_.size()), is_ready_ = is_moved_;
 };
 

@@ -69,9 +69,10 @@ public:
     }
 
     // The end of a block, rows of the stretched components there and, if it is `asked` for, their state.
-    void finish_block(int nb, bool asked, double* lines) {
+    template <class Asked>
+    void finish_block(int nb, const Asked& asked, double* lines) {
         for (Part& part : parts_) {
-            if (!asked && part.c->n_rows == part.c->n_ports) continue;
+            if (!asked(part.slot) && part.c->n_rows == part.c->n_ports) continue;
             make(part);
             taut_.tell(part.slot);
             rows(part.slot, 0, nb, lines);

@@ -65,17 +65,26 @@ class _Kernel:
     ) -> None: ...
     def set_nonlinear(
         self,
-        laws: Sequence[tuple[int, list[float], list[float], list[float], list[tuple[int, int, bool]]]],
+        k: int,
         terms: Sequence[tuple[int, int, int, bool, float]],
         dt: float,
         theta: float,
         guarded: bool,
-        z: NDArray[np.float64],
-        from_linear: NDArray[np.float64],
-        answer: NDArray[np.float64],
-        residual: NDArray[np.float64],
         weights: NDArray[np.float64],
     ) -> None: ...
+    def set_laws(
+        self,
+        laws: Sequence[tuple[int, tuple[int, list[float], list[float], list[float], list[tuple[int, int, bool]]]]],
+    ) -> None: ...
+    def set_gaps(
+        self,
+        compliance: NDArray[np.float64],
+        from_linear: NDArray[np.float64],
+        to_linear: NDArray[np.float64],
+        residual: NDArray[np.float64],
+    ) -> None: ...
+    def set_aside(self, slot: int, number: int) -> None: ...
+    def take_back(self, slot: int, number: int) -> bool: ...
     def run(
         self,
         modes: NDArray[np.floating],

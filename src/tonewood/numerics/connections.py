@@ -37,7 +37,7 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from tonewood.numerics.laws import NonlinearLaw
+from tonewood.numerics.laws import Contact, NonlinearLaw
 
 Floats = NDArray[np.float64]
 
@@ -192,27 +192,124 @@ class LinearLaws:
 
 
 @dataclass(frozen=True, eq=False)
-class NonlinearSolve:
-    """What the k nonlinear connections of a system see once the linear ones are eliminated.
+class NonlinearLaws:
+    """The k laws that are neither rigid nor springs and dashpots.
 
     Attributes
     ----------
     index : (k,) their places among the m connections.
     laws : (k,).
-    Z : (k, k) m/N, Z~ with the series part R / theta.
-    from_linear : (k, m) m/N, Z_nl: gaps per force of the linear connections.
-    answer : (m, k) G Z_ln: linear forces are -answer @ (nonlinear forces) besides.
-    residual : (k, k) m/N, R of the gaps whose laws have it; zero elsewhere.
     theta : of R in series.
     """
 
     index: NDArray[np.intp]
     laws: tuple[NonlinearLaw, ...]
-    Z: Floats
-    from_linear: Floats
-    answer: Floats
-    residual: Floats
     theta: float
+
+    @classmethod
+    def of(cls, laws: Sequence[Law], dt: float) -> NonlinearLaws:
+        """Take them out of all laws, for a step of dt (s)."""
+        chosen = [(j, law) for j, law in enumerate(laws) if not isinstance(law, (Rigid, SpringDashpot))]
+        index = np.array([j for j, _ in chosen], dtype=np.intp)
+        return cls(index, tuple(law for _, law in chosen), 1 / (1 + math.exp(-FORGETTING * dt)))
+
+    @cached_property
+    def is_contact(self) -> NDArray[np.bool_]:
+        """(k,) which of them push one way only, from a clearance on."""
+        return np.array([isinstance(law, Contact) for law in self.laws], dtype=bool)
+
+    def changed(self, laws: Mapping[int, Law], dt: float) -> NonlinearLaws:
+        """The same with other laws at some places; itself if none of these is or was one of them."""
+        known = dict(zip(self.index.tolist(), self.laws, strict=True))
+        if not any(j in known or not isinstance(law, (Rigid, SpringDashpot)) for j, law in laws.items()):
+            return self
+        merged: dict[int, Law] = {**known, **laws}
+        chosen = {j: law for j, law in sorted(merged.items()) if not isinstance(law, (Rigid, SpringDashpot))}
+        return NonlinearLaws(np.array(list(chosen), dtype=np.intp), tuple(chosen.values()), self.theta)
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearGaps:
+    """What the gaps of nonlinear laws give way by while the linear connections carry no force.
+
+    Residual compliance between a nonlinear and a linear gap is left out: what stays is positive semi-definite.
+
+    Attributes
+    ----------
+    laws : k of them.
+    compliance : (k, k) m/N, Z_nn with the series part R / theta.
+    from_linear : (k, m) m/N, Z_nl: gaps per force of the linear connections.
+    to_linear : (m, k) m/N, Z_ln: gaps of the linear connections per force of these.
+    residual : (k, k) m/N, R of the gaps whose laws have it; zero elsewhere.
+    """
+
+    laws: NonlinearLaws
+    compliance: Floats
+    from_linear: Floats
+    to_linear: Floats
+    residual: Floats
+
+    @classmethod
+    def of(cls, laws: NonlinearLaws, compliance: Floats, residual: Floats) -> NonlinearGaps:
+        """Take them out of what all gaps give way by; shapes as in `linear_solve`."""
+        on, among = laws.index, np.ix_(laws.index, laws.index)
+        yields = np.array([law.residual for law in laws.laws], dtype=bool)
+        R = residual[among] * np.outer(yields, yields)
+        return cls(laws, compliance[among] + R / laws.theta, compliance[on], compliance[:, on], R)
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearSolve:
+    """What the k nonlinear connections of a system see once the linear ones are eliminated.
+
+    Attributes
+    ----------
+    gaps : what they see without these.
+    linear : these.
+    """
+
+    gaps: NonlinearGaps
+    linear: LinearSolve
+
+    @property
+    def index(self) -> NDArray[np.intp]:
+        """(k,) their places among the m connections."""
+        return self.gaps.laws.index
+
+    @property
+    def laws(self) -> tuple[NonlinearLaw, ...]:
+        """(k,)."""
+        return self.gaps.laws.laws
+
+    @property
+    def theta(self) -> float:
+        """Of R in series."""
+        return self.gaps.laws.theta
+
+    @property
+    def from_linear(self) -> Floats:
+        """(k, m) m/N, Z_nl: gaps per force of the linear connections."""
+        return self.gaps.from_linear
+
+    @property
+    def residual(self) -> Floats:
+        """(k, k) m/N, R of the gaps whose laws have it; zero elsewhere."""
+        return self.gaps.residual
+
+    @cached_property
+    def answer(self) -> Floats:
+        """(m, k) G Z_ln: linear forces are -answer @ (nonlinear forces) besides."""
+        # most connections are no linear ones: only those have a force to answer with
+        on, out = self.linear.on, np.zeros_like(self.gaps.to_linear)
+        out[on] = self.linear.inverse @ self.gaps.to_linear[on]
+        return out
+
+    @cached_property
+    def Z(self) -> Floats:
+        """(k, k) m/N, Z~ with the series part R / theta."""
+        on = self.linear.on
+        Z = self.gaps.compliance - self.gaps.from_linear[:, on] @ self.answer[on]
+        return np.asarray(0.5 * (Z + Z.T))
 
     def settled_series(self, series: Floats) -> Floats:
         """(m,) displacements in series as this system goes on with those of the one before it.
@@ -244,22 +341,9 @@ def _numbers(law: Law, dt: float) -> tuple[bool, bool, float, float, float]:
 def nonlinear_solve(
     laws: Sequence[Law], linear: LinearSolve, compliance: Floats, residual: Floats, dt: float
 ) -> NonlinearSolve | None:
-    """Eliminate the linear connections for the others; None if there are no others. Shapes as in `linear_solve`.
-
-    Residual compliance between a nonlinear and a linear gap is left out: what stays is positive semi-definite.
-    """
-    index = np.array([j for j, law in enumerate(laws) if not isinstance(law, (Rigid, SpringDashpot))], dtype=np.intp)
-    if not index.size:
-        return None
-    chosen = tuple(law for law in laws if not isinstance(law, (Rigid, SpringDashpot)))
-    series, theta = np.array([law.residual for law in chosen], dtype=bool), 1 / (1 + math.exp(-FORGETTING * dt))
-    R = residual[np.ix_(index, index)] * np.outer(series, series)
-    # most connections are no linear ones: only those have a force to answer with
-    on = np.flatnonzero(linear.G.any(axis=1))
-    answer = np.zeros((len(compliance), index.size))
-    answer[on] = linear.G[on[:, None], on] @ compliance[on[:, None], index]
-    Z = compliance[np.ix_(index, index)] - compliance[index[:, None], on] @ answer[on] + R / theta
-    return NonlinearSolve(index, chosen, 0.5 * (Z + Z.T), compliance[index], answer, R, theta)
+    """Eliminate the linear connections for the others; None if there are no others. Shapes as in `linear_solve`."""
+    chosen = NonlinearLaws.of(laws, dt)
+    return NonlinearSolve(NonlinearGaps.of(chosen, compliance, residual), linear) if chosen.laws else None
 
 
 def scaled_pinv(matrix: Floats, rtol: float = 1e-12) -> Floats:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -19,6 +20,7 @@ from scipy.linalg import lstsq, qr
 
 from tonewood import _kernel
 from tonewood.errors import NumericalError, TonewoodError
+from tonewood.numerics.connections import NonlinearGaps
 from tonewood.numerics.laws import (
     CompiledPotential,
     Contact,
@@ -35,6 +37,8 @@ Floats = NDArray[np.float64]
 _NONE = np.zeros(0, dtype=np.intp)
 #: nonlinear connection, component, port among its fixed or its guarded ones, whether it is guarded, factor
 Term = tuple[int, int, int, bool, float]
+#: slot of a component, whether laws other than contacts push it, and how connections use it
+_Key = tuple[int, bool, bytes]
 
 
 def instruction_set() -> str:
@@ -79,14 +83,17 @@ class KernelStepper:
         self.dtype: type[np.floating] = np.float64 if precision == "f64" else np.float32
         self._kernel = make(isa or instruction_set(), len(system.names), sum(system.capacities), len(system.readouts))
         self._packed: dict[int, tuple[Injection, NDArray[np.floating], Floats]] = {}
-        self._ready: WeakKeyDictionary[Compiled, dict[bytes, tuple[tuple[Any, ...], tuple[Floats, ...]]]]
-        self._ready = WeakKeyDictionary()
+        self._ready: WeakKeyDictionary[Compiled, dict[_Key, tuple[int, tuple[Any, ...], tuple[Floats, ...]]]]
+        self._ready, self._numbers = WeakKeyDictionary(), count()
         self._seen: tuple[Sequence[Compiled], Sequence[_Wires]] = (), ()
-        self._loaded: list[tuple[Compiled, bytes] | None] = [None] * len(system.names)
+        self._loaded: list[tuple[Compiled, bytes, int] | None] = [None] * len(system.names)
         self._wirings: dict[tuple[bytes, bytes, bytes], tuple[list[_Wires], list[Term]]] = {}
         self._guarded, self._steps = guarded, 0
         self._law_forces = np.zeros((0, 0))  # kept at zero between runs
         self._nonlinear = self._active = _NONE
+        self._laws: tuple[NonlinearLaw, ...] = ()
+        self._terms: Sequence[Term] = ()
+        self._gaps: tuple[NonlinearGaps, bytes] | None = None
         self.system = system
         self._load(system)
 
@@ -118,7 +125,7 @@ class KernelStepper:
         )
 
     def _load(self, system: System) -> None:
-        nonlinear, solve, before = system.nonlinear, system.solve, self._nonlinear
+        nonlinear, solve = system.nonlinear, system.solve
         self._nonlinear = _NONE if nonlinear is None else nonlinear.index
         self._active = on = solve.on
         wiring, terms = self._wired(system)
@@ -131,27 +138,7 @@ class KernelStepper:
         self._kernel.set_solve(
             solve.inverse, solve.gamma[on], solve.inverse @ solve.offset[on], weights.take(on, axis=1)
         )
-        if self._nonlinear.size or before.size:
-            no, none = np.zeros((0, len(on))), np.zeros((0, 0))
-            laws, *arrays = (
-                ((), none, no, no.T, none)
-                if nonlinear is None
-                else (
-                    nonlinear.laws,
-                    nonlinear.Z,
-                    nonlinear.from_linear[:, on],
-                    nonlinear.answer[on],
-                    nonlinear.residual,
-                )
-            )
-            self._kernel.set_nonlinear(
-                [_law(law) for law in laws],
-                terms,
-                system.dt,
-                0.5 if nonlinear is None else nonlinear.theta,
-                self._guarded,
-                *(np.ascontiguousarray(a) for a in (*arrays, weights[:, self._nonlinear])),
-            )
+        self._load_laws(system, terms, weights)
         if system.tensions:
             self._kernel.set_tensions(
                 [
@@ -163,23 +150,48 @@ class KernelStepper:
                 solve.offset[on],
             )
 
+    def _load_laws(self, system: System, terms: Sequence[Term], weights: Floats) -> None:
+        """Load what has changed of the nonlinear connections: which there are, their laws, what they give way by."""
+        laws: tuple[NonlinearLaw, ...] = () if system.nonlinear is None else system.nonlinear.laws
+        gaps = None if system.nonlinear is None else system.nonlinear.gaps
+        before, self._laws = self._laws, laws
+        if terms is not self._terms or len(laws) != len(before):
+            theta = 0.5 if gaps is None else gaps.laws.theta
+            heard = np.ascontiguousarray(weights[:, self._nonlinear])
+            self._kernel.set_nonlinear(len(laws), terms, system.dt, theta, self._guarded, heard)
+            self._terms, self._gaps, before = terms, None, ()
+        old = before or (None,) * len(laws)
+        if others := [(j, _law(law)) for j, (law, was) in enumerate(zip(laws, old, strict=True)) if law is not was]:
+            self._kernel.set_laws(others)
+        key = self._active.tobytes()
+        if gaps is not None and (self._gaps is None or self._gaps[0] is not gaps or self._gaps[1] != key):
+            self._gaps = gaps, key
+            from_linear, to_linear = gaps.from_linear[:, self._active], gaps.to_linear[self._active]
+            self._kernel.set_gaps(
+                *(np.ascontiguousarray(a) for a in (gaps.compliance, from_linear, to_linear, gaps.residual))
+            )
+
     def _load_components(self, system: System, wiring: Sequence[_Wires], terms: Sequence[Term]) -> set[int]:
         """Load those that are others, or used otherwise, than before; returns their slots."""
         fresh: set[int] = set()
+        pushed = {slot for _, slot, _, on_guarded, _ in terms if not on_guarded}
         before, self._seen = self._seen, (system.compiled, wiring)
         if before[0] is system.compiled and before[1] is wiring:
             return fresh
         for slot, (compiled, one_way, wires) in enumerate(zip(system.compiled, system.driven, wiring, strict=True)):
             if (known := self._loaded[slot]) and known[0] is compiled and known[1] == wires.key:
                 continue
-            self._loaded[slot] = (compiled, wires.key)
             fresh.add(slot)
             # strings come back to stops, and hands to strings
             ready = self._ready.setdefault(compiled, {})
-            if wires.key not in ready:
-                pushed = any(slot == at and not on_guarded for _, at, _, on_guarded, _ in terms)
-                ready[wires.key] = self._arrays(compiled, wires, one_way, pushed)
-            component, guarded = ready[wires.key]
+            if (key := (slot, slot in pushed, wires.key)) not in ready:
+                ready[key] = next(self._numbers), *self._arrays(compiled, wires, one_way, slot in pushed)
+            number, component, guarded = ready[key]
+            if known:
+                self._kernel.set_aside(slot, known[2])
+            self._loaded[slot] = (compiled, wires.key, number)
+            if self._kernel.take_back(slot, number):
+                continue
             self._kernel.set_component(slot, system.offsets[slot], one_way, *component)
             if guarded:
                 self._kernel.set_guarded(slot, component[0], *guarded)
@@ -222,8 +234,7 @@ class KernelStepper:
 
     def _wired(self, system: System) -> tuple[list[_Wires], list[Term]]:
         """Ports of every component as the connections now use them; made once for each set of those in use."""
-        laws = () if system.nonlinear is None else system.nonlinear.laws
-        contact = np.array([isinstance(law, Contact) for law in laws], dtype=bool)
+        contact = system.elimination.others.is_contact
         key = self._active.tobytes(), self._nonlinear.tobytes(), contact.tobytes()
         if key not in self._wirings:
             always = np.concatenate([self._active, self._nonlinear[~contact]])

@@ -14,7 +14,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.numerics.connections import Connection, LinearLaws, LinearSolve, NonlinearSolve, nonlinear_solve
+from tonewood.numerics.connections import (
+    Connection,
+    LinearLaws,
+    LinearSolve,
+    NonlinearGaps,
+    NonlinearLaws,
+    NonlinearSolve,
+)
 from tonewood.numerics.geometric import GeometricPart, GeometricStretch
 from tonewood.numerics.laws import Friction
 from tonewood.numerics.layout import Drive, Layout, Probe, Readout
@@ -210,6 +217,7 @@ class GapCompliance:
 
     compiled: tuple[Compiled, ...]
     layout: Layout
+    _seen: dict[NonlinearLaws, NonlinearGaps] = field(init=False, repr=False, default_factory=dict)
 
     @cached_property
     def compliance(self) -> Floats:
@@ -221,6 +229,12 @@ class GapCompliance:
         """(m, m) m/N, residual compliance."""
         return self.layout.gathered([c.residual for c in self.compiled])
 
+    def seen_by(self, laws: NonlinearLaws) -> NonlinearGaps:
+        """What the gaps of nonlinear laws give way by; kept, as linear laws change more often than these."""
+        if laws not in self._seen:
+            self._seen[laws] = NonlinearGaps.of(laws, self.compliance, self.residual)
+        return self._seen[laws]
+
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
@@ -228,8 +242,29 @@ class Elimination:
 
     connections: tuple[Connection, ...]
     linear: LinearLaws
+    others: NonlinearLaws
     gap: GapCompliance
     dt: float
+
+    @classmethod
+    def of(cls, connections: tuple[Connection, ...], gap: GapCompliance, dt: float) -> Elimination:
+        """Of connections as they are, for a step of dt (s)."""
+        laws = [c.law for c in connections]
+        return cls(connections, LinearLaws.of(laws, dt), NonlinearLaws.of(laws, dt), gap, dt)
+
+    def with_gap(self, gap: GapCompliance) -> Elimination:
+        """The same connections between other components."""
+        return Elimination(self.connections, self.linear, self.others, gap, self.dt)
+
+    def with_laws(self, laws: Mapping[int, Connection]) -> Elimination:
+        """Other laws of connections at some places."""
+        connections, new = list(self.connections), {j: connection.law for j, connection in laws.items()}
+        for j, connection in laws.items():
+            if connection.terms != connections[j].terms:
+                raise ValueError("a connection's terms cannot change, only its law")
+            connections[j] = connection
+        linear, others = self.linear.changed(new, self.dt), self.others.changed(new, self.dt)
+        return Elimination(tuple(connections), linear, others, self.gap, self.dt)
 
     @cached_property
     def solve(self) -> LinearSolve:
@@ -239,8 +274,7 @@ class Elimination:
     @cached_property
     def nonlinear(self) -> NonlinearSolve | None:
         """Of the others, if there are any."""
-        laws = [c.law for c in self.connections]
-        return nonlinear_solve(laws, self.solve, self.gap.compliance, self.gap.residual, self.dt)
+        return NonlinearSolve(self.gap.seen_by(self.others), self.solve) if self.others.laws else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,13 +349,12 @@ class System:
         names, joined = tuple(components), tuple(connections)
         room = tuple(_padded(max(components[n].n_modes, (capacities or {}).get(n, 0))) for n in names)
         layout = Layout(names, room, joined, tuple(readouts), tuple(drives))
-        linear = LinearLaws.of([c.law for c in joined], dt)
         system = cls(
             dt=dt,
             layout=layout,
             compiled=(),
             connections=joined,
-            elimination=Elimination(joined, linear, GapCompliance((), layout), dt),
+            elimination=Elimination.of(joined, GapCompliance((), layout), dt),
             tensions=tuple(tensions),
             tension_on=(True,) * len(tensions),
             geometric=tuple(geometric),
@@ -405,8 +438,7 @@ class System:
                 raise ValueError(f"{name}: room for {room} modes, not {new.basis.n_modes}")
         known = dict(zip(self.names, self.compiled, strict=False)) | dict(changes)
         compiled = tuple(known[name] for name in self.names)
-        linear, gap = self.elimination.linear, GapCompliance(compiled, self.layout)
-        return self._with(compiled, Elimination(self.connections, linear, gap, self.dt))
+        return self._with(compiled, self.elimination.with_gap(GapCompliance(compiled, self.layout)))
 
     def with_basis(self, name: str, basis: ModalBasis) -> System:
         """Exchange one component's basis."""
@@ -416,13 +448,7 @@ class System:
         """Exchange laws of connections (their terms must stay)."""
         places = self.layout.places
         changes = {places[name]: new for name, new in laws.items() if name in places}
-        connections = list(self.connections)
-        for j, new in changes.items():
-            if new.terms != connections[j].terms:
-                raise ValueError("a connection's terms cannot change, only its law")
-            connections[j] = new
-        linear = self.elimination.linear.changed({j: new.law for j, new in changes.items()}, self.dt)
-        return self._with(self.compiled, Elimination(tuple(connections), linear, self.elimination.gap, self.dt))
+        return self._with(self.compiled, self.elimination.with_laws(changes))
 
     def _with(self, compiled: tuple[Compiled, ...], elimination: Elimination) -> System:
         # what `replace` does; several of these are made for every note

@@ -48,7 +48,7 @@ def test_bends_are_in_tune(string: StringModel, bend: float) -> None:
     straight, bent = string.bases(5)["A2.z"], string.bases(5, bend_cents=bend)["A2.z"]
     got = 1200 * math.log2((held_freq(bent) or 0) / (held_freq(straight) or 1))
     assert got == pytest.approx(bend, abs=0.05)
-    np.testing.assert_array_equal(straight.shape(0.2), bent.shape(0.2))  # type: ignore[misc]
+    np.testing.assert_array_equal(straight.shape(0.2), bent.shape(0.2))  # type: ignore[misc]  # made with a shape
 
 
 def test_modes_bent_past_the_limit_leave_their_compliance(make: Make) -> None:
@@ -70,7 +70,7 @@ def test_added_damping(string: StringModel) -> None:
 
 def test_plucked_where_asked(string: StringModel) -> None:
     basis = string.bases(0, pluck_from_bridge=0.3)["A2.z"]
-    np.testing.assert_allclose(basis.right[basis.index("pluck")].real, basis.shape(0.3))  # type: ignore[misc]
+    np.testing.assert_allclose(basis.right[basis.index("pluck")].real, basis.shape(0.3))  # type: ignore[misc]  # made with a shape
     with pytest.raises(ValueError, match=r"0\.5 m is not on it"):
         string.bases(12, pluck_from_bridge=0.5)
 

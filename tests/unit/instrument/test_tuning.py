@@ -106,10 +106,10 @@ def test_strength_is_what_a_pluck_does(make: Make) -> None:
 
     def transfer(s: complex) -> complex:
         def H(b: object, i: str, j: str) -> complex:
-            r, ell = b.right[b.index(i)], b.left[b.index(j)]  # type: ignore[attr-defined]
-            lam = b.poles  # type: ignore[attr-defined]
+            r, ell = b.right[b.index(i)], b.left[b.index(j)]  # type: ignore[attr-defined]  # a basis
+            lam = b.poles  # type: ignore[attr-defined]  # a basis
             total = np.sum(r * ell / (s - lam) + np.conj(r * ell) / (s - np.conj(lam)))
-            return complex(total) + b.residual[b.index(i), b.index(j)]  # type: ignore[attr-defined]
+            return complex(total) + b.residual[b.index(i), b.index(j)]  # type: ignore[attr-defined]  # a basis
 
         force = H(basis, "bridge", "pluck") / (H(basis, "bridge", "bridge") + H(body, "bridge", "bridge"))
         return H(body, "bridge", "bridge") * force

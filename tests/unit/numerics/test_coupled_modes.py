@@ -14,7 +14,7 @@ from tonewood.numerics.string_modes import string_basis
 
 
 def oscillator(mass: float, stiffness: float, damping: float, **more: object) -> ModalBasis:
-    return ModalBasis.real([np.sqrt(stiffness / mass)], [damping / (2 * mass)], {"p": [1.0]}, modal_mass=mass, **more)  # type: ignore[arg-type]
+    return ModalBasis.real([np.sqrt(stiffness / mass)], [damping / (2 * mass)], {"p": [1.0]}, modal_mass=mass, **more)  # type: ignore[arg-type]  # options of a basis
 
 
 def oscillatory(A: np.ndarray) -> np.ndarray:

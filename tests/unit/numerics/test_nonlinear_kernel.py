@@ -17,6 +17,7 @@ from tonewood.numerics.laws import CompiledPotential, Contact, Friction, Hardeni
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.stepper import NumpyStepper
 from tonewood.numerics.stored_energy import stored_energy
+from tonewood.numerics.string_transfer import retuned
 from tonewood.numerics.system import Control, Probe, Readout, System
 
 DT = 1 / 48000
@@ -241,3 +242,38 @@ def test_energy_of_fretted_strings_never_rises():
             energy.append(stored_energy(system, state).total)
         assert np.max(np.diff(energy)) <= 1e-11 * energy[0], name
         assert stepper.statistics.failures == 0
+
+
+def test_a_kernel_whose_parts_come_and_go_is_as_one_just_made():
+    """Stops, fingers, laws and tensions changed at random, more often than parts are kept: the same bits."""
+    rng = np.random.default_rng(5)
+    system = tense_guitar(frets=LAWS["lossy"])
+    strings = [name for name in system.names if name != "body"]
+    bases = {name: system.compiled[system.slot(name)].basis for name in strings}
+    held = {
+        name: [system.compile(name, retuned(b, b.natural_freq * 2 * np.pi, rate + b.damping_rate)) for rate in rates]
+        for name, b in bases.items()
+        for rates in [rng.uniform(0.0, 2.0, 6)]
+    }
+    laws = [
+        {f"hold{i}": SpringDashpot(0.0, damping) for i, damping in enumerate(pair)}
+        for pair in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.02), (0.05, 0.03))
+    ] + [{f"s{i}f2": Contact(1e10, 2.3, loss=0.5, offset=offset)} for i in range(2) for offset in (-4e-4, -2e-4)]
+    tensions = [(), ("s0",), ("s1",), ("s0", "s1")]
+    stepper, state = KernelStepper(system), pulled(system, 2.0)
+    touched = 0
+    for _ in range(40):
+        name = strings[rng.integers(len(strings))]
+        system = system.with_compiled({name: held[name][rng.integers(6)]})
+        terms = {c.name: c.terms for c in system.connections}
+        new = laws[rng.integers(len(laws))]
+        system = system.with_laws({n: Connection(n, terms[n], law) for n, law in new.items()})
+        system = system.with_tensions(tensions[rng.integers(len(tensions))])
+        stepper.exchange(system)
+        fresh, copied = KernelStepper(system), state.copy()
+        sounds = [one.run(there, 64) for one, there in ((stepper, state), (fresh, copied))]
+        np.testing.assert_array_equal(sounds[0][0], sounds[1][0])
+        np.testing.assert_array_equal(sounds[0][1], sounds[1][1])
+        np.testing.assert_array_equal(state.modes, copied.modes)
+        touched += fresh.statistics.solves
+    assert touched > 50

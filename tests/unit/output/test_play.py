@@ -106,7 +106,7 @@ def test_an_error_while_rendering_reaches_the_caller(monochord: tw.Instrument) -
         yield np.zeros((size, 1))
         raise tw.NumericalError("no longer finite")
 
-    broken.blocks = fails  # type: ignore[method-assign]
+    broken.blocks = fails  # type: ignore[method-assign]  # in place of the renderer's own
     with pytest.raises(tw.NumericalError, match="no longer finite"):
         tw.play(broken, stream=FakeStream)
 
@@ -135,7 +135,7 @@ def test_a_device_that_is_not_there_one_line(monochord: tw.Instrument, monkeypat
     def refuse(**options: Any) -> None:
         raise PortAudioError(f"no device {options['device']}")
 
-    fake.PortAudioError, fake.OutputStream, fake.CallbackStop = PortAudioError, refuse, StopIteration  # type: ignore[attr-defined]
+    fake.PortAudioError, fake.OutputStream, fake.CallbackStop = PortAudioError, refuse, StopIteration  # type: ignore[attr-defined]  # a module of these names
     monkeypatch.setitem(sys.modules, "sounddevice", fake)
     with pytest.raises(tw.OutputError, match="cannot open the sound device: no device 99"):
         tw.play(renderer(monochord), device=99)
