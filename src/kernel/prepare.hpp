@@ -347,7 +347,8 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
     const std::size_t n_sums = (kSharedSums * strings + kPortSums * n + kPadding - 1) / kPadding * kPadding;
     to.lanes.assign(n_sums * 64, 0), to.sums.assign(n_sums, 0.0);
     to.y.assign(2 * n_places, 0.0), to.linear.assign(l.f_width, 0.0), to.fixed_part.assign(l.force_width, 0.0);
-    for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.next, &to.wrong, &to.base, &to.fixed}) a->assign(width, 0.0);
+    for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.next, &to.wrong, &to.base, &to.fixed})
+        a->assign(width, 0.0);
     for (Array<double>* a : {&to.change_at, &to.slope_at, &to.bend_at, &to.change, &to.slope}) a->assign(to.pair_width, 0.0);
     to.onto_ports.assign(n * width, 0.0);
     to.inverse.assign(n * width, 0.0), to.pivots.assign(n, 0);

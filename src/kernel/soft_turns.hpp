@@ -43,7 +43,10 @@ class SoftTurns {
 public:
     SoftTurns(TensePorts& ports, TensionSpace& ws, const double* onto, const double* fixed)
         : ports_(ports), ws_(ws), onto_(onto), at_(S::load(&ws.at[0])), tension_(S::load(&ws.tension[0])) {
-        for (int p = 0; p < n; ++p) fixed_[p] = S::load(fixed + p * S::width), force_[p] = S::load(&ports.force[p * S::width]);
+        for (int p = 0; p < n; ++p) {
+            fixed_[p] = S::load(fixed + p * S::width);
+            force_[p] = S::load(&ports.force[p * S::width]);
+        }
     }
 
     // True if it ended; tensions, forces, and displacements without and by forces are as in a turn of the other kind.

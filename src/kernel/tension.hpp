@@ -136,16 +136,17 @@ private:
     // The tensions foreseen: S, or the means of T at a block's beginning, going on as a parabola.
     template <class S>
     void foresee() {
+        using V = typename S::V;
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const typename S::V last = of<S>(ws_.means[0], s), kappa = of<S>(ports_.kappa, s), old = of<S>(ws_.stretch, s);
-            typename S::V foreseen = 3 * (last - of<S>(ws_.means[1], s)) + of<S>(ws_.means[2], s);
+            const V last = of<S>(ws_.means[0], s), kappa = of<S>(ports_.kappa, s), old = of<S>(ws_.stretch, s);
+            V foreseen = 3 * (last - of<S>(ws_.means[1], s)) + of<S>(ws_.means[2], s);
             if (goes_on_) {
-                const typename S::V stretch = last * of<S>(ports_.over_kappa, s) - old;
-                const typename S::V gone_on = kappa * (stretch + 3 * (stretch - old) + of<S>(ws_.past, s));
+                const V stretch = last * of<S>(ports_.over_kappa, s) - old;
+                const V gone_on = kappa * (stretch + 3 * (stretch - old) + of<S>(ws_.past, s));
                 foreseen = kappa > 0.0 ? gone_on : foreseen;
                 S::store(&ws_.past[s], old);
             }
-            S::store(&ws_.at[s], foreseen > 0.0 ? foreseen : typename S::V{});
+            S::store(&ws_.at[s], foreseen > 0.0 ? foreseen : V{});
         }
     }
 
@@ -254,7 +255,8 @@ private:
     }
 
     // Tensions, and the forces on the ports: `turns` goes nearer to both until that changes nothing, or until it has
-    // `failed`; true if it got there. A string whose tension went too far from where its modes were visited is visited again.
+    // `failed`; true if it got there. A string whose tension went too far from where its modes were visited is visited
+    // again.
     template <class S, class Turns>
     bool search(const Turns& turns) {
         int iterations = 0;
@@ -282,10 +284,11 @@ private:
     // ws.far marks such strings.
     template <class S>
     bool is_beyond() {
-        typename S::V beyond{};
+        using V = typename S::V;
+        V beyond{};
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const typename S::V at = of<S>(ws_.at, s), least_tension = of<S>(ports_.kappa, s) * of<S>(ws_.stretch, s);
-            const typename S::V mark = least_tension > at + kFar * (at + of<S>(ports_.over_most, s)) ? typename S::V{} + 1.0 : typename S::V{};
+            const V at = of<S>(ws_.at, s), least_tension = of<S>(ports_.kappa, s) * of<S>(ws_.stretch, s);
+            const V mark = least_tension > at + kFar * (at + of<S>(ports_.over_most, s)) ? V{} + 1.0 : V{};
             S::store(&ws_.far[s], mark), S::store(&ws_.tension[s], most(of<S>(ws_.tension, s), least_tension));
             beyond += mark;
         }
@@ -300,6 +303,7 @@ private:
     }
     template <class S>
     bool find_linear() {
+        using V = typename S::V;
         const int width = ports_.width, n = n_ports();
         double *const force = ports_.force.data(), *const next = ports_.next.data(), *const all = ports_.wrong.data();
         const auto answer = [&](double* to) {
@@ -322,14 +326,15 @@ private:
                 if (change * largest_ <= kForceTolerance<T> * size) break;
             }
             answer(next);
-            typename S::V sizes{}, unsettled{};
+            V sizes{}, unsettled{};
             // they are differences, of the fixed part and what displacements call up: rounded as these are
             for (int p = 0; p < n; p += S::width)
                 sizes = most(sizes, most(size(S::load(next + p)), size(S::load(fixed_ + p))));
-            const double enough = kForceTolerance<T> * (strong_ ? 4 : 1) * S::largest(sizes), shrinks = strong_ ? 1.0 : std::min(1.0, 2 * largest_);
+            const double enough = kForceTolerance<T> * (strong_ ? 4 : 1) * S::largest(sizes);
+            const double shrinks = strong_ ? 1.0 : std::min(1.0, kForceLeft * largest_);
             for (int p = 0; p < n; p += S::width) {
-                const typename S::V now = S::load(next + p), wrong = now - S::load(force + p);
-                unsettled += shrinks * size(wrong) <= enough ? typename S::V{} : typename S::V{} + 1.0;
+                const V now = S::load(next + p), wrong = now - S::load(force + p);
+                unsettled += shrinks * size(wrong) <= enough ? V{} : V{} + 1.0;
                 S::store(all + p, wrong);
                 if (!strong_) S::store(force + p, now);
             }
@@ -383,12 +388,13 @@ private:
     // one of these is no number.
     template <class S>
     bool expand() {
-        typename S::V highest{}, outside{};
+        using V = typename S::V;
+        V highest{}, outside{};
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const typename S::V at = of<S>(ws_.at, s);
+            const V at = of<S>(ws_.at, s);
             highest = most(highest, at * of<S>(ports_.most, s));
-            const typename S::V not_below = at >= of<S>(ports_.low, s) ? typename S::V{} : typename S::V{} + 1.0;
-            outside += at < of<S>(ports_.high, s) ? not_below : typename S::V{} + 1.0;
+            const V not_below = at >= of<S>(ports_.low, s) ? V{} : V{} + 1.0;
+            outside += at < of<S>(ports_.high, s) ? not_below : V{} + 1.0;
         }
         if (S::sum(outside) != 0.0)
             for (int s = 0; s < n_strings(); ++s) {
@@ -398,9 +404,9 @@ private:
         largest_ = S::largest(highest);
         strong_ = largest_ > kStrong;
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const typename S::V by = of<S>(ws_.at, s) - of<S>(ports_.low, s);
+            const V by = of<S>(ws_.at, s) - of<S>(ports_.low, s);
             for (int q = s; q < ports_.pair_width; q += ports_.strings) {
-                typename S::V value{}, rise{}, bend{};
+                V value{}, rise{}, bend{};
                 for (int j = kTaylor - 1; j >= 0; --j) {
                     bend = bend * by + rise;
                     rise = rise * by + value;
@@ -416,12 +422,13 @@ private:
     // Where the ports come to by themselves at the tensions tried, and how their compliances differ from those at rest.
     template <class S>
     void displacements() {
+        using V = typename S::V;
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const typename S::V by = of<S>(ws_.tension, s) - of<S>(ws_.at, s);
+            const V by = of<S>(ws_.tension, s) - of<S>(ws_.at, s);
             for (int p = s; p < n_ports(); p += ports_.strings)
                 S::store(&ports_.alone[p], port_sum<S>(1, p) - by * (port_sum<S>(2, p) - by * port_sum<S>(4, p)));
             for (int q = s; q < ports_.pair_width; q += ports_.strings) {
-                const typename S::V slope = of<S>(ports_.slope_at, q), bend = by * of<S>(ports_.bend_at, q);
+                const V slope = of<S>(ports_.slope_at, q), bend = by * of<S>(ports_.bend_at, q);
                 S::store(&ports_.change[q], of<S>(ports_.change_at, q) + by * (slope + bend));
                 S::store(&ports_.slope[q], slope + 2.0 * bend);
             }
@@ -452,11 +459,12 @@ private:
     // ports.moved = (Z(T) - Z(0)) f
     template <class S>
     void move_ports(const double* force) {
+        using V = typename S::V;
         double *const moved = ports_.moved.data(), *const change = ports_.change.data();
         for (const auto& [component, to, from, pair, to_port, from_port] : ports_.pairs)
             for (int s = 0; s < ports_.strings; s += S::width) {
                 double *const one = moved + to_port + s, *const other = moved + from_port + s;
-                const typename S::V z = S::load(change + pair + s), by_one = z * S::load(force + from_port + s);
+                const V z = S::load(change + pair + s), by_one = z * S::load(force + from_port + s);
                 if (to == from) {
                     S::store(one, by_one);
                 } else {
@@ -470,14 +478,15 @@ private:
     // what is wrong by about the largest rise of a mode's stiffness; `settled` once that is below `tolerance`.
     template <class S, class Answer>
     bool settle(int turns, double tolerance, const Answer& answer, bool& settled) {
+        using V = typename S::V;
         double *const force = ports_.force.data(), *const next = ports_.next.data();
         const double shrinks = std::min(1.0, 2 * largest_);
         for (int turn = 0; !settled && turn < turns; ++turn) {
             move_ports<S>(force);
             if (!answer(next)) return false;
-            typename S::V changes{}, sizes{}, check{};
+            V changes{}, sizes{}, check{};
             for (int p = 0; p < n_ports(); p += S::width) {
-                const typename S::V now = S::load(next + p), change = size(now - S::load(force + p));
+                const V now = S::load(next + p), change = size(now - S::load(force + p));
                 changes = most(changes, change), sizes = most(sizes, size(now)), check += change;
                 S::store(force + p, now);
             }
@@ -538,37 +547,38 @@ private:
     // Newton's step of every tension, at the forces found; the sum of what is returned counts those that changed.
     template <class S>
     auto raise_tensions(bool by_secant) {
-        typename S::V changed{};
+        using V = typename S::V;
+        V changed{};
         const double* const third = &ports_.changes[3 * std::size_t(ports_.pair_width)];
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const typename S::V tension = of<S>(ws_.tension, s), at = of<S>(ws_.at, s), by = tension - at;
-            const typename S::V bent = shared_sums<S>(3, s) + 2.0 * shared_sums<S>(4, s), kappa = of<S>(ports_.kappa, s);
-            typename S::V gained = shared_sums<S>(1, s) - by * (2.0 * shared_sums<S>(2, s) - by * bent);
-            typename S::V falls = 2.0 * (shared_sums<S>(2, s) - by * bent), push{}, bends{};
+            const V tension = of<S>(ws_.tension, s), at = of<S>(ws_.at, s), by = tension - at;
+            const V bent = shared_sums<S>(3, s) + 2.0 * shared_sums<S>(4, s), kappa = of<S>(ports_.kappa, s);
+            V gained = shared_sums<S>(1, s) - by * (2.0 * shared_sums<S>(2, s) - by * bent);
+            V falls = 2.0 * (shared_sums<S>(2, s) - by * bent), push{}, bends{};
             for (int p = s; p < n_ports(); p += ports_.strings) {
-                const typename S::V f = of<S>(ports_.force, p), crossed = 4.0 * f, turns = port_sum<S>(4, p) + port_sum<S>(5, p);
+                const V f = of<S>(ports_.force, p), crossed = 4.0 * f, turns = port_sum<S>(4, p) + port_sum<S>(5, p);
                 gained += crossed * (port_sum<S>(3, p) - by * turns), falls += crossed * turns;
             }
             // what pairs of forces give to the stretch: -2 f f' dZ/dT, and how it bends
             for (const auto& pair : ports_.pairs) {
-                const typename S::V both = of<S>(ports_.force, pair.to_port + s) * of<S>(ports_.force, pair.from_port + s) *
+                const V both = of<S>(ports_.force, pair.to_port + s) * of<S>(ports_.force, pair.from_port + s) *
                                   (pair.to == pair.from ? 2.0 : 4.0);
                 push -= both * of<S>(ports_.slope, pair.pair + s), bends += size(both * S::load(third + pair.pair + s));
             }
             S::store(&ws_.after[s], gained), S::store(&ws_.pushed[s], push), S::store(&ws_.sharp[s], 0.5 * bends);
-            const typename S::V least_tension = kappa * of<S>(ws_.stretch, s), over_most = of<S>(ports_.over_most, s);
-            const typename S::V excess = tension - least_tension - kappa * (gained + push);
-            const typename S::V reach = kFar * (at + over_most), steepness = most(1.0 + kappa * falls, typename S::V{} + 0.5);
-            const typename S::V secant = (excess - of<S>(ws_.last_excess, s)) / (tension - of<S>(ws_.last_tension, s));
+            const V least_tension = kappa * of<S>(ws_.stretch, s), over_most = of<S>(ports_.over_most, s);
+            const V excess = tension - least_tension - kappa * (gained + push);
+            const V reach = kFar * (at + over_most), steepness = most(1.0 + kappa * falls, V{} + 0.5);
+            const V secant = (excess - of<S>(ws_.last_excess, s)) / (tension - of<S>(ws_.last_tension, s));
             S::store(&ws_.last_excess[s], excess), S::store(&ws_.last_tension[s], tension);
             const auto within = [&](S::V next) { return most(most(least(next, at + reach), at - reach), least_tension); };
-            const typename S::V near = within(tension - excess / steepness);
+            const V near = within(tension - excess / steepness);
             // that was at constant forces; a secant knows how they answer, and goes less far where it is steeper
-            const typename S::V next = by_secant ? (secant > steepness ? within(tension - excess / secant) : near) : near;
-            const typename S::V none = still<T>(near, over_most);
+            const V next = by_secant ? (secant > steepness ? within(tension - excess / secant) : near) : near;
+            const V none = still<T>(near, over_most);
             const auto stays = size(near - tension) <= none;
             S::store(&ws_.tension[s], stays ? tension : next);
-            changed += stays ? typename S::V{} : typename S::V{} + 1.0;
+            changed += stays ? V{} : V{} + 1.0;
         }
         return changed;
     }
@@ -577,18 +587,20 @@ private:
     // out is bounded by Cauchy's inequality. ws.far marks those where they do not.
     template <class S>
     bool all_close() {
-        typename S::V far{};
+        using V = typename S::V;
+        V far{};
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const typename S::V tension = of<S>(ws_.tension, s), at = of<S>(ws_.at, s), by = size(tension - at), kappa = of<S>(ports_.kappa, s);
-            const typename S::V near = by / (of<S>(ports_.over_most, s) + least(tension, at)), stretch = of<S>(ws_.stretch, s);
-            const typename S::V after = of<S>(ws_.after, s), all = stretch + after + size(of<S>(ws_.pushed, s));
-            const typename S::V crossed = shared_sums<S>(3, s) * of<S>(ws_.sharp, s);  // of which the root is meant
-            const typename S::V enough = 0.5 * kTensionTolerance<T> * (tension + 1e-2 * kappa * all);
-            const typename S::V left = enough - 36.0 * kappa * near * near * near * (shared_sums<S>(1, s) + stretch);
-            const typename S::V lost = 12.0 * kappa * by * by;
-            const typename S::V is_far = lost * lost * crossed <= left * left ? typename S::V{} : typename S::V{} + 1.0;
-            const typename S::V marks = left >= 0.0 ? is_far : typename S::V{} + 1.0;
-            const typename S::V mark = near <= kTold<T> ? marks : typename S::V{} + 1.0;
+            const V tension = of<S>(ws_.tension, s), at = of<S>(ws_.at, s), by = size(tension - at);
+            const V kappa = of<S>(ports_.kappa, s);
+            const V near = by / (of<S>(ports_.over_most, s) + least(tension, at)), stretch = of<S>(ws_.stretch, s);
+            const V after = of<S>(ws_.after, s), all = stretch + after + size(of<S>(ws_.pushed, s));
+            const V crossed = shared_sums<S>(3, s) * of<S>(ws_.sharp, s);  // of which the root is meant
+            const V enough = 0.5 * kTensionTolerance<T> * (tension + 1e-2 * kappa * all);
+            const V left = enough - 36.0 * kappa * near * near * near * (shared_sums<S>(1, s) + stretch);
+            const V lost = 12.0 * kappa * by * by;
+            const V is_far = lost * lost * crossed <= left * left ? V{} : V{} + 1.0;
+            const V marks = left >= 0.0 ? is_far : V{} + 1.0;
+            const V mark = near <= kTold<T> ? marks : V{} + 1.0;
             S::store(&ws_.far[s], mark);
             far += mark;
         }
