@@ -13,7 +13,7 @@
 
 #include "lines.hpp"
 #include "nonlinear.hpp"
-#include "soft_turns.hpp"
+#include "tense_turns.hpp"
 #include "tense_ports.hpp"
 
 namespace tonewood {
