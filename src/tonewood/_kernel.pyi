@@ -58,10 +58,7 @@ class _Kernel:
     ) -> None: ...
     def set_geometric(
         self,
-        index: int,
-        scale: float,
-        along: bool,
-        parts: Sequence[tuple[int, *tuple[NDArray[np.float64], ...]]],
+        strings: Sequence[tuple[float, bool, Sequence[tuple[int, *tuple[NDArray[np.float64], ...]]]]],
     ) -> None: ...
     def set_nonlinear(
         self,

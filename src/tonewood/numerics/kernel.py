@@ -56,12 +56,14 @@ def instruction_set() -> str:
 class _Wires:
     """How connections use a component: its ports that are always stepped, those only contacts act on, and where.
 
-    `incidence` (n_linear, n_fixed) is that of the linear connections; `key` tells whether any of it changed.
+    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a motion along its string; `key`
+    tells whether any of it changed.
     """
 
     fixed: NDArray[np.intp]
     guarded: NDArray[np.intp]
     incidence: Floats
+    coupled: bool
     key: bytes
 
 
@@ -87,12 +89,13 @@ class KernelStepper:
         self._ready, self._numbers = WeakKeyDictionary(), count()
         self._seen: tuple[Sequence[Compiled], Sequence[_Wires]] = (), ()
         self._loaded: list[tuple[Compiled, bytes, int] | None] = [None] * len(system.names)
-        self._wirings: dict[tuple[bytes, bytes, bytes], tuple[list[_Wires], list[Term]]] = {}
+        self._wirings: dict[tuple[bytes, bytes, bytes, frozenset[str]], tuple[list[_Wires], list[Term]]] = {}
         self._guarded, self._steps = guarded, 0
         self._law_forces = np.zeros((0, 0))  # kept at zero between runs
         self._nonlinear = self._active = _NONE
         self._laws: tuple[NonlinearLaw, ...] = ()
         self._terms: Sequence[Term] = ()
+        self._along: list[list[int]] = []
         self._gaps: tuple[NonlinearGaps, bytes] | None = None
         self.system = system
         self._load(system)
@@ -130,10 +133,10 @@ class KernelStepper:
         self._active = on = solve.on
         wiring, terms = self._wired(system)
         fresh = self._load_components(system, wiring, terms)
-        for index, law in enumerate(system.geometric):
-            slots = [system.slot(name) for name in law.parts]
-            if fresh & set(slots):
-                self._kernel.set_geometric(index, *_geometric(system, slots, wiring))
+        along = [[system.slot(name) for name in law.parts] for law in system.geometric]
+        if along != self._along or fresh & {slot for slots in along for slot in slots}:
+            self._along = along
+            self._kernel.set_geometric([_geometric(system, slots, wiring) for slots in along])
         weights = system.force_weights()
         self._kernel.set_solve(
             solve.inverse, solve.gamma[on], solve.inverse @ solve.offset[on], weights.take(on, axis=1)
@@ -208,7 +211,7 @@ class KernelStepper:
         # nobody asks for the motion of a driven component's ports
         readouts = np.arange(len(compiled.ports), len(compiled.rows))
         fixed, guarded, incidence = wires.fixed, wires.guarded, wires.incidence
-        if not (one_way or pushed or compiled.geometric is not None):
+        if not (one_way or pushed or wires.coupled):
             fixed, incidence = _independent(compiled, fixed, incidence)
         rows = readouts if one_way else np.concatenate([fixed, readouts])
         E = _pack((compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)).reshape(-1, 4)[None])[0]
@@ -235,17 +238,18 @@ class KernelStepper:
     def _wired(self, system: System) -> tuple[list[_Wires], list[Term]]:
         """Ports of every component as the connections now use them; made once for each set of those in use."""
         contact = system.elimination.others.is_contact
-        key = self._active.tobytes(), self._nonlinear.tobytes(), contact.tobytes()
+        coupled = {name for law in system.geometric for name in law.parts}
+        key = self._active.tobytes(), self._nonlinear.tobytes(), contact.tobytes(), frozenset(coupled)
         if key not in self._wirings:
             always = np.concatenate([self._active, self._nonlinear[~contact]])
             wiring: list[_Wires] = []
             terms: list[Term] = []
-            for slot, one_way in enumerate(system.driven):
+            for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
                 incidence = system.incidence(slot)
                 acts = incidence != 0.0
                 touched = np.any(acts[self._nonlinear], axis=0)
                 needed = np.any(acts[always], axis=0)
-                may_sleep = not one_way and system.compiled[slot].geometric is None
+                may_sleep = not one_way and name not in coupled
                 guarded = np.flatnonzero(touched & ~needed & may_sleep)
                 fixed = np.flatnonzero((touched | needed) & ~np.isin(np.arange(acts.shape[1]), guarded))
                 for j, port in zip(*np.nonzero(acts[self._nonlinear]), strict=True):
@@ -254,8 +258,9 @@ class KernelStepper:
                     terms.append((int(j), slot, k, among is guarded, float(factor)))
                 wires = np.ascontiguousarray(incidence[self._active][:, fixed])
                 wired = np.nonzero(wires)
-                parts = (*wired, wires[wired], fixed, guarded)
-                wiring.append(_Wires(fixed, guarded, wires, b"|".join(part.tobytes() for part in parts)))
+                parts = [part.tobytes() for part in (*wired, wires[wired], fixed, guarded)]
+                parts.append(b"coupled" if name in coupled else b"")
+                wiring.append(_Wires(fixed, guarded, wires, name in coupled, b"|".join(parts)))
             self._wirings[key] = wiring, terms
         return self._wirings[key]
 
