@@ -260,7 +260,7 @@ struct Workspace {
     // of friction (k): its branch; relative velocity it is held at; velocity without it; what a coefficient of 1 takes
     std::vector<Branch> branch;
     Array<double> held, without, load;
-    std::vector<char> awake, touching;
+    std::vector<char> awake, touching, acted;  // acted: in this run
     std::vector<int> awake_list, active, previous;
     std::vector<char> series_alive;  // by series group
     bool any_alive = false;

@@ -415,6 +415,14 @@ public:
     // Connections that acted last, or whose forces were not found.
     std::vector<int> active() const { return workspace_.active; }
 
+    // Nonlinear connections with a force in the last run.
+    std::vector<int> acted() const {
+        std::vector<int> out;
+        for (std::size_t j = 0; j < workspace_.acted.size(); ++j)
+            if (workspace_.acted[j]) out.push_back(int(j));
+        return out;
+    }
+
     std::vector<std::int64_t> statistics() const {
         const Statistics& s = statistics_;
         return {s.solves, s.iterations, s.most_iterations, s.failures, s.tension_iterations, s.most_tension_iterations,
@@ -723,6 +731,7 @@ void bind(nb::module_& m, const char* name) {
              nb::arg().noconvert(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(),
              nb::arg().noconvert())
         .def("active", &K::active)
+        .def("acted", &K::acted)
         .def("statistics", &K::statistics);
 }
 

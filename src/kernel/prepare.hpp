@@ -439,7 +439,7 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, s
           &ws.held, &ws.without, &ws.load})
         a->assign(k, 0.0);
     ws.branch.assign(k, Branch::open);
-    ws.awake.assign(k, 0), ws.touching.assign(k, 0);
+    ws.awake.assign(k, 0), ws.touching.assign(k, 0), ws.acted.assign(k, 0);
     for (std::vector<int>* list : {&ws.awake_list, &ws.active, &ws.previous, &ws.stored, &ws.sliding})
         list->clear(), list->reserve(k);
     ws.series_alive.assign(nl.n_series, 0);

@@ -145,28 +145,26 @@ class Engine:
             before = self.state.copy() if self.books else None
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)
-            solves = self.stepper.n_solves
             ready = time.thread_time()
-            pushes: Floats | None
+            pushes: Floats | None = None
             if self.books:
                 sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
+                acted = np.flatnonzero(np.any(pushes, axis=0))
             else:
-                sound, pushes = self.stepper.advance(self.state, steps, self.injections, self.controls)
+                sound, acted = self.stepper.advance(self.state, steps, self.injections, self.controls)
             stepped = time.thread_time()
-            if pushes is None:  # of no connection that is not linear
-                pushes = np.empty((steps, 0))
-            if self.books and before:
+            if self.books and before and pushes is not None:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
             touched = self.ledger.count(
                 self.state.sample - steps,
-                pushes,
+                steps,
+                acted,
                 self.tense,
                 self.holds,
                 self.system,
                 self._missing,
                 stepped - ready,
-                self.stepper.n_solves > solves,
             )
             self._unheard.append(sound)
             self.sleeper.state.touched |= touched

@@ -120,26 +120,24 @@ class Ledger:
     def count(
         self,
         start: int,
-        forces: Floats,
+        n: int,
+        acted: NDArray[np.intp],
         tense: Collection[str],
         held: Collection[str],
         system: System,
         asleep: Mapping[str, tuple[int, int]],
         seconds: float,
-        solved: bool,
     ) -> bool:
-        """Enter a run from sample `start`, and tell whether a contact acted in it.
+        """Enter a run of n samples from `start`, and tell whether a contact acted in it.
 
         Parameters
         ----------
-        forces : (n, m) of connections.
+        acted : connections that had a force, linear ones left out or not.
         tense, held : strings whose tension rises, or fingers hold.
         system : what was stepped.
         asleep : strings that sleep -> their level, and how many modes do.
         seconds : that its steps took.
-        solved : whether any nonlinear force was asked for.
         """
-        n = len(forces)
         self.samples += n
         if system.compiled is not self._compiled:
             self._compiled = system.compiled
@@ -157,10 +155,11 @@ class Ledger:
         for name in held:
             self.held[name].add(start, n)
         touched = False
-        if system.nonlinear is not None and solved:
-            acted: NDArray[np.bool_] = np.any(forces, axis=0)
+        if acted.size and system.elimination.others.laws:
+            pushed = np.zeros(len(system.connections), dtype=bool)
+            pushed[acted] = True
             for key, columns in self.contacts.items():
-                if np.any(acted[columns]):
+                if np.any(pushed[columns]):
                     touched = True
                     self.touched[key].add(start, n)
         return touched

@@ -7,9 +7,10 @@ frequency W the n-th longitudinal mode, of W_n and decay s, answers with the str
     e_n = s_n (2 i s W - W^2) / (W_n^2 - W^2 + 2 i s W)
 
 and EA e_n pulls at the bridge: phantom partials. Their amplitudes are added up as if all were in step, each as loud as
-the body makes its frequency, so that what is missed without them is at most C^T M C. The same stresses move partials,
-as a tension would: by no more than C^T N C. Partials drift with the tension; a resonance is taken to reach as far as
-they may.
+the body makes its frequency. So are what longitudinal modes do by themselves when they are driven no more, and the
+click of the mean tension. What is missed without all that is at most C^T M C. The same stresses move partials, as a
+tension would: by no more than C^T N C. Partials drift with the tension; a resonance is taken to reach as far as they
+may.
 """
 
 from __future__ import annotations
@@ -29,8 +30,6 @@ Floats = NDArray[np.float64]
 
 #: relative; partials are off by so much at most: 1 cent
 _DRIFT = 0.0006
-#: what longitudinal modes do at once when they are driven no more, re what they did
-_AFTERWARDS = 2.0
 #: cents per relative change of tension
 _CENTS = 600.0 / np.log(2.0)
 
@@ -101,21 +100,26 @@ class Phantoms:
         own = HeldModes.of(along.basis, "bridge")
         lines = np.stack([np.abs(np.subtract.outer(freq, freq)), np.add.outer(freq, freq)])
         audible = np.stack([~np.eye(n, dtype=bool), np.ones((n, n), dtype=bool)])
-        per_newton = transfer.heard_at(law.longitudinal or "", lines.ravel()).reshape(-1, *lines.shape)
+        end = law.longitudinal or ""
+        per_newton = transfer.heard_at(end, lines.ravel()).reshape(-1, *lines.shape)
+        own_per_newton = transfer.heard_at(end, own.freq_rad)
         heard, moved = np.zeros((len(per_newton), n, n)), np.zeros((n, n))
         for order in range(own.n_modes + 1):
             # the partial of place i is the cosine i + 1
             driven = 0.25 * law.axial_stiffness * np.abs(cosine_products(order, n + 1)[1:, 1:])
-            answer = np.ones(lines.shape)
+            answer, after = np.ones(lines.shape), transfer.stopped_at(end, transfer.freq_rad[:1])[:, 0]
             if order:
                 W, s = own.freq_rad[order - 1], own.damping_rate[order - 1]
                 away = np.maximum(np.abs(W**2 - lines**2) - 2 * _DRIFT * lines**2, 0.0)
                 answer = np.hypot(lines**2, 2 * s * lines) / np.hypot(away, 2 * s * lines + 1e-9 * W**2)
                 moved += driven * answer.sum(axis=0)
-            heard += driven * np.sum(per_newton * answer * audible, axis=1)
+                after = own_per_newton[:, order - 1]
+            # what is driven, and what is left over when that stops: a mode bent as the slopes had it
+            bent = 2.0 + (answer.sum(axis=0) if order else 0.0)
+            heard += driven * (np.sum(per_newton * answer * audible, axis=1) + after[:, None, None] * bent)
         return cls(
             {name: Held.of(compiled[name], h).first(n) for name, h in held.items()},
-            _AFTERWARDS * heard,
+            heard,
             _CENTS / tension * moved,
         )
 

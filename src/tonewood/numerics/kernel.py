@@ -91,7 +91,7 @@ class KernelStepper:
         self._loaded: list[tuple[Compiled, bytes, int] | None] = [None] * len(system.names)
         self._wirings: dict[tuple[bytes, bytes, bytes, frozenset[str]], tuple[list[_Wires], list[Term]]] = {}
         self._guarded, self._steps = guarded, 0
-        self._law_forces = np.zeros((0, 0))  # kept at zero between runs
+        self._law_forces, self._acted = np.zeros(0), list[int]()  # the former is kept at zero between runs
         self._nonlinear = self._active = _NONE
         self._laws: tuple[NonlinearLaw, ...] = ()
         self._terms: Sequence[Term] = ()
@@ -268,35 +268,34 @@ class KernelStepper:
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
     ) -> tuple[Floats, Floats]:
         """Advance `state` in place by n steps; see `NumpyStepper.run`."""
-        out, linear, nonlinear = self._step(state, n, injections, controls)
-        return out, self._all_forces(linear, nonlinear)
+        out, linear, laws = self._step(state, n, injections, controls)
+        if len(self._active) == len(self.system.connections):
+            return out, linear
+        forces = np.zeros((n, len(self.system.connections)))
+        forces[:, self._active] = linear
+        forces[:, self._nonlinear[self._acted]] = laws[:, self._acted]
+        laws[:, self._acted] = 0.0
+        return out, forces
 
     def advance(
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
-    ) -> tuple[Floats, Floats | None]:
-        """As `run`, with the forces only if nonlinear ones were solved for.
+    ) -> tuple[Floats, NDArray[np.intp]]:
+        """As `run`; in place of the forces only the places of the nonlinear connections that had one.
 
-        Zeros for every sample and every contact of an instrument that touches nothing would cost as much as a tenth of
-        its steps.
+        A number for every sample and every contact of an instrument that touches little would cost as much as a tenth
+        of its steps.
         """
-        out, linear, nonlinear = self._step(state, n, injections, controls)
-        return out, None if nonlinear is None else self._all_forces(linear, nonlinear)
-
-    def _all_forces(self, linear: Floats, nonlinear: Floats | None) -> Floats:
-        """(n, m) of all connections from those of linear and nonlinear ones; the latter are put back to zero."""
-        if len(self._active) == len(self.system.connections):
-            return linear
-        forces = np.zeros((len(linear), len(self.system.connections)))
-        forces[:, self._active] = linear
-        if nonlinear is not None:
-            forces[:, self._nonlinear] = nonlinear
-            nonlinear[:] = 0.0
-        return forces
+        out, _, laws = self._step(state, n, injections, controls)
+        laws[:, self._acted] = 0.0
+        return out, self._nonlinear[self._acted]
 
     def _step(
         self, state: State, n: int, injections: Sequence[Injection], controls: Sequence[Control]
-    ) -> tuple[Floats, Floats, Floats | None]:
-        """Step; returns the output, the forces of linear connections, and of nonlinear ones if any were solved for."""
+    ) -> tuple[Floats, Floats, Floats]:
+        """Step; returns the output, the forces of linear connections, and of nonlinear ones.
+
+        The latter are to be put back to zero where `_acted` says that they are not.
+        """
         if state.modes.dtype != self.dtype:
             raise ValueError(f"a state of {state.modes.dtype} does not fit a kernel of {np.dtype(self.dtype)}")
         m, on = len(self.system.connections), self._nonlinear
@@ -307,9 +306,9 @@ class KernelStepper:
             state.series = self.system.nonlinear.settled_series(state.series)
         out = np.empty((n, len(self.system.readouts)))
         active_forces = np.empty((n, len(self._active)))
-        if self._law_forces.shape != (n, len(on)):
-            self._law_forces = np.zeros((n, len(on)))
-        law_forces, solves = self._law_forces, self.n_solves
+        if self._law_forces.size < n * len(on):
+            self._law_forces = np.zeros(n * len(on))
+        law_forces, solves = self._law_forces[: n * len(on)].reshape(n, len(on)), self.n_solves
         series, slip, last = state.series.take(on), state.slip.take(on), state.forces.take(on)
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
         if len(state.tension) != len(self.system.tensions):
@@ -327,7 +326,7 @@ class KernelStepper:
             state.tension,
         )
         if slot != -1:
-            self._law_forces = np.zeros((0, 0))
+            self._law_forces = np.zeros(0)
             t = (state.sample + sample) * self.system.dt
             if slot >= 0:
                 raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
@@ -336,6 +335,7 @@ class KernelStepper:
             names = names or ", ".join(strings)
             raise NumericalError(f"the forces of {names} were not found at {t:.6f} s")
         solved = self.n_solves > solves
+        self._acted = self._kernel.acted() if solved else []
         if n:
             state.forces[:] = 0.0
             state.forces[self._active] = active_forces[-1]
@@ -343,7 +343,7 @@ class KernelStepper:
             state.forces[on], state.series[on], state.slip[on] = law_forces[-1], series, slip
         state.sample += n
         self._steps += n
-        return out, active_forces, law_forces if solved else None
+        return out, active_forces, law_forces
 
     def start(self) -> State:
         """Return the state of rest in this kernel's precision."""
