@@ -58,7 +58,8 @@ public:
     explicit Direct(const Layout& layout)
         : l_(layout), now_(layout.width + S::width), before_(layout.direct_old.empty() ? 0 : layout.width + S::width) {}
 
-    void operator()(const double* __restrict line, double* __restrict force) {
+    // flattened: compilers call the products of a header that many use
+    __attribute__((flatten)) void operator()(const double* __restrict line, double* __restrict force) {
         // rows that are no port's, and padding, are overwritten by the next segment or lie beyond the last one
         for (const Layout::Segment& segment : l_.segments)
             for (int i = 0; i < segment.n; i += S::width) {
