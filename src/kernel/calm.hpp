@@ -112,7 +112,7 @@ public:
         const std::size_t n = layout_.single_width;
         energy_.assign(n, 0.0), after_ = shift_ = held_force_ = own_ = energy_;
         most_.assign(n, std::numeric_limits<double>::infinity()), sway_ = most_;
-        worth_ = nl_.worth;
+        worth_.assign(layout_.force_width, 0.0);
         part_.assign(components_.size(), 0);
         for (const Nonlinear::Group& group : nl_.groups)
             for (std::size_t q = 0; q < group.components.size(); ++q) part_[group.components[q]] = int(q);
@@ -136,7 +136,7 @@ public:
     // whether tensions rise in a group
     bool tense(int group) const { return tense_[group] != 0; }
     // what a newton at a port takes of the tightest slack where contacts are bounded block by block, as Nonlinear::worth
-    const double* worth() const { return worth_.data(); }
+    double* worth() { return worth_.data(); }
 
     // A window begins in the state of `job`. Group g may be calm if `may(g)`.
     template <class May>
@@ -233,7 +233,7 @@ public:
         if (!group.calm) return;
         for (const int i : group.components) {
             const int lane = layout_.port[i];
-            energy_[lane] = shift_[lane] = held_force_[lane] = 0.0, worth_[lane] = nl_.worth[lane];
+            energy_[lane] = shift_[lane] = held_force_[lane] = 0.0;
             most_[lane] = sway_[lane] = std::numeric_limits<double>::infinity();
             if (pool_of_[i] >= 0) pools_[pool_of_[i]].most = most_[lane];
         }
