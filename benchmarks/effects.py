@@ -5,7 +5,8 @@
 
 Each score, or its first seconds, is rendered with effects `all`, `auto` and none but the second polarization (linear),
 a block of each in turn, on one core; times are seconds of the processor. `nylon_guitar` is the classical guitar with
-all there is: rising tensions and frets; `steel_guitar` is taken with frets, too. `awake` is the share of modes stepped.
+all there is: rising tensions and frets; `steel_guitar` is taken with frets, too. With `_along` after their names
+their strings move along themselves, too: ten times slower than they sound. `awake` is the share of modes stepped.
 Errors are those of `auto` against `all`: the largest sample difference with rising tension always on, over the first
 seconds, in dB re the peak (additive effects alone), and by how much the fundamentals of the notes are off while they
 sound, in cents: 95 % of the windows of 50 ms in which they are within 20 dB of their loudest, and the note that is off
@@ -47,6 +48,9 @@ NYLON = 5e9
 
 def instrument(name: str) -> tw.Instrument:
     """A bundle, the steel-string guitar with frets if it has none, the classical guitar with all there is."""
+    if (plain_name := name.removesuffix("_along")) != name:
+        made = instrument(plain_name)
+        return made.replace({"strings.*.plugin": "geometric_string"})
     if name == "nylon_guitar":
         plain = tw.load_instrument("classical_guitar")
         values = {**plain.resolved, "connections": FRETS}

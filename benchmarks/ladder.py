@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +28,13 @@ LOW = {"action_first": 2.5e-4, "action_twelfth": 1.2e-3}
 FINGER = {"plugin": "stopping_finger", "from_bridge": 0.1}
 
 
-def rung(planes: list[str], tension: bool, action: dict[str, float] | None, finger: bool) -> tw.Instrument:
+def rung(
+    planes: list[str], tension: bool, action: dict[str, float] | None, finger: bool, plugin: str | None = None
+) -> tw.Instrument:
     """The steel-string guitar with more or less of what is not linear."""
     changes: dict[str, object] = {"strings.*.polarizations": planes, "tuning.compensate": "none"}
+    if plugin is not None:
+        changes["strings.*.plugin"] = plugin
     if not tension:
         changes["strings.*.axial_stiffness"] = 0.0
     guitar = tw.load_instrument("steel_guitar").replace(changes)
@@ -75,10 +80,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     args = parser.parse_args()
     both = ["z", "y"]
-    rungs = {
+    rungs: dict[str, tuple[Any, ...]] = {
         "linear, one polarization": (["z"], False, None, False),
         "+ second polarization": (both, False, None, False),
         "+ tension modulation": (both, True, None, False),
+        "+ motion along the strings": (both, True, None, False, "geometric_string"),
         "second polarization + 20 frets, not touched": (both, False, HIGH, False),
         "second polarization + 20 frets, buzzing": (both, False, LOW, False),
         "second polarization + a finger on each string": (both, False, None, True),

@@ -260,7 +260,7 @@ struct Workspace {
     // of friction (k): its branch; relative velocity it is held at; velocity without it; what a coefficient of 1 takes
     std::vector<Branch> branch;
     Array<double> held, without, load;
-    std::vector<char> awake, touching;
+    std::vector<char> awake, touching, acted;  // acted: in this run
     std::vector<int> awake_list, active, previous;
     std::vector<char> series_alive;  // by series group
     bool any_alive = false;
@@ -337,8 +337,9 @@ struct TensePorts {
         int component, to, from;
         int pair, to_port, from_port;  // where the first string's stand among pairs and ports
     };
-    // Every string has a lane, padded to kLane: port p of its component c is number (c most_ports + p) strings + string,
-    // pair k number k strings + string. What there is none of is empty (component -1), all its numbers zero.
+    // Every string has a lane, one of 1, 2, 4 or a multiple of kLane: port p of its component c is number
+    // (c most_ports + p) strings + string, pair k number k strings + string. What there is none of is empty
+    // (component -1), all its numbers zero. `width` is that of matrices, the number of ports padded to kLane.
     int strings = 0, most_components = 0, most_ports = 0, width = 0, pair_width = 0;
     std::vector<Pair> pairs;           // those of a port with itself first
     std::vector<Port> ports;

@@ -93,6 +93,8 @@ Law make_law(const LawArrays& given) {
 
 constexpr std::size_t kAside = 4;  // components put aside for each one there is
 
+using GeometricArrays = std::tuple<int, In, In, In, In, In, In>;
+
 template <class T>
 class Kernel {
 public:
@@ -400,13 +402,37 @@ public:
         return {fault.slot, fault.sample};
     }
 
-    // String `index` of those whose longitudinal motion is stepped, its components just set or unchanged. A part, the
-    // longitudinal one last: slot, slopes (cosines, n), reading, yields (n), kick (2, n), to_port, from_port (n_ports, n).
-    // Not `along`: there is no longitudinal one, and in place of the slopes stands the stretch (1, n).
-    void set_geometric(std::size_t index, double scale, bool along,
-                       const std::vector<std::tuple<int, In, In, In, In, In, In>>& parts) {
+    // Strings whose longitudinal motion is coupled to the transverse one, their components just set or unchanged: scale,
+    // whether there is one, and parts, that of it last: slot, slopes (cosines, n), reading, yields (n), kick (2, n),
+    // to_port, from_port (n_ports, n). If there is none, in place of the slopes stands the stretch (1, n).
+    void set_geometric(const std::vector<std::tuple<double, bool, std::vector<GeometricArrays>>>& strings) {
+        for (auto& c : components_) c.geometric = false;
+        geometric_.strings.clear();
+        for (const auto& [scale, along, parts] : strings) add_geometric(scale, along, parts);
+        laid_out_ = arranged_ = false;
+    }
+
+    // Connections that acted last, or whose forces were not found.
+    std::vector<int> active() const { return workspace_.active; }
+
+    // Nonlinear connections with a force in the last run.
+    std::vector<int> acted() const {
+        std::vector<int> out;
+        for (std::size_t j = 0; j < workspace_.acted.size(); ++j)
+            if (workspace_.acted[j]) out.push_back(int(j));
+        return out;
+    }
+
+    std::vector<std::int64_t> statistics() const {
+        const Statistics& s = statistics_;
+        return {s.solves, s.iterations, s.most_iterations, s.failures, s.tension_iterations, s.most_tension_iterations,
+                s.blocks, s.rows_read, s.woken, s.windows, s.calm};
+    }
+
+private:
+    void add_geometric(double scale, bool along, const std::vector<GeometricArrays>& parts) {
         const auto padded = [](std::size_t n) { return (n + kLane - 1) / kLane * kLane; };
-        if (parts.size() < (along ? 2 : 1) || index > geometric_.strings.size()) throw std::invalid_argument("no such geometric string");
+        if (parts.size() < (along ? 2 : 1)) throw std::invalid_argument("a geometric string without parts");
         Geometric::String string;
         string.scale = scale, string.along = along;
         for (const auto& [slot, slopes, reading, yields, kick, to_port, from_port] : parts) {
@@ -440,26 +466,14 @@ public:
             };
             part.reading = rows(reading, 1), part.yields = rows(yields, 1), part.kick = rows(kick, 2);
             part.to_port = rows(to_port, p), part.from_port = rows(from_port, p);
-            arranged_ = arranged_ && c.geometric, c.geometric = true;
+            c.geometric = true;
             string.parts.push_back(std::move(part));
         }
         string.order = string.parts.back().cosines - 1;
         if (along) std::fill(string.parts.back().stretch.begin(), string.parts.back().stretch.end(), 0.0);
-        if (index == geometric_.strings.size()) geometric_.strings.emplace_back();
-        geometric_.strings[index] = std::move(string);
-        laid_out_ = false;
+        geometric_.strings.push_back(std::move(string));
     }
 
-    // Connections that acted last, or whose forces were not found.
-    std::vector<int> active() const { return workspace_.active; }
-
-    std::vector<std::int64_t> statistics() const {
-        const Statistics& s = statistics_;
-        return {s.solves, s.iterations, s.most_iterations, s.failures, s.tension_iterations, s.most_tension_iterations,
-                s.blocks, s.rows_read, s.woken, s.windows, s.calm};
-    }
-
-private:
     // What the recurrences need, computed in double whatever T is.
     static void derive(Component<T>& c, const double* e, const double* rows, const double* w) {
         const std::size_t n = c.n;
@@ -717,6 +731,7 @@ void bind(nb::module_& m, const char* name) {
              nb::arg().noconvert(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(),
              nb::arg().noconvert())
         .def("active", &K::active)
+        .def("acted", &K::acted)
         .def("statistics", &K::statistics);
 }
 

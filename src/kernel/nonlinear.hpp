@@ -44,7 +44,7 @@ public:
         std::copy_n(job.series, nl_.k, ws_.series.data());
         std::copy_n(job.slip, nl_.k, ws_.slip.data());
         std::copy_n(job.last_force, nl_.k, ws_.last_force.data());
-        std::fill(ws_.touching.begin(), ws_.touching.end(), 0);
+        std::fill(ws_.touching.begin(), ws_.touching.end(), 0), std::fill(ws_.acted.begin(), ws_.acted.end(), 0);
         std::fill(ws_.series_alive.begin(), ws_.series_alive.end(), 0);
         ws_.any_alive = false;
         ws_.gathered.clear();
@@ -232,6 +232,7 @@ public:
         double* forces = job_.law_forces + (start_ + b) * nl_.k;
         for (const int j : ws_.active) {
             forces[j] = ws_.last_force[j] = ws_.law_force[j];
+            ws_.acted[j] = ws_.acted[j] || forces[j] != 0.0;
             if (nl_.laws[j].kind == Law::friction) ws_.slip[j] = ws_.slip_after[j];
             ws_.touching[j] = 0;
         }

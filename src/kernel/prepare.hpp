@@ -302,19 +302,20 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
                    TensePorts& to) {
     const auto padded = [](std::size_t n) { return (n + kLane - 1) / kLane * kLane; };
     to = TensePorts{};
-    const std::size_t n_strings = tensions.strings.size(), strings = padded(n_strings), n_places = l.port_rows.size();
+    const std::size_t n_strings = tensions.strings.size(), n_places = l.port_rows.size();
+    const std::size_t strings = n_strings <= 2 ? n_strings : n_strings <= 4 ? 4 : padded(n_strings);
     for (const auto& string : tensions.strings) {
         to.most_components = std::max(to.most_components, int(string.components.size()));
         for (const int i : string.components) to.most_ports = std::max(to.most_ports, components[i].n_ports);
     }
-    const std::size_t n = strings * to.most_components * to.most_ports;
+    const std::size_t n = strings * to.most_components * to.most_ports, width = padded(n);
     for (int apart = 0; apart < to.most_ports; ++apart)
         for (int c = 0; c < to.most_components; ++c)
             for (int p = 0; p + apart < to.most_ports; ++p) {
                 const int first = c * to.most_ports + p, here = int(strings);
                 to.pairs.push_back({c, p, p + apart, int(to.pairs.size()) * here, first * here, (first + apart) * here});
             }
-    to.strings = int(strings), to.width = int(n), to.pair_width = int(strings * to.pairs.size());
+    to.strings = int(strings), to.width = int(width), to.pair_width = int(strings * to.pairs.size());
     to.ports.assign(n, {-1, 0, 0, 0, 0, 0});
     to.first.assign(components.size(), 0), to.string_of = to.first;
     to.own.assign(components.size(), 0);
@@ -346,17 +347,18 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
     const std::size_t n_sums = (kSharedSums * strings + kPortSums * n + kPadding - 1) / kPadding * kPadding;
     to.lanes.assign(n_sums * 64, 0), to.sums.assign(n_sums, 0.0);
     to.y.assign(2 * n_places, 0.0), to.linear.assign(l.f_width, 0.0), to.fixed_part.assign(l.force_width, 0.0);
-    for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.next, &to.wrong, &to.base, &to.fixed}) a->assign(n, 0.0);
+    for (Array<double>* a : {&to.alone, &to.moved, &to.force, &to.next, &to.wrong, &to.base, &to.fixed})
+        a->assign(width, 0.0);
     for (Array<double>* a : {&to.change_at, &to.slope_at, &to.bend_at, &to.change, &to.slope}) a->assign(to.pair_width, 0.0);
-    to.onto_ports.assign(n * n, 0.0);
-    to.inverse.assign(n * n, 0.0), to.pivots.assign(n, 0);
+    to.onto_ports.assign(n * width, 0.0);
+    to.inverse.assign(n * width, 0.0), to.pivots.assign(n, 0);
     to.onto_linear.assign(n * l.f_width, 0.0), to.onto_forces.assign(n * l.force_width, 0.0);
     for (const int p : to.real) {
         const std::size_t from = to.ports[p].place;
         const double *linear = &l.pull[(n_places + from) * l.f_width], *forces = &l.direct[from * l.force_width];
         std::copy_n(linear, l.f_width, &to.onto_linear[std::size_t(p) * l.f_width]);
         std::copy_n(forces, l.force_width, &to.onto_forces[std::size_t(p) * l.force_width]);
-        for (const int q : to.real) to.onto_ports[std::size_t(p) * n + q] = forces[to.ports[q].force];
+        for (const int q : to.real) to.onto_ports[std::size_t(p) * width + q] = forces[to.ports[q].force];
     }
 }
 
@@ -437,7 +439,7 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, s
           &ws.held, &ws.without, &ws.load})
         a->assign(k, 0.0);
     ws.branch.assign(k, Branch::open);
-    ws.awake.assign(k, 0), ws.touching.assign(k, 0);
+    ws.awake.assign(k, 0), ws.touching.assign(k, 0), ws.acted.assign(k, 0);
     for (std::vector<int>* list : {&ws.awake_list, &ws.active, &ws.previous, &ws.stored, &ws.sliding})
         list->clear(), list->reserve(k);
     ws.series_alive.assign(nl.n_series, 0);

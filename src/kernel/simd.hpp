@@ -47,6 +47,42 @@ struct Simd {
     }
 };
 
+// A few doubles, fewer than a vector holds.
+template <int N>
+struct Lanes;
+
+template <>
+struct Lanes<1> {
+    static constexpr int width = 1;
+    using V = double;
+    static V load(const double* p) { return *p; }
+    static void store(double* p, V v) { *p = v; }
+    static double sum(V v) { return v; }
+    static double largest(V v) { return v; }
+};
+template <>
+struct Lanes<2> {
+    static constexpr int width = 2;
+    typedef double V __attribute__((vector_size(16)));
+    typedef double Loose __attribute__((vector_size(16), aligned(alignof(double)), may_alias));
+    static V load(const double* p) { return V(*reinterpret_cast<const Loose*>(p)); }
+    static void store(double* p, V v) { *reinterpret_cast<Loose*>(p) = v; }
+    static double sum(V v) { return v[0] + v[1]; }
+    static double largest(V v) { return v[0] > v[1] ? v[0] : v[1]; }
+};
+template <>
+struct Lanes<4> {
+    static constexpr int width = 4;
+    typedef double V __attribute__((vector_size(32)));
+    typedef double Loose __attribute__((vector_size(32), aligned(alignof(double)), may_alias));
+    static V load(const double* p) { return V(*reinterpret_cast<const Loose*>(p)); }
+    static void store(double* p, V v) { *reinterpret_cast<Loose*>(p) = v; }
+    static Lanes<2>::V low(V v) { return Lanes<2>::V{v[0], v[1]}; }
+    static Lanes<2>::V high(V v) { return Lanes<2>::V{v[2], v[3]}; }
+    static double sum(V v) { return Lanes<2>::sum(low(v) + high(v)); }
+    static double largest(V v) { return Lanes<2>::largest(low(v) > high(v) ? low(v) : high(v)); }
+};
+
 // N vectors side by side; named members, because compilers keep those in registers.
 template <class T, int N>
 struct Pack;

@@ -13,20 +13,14 @@
 
 #include "lines.hpp"
 #include "nonlinear.hpp"
+#include "tense_turns.hpp"
 #include "tense_ports.hpp"
 
 namespace tonewood {
 namespace {
 
-template <class T>
-constexpr double kTensionTolerance = sizeof(T) == sizeof(double) ? 1e-11 : 1e-5;  // of the tension
-template <class T>
-constexpr double kForceTolerance = sizeof(T) == sizeof(double) ? 1e-14 : 1e-7;  // of the largest force
-template <class T>
-constexpr double kSettled = sizeof(T) == sizeof(double) ? 1e-15 : 1e-8;  // of a mode's stiffness, between two turns
-constexpr int kMaxTensionIterations = 200, kMaxTurns = 100;
+constexpr int kMaxTensionIterations = 200;
 // relative changes of a mode's stiffness
-constexpr double kFar = 0.1;      // that may be tried with the sums of one visit
 constexpr double kCell = 0.01;    // over a cell of compliances
 constexpr double kStrong = 0.05;  // beyond which forces are found by an inverse
 constexpr double kSoft = 0.01;    // up to which forces and tensions are found side by side
@@ -89,8 +83,19 @@ public:
 
 private:
     using V = typename Simd<T>::V;
-    using S = Simd<double>;
     static constexpr int kWidth = Simd<T>::width;
+
+    // use.operator()<S>(), S the lanes that strings stand side by side in
+    template <class Use>
+    auto in_lanes(const Use& use) {
+        constexpr int widest = Simd<double>::width;
+        if (ports_.strings == 1) return use.template operator()<Lanes<1>>();
+        if constexpr (widest > 2)
+            if (ports_.strings == 2) return use.template operator()<Lanes<2>>();
+        if constexpr (widest > 4)
+            if (ports_.strings == 4) return use.template operator()<Lanes<4>>();
+        return use.template operator()<Simd<double>>();
+    }
 
     T* lanes(std::size_t sum) const { return reinterpret_cast<T*>(ports_.lanes.data()) + sum * kWidth; }
 
@@ -104,27 +109,17 @@ private:
         double kept_at = 0.0;    // tension that its s are of
     };
     int n_strings() const { return int(tensions_.strings.size()); }
+    int n_ports() const { return int(ports_.ports.size()); }
 
     // The stretched components come to sample b; what they are there, and what pulls at them from outside.
     void begin_sample(int b, double* lines) {
         sample_ = b;
-        // S, or the means of T at a block's beginning, going on as a parabola
-        for (int s = 0; s < ports_.strings; s += S::width) {
-            const S::V last = of(ws_.means[0], s), kappa = of(ports_.kappa, s), old = of(ws_.stretch, s);
-            S::V foreseen = 3 * (last - of(ws_.means[1], s)) + of(ws_.means[2], s);
-            if (goes_on_) {
-                const S::V stretch = last * of(ports_.over_kappa, s) - old;
-                const S::V gone_on = kappa * (stretch + 3 * (stretch - old) + of(ws_.past, s));
-                foreseen = kappa > 0.0 ? gone_on : foreseen;
-                S::store(&ws_.past[s], old);
-            }
-            S::store(&ws_.at[s], foreseen > 0.0 ? foreseen : S::V{});
-        }
+        in_lanes([&]<class S>() { foresee<S>(); });
         for (int s = 0; s < n_strings(); ++s) look(s);
-        fold();
+        in_lanes([&]<class S>() { fold<S>(); });
         if (!goes_on_)
-            for (int s = 0; s < ports_.strings; s += S::width)
-                S::store(&ws_.past[s], of(ws_.means[0], s) * of(ports_.over_kappa, s) - of(ws_.stretch, s));
+            for (int s = 0; s < ports_.strings; ++s)
+                ws_.past[s] = ws_.means[0][s] * ports_.over_kappa[s] - ws_.stretch[s];
         double* line = lines + std::size_t(b) * layout_.width;
         for (const int p : ports_.real) {
             const auto& port = ports_.ports[p];
@@ -136,6 +131,23 @@ private:
         for (const int p : ports_.real) ports_.fixed[p] = ports_.fixed_part[ports_.ports[p].force];
         line_ = line;
         linear_known_ = false, goes_on_ = true;
+    }
+
+    // The tensions foreseen: S, or the means of T at a block's beginning, going on as a parabola.
+    template <class S>
+    void foresee() {
+        using V = typename S::V;
+        for (int s = 0; s < ports_.strings; s += S::width) {
+            const V last = of<S>(ws_.means[0], s), kappa = of<S>(ports_.kappa, s), old = of<S>(ws_.stretch, s);
+            V foreseen = 3 * (last - of<S>(ws_.means[1], s)) + of<S>(ws_.means[2], s);
+            if (goes_on_) {
+                const V stretch = last * of<S>(ports_.over_kappa, s) - old;
+                const V gone_on = kappa * (stretch + 3 * (stretch - old) + of<S>(ws_.past, s));
+                foreseen = kappa > 0.0 ? gone_on : foreseen;
+                S::store(&ws_.past[s], old);
+            }
+            S::store(&ws_.at[s], foreseen > 0.0 ? foreseen : V{});
+        }
     }
 
     // Forces of the linear connections while the ports do not move by themselves.
@@ -158,7 +170,7 @@ private:
         Visit<T> v;
         v.tried = at, v.begun = sample_, v.first = true;
         v.shared = lanes(s), v.next_shared = std::size_t(ports_.strings) * kWidth;
-        v.next_own = std::size_t(ports_.width) * kWidth, v.next_port = v.next_shared;
+        v.next_own = std::size_t(n_ports()) * kWidth, v.next_port = v.next_shared;
         v.made = ws_.used[s];
         for (const int i : tensions_.strings[s].components) {
             Part& part = parts_[part_of_[i]];
@@ -202,9 +214,10 @@ private:
     }
 
     // Sums of a visit, those of the same kind side by side.
+    template <class S>
     void fold() {
         double* to = ports_.sums.data();
-        const std::size_t n = ports_.sums.size();
+        const std::size_t n = kSharedSums * std::size_t(ports_.strings) + kPortSums * ports_.ports.size();
         for (std::size_t k = 0; k < n; k += kWidth) {
             const V sum = sums<T, kWidth>(lanes(k));
             if constexpr (sizeof(T) == sizeof(double))
@@ -221,7 +234,7 @@ private:
         const bool done = find_linear();
         statistics_.failures += !done;
         add_moved();
-        add_product(ports_.onto_forces.data(), layout_.force_width, ports_.alone.data(), ports_.width,
+        add_product(ports_.onto_forces.data(), layout_.force_width, ports_.alone.data(), n_ports(),
                     ports_.fixed_part.data(), now);
         if (layout_.own_port.empty()) {
             linear_forces(f);
@@ -233,19 +246,19 @@ private:
 
     // ports.alone becomes all of what ports move by.
     void add_moved() {
-        for (int p = 0; p < ports_.width; p += S::width)
-            S::store(&ports_.alone[p], of(ports_.alone, p) + of(ports_.moved, p));
+        for (int p = 0; p < n_ports(); ++p) ports_.alone[p] += ports_.moved[p];
     }
 
     // Forces of the linear connections, after that.
     void linear_forces(double* f) {
-        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.alone.data(), ports_.width, linear_part(), f);
+        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.alone.data(), n_ports(), linear_part(), f);
     }
 
-    // Tensions, and the forces on the ports: `turn(k)` goes nearer to both once more, and says whether it `failed`; true
-    // if it changed nothing. A string whose tension went too far from where its modes were visited is visited again.
-    template <class Turn>
-    bool search(const Turn& turn) {
+    // Tensions, and the forces on the ports: `turns` goes nearer to both until that changes nothing, or until it has
+    // `failed`; true if it got there. A string whose tension went too far from where its modes were visited is visited
+    // again.
+    template <class S, class Turns>
+    bool search(const Turns& turns) {
         int iterations = 0;
         bool done = false, failed = false;
         while (!done && !failed && iterations++ < kMaxTensionIterations) {
@@ -255,13 +268,12 @@ private:
             } else {
                 for (int s = 0; s < n_strings(); ++s)
                     if (ws_.far[s] != 0.0) ws_.at[s] = ws_.tension[s], look(s);
-                fold();
+                fold<S>();
             }
-            if (is_beyond()) continue;
-            if (!expand()) break;
-            bool told = false;
-            for (int k = 0; !told && !failed && k < kMaxTurns; ++k) told = turn(k, failed);
-            const bool close = all_close();
+            if (is_beyond<S>()) continue;
+            if (!expand<S>()) break;
+            const bool told = turns(failed);
+            const bool close = all_close<S>();
             done = told && close, failed = failed || (close && !told);
         }
         std::copy(ws_.tension.begin(), ws_.tension.end(), ws_.used.begin());
@@ -270,12 +282,14 @@ private:
 
     // Whether a tension must be higher, by what its string is stretched already, than the visit to its modes can tell:
     // ws.far marks such strings.
+    template <class S>
     bool is_beyond() {
-        S::V beyond{};
+        using V = typename S::V;
+        V beyond{};
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const S::V at = of(ws_.at, s), least_tension = of(ports_.kappa, s) * of(ws_.stretch, s);
-            const S::V mark = least_tension > at + kFar * (at + of(ports_.over_most, s)) ? S::V{} + 1.0 : S::V{};
-            S::store(&ws_.far[s], mark), S::store(&ws_.tension[s], most(of(ws_.tension, s), least_tension));
+            const V at = of<S>(ws_.at, s), least_tension = of<S>(ports_.kappa, s) * of<S>(ws_.stretch, s);
+            const V mark = least_tension > at + kFar * (at + of<S>(ports_.over_most, s)) ? V{} + 1.0 : V{};
+            S::store(&ws_.far[s], mark), S::store(&ws_.tension[s], most(of<S>(ws_.tension, s), least_tension));
             beyond += mark;
         }
         return S::sum(beyond) != 0.0;
@@ -285,56 +299,82 @@ private:
     // step the tensions as near as the forces allow: two products for each turn. Where stiffness rises much, the forces
     // are settled first, so that a secant tells of nothing but tensions.
     bool find_linear() {
-        const int width = ports_.width;
+        return in_lanes([&]<class S>() { return find_linear<S>(); });
+    }
+    template <class S>
+    bool find_linear() {
+        using V = typename S::V;
+        const int width = ports_.width, n = n_ports();
         double *const force = ports_.force.data(), *const next = ports_.next.data(), *const all = ports_.wrong.data();
         const auto answer = [&](double* to) {
-            move_ports(force);
-            for (int p = 0; p < width; p += S::width) S::store(all + p, of(ports_.alone, p) + of(ports_.moved, p));
-            add_product(onto_, width, all, width, fixed_, to);
+            move_ports<S>(force);
+            for (int p = 0; p < n; p += S::width) S::store(all + p, of<S>(ports_.alone, p) + of<S>(ports_.moved, p));
+            add_product(onto_, width, all, n, fixed_, to);
         };
-        const bool done = search([&](int, bool&) {
-            displacements();
-            const bool soft = largest_ <= kSoft;
-            if (strong_) invert_ports();
+        const auto turn = [&](bool soft) {
+            displacements<S>();
+            if (strong_) invert_ports<S>();
             else answer(force);
             for (int product = 0; !strong_ && !soft && product < kMaxTurns; ++product) {
-                std::copy_n(force, width, next);
+                std::copy_n(force, n, next);
                 answer(force);
                 double change = 0.0, size = 0.0;
-                for (int p = 0; p < width; ++p) {
+                for (int p = 0; p < n; ++p) {
                     change = std::max(change, std::abs(force[p] - next[p]));
                     size = std::max(size, std::abs(force[p]));
                 }
                 if (change * largest_ <= kForceTolerance<T> * size) break;
             }
             answer(next);
-            S::V sizes{}, unsettled{};
+            V sizes{}, unsettled{};
             // they are differences, of the fixed part and what displacements call up: rounded as these are
-            for (int p = 0; p < width; p += S::width)
+            for (int p = 0; p < n; p += S::width)
                 sizes = most(sizes, most(size(S::load(next + p)), size(S::load(fixed_ + p))));
-            const double enough = kForceTolerance<T> * (strong_ ? 4 : 1) * S::largest(sizes), shrinks = strong_ ? 1.0 : std::min(1.0, 2 * largest_);
-            for (int p = 0; p < width; p += S::width) {
-                const S::V now = S::load(next + p), wrong = now - S::load(force + p);
-                unsettled += shrinks * size(wrong) <= enough ? S::V{} : S::V{} + 1.0;
+            const double enough = kForceTolerance<T> * (strong_ ? 4 : 1) * S::largest(sizes);
+            const double shrinks = strong_ ? 1.0 : std::min(1.0, kForceLeft * largest_);
+            for (int p = 0; p < n; p += S::width) {
+                const V now = S::load(next + p), wrong = now - S::load(force + p);
+                unsettled += shrinks * size(wrong) <= enough ? V{} : V{} + 1.0;
                 S::store(all + p, wrong);
                 if (!strong_) S::store(force + p, now);
             }
-            if (strong_) add_product(ports_.inverse.data(), width, all, width, force);
-            return S::sum(unsettled + raise_tensions(!soft)) == 0.0;
+            if (strong_) add_product(ports_.inverse.data(), width, all, n, force);
+            return S::sum(unsettled + raise_tensions<S>(!soft)) == 0.0;
+        };
+        return search<S>([&](bool&) {
+            const bool soft = largest_ <= kSoft;
+            bool told = false;
+            if (soft && soft_turns<S>(told)) return told;
+            for (int k = 0; !told && k < kMaxTurns; ++k) told = turn(soft);
+            move_ports<S>(force);
+            return told;
         });
-        move_ports(force);
-        return done;
+    }
+
+    // Where stiffness rises little, in registers, if strings have the usual shape; else false.
+    template <class S>
+    bool soft_turns(bool& told) {
+        if (ports_.strings != S::width || ports_.most_components != 2 || ports_.most_ports > 2) return false;
+        told = ports_.most_ports == 1 ? SoftTurns<T, S, 2, 1>(ports_, ws_, onto_, fixed_)(largest_)
+                                      : SoftTurns<T, S, 2, 2>(ports_, ws_, onto_, fixed_)(largest_);
+        return true;
     }
 
     // Where laws answer too: `answer` tells the forces from the displacements ports.alone and ports.moved.
     template <class Answer>
     bool find(double tolerance, const Answer& answer) {
-        return search([&](int turn, bool& failed) {
-            displacements();
-            add_product(onto_, ports_.width, ports_.alone.data(), ports_.width, fixed_, ports_.base.data());
-            bool settled = false;
-            failed = strong_ || !settle(turn == 0 ? 3 : kMaxTurns, tolerance, answer, settled);
-            return !failed && S::sum(raise_tensions(true)) == 0.0 && settled;
+        return in_lanes([&]<class S>() {
+            return search<S>([&](bool& failed) {
+                bool told = false;
+                for (int turn = 0; !told && !failed && turn < kMaxTurns; ++turn) {
+                    displacements<S>();
+                    add_product(onto_, ports_.width, ports_.alone.data(), n_ports(), fixed_, ports_.base.data());
+                    bool settled = false;
+                    failed = strong_ || !settle<S>(turn == 0 ? 3 : kMaxTurns, tolerance, answer, settled);
+                    told = !failed && S::sum(raise_tensions<S>(true)) == 0.0 && settled;
+                }
+                return told;
+            });
         });
     }
 
@@ -346,13 +386,15 @@ private:
 
     // Compliances, less what they are at rest, and two derivatives at the tensions that modes were visited at. False if
     // one of these is no number.
+    template <class S>
     bool expand() {
-        S::V highest{}, outside{};
+        using V = typename S::V;
+        V highest{}, outside{};
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const S::V at = of(ws_.at, s);
-            highest = most(highest, at * of(ports_.most, s));
-            const S::V not_below = at >= of(ports_.low, s) ? S::V{} : S::V{} + 1.0;
-            outside += at < of(ports_.high, s) ? not_below : S::V{} + 1.0;
+            const V at = of<S>(ws_.at, s);
+            highest = most(highest, at * of<S>(ports_.most, s));
+            const V not_below = at >= of<S>(ports_.low, s) ? V{} : V{} + 1.0;
+            outside += at < of<S>(ports_.high, s) ? not_below : V{} + 1.0;
         }
         if (S::sum(outside) != 0.0)
             for (int s = 0; s < n_strings(); ++s) {
@@ -362,9 +404,9 @@ private:
         largest_ = S::largest(highest);
         strong_ = largest_ > kStrong;
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const S::V by = of(ws_.at, s) - of(ports_.low, s);
+            const V by = of<S>(ws_.at, s) - of<S>(ports_.low, s);
             for (int q = s; q < ports_.pair_width; q += ports_.strings) {
-                S::V value{}, rise{}, bend{};
+                V value{}, rise{}, bend{};
                 for (int j = kTaylor - 1; j >= 0; --j) {
                     bend = bend * by + rise;
                     rise = rise * by + value;
@@ -378,14 +420,16 @@ private:
     }
 
     // Where the ports come to by themselves at the tensions tried, and how their compliances differ from those at rest.
+    template <class S>
     void displacements() {
+        using V = typename S::V;
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const S::V by = of(ws_.tension, s) - of(ws_.at, s);
-            for (int p = s; p < ports_.width; p += ports_.strings)
-                S::store(&ports_.alone[p], port_sum(1, p) - by * (port_sum(2, p) - by * port_sum(4, p)));
+            const V by = of<S>(ws_.tension, s) - of<S>(ws_.at, s);
+            for (int p = s; p < n_ports(); p += ports_.strings)
+                S::store(&ports_.alone[p], port_sum<S>(1, p) - by * (port_sum<S>(2, p) - by * port_sum<S>(4, p)));
             for (int q = s; q < ports_.pair_width; q += ports_.strings) {
-                const S::V slope = of(ports_.slope_at, q), bend = by * of(ports_.bend_at, q);
-                S::store(&ports_.change[q], of(ports_.change_at, q) + by * (slope + bend));
+                const V slope = of<S>(ports_.slope_at, q), bend = by * of<S>(ports_.bend_at, q);
+                S::store(&ports_.change[q], of<S>(ports_.change_at, q) + by * (slope + bend));
                 S::store(&ports_.slope[q], slope + 2.0 * bend);
             }
         }
@@ -413,12 +457,14 @@ private:
     }
 
     // ports.moved = (Z(T) - Z(0)) f
+    template <class S>
     void move_ports(const double* force) {
+        using V = typename S::V;
         double *const moved = ports_.moved.data(), *const change = ports_.change.data();
         for (const auto& [component, to, from, pair, to_port, from_port] : ports_.pairs)
             for (int s = 0; s < ports_.strings; s += S::width) {
                 double *const one = moved + to_port + s, *const other = moved + from_port + s;
-                const S::V z = S::load(change + pair + s), by_one = z * S::load(force + from_port + s);
+                const V z = S::load(change + pair + s), by_one = z * S::load(force + from_port + s);
                 if (to == from) {
                     S::store(one, by_one);
                 } else {
@@ -430,124 +476,131 @@ private:
 
     // The forces that the displacements call up and that make the displacements, at the tensions tried. Each turn shrinks
     // what is wrong by about the largest rise of a mode's stiffness; `settled` once that is below `tolerance`.
-    template <class Answer>
+    template <class S, class Answer>
     bool settle(int turns, double tolerance, const Answer& answer, bool& settled) {
+        using V = typename S::V;
         double *const force = ports_.force.data(), *const next = ports_.next.data();
         const double shrinks = std::min(1.0, 2 * largest_);
         for (int turn = 0; !settled && turn < turns; ++turn) {
-            move_ports(force);
+            move_ports<S>(force);
             if (!answer(next)) return false;
-            S::V changes{}, sizes{}, check{};
-            for (int p = 0; p < ports_.width; p += S::width) {
-                const S::V now = S::load(next + p), change = size(now - S::load(force + p));
+            V changes{}, sizes{}, check{};
+            for (int p = 0; p < n_ports(); p += S::width) {
+                const V now = S::load(next + p), change = size(now - S::load(force + p));
                 changes = most(changes, change), sizes = most(sizes, size(now)), check += change;
                 S::store(force + p, now);
             }
             if (!(S::sum(check) <= 1e300)) return false;
             settled = S::largest(changes) * shrinks <= tolerance * S::largest(sizes);
         }
-        move_ports(force);
+        move_ports<S>(force);
         return true;
     }
 
     // ports.inverse^T = (I - onto^T (Z(T) - Z(0)))^-1 by Gauss and Jordan: its diagonal dominates as that of 1 + a T w / 2.
+    template <class S>
     void invert_ports() {
-        const int n = int(ports_.ports.size());
+        const int n = n_ports(), w = ports_.width;
         double *const a = ports_.inverse.data(), *const unit = ports_.wrong.data();
         for (int p = 0; p < n; ++p) {
             for (int q = 0; q < n; ++q) unit[q] = q == p ? 1.0 : 0.0;
-            move_ports(unit);
+            move_ports<S>(unit);
             for (int to = 0; to < n; ++to) {
                 double sum = to == p ? 1.0 : 0.0;
                 for (int q = 0; q < n; ++q)
                     sum -= onto_[std::size_t(q) * ports_.width + to] * ports_.moved[q];
-                a[std::size_t(p) * n + to] = sum;
+                a[std::size_t(p) * w + to] = sum;
             }
         }
         int* const pivots = ports_.pivots.data();
         for (int p = 0; p < n; ++p) {
             int best = p;
             for (int i = p + 1; i < n; ++i)
-                if (std::abs(a[i * n + p]) > std::abs(a[best * n + p])) best = i;
+                if (std::abs(a[i * w + p]) > std::abs(a[best * w + p])) best = i;
             pivots[p] = best;
-            for (int j = 0; j < n; ++j) std::swap(a[p * n + j], a[best * n + j]);
-            const double pivot = a[p * n + p];
-            a[p * n + p] = 1.0;
-            for (int j = 0; j < n; ++j) a[p * n + j] /= pivot;
+            for (int j = 0; j < n; ++j) std::swap(a[p * w + j], a[best * w + j]);
+            const double pivot = a[p * w + p];
+            a[p * w + p] = 1.0;
+            for (int j = 0; j < n; ++j) a[p * w + j] /= pivot;
             for (int i = 0; i < n; ++i) {
                 if (i == p) continue;
-                const double ratio = a[i * n + p];
-                a[i * n + p] = 0.0;
-                for (int j = 0; j < n; ++j) a[i * n + j] -= ratio * a[p * n + j];
+                const double ratio = a[i * w + p];
+                a[i * w + p] = 0.0;
+                for (int j = 0; j < n; ++j) a[i * w + j] -= ratio * a[p * w + j];
             }
         }
         for (int p = n - 1; p >= 0; --p)
-            for (int i = 0; i < n; ++i) std::swap(a[i * n + p], a[i * n + pivots[p]]);
+            for (int i = 0; i < n; ++i) std::swap(a[i * w + p], a[i * w + pivots[p]]);
     }
 
-    static S::V of(const Array<double>& a, int p) { return S::load(&a[p]); }
+    template <class S>
+    static auto of(const Array<double>& a, int p) { return S::load(&a[p]); }
     const double* shared_sum(int kind) const { return &ports_.sums[std::size_t(kind) * ports_.strings]; }
     const double* port_sum(int kind) const {
-        return &ports_.sums[std::size_t(kSharedSums) * ports_.strings + std::size_t(kind) * ports_.width];
+        return &ports_.sums[std::size_t(kSharedSums) * ports_.strings + std::size_t(kind) * ports_.ports.size()];
     }
-    S::V shared_sums(int kind, int s) const { return S::load(shared_sum(kind) + s); }
-    S::V port_sum(int kind, int p) const { return S::load(port_sum(kind) + p); }
-    static S::V least(S::V a, S::V b) { return a < b ? a : b; }
-    static S::V most(S::V a, S::V b) { return a > b ? a : b; }
-    static S::V size(S::V a) { return a < 0.0 ? -a : a; }
+    template <class S>
+    auto shared_sums(int kind, int s) const { return S::load(shared_sum(kind) + s); }
+    template <class S>
+    auto port_sum(int kind, int p) const { return S::load(port_sum(kind) + p); }
 
     // Newton's step of every tension, at the forces found; the sum of what is returned counts those that changed.
-    S::V raise_tensions(bool by_secant) {
-        S::V changed{};
+    template <class S>
+    auto raise_tensions(bool by_secant) {
+        using V = typename S::V;
+        V changed{};
         const double* const third = &ports_.changes[3 * std::size_t(ports_.pair_width)];
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const S::V tension = of(ws_.tension, s), at = of(ws_.at, s), by = tension - at;
-            const S::V bent = shared_sums(3, s) + 2.0 * shared_sums(4, s), kappa = of(ports_.kappa, s);
-            S::V gained = shared_sums(1, s) - by * (2.0 * shared_sums(2, s) - by * bent);
-            S::V falls = 2.0 * (shared_sums(2, s) - by * bent), push{}, bends{};
-            for (int p = s; p < ports_.width; p += ports_.strings) {
-                const S::V f = of(ports_.force, p), crossed = 4.0 * f, turns = port_sum(4, p) + port_sum(5, p);
-                gained += crossed * (port_sum(3, p) - by * turns), falls += crossed * turns;
+            const V tension = of<S>(ws_.tension, s), at = of<S>(ws_.at, s), by = tension - at;
+            const V bent = shared_sums<S>(3, s) + 2.0 * shared_sums<S>(4, s), kappa = of<S>(ports_.kappa, s);
+            V gained = shared_sums<S>(1, s) - by * (2.0 * shared_sums<S>(2, s) - by * bent);
+            V falls = 2.0 * (shared_sums<S>(2, s) - by * bent), push{}, bends{};
+            for (int p = s; p < n_ports(); p += ports_.strings) {
+                const V f = of<S>(ports_.force, p), crossed = 4.0 * f, turns = port_sum<S>(4, p) + port_sum<S>(5, p);
+                gained += crossed * (port_sum<S>(3, p) - by * turns), falls += crossed * turns;
             }
             // what pairs of forces give to the stretch: -2 f f' dZ/dT, and how it bends
             for (const auto& pair : ports_.pairs) {
-                const S::V both = of(ports_.force, pair.to_port + s) * of(ports_.force, pair.from_port + s) *
+                const V both = of<S>(ports_.force, pair.to_port + s) * of<S>(ports_.force, pair.from_port + s) *
                                   (pair.to == pair.from ? 2.0 : 4.0);
-                push -= both * of(ports_.slope, pair.pair + s), bends += size(both * S::load(third + pair.pair + s));
+                push -= both * of<S>(ports_.slope, pair.pair + s), bends += size(both * S::load(third + pair.pair + s));
             }
             S::store(&ws_.after[s], gained), S::store(&ws_.pushed[s], push), S::store(&ws_.sharp[s], 0.5 * bends);
-            const S::V least_tension = kappa * of(ws_.stretch, s), over_most = of(ports_.over_most, s);
-            const S::V excess = tension - least_tension - kappa * (gained + push);
-            const S::V reach = kFar * (at + over_most), steepness = most(1.0 + kappa * falls, S::V{} + 0.5);
-            const S::V secant = (excess - of(ws_.last_excess, s)) / (tension - of(ws_.last_tension, s));
+            const V least_tension = kappa * of<S>(ws_.stretch, s), over_most = of<S>(ports_.over_most, s);
+            const V excess = tension - least_tension - kappa * (gained + push);
+            const V reach = kFar * (at + over_most), steepness = most(1.0 + kappa * falls, V{} + 0.5);
+            const V secant = (excess - of<S>(ws_.last_excess, s)) / (tension - of<S>(ws_.last_tension, s));
             S::store(&ws_.last_excess[s], excess), S::store(&ws_.last_tension[s], tension);
             const auto within = [&](S::V next) { return most(most(least(next, at + reach), at - reach), least_tension); };
-            const S::V near = within(tension - excess / steepness);
+            const V near = within(tension - excess / steepness);
             // that was at constant forces; a secant knows how they answer, and goes less far where it is steeper
-            const S::V next = by_secant ? (secant > steepness ? within(tension - excess / secant) : near) : near;
-            const S::V still = most(kSettled<T> * most(over_most, 20.0 * near), 0.2 * kTensionTolerance<T> * near);
-            const auto stays = size(near - tension) <= still;
+            const V next = by_secant ? (secant > steepness ? within(tension - excess / secant) : near) : near;
+            const V none = still<T>(near, over_most);
+            const auto stays = size(near - tension) <= none;
             S::store(&ws_.tension[s], stays ? tension : next);
-            changed += stays ? S::V{} : S::V{} + 1.0;
+            changed += stays ? V{} : V{} + 1.0;
         }
         return changed;
     }
 
     // Whether the sums of the visit tell the motion of all strings at the tensions found: what their polynomials leave
     // out is bounded by Cauchy's inequality. ws.far marks those where they do not.
+    template <class S>
     bool all_close() {
-        S::V far{};
+        using V = typename S::V;
+        V far{};
         for (int s = 0; s < ports_.strings; s += S::width) {
-            const S::V tension = of(ws_.tension, s), at = of(ws_.at, s), by = size(tension - at), kappa = of(ports_.kappa, s);
-            const S::V near = by / (of(ports_.over_most, s) + least(tension, at)), stretch = of(ws_.stretch, s);
-            const S::V after = of(ws_.after, s), all = stretch + after + size(of(ws_.pushed, s));
-            const S::V crossed = shared_sums(3, s) * of(ws_.sharp, s);  // of which the root is meant
-            const S::V enough = 0.5 * kTensionTolerance<T> * (tension + 1e-2 * kappa * all);
-            const S::V left = enough - 36.0 * kappa * near * near * near * (shared_sums(1, s) + stretch);
-            const S::V lost = 12.0 * kappa * by * by;
-            const S::V is_far = lost * lost * crossed <= left * left ? S::V{} : S::V{} + 1.0;
-            const S::V marks = left >= 0.0 ? is_far : S::V{} + 1.0;
-            const S::V mark = near <= kTold<T> ? marks : S::V{} + 1.0;
+            const V tension = of<S>(ws_.tension, s), at = of<S>(ws_.at, s), by = size(tension - at);
+            const V kappa = of<S>(ports_.kappa, s);
+            const V near = by / (of<S>(ports_.over_most, s) + least(tension, at)), stretch = of<S>(ws_.stretch, s);
+            const V after = of<S>(ws_.after, s), all = stretch + after + size(of<S>(ws_.pushed, s));
+            const V crossed = shared_sums<S>(3, s) * of<S>(ws_.sharp, s);  // of which the root is meant
+            const V enough = 0.5 * kTensionTolerance<T> * (tension + 1e-2 * kappa * all);
+            const V left = enough - 36.0 * kappa * near * near * near * (shared_sums<S>(1, s) + stretch);
+            const V lost = 12.0 * kappa * by * by;
+            const V is_far = lost * lost * crossed <= left * left ? V{} : V{} + 1.0;
+            const V marks = left >= 0.0 ? is_far : V{} + 1.0;
+            const V mark = near <= kTold<T> ? marks : V{} + 1.0;
             S::store(&ws_.far[s], mark);
             far += mark;
         }

@@ -21,7 +21,7 @@ from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, s
 from tonewood.engine.ledger import Ledger
 from tonewood.engine.sleeping import Asleep, Sleeper
 from tonewood.engine.surroundings import Surroundings, holds_at, string_of
-from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable, string_energy
+from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable, may_rest, string_energy
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.numerics.connections import Connection
@@ -145,28 +145,26 @@ class Engine:
             before = self.state.copy() if self.books else None
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)
-            solves = self.stepper.n_solves
             ready = time.thread_time()
-            pushes: Floats | None
+            pushes: Floats | None = None
             if self.books:
                 sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
+                acted = np.flatnonzero(np.any(pushes, axis=0))
             else:
-                sound, pushes = self.stepper.advance(self.state, steps, self.injections, self.controls)
+                sound, acted = self.stepper.advance(self.state, steps, self.injections, self.controls)
             stepped = time.thread_time()
-            if pushes is None:  # of no connection that is not linear
-                pushes = np.empty((steps, 0))
-            if self.books and before:
+            if self.books and before and pushes is not None:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
             out.append(sound)
             touched = self.ledger.count(
                 self.state.sample - steps,
-                pushes,
+                steps,
+                acted,
                 self.tense,
                 self.holds,
                 self.system,
                 self._missing,
                 stepped - ready,
-                self.stepper.n_solves > solves,
             )
             self._unheard.append(sound)
             self.sleeper.state.touched |= touched
@@ -179,7 +177,7 @@ class Engine:
 
     def _hear(self) -> None:
         """Tell the sleeper what has sounded since it was last told."""
-        if self.sleeper.enabled and self._unheard:
+        if (self.sleeper.enabled or self.switch.along) and self._unheard:
             self.sleeper.heard(np.concatenate(self._unheard))
         self._unheard = []
 
@@ -248,9 +246,13 @@ class Engine:
         energies = dict(zip(self.switch.strings, self.switch.energies(self.system, self.state).tolist(), strict=True))
         wanted = self.tense | self.awaited
         if look:
+            self._hear()
+            phantoms = self.switch.phantoms(self.system, self.state, self.frettings, self.sleeper.state.peak)
             rises = {n: self.switch.rise(n, self.frettings[n].stop, e) for n, e in energies.items()}
-            wanted = self.switch.wanted(rises, wanted, {a.play.string or "" for a in self.active})
-            self.ledger.rises(rises, wanted)
+            rises |= {n: rises[n] + cents for n, (cents, _) in phantoms.items()}
+            levels = {n: level for n, (_, level) in phantoms.items()}
+            wanted = self.switch.wanted(rises, levels, wanted, {a.play.string or "" for a in self.active})
+            self.ledger.rises(rises, levels, wanted)
         for play in fresh:
             name = play.string or ""
             cents = self.switch.foreseen(play, self.frettings[name], energies[name])
@@ -261,11 +263,12 @@ class Engine:
             self.tense = wanted
             return
         admitted = {name for name in wanted - self.tense if affordable(self.system, self.state, name)}
-        tense = (wanted & self.tense) | admitted
+        resting = {name for name in self.tense - wanted if may_rest(self.system, self.state, name)}
+        tense = (self.tense - resting) | admitted
         self.awaited = wanted - tense
         if tense != self.tense:
-            changed = [name in tense ^ self.tense for name in self.switch.strings]
-            self.state.tension[changed] = 0.0
+            if self.system.tensions:
+                self.state.tension[[name in tense ^ self.tense for name in self.switch.strings]] = 0.0
             self.tense = tense
             self._exchange(self.system.with_tensions(tense), "tension let rise or left out")
 

@@ -100,6 +100,8 @@ class Ledger:
         #: string -> largest rise of tension that was left out, and that was foreseen or seen, cents
         self.left_out: dict[str, float] = defaultdict(float)
         self.largest: dict[str, float] = defaultdict(float)
+        #: string -> largest of its phantom partials that was left out, ratio to the loudest sample
+        self.phantoms: dict[str, float] = defaultdict(float)
         self._modes = {name: self.n_modes(name) for name in model.strings}
         # columns of the forces of each string's contacts with one part
         columns: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -118,26 +120,24 @@ class Ledger:
     def count(
         self,
         start: int,
-        forces: Floats,
+        n: int,
+        acted: NDArray[np.intp],
         tense: Collection[str],
         held: Collection[str],
         system: System,
         asleep: Mapping[str, tuple[int, int]],
         seconds: float,
-        solved: bool,
     ) -> bool:
-        """Enter a run from sample `start`, and tell whether a contact acted in it.
+        """Enter a run of n samples from `start`, and tell whether a contact acted in it.
 
         Parameters
         ----------
-        forces : (n, m) of connections.
+        acted : connections that had a force, linear ones left out or not.
         tense, held : strings whose tension rises, or fingers hold.
         system : what was stepped.
         asleep : strings that sleep -> their level, and how many modes do.
         seconds : that its steps took.
-        solved : whether any nonlinear force was asked for.
         """
-        n = len(forces)
         self.samples += n
         if system.compiled is not self._compiled:
             self._compiled = system.compiled
@@ -155,16 +155,20 @@ class Ledger:
         for name in held:
             self.held[name].add(start, n)
         touched = False
-        if system.nonlinear is not None and solved:
-            acted: NDArray[np.bool_] = np.any(forces, axis=0)
+        if acted.size and system.elimination.others.laws:
+            pushed = np.zeros(len(system.connections), dtype=bool)
+            pushed[acted] = True
             for key, columns in self.contacts.items():
-                if np.any(acted[columns]):
+                if np.any(pushed[columns]):
                     touched = True
                     self.touched[key].add(start, n)
         return touched
 
-    def rises(self, rises: Mapping[str, float], tense: Collection[str]) -> None:
-        """Enter a look at the strings: cents by which each would rise, and which do."""
+    def rises(self, rises: Mapping[str, float], levels: Mapping[str, float], tense: Collection[str]) -> None:
+        """Enter a look at the strings: cents by which each would rise, what its phantoms add, and which do."""
+        for name, level in levels.items():
+            if name not in tense:
+                self.phantoms[name] = max(self.phantoms[name], level)
         for name, cents in rises.items():
             if name not in tense:
                 self.left_out[name] = max(self.left_out[name], cents)
@@ -180,9 +184,7 @@ class Ledger:
         whole, modes, rates = self.samples / fs, self._modes, self.costs.rates()
         per_unit = rates.mode
         # what any rising tension takes is saved while none rises: by the strings' shares of the modes
-        still = (
-            (self.samples - self.any_tense) * rates.tense / max(sum(modes[t.name] for t in model.system.tensions), 1)
-        )
+        still = (self.samples - self.any_tense) * rates.tense / max(sum(modes[t.name] for t in model.system.rising), 1)
         out: list[EffectReport] = []
 
         def add(effect: Effect, component: str, active: float, saved: float = 0.0, bound: float | None = 0.0) -> None:
@@ -193,9 +195,6 @@ class Ledger:
             for effect in string.resonator.effects:
                 if effect.name == "tension_modulation":
                     if string.resonator.axial_stiffness <= 0:
-                        continue
-                    if model.system.geometric:  # then all tensions are solved for together
-                        add(effect, name, whole)
                         continue
                     off = self.samples - self.tense[name].samples
                     bound = self.left_out.get(name, 0.0) if effect.name in choice.names else None
@@ -208,8 +207,13 @@ class Ledger:
                     saved = 0.0 if there else self.samples * effect.cost(modes[name]) * per_unit
                     add(effect, name, whole if there else 0.0, saved, 0.0 if there else None)
                 elif effect.name == "longitudinal":
-                    saved = 0.0 if string.along else self.samples * effect.cost(modes[name]) * per_unit
-                    add(effect, name, whole if string.along else 0.0, saved, 0.0 if string.along else None)
+                    if string.along is None:
+                        add(effect, name, 0.0, self.samples * effect.cost(modes[name]) * per_unit, None)
+                        continue
+                    on = self.tense[name].samples
+                    lost = 20 * math.log10(max(self.phantoms[name], _NOTHING)) if on < self.samples else 0.0
+                    # what it takes besides stands with the rising tension, which comes and goes with it
+                    add(effect, name, on / fs, 0.0, lost)
                 elif effect.name in ("high_modes", "sympathetic_strings"):
                     high = effect.name == "high_modes"
                     slept = (self.asleep if high else self.silent)[name].samples

@@ -2,10 +2,12 @@
 
 A string whose tension would not rise by more than the budget of cents is stepped with the tension it has at rest. What
 is watched is its energy, which bounds the rise (`instrument.effects.rise_of_tension`); what is foreseen is the pull of
-the next pluck, whose static energy adds to it as amplitudes add, sqrt E <= sqrt E0 + sqrt(F^2 C / 2).
+the next pluck, whose static energy adds to it as amplitudes add, sqrt E <= sqrt E0 + sqrt(F^2 C / 2). A string that
+moves along itself is linear only while its phantom partials (`phantoms`) stay within their budget, too.
 
 Leaving a rise out takes its potential EA/(8 L) S^2 away. Coming back it would appear from nowhere: the string pays it
-with as much of its kinetic energy, a ten thousandth of it, and waits for a moment at which it can.
+with as much of its kinetic energy, a ten thousandth of it, and waits for a moment at which it can. The potential of a
+coupling to the motion along the string may be negative; then it is leaving that is paid.
 """
 
 from __future__ import annotations
@@ -13,15 +15,19 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.engine.fretting import Fretting
+from tonewood.engine.phantoms import Phantoms
 from tonewood.engine.timeline import Play
+from tonewood.engine.transfer import Transfer
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.effects import TENSION_MODULATION, Norms
 from tonewood.numerics.forcing import Segment
+from tonewood.numerics.geometric import GeometricStretch, GeometricString
 from tonewood.numerics.motion import from_motion, share_velocities, to_motion
 from tonewood.numerics.system import Compiled, State, System
 
@@ -33,6 +39,13 @@ LOOK, SELDOM = 16, 64
 _LEAVE = 0.9
 #: share of a string's kinetic energy that may be asked for
 _AFFORDABLE = 0.5
+#: strings as they are held whose phantom partials are kept
+_KEPT = 64
+#: re full scale, the loudest sample before there is any
+_SILENT = 1e-150
+
+#: string -> cents and level, see `TensionSwitch.phantoms`
+Phantasms = dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +78,15 @@ class TensionSwitch:
         self.model = model
         self.budget = model.choice.budget_cents
         system = model.system
-        self.strings = tuple(t.name for t in system.tensions)
-        self.stiffness = np.array([t.axial_stiffness for t in system.tensions])
-        self._slots = [system.slot(c) for t in system.tensions for c in t.components]
-        self._owner = np.array([i for i, t in enumerate(system.tensions) for _ in t.components], dtype=np.intp)
+        self.strings = tuple(t.name for t in system.rising)
+        self.stiffness = np.array([t.axial_stiffness for t in system.rising])
+        self._slots = [system.slot(c) for t in system.rising for c in t.components]
+        self._owner = np.array([i for i, t in enumerate(system.rising) for _ in t.components], dtype=np.intp)
+        #: those that move along themselves, and what of that may be missing, ratio to the loudest sample
+        self.along = {g.name: g for g in system.stretches if g.longitudinal is not None}
+        self.budget_level = 10 ** (model.choice.budget_db / 20)
+        self._transfer = Transfer(model) if self.along and self.enabled else None
+        self._phantoms: dict[tuple[str, Fretting], Phantoms] = {}
         # the tensions' components alone, one after another as in the state
         self._places = np.concatenate(
             [np.zeros(0, dtype=np.intp)]
@@ -100,6 +118,39 @@ class TensionSwitch:
         each = np.add.reduceat((xx * x + xy * y) * x + yy * y * y, self._starts)
         return np.asarray(np.bincount(self._owner, each, len(self.strings)), dtype=np.float64)
 
+    def phantoms(self, system: System, state: State, frettings: Mapping[str, Fretting], peak: Floats) -> Phantasms:
+        """String that moves along itself -> how far partials are off without that, cents, and what would be missing.
+
+        The latter is a ratio to the loudest sample of each readout so far, `peak` (R,), together with what is missing
+        of the strings of which less is heard: the strings with the least share the budget.
+        """
+        out = {}
+        for name, law in self.along.items():
+            found = self._held_phantoms(name, law, system, frettings[name])
+            motion = {}
+            for component in law.components:
+                basis = system.compiled[system.slot(component)].basis
+                motion[component] = to_motion(basis, np.asarray(system.modes_of(state, component), dtype=np.float64))
+            slopes = found.slopes(motion)
+            out[name] = found.cents(slopes), found.level(slopes, np.maximum(peak, _SILENT))
+        together = 0.0
+        for name, (cents, level) in sorted(out.items(), key=lambda one: one[1][1]):
+            together += level
+            out[name] = cents, together
+        return out
+
+    def _held_phantoms(self, name: str, law: GeometricStretch, system: System, fretting: Fretting) -> Phantoms:
+        key = name, fretting
+        if key not in self._phantoms:
+            if self._transfer is None:
+                raise ValueError("nothing is switched here")
+            if len(self._phantoms) >= _KEPT:
+                del self._phantoms[next(iter(self._phantoms))]
+            compiled = {c: system.compiled[system.slot(c)] for c in law.parts}
+            tension = self._held(name, fretting.stop)[0]
+            self._phantoms[key] = Phantoms.of(law, compiled, tension, self._transfer)
+        return self._phantoms[key]
+
     def rise(self, name: str, stop: float, energy: float) -> float:
         """Largest mean rise of a string's tension at an energy (J), in cents of its pitch."""
         tension, length = self._held(name, stop)
@@ -113,17 +164,23 @@ class TensionSwitch:
             self._stops[name, stop] = string.tension(stop), string.length(stop)
         return self._stops[name, stop]
 
-    def wanted(self, rises: Mapping[str, float], on: Collection[str], busy: Collection[str]) -> frozenset[str]:
+    def wanted(
+        self, rises: Mapping[str, float], levels: Mapping[str, float], on: Collection[str], busy: Collection[str]
+    ) -> frozenset[str]:
         """Strings whose tension is to rise.
 
         Parameters
         ----------
         rises : string -> cents it would rise by.
+        levels : string -> what would be missing of its motion along itself, ratio to the loudest sample.
         on : those that do so now.
         busy : those that a gesture acts on: none of them stops.
         """
-        keeps = {n for n in on if n in busy or rises.get(n, math.inf) > _LEAVE * self.budget}
-        return frozenset(keeps | {n for n, cents in rises.items() if cents > self.budget})
+
+        def beyond(name: str, share: float) -> bool:
+            return rises[name] > share * self.budget or levels.get(name, 0.0) > share * self.budget_level
+
+        return frozenset(n for n in rises if (n in on and n in busy) or beyond(n, _LEAVE if n in on else 1.0))
 
     def foreseen(self, play: Play, fretting: Fretting, energy: float) -> float:
         """Rise of tension after a gesture on a string of `energy` (J), in cents; unknown, it is infinite."""
@@ -145,10 +202,12 @@ class TensionSwitch:
 
 
 def string_energy(system: System, state: State, name: str) -> tuple[float, float]:
-    """Energy of a string's modes, and of its tension if that rises, J."""
-    tension = next(t for t in system.tensions if t.name == name)
+    """Energy of a string's modes, and what its rising tension stores besides if it is on, J; that may be negative."""
+    law = next(t for t in system.rising if t.name == name)
+    parts = law.parts if isinstance(law, GeometricStretch) else law.components
     total = stretch = kappa = 0.0
-    for component in tension.components:
+    shares, states = [], []
+    for component in parts:
         compiled = system.compiled[system.slot(component)]
         x = np.asarray(system.modes_of(state, component), dtype=np.float64)
         q, v = to_motion(compiled.basis, x)
@@ -156,7 +215,16 @@ def string_energy(system: System, state: State, name: str) -> tuple[float, float
         if compiled.tension is not None:
             stretch += compiled.tension.stretch(x.T)
             kappa = compiled.tension.kappa
+        if compiled.geometric is not None:
+            shares.append(compiled.geometric)
+            states.append(compiled.geometric.coordinates(x.T))
+    if shares:
+        return total, _coupled(tuple(shares)).energy(np.concatenate(states))
     return total, 0.5 * kappa * stretch**2
+
+
+#: forms of strings as they are held: large, and asked for again
+_coupled = lru_cache(maxsize=32)(GeometricString)
 
 
 def affordable(system: System, state: State, name: str, given: float = 0.0) -> bool:
@@ -166,13 +234,22 @@ def affordable(system: System, state: State, name: str, given: float = 0.0) -> b
     ----------
     given : J, that need not be paid.
     """
-    tension = next(t for t in system.tensions if t.name == name)
-    cost = string_energy(system, state, name)[1] - given
+    return _paid(system, state, name, string_energy(system, state, name)[1] - given)
+
+
+def may_rest(system: System, state: State, name: str) -> bool:
+    """Whether a string's tension may stop rising: if that sets energy free, the string pays for it."""
+    return _paid(system, state, name, -string_energy(system, state, name)[1])
+
+
+def _paid(system: System, state: State, name: str, cost: float) -> bool:
+    """Whether a string could give as much of its kinetic energy (J), which it then has done."""
     if cost <= 0.0:
         return True
+    law = next(t for t in system.rising if t.name == name)
     motions = []
     kinetic = 0.0
-    for component in tension.components:
+    for component in law.components:
         basis = system.compiled[system.slot(component)].basis
         q, v = to_motion(basis, np.asarray(system.modes_of(state, component), dtype=np.float64))
         motions.append((component, basis, q, v))
@@ -182,7 +259,7 @@ def affordable(system: System, state: State, name: str, given: float = 0.0) -> b
     less = math.sqrt(1.0 - cost / kinetic)
     for component, basis, q, v in motions:
         system.modes_of(state, component)[:] = from_motion(basis, q, less * v)
-    ends = {f"{component}.bridge" for component in tension.components}
+    ends = {f"{component}.bridge" for component in law.components}
     share_velocities(system, state, np.array([c.name in ends for c in system.connections], dtype=bool))
     return True
 

@@ -122,8 +122,8 @@ TENSION_MODULATION = Effect(
 )  # fmt: skip
 LONGITUDINAL = Effect(
     "longitudinal", "motion along the string: partials at sums of transverse ones", "additive",
-    "always, where the string's plugin steps it", "nothing: it is stepped or not from the beginning",
-    cost=lambda n: 60.0 * n,
+    "with every rise of the string's tension", "a bound on the phantom partials that the string's partials would "
+    "drive; without them it is linear", cost=lambda n: 60.0 * n,
 )  # fmt: skip
 DAMPERS = Effect(
     "dampers", "fingers that quiet a string while they draw it", "additive", "from touch to release of each pluck",

@@ -56,12 +56,14 @@ def instruction_set() -> str:
 class _Wires:
     """How connections use a component: its ports that are always stepped, those only contacts act on, and where.
 
-    `incidence` (n_linear, n_fixed) is that of the linear connections; `key` tells whether any of it changed.
+    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a motion along its string; `key`
+    tells whether any of it changed.
     """
 
     fixed: NDArray[np.intp]
     guarded: NDArray[np.intp]
     incidence: Floats
+    coupled: bool
     key: bytes
 
 
@@ -87,12 +89,13 @@ class KernelStepper:
         self._ready, self._numbers = WeakKeyDictionary(), count()
         self._seen: tuple[Sequence[Compiled], Sequence[_Wires]] = (), ()
         self._loaded: list[tuple[Compiled, bytes, int] | None] = [None] * len(system.names)
-        self._wirings: dict[tuple[bytes, bytes, bytes], tuple[list[_Wires], list[Term]]] = {}
+        self._wirings: dict[tuple[bytes, bytes, bytes, frozenset[str]], tuple[list[_Wires], list[Term]]] = {}
         self._guarded, self._steps = guarded, 0
-        self._law_forces = np.zeros((0, 0))  # kept at zero between runs
+        self._law_forces, self._acted = np.zeros(0), list[int]()  # the former is kept at zero between runs
         self._nonlinear = self._active = _NONE
         self._laws: tuple[NonlinearLaw, ...] = ()
         self._terms: Sequence[Term] = ()
+        self._along: list[list[int]] = []
         self._gaps: tuple[NonlinearGaps, bytes] | None = None
         self.system = system
         self._load(system)
@@ -130,10 +133,10 @@ class KernelStepper:
         self._active = on = solve.on
         wiring, terms = self._wired(system)
         fresh = self._load_components(system, wiring, terms)
-        for index, law in enumerate(system.geometric):
-            slots = [system.slot(name) for name in law.parts]
-            if fresh & set(slots):
-                self._kernel.set_geometric(index, *_geometric(system, slots, wiring))
+        along = [[system.slot(name) for name in law.parts] for law in system.geometric]
+        if along != self._along or fresh & {slot for slots in along for slot in slots}:
+            self._along = along
+            self._kernel.set_geometric([_geometric(system, slots, wiring) for slots in along])
         weights = system.force_weights()
         self._kernel.set_solve(
             solve.inverse, solve.gamma[on], solve.inverse @ solve.offset[on], weights.take(on, axis=1)
@@ -208,7 +211,7 @@ class KernelStepper:
         # nobody asks for the motion of a driven component's ports
         readouts = np.arange(len(compiled.ports), len(compiled.rows))
         fixed, guarded, incidence = wires.fixed, wires.guarded, wires.incidence
-        if not (one_way or pushed or compiled.geometric is not None):
+        if not (one_way or pushed or wires.coupled):
             fixed, incidence = _independent(compiled, fixed, incidence)
         rows = readouts if one_way else np.concatenate([fixed, readouts])
         E = _pack((compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)).reshape(-1, 4)[None])[0]
@@ -235,17 +238,18 @@ class KernelStepper:
     def _wired(self, system: System) -> tuple[list[_Wires], list[Term]]:
         """Ports of every component as the connections now use them; made once for each set of those in use."""
         contact = system.elimination.others.is_contact
-        key = self._active.tobytes(), self._nonlinear.tobytes(), contact.tobytes()
+        coupled = {name for law in system.geometric for name in law.parts}
+        key = self._active.tobytes(), self._nonlinear.tobytes(), contact.tobytes(), frozenset(coupled)
         if key not in self._wirings:
             always = np.concatenate([self._active, self._nonlinear[~contact]])
             wiring: list[_Wires] = []
             terms: list[Term] = []
-            for slot, one_way in enumerate(system.driven):
+            for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
                 incidence = system.incidence(slot)
                 acts = incidence != 0.0
                 touched = np.any(acts[self._nonlinear], axis=0)
                 needed = np.any(acts[always], axis=0)
-                may_sleep = not one_way and system.compiled[slot].geometric is None
+                may_sleep = not one_way and name not in coupled
                 guarded = np.flatnonzero(touched & ~needed & may_sleep)
                 fixed = np.flatnonzero((touched | needed) & ~np.isin(np.arange(acts.shape[1]), guarded))
                 for j, port in zip(*np.nonzero(acts[self._nonlinear]), strict=True):
@@ -254,8 +258,9 @@ class KernelStepper:
                     terms.append((int(j), slot, k, among is guarded, float(factor)))
                 wires = np.ascontiguousarray(incidence[self._active][:, fixed])
                 wired = np.nonzero(wires)
-                parts = (*wired, wires[wired], fixed, guarded)
-                wiring.append(_Wires(fixed, guarded, wires, b"|".join(part.tobytes() for part in parts)))
+                parts = [part.tobytes() for part in (*wired, wires[wired], fixed, guarded)]
+                parts.append(b"coupled" if name in coupled else b"")
+                wiring.append(_Wires(fixed, guarded, wires, name in coupled, b"|".join(parts)))
             self._wirings[key] = wiring, terms
         return self._wirings[key]
 
@@ -263,35 +268,34 @@ class KernelStepper:
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
     ) -> tuple[Floats, Floats]:
         """Advance `state` in place by n steps; see `NumpyStepper.run`."""
-        out, linear, nonlinear = self._step(state, n, injections, controls)
-        return out, self._all_forces(linear, nonlinear)
+        out, linear, laws = self._step(state, n, injections, controls)
+        if len(self._active) == len(self.system.connections):
+            return out, linear
+        forces = np.zeros((n, len(self.system.connections)))
+        forces[:, self._active] = linear
+        forces[:, self._nonlinear[self._acted]] = laws[:, self._acted]
+        laws[:, self._acted] = 0.0
+        return out, forces
 
     def advance(
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
-    ) -> tuple[Floats, Floats | None]:
-        """As `run`, with the forces only if nonlinear ones were solved for.
+    ) -> tuple[Floats, NDArray[np.intp]]:
+        """As `run`; in place of the forces only the places of the nonlinear connections that had one.
 
-        Zeros for every sample and every contact of an instrument that touches nothing would cost as much as a tenth of
-        its steps.
+        A number for every sample and every contact of an instrument that touches little would cost as much as a tenth
+        of its steps.
         """
-        out, linear, nonlinear = self._step(state, n, injections, controls)
-        return out, None if nonlinear is None else self._all_forces(linear, nonlinear)
-
-    def _all_forces(self, linear: Floats, nonlinear: Floats | None) -> Floats:
-        """(n, m) of all connections from those of linear and nonlinear ones; the latter are put back to zero."""
-        if len(self._active) == len(self.system.connections):
-            return linear
-        forces = np.zeros((len(linear), len(self.system.connections)))
-        forces[:, self._active] = linear
-        if nonlinear is not None:
-            forces[:, self._nonlinear] = nonlinear
-            nonlinear[:] = 0.0
-        return forces
+        out, _, laws = self._step(state, n, injections, controls)
+        laws[:, self._acted] = 0.0
+        return out, self._nonlinear[self._acted]
 
     def _step(
         self, state: State, n: int, injections: Sequence[Injection], controls: Sequence[Control]
-    ) -> tuple[Floats, Floats, Floats | None]:
-        """Step; returns the output, the forces of linear connections, and of nonlinear ones if any were solved for."""
+    ) -> tuple[Floats, Floats, Floats]:
+        """Step; returns the output, the forces of linear connections, and of nonlinear ones.
+
+        The latter are to be put back to zero where `_acted` says that they are not.
+        """
         if state.modes.dtype != self.dtype:
             raise ValueError(f"a state of {state.modes.dtype} does not fit a kernel of {np.dtype(self.dtype)}")
         m, on = len(self.system.connections), self._nonlinear
@@ -302,9 +306,9 @@ class KernelStepper:
             state.series = self.system.nonlinear.settled_series(state.series)
         out = np.empty((n, len(self.system.readouts)))
         active_forces = np.empty((n, len(self._active)))
-        if self._law_forces.shape != (n, len(on)):
-            self._law_forces = np.zeros((n, len(on)))
-        law_forces, solves = self._law_forces, self.n_solves
+        if self._law_forces.size < n * len(on):
+            self._law_forces = np.zeros(n * len(on))
+        law_forces, solves = self._law_forces[: n * len(on)].reshape(n, len(on)), self.n_solves
         series, slip, last = state.series.take(on), state.slip.take(on), state.forces.take(on)
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
         if len(state.tension) != len(self.system.tensions):
@@ -322,7 +326,7 @@ class KernelStepper:
             state.tension,
         )
         if slot != -1:
-            self._law_forces = np.zeros((0, 0))
+            self._law_forces = np.zeros(0)
             t = (state.sample + sample) * self.system.dt
             if slot >= 0:
                 raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
@@ -331,6 +335,7 @@ class KernelStepper:
             names = names or ", ".join(strings)
             raise NumericalError(f"the forces of {names} were not found at {t:.6f} s")
         solved = self.n_solves > solves
+        self._acted = self._kernel.acted() if solved else []
         if n:
             state.forces[:] = 0.0
             state.forces[self._active] = active_forces[-1]
@@ -338,7 +343,7 @@ class KernelStepper:
             state.forces[on], state.series[on], state.slip[on] = law_forces[-1], series, slip
         state.sample += n
         self._steps += n
-        return out, active_forces, law_forces if solved else None
+        return out, active_forces, law_forces
 
     def start(self) -> State:
         """Return the state of rest in this kernel's precision."""

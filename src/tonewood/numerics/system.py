@@ -291,8 +291,8 @@ class System:
     connections: tuple[Connection, ...]
     elimination: Elimination
     tensions: tuple[TensionModulation, ...] = ()
-    tension_on: tuple[bool, ...] = ()
-    geometric: tuple[GeometricStretch, ...] = ()
+    stretches: tuple[GeometricStretch, ...] = ()
+    is_on: tuple[bool, ...] = ()
 
     @classmethod
     def build(
@@ -314,7 +314,7 @@ class System:
         components : name -> basis. One that `drives` name is driven one way: no connection may act on it.
         capacities : name -> modes to leave room for, where a component may later take a larger basis.
         tensions : strings whose tension rises with their amplitude; all are on.
-        geometric : strings whose longitudinal motion is stepped with the transverse one.
+        geometric : strings whose longitudinal motion is coupled to the transverse one; all are on.
 
         Raises
         ------
@@ -356,8 +356,8 @@ class System:
             connections=joined,
             elimination=Elimination.of(joined, GapCompliance((), layout), dt),
             tensions=tuple(tensions),
-            tension_on=(True,) * len(tensions),
-            geometric=tuple(geometric),
+            stretches=tuple(geometric),
+            is_on=(True,) * len(tensions or geometric),
         )
         return system.with_compiled({name: system.compile(name, components[name]) for name in names})
 
@@ -424,7 +424,7 @@ class System:
         compliance = a @ history[0, :, : len(ports)].T @ a.T
         residual = a @ basis.residual[ports][:, ports] @ a.T
         tension = next((t.part(name, basis, self.dt, held) for t in self.tensions if name in t.components), None)
-        geometric = next((g.part(name, basis, held) for g in self.geometric if name in g.parts), None)
+        geometric = next((g.part(name, basis, held) for g in self.stretches if name in g.parts), None)
         return Compiled(
             basis, self.dt, form, ports, E, W, all_rows, history,
             np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, a, compliance, residual, tension,
@@ -453,20 +453,36 @@ class System:
     def _with(self, compiled: tuple[Compiled, ...], elimination: Elimination) -> System:
         # what `replace` does; several of these are made for every note
         return System(
-            self.dt, self.layout, compiled, elimination.connections, elimination, self.tensions, self.tension_on,
-            self.geometric,
+            self.dt, self.layout, compiled, elimination.connections, elimination, self.tensions, self.stretches,
+            self.is_on,
         )  # fmt: skip
 
     def with_tensions(self, names: Collection[str]) -> System:
         """Switch on the tensions of these names, and off all others.
 
-        The stored energy EA/(8 L) S^2 of a string appears or vanishes with its tension: switch where it is small, or
-        book it.
+        A string that moves along itself is then linear, too: its longitudinal motion is stepped, but no longer coupled
+        to the transverse one. The stored energy, EA/(8 L) S^2 without longitudinal motion, appears or vanishes with the
+        coupling: switch where it is small, or book it.
         """
-        known = [t.name for t in self.tensions]
+        known = [t.name for t in self.rising]
         if unknown := set(names) - set(known):
             raise ValueError(f"no tension {sorted(unknown)}; there are {known}")
-        return replace(self, tension_on=tuple(name in names for name in known))
+        return replace(self, is_on=tuple(name in names for name in known))
+
+    @property
+    def rising(self) -> tuple[TensionModulation | GeometricStretch, ...]:
+        """Strings whose tension rises while it is on: all of one kind."""
+        return self.tensions or self.stretches
+
+    @property
+    def tension_on(self) -> tuple[bool, ...]:
+        """Which of `tensions` are on."""
+        return self.is_on if self.tensions else ()
+
+    @property
+    def geometric(self) -> tuple[GeometricStretch, ...]:
+        """Those that are on of the strings whose longitudinal motion is coupled to the transverse one."""
+        return () if self.tensions else tuple(s for s, on in zip(self.stretches, self.is_on, strict=True) if on)
 
     @property
     def offsets(self) -> tuple[int, ...]:

@@ -209,15 +209,14 @@ def _planned(ledger: Ledger, engine: Engine, per_string: Mapping[str, float], se
                     continue
                 when = spans(ledger.tense[name])
                 why = "always: effects are all" if choice.mode == "all" else "always: it is among those named"
-                if model.system.geometric:
-                    # all strings' tensions are solved for together where one of them moves along itself
-                    when, own = whole, "it moves along itself" if string.along else "another string moves along itself"
-                    why = f"always: {own}"
-                elif choice.mode == "auto":
+                if choice.mode == "auto":
                     cents = ledger.largest[name]
                     size = f"its tension rises by up to {cents:.2g} cents" if cents < 1e9 else "a gesture moves it"
                     why = f"{size}; the budget is {choice.budget_cents:g}"
                 out.append(PlannedEffect(effect.name, name, when, why, per_string.get(name, 0.0)))
+            elif effect.name == "longitudinal":
+                why = f"as long as its tension rises or its phantom partials pass {choice.budget_db:g} dB"
+                out.append(PlannedEffect(effect.name, name, spans(ledger.tense[name]), why, None))
             elif effect.name != "second_polarization" or len(string.polarizations) > 1:
                 out.append(PlannedEffect(effect.name, name, whole, effect.before, None))
     for (name, part), _ in ledger.contacts.items():
