@@ -78,12 +78,13 @@ struct Held {
     Array<double> rows;  // (n_guarded) in that state
     double port, jump;   // the port in that state; by how far one step moves it
     double size;         // square root of the energy that one step gives
+    bool whole = true;   // no mode drifts under it
 };
 
 template <class T>
 Held<T> hold(const Component<T>& c, const T* vector) {
     const std::size_t n = c.n;
-    const double size = std::sqrt(energy(c, vector, vector + n));
+    const double size = c.guarded.energy.empty() ? 0.0 : std::sqrt(energy(c, vector, vector + n));
     Held<T> held{vector, Array<T>(2 * n), Array<double>(c.guarded.n), 0.0, 0.0, size};
     using S = Simd<T>;
     for (std::size_t k = 0; k < n; k += S::width) {
@@ -94,6 +95,8 @@ Held<T> hold(const Component<T>& c, const T* vector) {
         S::store(&held.modes[k], per * ((T(1) - e11) * x + e01 * y));
         S::store(&held.modes[n + k], per * (e10 * x + (T(1) - e00) * y));
     }
+    for (std::size_t k = 0; k < n; ++k)
+        held.whole = held.whole && (c.kappa[k] > T(0) || (vector[k] == T(0) && vector[n + k] == T(0)));
     for (std::size_t r = 0; r < held.rows.size(); ++r)
         held.rows[r] = read(c, &c.guarded.rows[2 * r * n], held.modes.data());
     held.port = read(c, c.rows.data(), held.modes.data()), held.jump = read(c, c.rows.data(), vector);
@@ -218,6 +221,39 @@ public:
             strain_[q] /= 1 - kSway, sway_of_[q] = kSway / (sway_of_[q] * double(n_parts));
         return take(g, strain_, sway_of_, added_.data(), for_block);
     }
+
+    // The state of component i at a block's beginning, counted from where the means of its known inputs would hold it:
+    // in `moved`, its guarded rows there in `held_at`. Returns the most that deviations from the means add to its size.
+    template <class Size>
+    double settle_about(int i, const Job<T>& job, const std::vector<Input<T>>& known, int nb, const Size& size) {
+        const Component<T>& c = components_[i];
+        const std::size_t n = c.n;
+        if (at_rest_.empty()) at_rest_.assign(nl_.n_guarded, 0.0);
+        if (states_.empty()) states_.resize(components_.size());
+        Array<T>& state = states_[i];
+        state.assign(job.modes[0] + c.offset, job.modes[0] + c.offset + n);
+        state.insert(state.end(), job.modes[1] + c.offset, job.modes[1] + c.offset + n);
+        double* const rows = &at_rest_[nl_.first[i]];
+        std::fill_n(rows, c.guarded.n, 0.0);
+        double added = 0.0;
+        for (const Input<T>& input : known) {
+            double mean = 0.0, off = 0.0;
+            for (int b = 0; b < nb; ++b) mean += input.values[b * input.stride];
+            mean /= nb;
+            for (int b = 0; b < nb; ++b) off += std::abs(input.values[b * input.stride] - mean);
+            const Held<T>& held = held_by(c, input.vector);
+            if (!held.whole) {
+                for (int b = 0; b < nb; ++b) added += std::abs(input.values[b * input.stride]) * size(input.vector);
+                continue;
+            }
+            for (std::size_t k = 0; k < 2 * n; ++k) state[k] -= held.modes[k] * T(mean);
+            for (std::size_t r = 0; r < held.rows.size(); ++r) rows[r] += mean * held.rows[r];
+            added += off * size(input.vector);
+        }
+        return added;
+    }
+    const T* moved(int i) const { return states_[i].data(); }
+    double held_at(int guarded) const { return at_rest_[guarded]; }
 
     // No group is calm.
     void end() {
@@ -395,6 +431,7 @@ private:
     std::vector<Held<T>> held_;                   // of this run
     Array<double> at_rest_, added_, strain_, sway_of_;
     Array<T> moved_;
+    std::vector<Array<T>> states_;
 };
 
 }  // namespace

@@ -358,6 +358,12 @@ private:
 
     bool tense(int i) const { return components_[i].stretched.on; }
     bool is_contact(int j) const { return nl_.laws[j].kind == Law::contact; }
+    // A component's state, counted from where the means of known forces would hold it in this block, and a row there.
+    const T* x_from(int i) const { return known_[i].empty() ? x(i) : calm_.moved(i); }
+    const T* y_from(int i) const { return known_[i].empty() ? y(i) : calm_.moved(i) + components_[i].n; }
+    double held_at(const Term& t) const {
+        return known_[t.component].empty() ? 0.0 : calm_.held_at(nl_.first[t.component] + t.port);
+    }
     const T* x(int i) const { return job_.modes[0] + components_[i].offset; }
     const T* y(int i) const { return job_.modes[1] + components_[i].offset; }
     double* value(int i, int port) const { return &ws_.value[std::size_t(nl_.first[i] + port) * kStride]; }
@@ -439,15 +445,17 @@ private:
 
     void guard(int index) {
         const Nonlinear::Group& group = nl_.groups[index];
+        bool held = false;
         for (const int i : group.components) {
             const Component<T>& c = components_[i];
             if (!c.guarded.n) continue;
-            ws_.norm[i] = norm(c, x(i), y(i)), ws_.added[i] = 0.0, ws_.sized[i] = 0;
-            for (const Input<T>& input : known_[i]) {
-                double total = 0.0;
-                for (int b = 0; b < nb_; ++b) total += std::abs(input.values[b * input.stride]);
-                ws_.added[i] += total * norm(c, input.vector, input.vector + c.n);
+            ws_.added[i] = 0.0, ws_.sized[i] = 0;
+            if (!known_[i].empty()) {
+                const auto size = [&](const T* by) { return norm(c, by, by + c.n); };
+                ws_.added[i] = calm_.settle_about(i, job_, known_[i], nb_, size);
+                held = true;
             }
+            ws_.norm[i] = norm(c, x_from(i), y_from(i));
         }
         double share = 0.0;
         if (group.simple)
@@ -456,7 +464,7 @@ private:
                 share += (ws_.norm[i] + ws_.added[i]) * group.tightest[q];
             }
         ws_.quiet[index] =
-            group.simple && nl_.asleep_allowed && !ws_.driven[index] && share * (1 + kMargin<T>) < kQuiet;
+            group.simple && nl_.asleep_allowed && !ws_.driven[index] && !held && share * (1 + kMargin<T>) < kQuiet;
         if (ws_.quiet[index]) {  // no contact need be looked at by itself
             for (const int j : group.contacts) ws_.awake[j] = 0, ws_.slack[j] = -(1 - kQuiet) * nl_.laws[j].offset;
             for (std::size_t q = 0; q < group.components.size(); ++q) {
@@ -485,7 +493,8 @@ private:
         for (const Term& t : nl_.terms[j]) {
             double bound = 0.0;
             if (t.guarded)
-                bound = components_[t.component].guarded.peak[t.port] * (ws_.norm[t.component] + ws_.added[t.component]);
+                bound = components_[t.component].guarded.peak[t.port] * (ws_.norm[t.component] + ws_.added[t.component]) +
+                        std::abs(held_at(t));
             else
                 for (int b = 0; b <= nb_; ++b)
                     bound = std::max(bound, std::abs(line_of(t)[std::size_t(b) * layout_.width]));
@@ -502,10 +511,11 @@ private:
             if (t.guarded) {
                 const int i = t.component;
                 const double peak = components_[i].guarded.peak[t.port];
-                const Surroundings around = surroundings(components_[i], t.port, x(i), y(i), sizes_of(i));
+                Surroundings around = surroundings(components_[i], t.port, x_from(i), y_from(i), sizes_of(i));
+                around.middle += held_at(t);
                 const double far = around.spread + peak * ws_.added[i];
                 low += t.factor * around.middle - size * far;
-                all += size * (std::abs(around.middle) + far + peak * ws_.norm[i]);
+                all += size * (std::abs(around.middle) + std::abs(held_at(t)) + far + peak * ws_.norm[i]);
             } else {
                 double least = t.factor * line_of(t)[0];
                 for (int b = 1; b <= nb_; ++b)
@@ -520,7 +530,7 @@ private:
     // Sizes of a component's modes at the beginning of the block, made once.
     const T* sizes_of(int i) {
         T* buffer = reinterpret_cast<T*>(ws_.sizes.data()) + components_[i].offset;
-        if (!ws_.sized[i]) sizes(components_[i], x(i), y(i), buffer);
+        if (!ws_.sized[i]) sizes(components_[i], x_from(i), y_from(i), buffer);
         ws_.sized[i] = 1;
         return buffer;
     }
