@@ -87,26 +87,25 @@ void visit(const Component<T>& c, T* state, const Visit<T>& v) {
             for (int l = 0; l < v.n_loads; ++l) pushed = pushed + V::load(v.loads[l].row + k) * v.loads[l].force;
             push = push + V::load(doors + 3 * n + k) * pushed;
         }
-        const V rise = h * made, stiff = rise + T(1);
-        const V off = T(1) - stiff * s;
+        const V rise = h * made, off = (T(1) - s) - rise * s;
         s = s + s * (off + off * off);
         push = push - rise * ((xi + u + push) * s);
         xi = u + push;
-        up = V::load(at + kPadding) * up - V::load(at + 2 * kPadding) * xi + V::load(at + 3 * kPadding) * push;
+        up = V::load(at + kPadding) * up + V::load(at + 3 * kPadding) * push - V::load(at + 2 * kPadding) * xi;
         if constexpr (!Plain) up = up + given;
         xi.store(to), up.store(to + kPadding), s.store(to + 2 * kPadding);
     };
     const auto begin_step = [&](std::size_t k, const T* at, T* to) {
         const V h = V::load(at), xi = V::load(to);
-        V u = xi + V::load(to + kPadding), s = V::load(to + 2 * kPadding);
+        V both = xi * T(2) + V::load(to + kPadding), s = V::load(to + 2 * kPadding);
         if constexpr (!Plain) {
             V unused{};
-            input(k, v.begun, u, unused);
+            input(k, v.begun, both, unused);
         }
         const V stiff = h * tried + T(1);
         for (int i = 0; i < kNewtons; ++i) s = s + s * (T(1) - stiff * s);
         s.store(to + 2 * kPadding);
-        const V U = (xi + u) * s, after = U - xi, m = h * s, mU = m * U, mz = m * after, hq = h * mU;
+        const V U = both * s, after = U - xi, m = h * s, mU = m * U, mz = m * after, hq = h * mU;
         add_products(all[0], h * xi, xi);
         add_products(all[1], h * after, after);
         add_products(all[2], hq, after);

@@ -239,7 +239,10 @@ private:
         if (layout_.own_port.empty()) {
             linear_forces(f);
         } else {
-            for (int j = 0; j < solve_.m; ++j) f[j] = layout_.own_factor[j] * now[layout_.own_port[j]];
+            if (layout_.own_in_order)
+                for (int j = 0; j < solve_.m; ++j) f[j] = layout_.own_factor[j] * now[j];
+            else
+                for (int j = 0; j < solve_.m; ++j) f[j] = layout_.own_factor[j] * now[layout_.own_port[j]];
         }
         return done;
     }
