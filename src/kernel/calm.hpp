@@ -78,12 +78,13 @@ struct Held {
     Array<double> rows;  // (n_guarded) in that state
     double port, jump;   // the port in that state; by how far one step moves it
     double size;         // square root of the energy that one step gives
+    bool whole = true;   // no mode drifts under it
 };
 
 template <class T>
 Held<T> hold(const Component<T>& c, const T* vector) {
     const std::size_t n = c.n;
-    const double size = std::sqrt(energy(c, vector, vector + n));
+    const double size = c.guarded.energy.empty() ? 0.0 : std::sqrt(energy(c, vector, vector + n));
     Held<T> held{vector, Array<T>(2 * n), Array<double>(c.guarded.n), 0.0, 0.0, size};
     using S = Simd<T>;
     for (std::size_t k = 0; k < n; k += S::width) {
@@ -94,6 +95,8 @@ Held<T> hold(const Component<T>& c, const T* vector) {
         S::store(&held.modes[k], per * ((T(1) - e11) * x + e01 * y));
         S::store(&held.modes[n + k], per * (e10 * x + (T(1) - e00) * y));
     }
+    for (std::size_t k = 0; k < n; ++k)
+        held.whole = held.whole && (c.kappa[k] > T(0) || (vector[k] == T(0) && vector[n + k] == T(0)));
     for (std::size_t r = 0; r < held.rows.size(); ++r)
         held.rows[r] = read(c, &c.guarded.rows[2 * r * n], held.modes.data());
     held.port = read(c, c.rows.data(), held.modes.data()), held.jump = read(c, c.rows.data(), vector);
@@ -112,7 +115,7 @@ public:
         const std::size_t n = layout_.single_width;
         energy_.assign(n, 0.0), after_ = shift_ = held_force_ = own_ = energy_;
         most_.assign(n, std::numeric_limits<double>::infinity()), sway_ = most_;
-        worth_ = nl_.worth;
+        worth_.assign(layout_.force_width, 0.0);
         part_.assign(components_.size(), 0);
         for (const Nonlinear::Group& group : nl_.groups)
             for (std::size_t q = 0; q < group.components.size(); ++q) part_[group.components[q]] = int(q);
@@ -136,7 +139,7 @@ public:
     // whether tensions rise in a group
     bool tense(int group) const { return tense_[group] != 0; }
     // what a newton at a port takes of the tightest slack where contacts are bounded block by block, as Nonlinear::worth
-    const double* worth() const { return worth_.data(); }
+    double* worth() { return worth_.data(); }
 
     // A window begins in the state of `job`. Group g may be calm if `may(g)`.
     template <class May>
@@ -219,6 +222,39 @@ public:
         return take(g, strain_, sway_of_, added_.data(), for_block);
     }
 
+    // The state of component i at a block's beginning, counted from where the means of its known inputs would hold it:
+    // in `moved`, its guarded rows there in `held_at`. Returns the most that deviations from the means add to its size.
+    template <class Size>
+    double settle_about(int i, const Job<T>& job, const std::vector<Input<T>>& known, int nb, const Size& size) {
+        const Component<T>& c = components_[i];
+        const std::size_t n = c.n;
+        if (at_rest_.empty()) at_rest_.assign(nl_.n_guarded, 0.0);
+        if (states_.empty()) states_.resize(components_.size());
+        Array<T>& state = states_[i];
+        state.assign(job.modes[0] + c.offset, job.modes[0] + c.offset + n);
+        state.insert(state.end(), job.modes[1] + c.offset, job.modes[1] + c.offset + n);
+        double* const rows = &at_rest_[nl_.first[i]];
+        std::fill_n(rows, c.guarded.n, 0.0);
+        double added = 0.0;
+        for (const Input<T>& input : known) {
+            double mean = 0.0, off = 0.0;
+            for (int b = 0; b < nb; ++b) mean += input.values[b * input.stride];
+            mean /= nb;
+            for (int b = 0; b < nb; ++b) off += std::abs(input.values[b * input.stride] - mean);
+            const Held<T>& held = held_by(c, input.vector);
+            if (!held.whole) {
+                for (int b = 0; b < nb; ++b) added += std::abs(input.values[b * input.stride]) * size(input.vector);
+                continue;
+            }
+            for (std::size_t k = 0; k < 2 * n; ++k) state[k] -= held.modes[k] * T(mean);
+            for (std::size_t r = 0; r < held.rows.size(); ++r) rows[r] += mean * held.rows[r];
+            added += off * size(input.vector);
+        }
+        return added;
+    }
+    const T* moved(int i) const { return states_[i].data(); }
+    double held_at(int guarded) const { return at_rest_[guarded]; }
+
     // No group is calm.
     void end() {
         for (int g = 0; count_ && g < int(calm_.size()); ++g) release(g);
@@ -233,7 +269,7 @@ public:
         if (!group.calm) return;
         for (const int i : group.components) {
             const int lane = layout_.port[i];
-            energy_[lane] = shift_[lane] = held_force_[lane] = 0.0, worth_[lane] = nl_.worth[lane];
+            energy_[lane] = shift_[lane] = held_force_[lane] = 0.0;
             most_[lane] = sway_[lane] = std::numeric_limits<double>::infinity();
             if (pool_of_[i] >= 0) pools_[pool_of_[i]].most = most_[lane];
         }
@@ -395,6 +431,7 @@ private:
     std::vector<Held<T>> held_;                   // of this run
     Array<double> at_rest_, added_, strain_, sway_of_;
     Array<T> moved_;
+    std::vector<Array<T>> states_;
 };
 
 }  // namespace

@@ -2,7 +2,8 @@
 //
 // At the beginning of a block the free motion of a guarded port is bounded for all of it, by Cauchy-Schwarz over the
 // modes, |row| <= peak sqrt(norm), or, closer, by its value in the middle of the block and how far each mode can carry
-// it from there. What is left to the contact is its slack. The forces of the block use it up: |row| moves by at most
+// it from there; where known forces act, that is said of the motion about where their means would hold the string. What
+// is left to the contact is its slack. The forces of the block use it up: |row| moves by at most
 // reach |F| for each port force F. While the sum stays below the slack the contact sleeps; the step in which it does
 // not is looked at again with the contact's own row, read from the block's beginning.
 #pragma once

@@ -37,6 +37,10 @@ public:
           calm_(components, layout, nonlinear, tensions) {
         for (const Component<T>& c : components_) any_tense_ = any_tense_ || c.stretched.on;
         if (!nl_.k) return;
+        int n_pressed = 0;
+        for (const Component<T>& c : components_)
+            pressed_at_.push_back(n_pressed), n_pressed += c.n_ports + c.guarded.n + 1;
+        pressed_.assign(n_pressed, 0.0);
         std::copy_n(job.series, nl_.k, ws_.series.data());
         std::copy_n(job.slip, nl_.k, ws_.slip.data());
         std::copy_n(job.last_force, nl_.k, ws_.last_force.data());
@@ -105,7 +109,7 @@ public:
         for (int i = 0; i < int(components_.size()); ++i) ws_.awake_rows[i].clear(), ws_.loaded[i].clear();
         std::fill(ws_.row_awake.begin(), ws_.row_awake.end(), 0);
         std::fill(ws_.is_loaded.begin(), ws_.is_loaded.end(), 0);
-        sample_ = 0;
+        sample_ = 0, reads_ = loads_ = false, plain_ = !job_.n_controls;
         std::fill(ws_.driven.begin(), ws_.driven.end(), 0);
         for (int q = 0; q < job_.n_controls; ++q) {
             const Control& control = job_.controls[q];
@@ -128,16 +132,22 @@ public:
         for (int j = 0; j < nl_.k; ++j) {
             if (!ws_.awake[j]) continue;
             ws_.awake_list.push_back(j);
+            plain_ = plain_ && is_plain(j);
             for (const Term& t : nl_.terms[j])
                 if (t.guarded) mark_row(t);
         }
         for (int i = 0; i < int(components_.size()); ++i)
             if (!ws_.awake_rows[i].empty() && !tense(i)) read(i, ws_.awake_rows[i].data(), int(ws_.awake_rows[i].size()));
-        still_ = ws_.awake_list.empty() && !ws_.any_alive && (!any_tense_ || calm_.all());
+        still_ = (ws_.awake_list.empty() || plain_) && !ws_.any_alive;
+        if (any_tense_) still_ = still_ && ws_.awake_list.empty() && calm_.all();
         for (int g = 0; g < int(nl_.groups.size()); ++g) {
-            if (ws_.quiet[g]) continue;
-            still_ = false;
-            weigh(g);
+            if (calm_[g]) continue;
+            if (!ws_.quiet[g]) weigh(g);
+            int n_ports = 0;
+            for (const int i : nl_.groups[g].components) n_ports += components_[i].n_ports;
+            for (const int i : nl_.groups[g].components)
+                for (int p = 0; p < components_[i].n_ports; ++p)
+                    calm_.worth()[layout_.port[i] + p] = ws_.worth[i][p] * n_ports;
         }
         if (still_) std::fill(ws_.taken.begin(), ws_.taken.end(), 0.0);
         rested_ = still_ && calm_.all_for_window();
@@ -158,6 +168,7 @@ public:
         using S = Simd<double>;
         double* const taken = ws_.taken.data();
         bool below = !calm_.any() || calm_.meets(b, line_at(b), now);
+        for (const int j : ws_.awake_list) below = below && clears(j, b, now, [](auto&&...) {});
         if (!calm_.all()) {
             const double* const worth = calm_.worth();
             for (int p = 0; p < layout_.force_width; p += S::width) {
@@ -234,7 +245,7 @@ public:
 
     // What the forces of sample b do to guarded rows, and guarded forces to all rows, in the rest of the block.
     void push_on(int b, const double* now) {
-        if (still_) return;
+        if (!reads_ && !loads_) return;
         for (int i = 0; i < int(components_.size()); ++i) {
             if (tense(i)) continue;  // its rows are read anew each sample
             const Component<T>& c = components_[i];
@@ -286,6 +297,11 @@ public:
 private:
     // Drives of sample b, and the connections that act in it as far as the motion before it tells.
     void begin_sample(int b) {
+        open_sample(b);
+        meet_awake(b);
+    }
+
+    void open_sample(int b) {
         for (int q = 0; q < job_.n_controls; ++q) {
             const Control& control = job_.controls[q];
             const int j = control.connection;
@@ -296,6 +312,9 @@ private:
         sample_ = b;
         for (const int j : ws_.active) ws_.touching[j] = 0;  // of an attempt that did not stand
         ws_.active.clear();
+    }
+
+    void meet_awake(int b) {
         for (const int j : ws_.awake_list) {
             meet(j, b);
             if (!is_contact(j) || (ws_.old_p[j] > 0.0 && ws_.scale[j] > 0.0)) activate(j);
@@ -308,8 +327,43 @@ private:
         ws_.previous.clear();
     }
 
+    // Whether a connection is a contact of guarded ports alone.
+    bool is_plain(int j) const {
+        for (const Term& t : nl_.terms[j])
+            if (!t.guarded) return false;
+        return is_contact(j);
+    }
+
+    // Whether a plain contact touches nothing before and after sample b if no law acts in it, with room for rounding.
+    // `tell(term, old, after, error)` takes off what a tense string is there.
+    template <class Tell>
+    bool clears(int j, int b, const double* now, const Tell& tell) const {
+        double old = ws_.offset[j], after = ws_.offset_after[j], error = 0.0;
+        for (const Term& t : nl_.terms[j]) {
+            const int i = t.component;
+            if (tense(i)) {
+                tell(t, old, after, error);
+                continue;
+            }
+            const Guarded<T>& g = components_[i].guarded;
+            const double before = value(i, t.port)[b];
+            double then = value(i, t.port)[b + 1];
+            for (std::size_t p = 0; p < std::size_t(components_[i].n_ports); ++p)
+                then += now[layout_.port[i] + p] * g.from_fixed[(p * g.n + t.port) * kBlock];
+            old -= t.factor * before, after -= t.factor * then;
+            error += kMargin<T> * (std::abs(before) + std::abs(then));
+        }
+        return old < -error && after < -error;
+    }
+
     bool tense(int i) const { return components_[i].stretched.on; }
     bool is_contact(int j) const { return nl_.laws[j].kind == Law::contact; }
+    // A component's state, counted from where the means of known forces would hold it in this block, and a row there.
+    const T* x_from(int i) const { return known_[i].empty() ? x(i) : calm_.moved(i); }
+    const T* y_from(int i) const { return known_[i].empty() ? y(i) : calm_.moved(i) + components_[i].n; }
+    double held_at(const Term& t) const {
+        return known_[t.component].empty() ? 0.0 : calm_.held_at(nl_.first[t.component] + t.port);
+    }
     const T* x(int i) const { return job_.modes[0] + components_[i].offset; }
     const T* y(int i) const { return job_.modes[1] + components_[i].offset; }
     double* value(int i, int port) const { return &ws_.value[std::size_t(nl_.first[i] + port) * kStride]; }
@@ -319,7 +373,7 @@ private:
     void mark_row(const Term& t) {
         char& awake = ws_.row_awake[nl_.first[t.component] + t.port];
         if (!awake) ws_.awake_rows[t.component].push_back(t.port);
-        awake = 1;
+        awake = 1, reads_ = reads_ || !tense(t.component);
     }
 
     // Free motion of guarded rows over the block.
@@ -391,15 +445,17 @@ private:
 
     void guard(int index) {
         const Nonlinear::Group& group = nl_.groups[index];
+        bool held = false;
         for (const int i : group.components) {
             const Component<T>& c = components_[i];
             if (!c.guarded.n) continue;
-            ws_.norm[i] = norm(c, x(i), y(i)), ws_.added[i] = 0.0, ws_.sized[i] = 0;
-            for (const Input<T>& input : known_[i]) {
-                double total = 0.0;
-                for (int b = 0; b < nb_; ++b) total += std::abs(input.values[b * input.stride]);
-                ws_.added[i] += total * norm(c, input.vector, input.vector + c.n);
+            ws_.added[i] = 0.0, ws_.sized[i] = 0;
+            if (!known_[i].empty()) {
+                const auto size = [&](const T* by) { return norm(c, by, by + c.n); };
+                ws_.added[i] = calm_.settle_about(i, job_, known_[i], nb_, size);
+                held = true;
             }
+            ws_.norm[i] = norm(c, x_from(i), y_from(i));
         }
         double share = 0.0;
         if (group.simple)
@@ -408,7 +464,7 @@ private:
                 share += (ws_.norm[i] + ws_.added[i]) * group.tightest[q];
             }
         ws_.quiet[index] =
-            group.simple && nl_.asleep_allowed && !ws_.driven[index] && share * (1 + kMargin<T>) < kQuiet;
+            group.simple && nl_.asleep_allowed && !ws_.driven[index] && !held && share * (1 + kMargin<T>) < kQuiet;
         if (ws_.quiet[index]) {  // no contact need be looked at by itself
             for (const int j : group.contacts) ws_.awake[j] = 0, ws_.slack[j] = -(1 - kQuiet) * nl_.laws[j].offset;
             for (std::size_t q = 0; q < group.components.size(); ++q) {
@@ -437,7 +493,8 @@ private:
         for (const Term& t : nl_.terms[j]) {
             double bound = 0.0;
             if (t.guarded)
-                bound = components_[t.component].guarded.peak[t.port] * (ws_.norm[t.component] + ws_.added[t.component]);
+                bound = components_[t.component].guarded.peak[t.port] * (ws_.norm[t.component] + ws_.added[t.component]) +
+                        std::abs(held_at(t));
             else
                 for (int b = 0; b <= nb_; ++b)
                     bound = std::max(bound, std::abs(line_of(t)[std::size_t(b) * layout_.width]));
@@ -454,10 +511,11 @@ private:
             if (t.guarded) {
                 const int i = t.component;
                 const double peak = components_[i].guarded.peak[t.port];
-                const Surroundings around = surroundings(components_[i], t.port, x(i), y(i), sizes_of(i));
+                Surroundings around = surroundings(components_[i], t.port, x_from(i), y_from(i), sizes_of(i));
+                around.middle += held_at(t);
                 const double far = around.spread + peak * ws_.added[i];
                 low += t.factor * around.middle - size * far;
-                all += size * (std::abs(around.middle) + far + peak * ws_.norm[i]);
+                all += size * (std::abs(around.middle) + std::abs(held_at(t)) + far + peak * ws_.norm[i]);
             } else {
                 double least = t.factor * line_of(t)[0];
                 for (int b = 1; b <= nb_; ++b)
@@ -472,7 +530,7 @@ private:
     // Sizes of a component's modes at the beginning of the block, made once.
     const T* sizes_of(int i) {
         T* buffer = reinterpret_cast<T*>(ws_.sizes.data()) + components_[i].offset;
-        if (!ws_.sized[i]) sizes(components_[i], x(i), y(i), buffer);
+        if (!ws_.sized[i]) sizes(components_[i], x_from(i), y_from(i), buffer);
         ws_.sized[i] = 1;
         return buffer;
     }
@@ -553,8 +611,9 @@ private:
                     }
             if (ws_.level_after[index] + yielding * (1 + kMargin<T>) < 1.0) continue;
             bool woken = false;
+            press(index, b);
             for (const int j : group.contacts) {
-                if (ws_.awake[j] || used(j, b) < ws_.slack[j]) continue;
+                if (ws_.awake[j] || used(j) < ws_.slack[j]) continue;
                 wake(j, b);
                 woken = true;
             }
@@ -564,21 +623,29 @@ private:
         }
     }
 
-    // How far the forces until now, those of sample b as tried, may have moved a sleeping contact.
-    double used(int j, int b) const {
+    // Sums of |force| on the ports of a group until now, those of sample b as tried, and of pulls.
+    void press(int index, int b) {
+        for (const int i : nl_.groups[index].components) {
+            double* const pressed = pressed_.data() + pressed_at_[i];
+            each_port(i, [&](int p) {
+                double& sum = pressed[p] = 0.0;
+                for (int s = 0; s <= b; ++s) sum += pushed(i, p, s);
+            });
+            if (!tense(i)) continue;
+            double& sum = pressed[components_[i].n_ports + components_[i].guarded.n] = 0.0;
+            for (int s = 0; s <= b; ++s) sum += ws_.pull[std::size_t(i) * kBlock + s];
+        }
+    }
+
+    // How far these may have moved a sleeping contact.
+    double used(int j) const {
         double total = 0.0;
         for (const Term& t : nl_.terms[j]) {
-            const double* reach = reach_of(t);
+            const Component<T>& c = components_[t.component];
+            const double *reach = reach_of(t), *pressed = pressed_.data() + pressed_at_[t.component];
             double sum = 0.0;
-            each_port(t.component, [&](int p) {
-                double force = 0.0;
-                for (int s = 0; s <= b; ++s) force += pushed(t.component, p, s);
-                sum += reach[p] * force;
-            });
-            if (tense(t.component))
-                for (int s = 0; s <= b; ++s)
-                    sum += components_[t.component].guarded.pulled[t.port] *
-                           ws_.pull[std::size_t(t.component) * kBlock + s];
+            each_port(t.component, [&](int p) { sum += reach[p] * pressed[p]; });
+            if (tense(t.component)) sum += c.guarded.pulled[t.port] * pressed[c.n_ports + c.guarded.n];
             total += std::abs(t.factor) * sum;
         }
         if (series_lives(j)) total += std::max(std::abs(ws_.series[j]), std::abs(ws_.series_after[j]));
@@ -588,7 +655,7 @@ private:
     // Reads a contact's rows from the beginning of the block up to sample b, as if they had been awake all along.
     void wake(int j, int b) {
         ++statistics_.woken;
-        ws_.awake[j] = 1;
+        ws_.awake[j] = 1, plain_ = plain_ && is_plain(j);
         ws_.awake_list.insert(std::upper_bound(ws_.awake_list.begin(), ws_.awake_list.end(), j), j);
         for (const Term& t : nl_.terms[j]) {
             if (!t.guarded || ws_.row_awake[nl_.first[t.component] + t.port]) continue;
@@ -730,6 +797,7 @@ private:
 
     // No nonlinear connection acts in sample b.
     void let_go(int b) {
+        if (!loads_) return;
         for (std::size_t i = 0; i < components_.size(); ++i)
             for (const int p : ws_.loaded[i]) ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b] = 0.0;
     }
@@ -757,7 +825,7 @@ private:
     void load(const Term& t) {
         const int port = nl_.first[t.component] + t.port;
         if (ws_.is_loaded[port]) return;
-        ws_.is_loaded[port] = 1;
+        ws_.is_loaded[port] = 1, loads_ = true;
         std::fill_n(&ws_.force[std::size_t(port) * kBlock], kBlock, 0.0);
         auto& list = ws_.loaded[t.component];
         list.insert(std::upper_bound(list.begin(), list.end(), t.port), t.port);
@@ -811,6 +879,11 @@ private:
     const std::vector<std::vector<Input<T>>>& known_;
     Taut<T>& taut_;
     bool any_tense_ = false, kept_ = false, still_ = false, rested_ = false, bounded_ = false;
+    // of the block: whether guarded rows are read throughout, and pushed at; whether all that is awake is_plain
+    bool reads_ = false, loads_ = false, plain_ = false;
+    // by component, at `pressed_at_`: sums of |force| on its ports, then of its pulls
+    std::vector<int> pressed_at_;
+    Array<double> pressed_;
     std::int64_t start_ = 0;
     int nb_ = 0, sample_ = 0;
     double* lines_ = nullptr;

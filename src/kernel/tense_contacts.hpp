@@ -35,11 +35,20 @@ public:
     // As TensionStep::step; `lines` and the guarded values hold the motion of the other components.
     bool step(int b, double* lines, double* f, double* now) {
         stretched_.begin_sample(b, lines);
-        laws_.begin_sample(b);
+        laws_.open_sample(b);
         std::fill(is_ready_.begin(), is_ready_.end(), 0);
-        for (;;) {
+        // where nothing acted, nothing is expected to: the step without laws is found first, and as a rule it clears all
+        bool made = ws_.previous.empty() && !ws_.any_alive && laws_.plain_, clear = false;
+        if (made) {
+            if (!stretched_.linear_step(f, now)) return false;
+            laws_.let_go(b);
+            clear = all_clear(b, now);
+        }
+        if (!clear) laws_.meet_awake(b);
+        for (;; made = false) {
             bool told = true;  // where the strings' ports come to, by ports.alone
-            if (ws_.active.empty()) {
+            if (made && ws_.active.empty()) {
+            } else if (ws_.active.empty()) {
                 if (!stretched_.linear_step(f, now)) return false;
                 laws_.let_go(b);
             } else if (!on_fixed_ports() || !fixed_step(b, f, now)) {
@@ -53,17 +62,73 @@ public:
                 return true;
             }
             note_pulls(b);
+            const std::size_t n_awake = ws_.awake_list.size();
             laws_.wake_by(b);
+            if (clear && n_awake == ws_.awake_list.size()) break;
+            if (clear) laws_.meet_awake(b);
+            clear = false;
             if (!touched(b, now)) break;
         }
         laws_.commit(b);
-        for (const int i : tensions_.components) push(i, b);
+        if (laws_.loads_)
+            for (const int i : tensions_.components) push(i, b);
         stretched_.finish_sample(now);
-        for (const int i : tensions_.components) stretched_.pushed_[i].clear();
+        if (laws_.loads_)
+            for (const int i : tensions_.components) stretched_.pushed_[i].clear();
         return true;
     }
 
 private:
+    // Whether all that is awake touches nothing in the step found without laws, so that its rows need not be read exactly.
+    bool all_clear(int b, const double* now) {
+        std::fill(is_moved_.begin(), is_moved_.end(), 0);
+        for (const int j : ws_.awake_list)
+            if (!laws_.clears(j, b, now, [&](const Term& t, double& old, double& after, double& error) {
+                    glance(t, b, now, old, after, error);
+                }))
+                return false;
+        return true;
+    }
+
+    // A guarded port before and after the step, less its factor, as the last visit to the modes tells: s of the tension
+    // visited stands for that of the tension found.
+    void glance(const Term& t, int b, const double* now, double& old, double& after, double& error) {
+        using S = Simd<T>;
+        using V = typename S::V;
+        const int i = t.component;
+        const Component<T>& c = components_[i];
+        const std::size_t n = c.n;
+        const int string = ts_.ports.string_of[i];
+        T *const before = stretched_.buffer(ts_.y, i), *const then = stretched_.buffer(ts_.moved, i);
+        if (!is_moved_[i]) {
+            is_moved_[i] = 1;
+            const std::size_t step = std::size_t(kTautNumbers + c.n_ports) * kPadding;
+            const T *state = stretched_.taut_.state(i), *numbers = c.stretched.taut.data() + kTautNumbers * kPadding;
+            const T *const in = c.stretched.doors.data(), *const root = in + 3 * n;
+            for (std::size_t k = 0; k < n; k += kPadding, state += kTautState * kPadding, numbers += step)
+                for (int q = 0; q < kPadding; q += S::width) {
+                    const V xi = S::load(state + q), out = S::load(root + k + q);
+                    V both = xi + xi + S::load(state + kPadding + q);
+                    for (const Input<T>& input : stretched_.known_[i])
+                        both += S::load(in + k + q) * S::load(input.vector + k + q) * T(input.values[b * input.stride]);
+                    for (int p = 0; p < c.n_ports; ++p)
+                        both += S::load(numbers + p * kPadding + q) * T(now[layout_.port[i] + p]);
+                    S::store(before + k + q, out * xi);
+                    S::store(then + k + q, out * (both * S::load(state + 2 * kPadding + q) - xi));
+                }
+        }
+        const T* const row = &c.guarded.rows[2 * std::size_t(t.port) * n];
+        V first{}, second{}, sizes{};
+        for (std::size_t k = 0; k < n; k += S::width) {
+            const V r = S::load(row + k), a = r * S::load(before + k), z = r * S::load(then + k);
+            first += a, second += z;
+            sizes += (a < T(0) ? -a : a) + (z < T(0) ? -z : z);
+        }
+        const double change = std::abs(ts_.used[string] - ts_.at[string]) * c.stretched.most_half;
+        old -= t.factor * double(S::sum(first)), after -= t.factor * double(S::sum(second));
+        error += std::abs(t.factor) * double(S::sum(sizes)) * (2 * change + kMargin<T>);
+    }
+
     // Where fixed ports of the strings come to, for energies.
     void tell_ports(int b, const double* lines, const double* now, bool told) {
         const double* const line = lines + std::size_t(b) * layout_.width;

@@ -156,9 +156,10 @@ def test_a_string_at_rest_is_shaken_against_its_frets(clearance):
 
 
 @pytest.mark.parametrize("isa", ISAS)
-def test_strings_drawn_near_their_frets_miss_no_contact(isa):
+@pytest.mark.parametrize("tense", [(), (0, 1)])
+def test_strings_drawn_near_their_frets_miss_no_contact(isa, tense):
     """Known forces that grow, are let go or strike: what they hold and what they shake is bounded block by block."""
-    system = fretted(1e-3)
+    system = fretted(1e-3, tense=tense)
     rng = np.random.default_rng(7)
     touched, unread = 0, 0
     for _ in range(12):
@@ -172,7 +173,7 @@ def test_strings_drawn_near_their_frets_miss_no_contact(isa):
         acted = contacts(system, forces).any()
         touched += acted
         unread += statistics["rows_read"] == 0
-        assert not (acted and statistics["rows_read"] == 0)
+        assert tense or not (acted and statistics["rows_read"] == 0)
     assert 2 <= touched <= 9
     assert unread >= 3
 
