@@ -273,8 +273,9 @@ class KernelStepper:
             return out, linear
         forces = np.zeros((n, len(self.system.connections)))
         forces[:, self._active] = linear
-        forces[:, self._nonlinear[self._acted]] = laws[:, self._acted]
-        laws[:, self._acted] = 0.0
+        if self._acted:
+            forces[:, self._nonlinear[self._acted]] = laws[:, self._acted]
+            laws[:, self._acted] = 0.0
         return out, forces
 
     def advance(
@@ -286,6 +287,8 @@ class KernelStepper:
         of its steps.
         """
         out, _, laws = self._step(state, n, injections, controls)
+        if not self._acted:
+            return out, _NONE
         laws[:, self._acted] = 0.0
         return out, self._nonlinear[self._acted]
 
