@@ -99,7 +99,8 @@ Held<T> hold(const Component<T>& c, const T* vector) {
         held.whole = held.whole && (c.kappa[k] > T(0) || (vector[k] == T(0) && vector[n + k] == T(0)));
     for (std::size_t r = 0; r < held.rows.size(); ++r)
         held.rows[r] = read(c, &c.guarded.rows[2 * r * n], held.modes.data());
-    held.port = read(c, c.rows.data(), held.modes.data()), held.jump = read(c, c.rows.data(), vector);
+    if (c.n_ports > 0)
+        held.port = read(c, c.rows.data(), held.modes.data()), held.jump = read(c, c.rows.data(), vector);
     return held;
 }
 

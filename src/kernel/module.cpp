@@ -91,6 +91,7 @@ Law make_law(const LawArrays& given) {
     return law;
 }
 
+constexpr std::size_t kUntold = -1;
 constexpr std::size_t kAside = 4;  // components put aside for each one there is
 
 using GeometricArrays = std::tuple<int, In, In, In, In, In, In>;
@@ -216,6 +217,7 @@ public:
                     break;
                 }
         nonlinear_ = std::move(nl);
+        nonlinear_m_ = kUntold;
         laid_out_ = arranged_ = false;
     }
 
@@ -354,7 +356,7 @@ public:
             throw std::invalid_argument("the outputs have the wrong shape");
         const std::size_t k = nonlinear_.k;
         if (k > 0 && nonlinear_m_ != std::size_t(solve_.m))
-            throw std::invalid_argument("set_nonlinear was made for another number of connections");
+            throw std::invalid_argument("what nonlinear connections give way by is not told, or with other linear ones");
         if (law_forces.ndim() != 2 || law_forces.shape(0) != out.shape(0) || law_forces.shape(1) != k ||
             series.size() != k || slip.size() != k || last_force.size() != k)
             throw std::invalid_argument("the state of nonlinear connections has the wrong shape");

@@ -357,7 +357,8 @@ private:
     // Where stiffness rises little, in registers, if strings have the usual shape; else false.
     template <class S>
     bool soft_turns(bool& told) {
-        if (ports_.strings != S::width || ports_.most_components != 2 || ports_.most_ports > 2) return false;
+        if (ports_.strings != S::width || ports_.most_components != 2) return false;
+        if (ports_.most_ports != 1 && ports_.most_ports != 2) return false;
         told = ports_.most_ports == 1 ? SoftTurns<T, S, 2, 1>(ports_, ws_, onto_, fixed_)(largest_)
                                       : SoftTurns<T, S, 2, 2>(ports_, ws_, onto_, fixed_)(largest_);
         return true;

@@ -36,9 +36,12 @@ def solve() -> list[Any]:
 
 
 def nonlinear() -> list[Any]:
-    m = CONNECTIONS
-    no = np.zeros((0, m))
-    return [[], [], 1 / 48000, 0.6, True, np.zeros((0, 0)), no, no.T.copy(), np.zeros((0, 0)), np.zeros((CHANNELS, 0))]
+    return [0, [], 1 / 48000, 0.6, True, np.zeros((CHANNELS, 0))]
+
+
+def gaps() -> list[Any]:
+    no = np.zeros((0, CONNECTIONS))
+    return [np.zeros((0, 0)), no, no.T.copy(), np.zeros((0, 0))]
 
 
 def job(n: int = 40) -> list[Any]:
@@ -57,8 +60,13 @@ def calls() -> list[tuple[str, list[Any]]]:
         ("set_component", component(2, driven=True)),
         ("set_solve", solve()),
         ("set_nonlinear", nonlinear()),
+        ("set_laws", [[]]),
+        ("set_gaps", gaps()),
         ("run", job()),
     ]
+
+
+NONLINEAR, LAWS, GAPS, RUN = 4, 5, 6, 7  # among these
 
 
 def make() -> Any:
@@ -130,12 +138,14 @@ def test_what_is_written_to_is_never_a_converted_copy(argument: int, dtype: type
     ("call", "argument", "wrong"),
     [
         (0, 0, 3), (0, 0, -1), (0, 1, 8), (0, 1, CAPACITY), (0, 1, -PAD), (0, 8, [0, 2]), (0, 8, [0, -1]), (0, 8, [0]),
-        (0, 9, [1]), (0, 8, 2**40), (0, 2, "x"), (5, 3, [(3, 0, np.ones((1, 2, PAD)), np.ones((1, 5)))]),
-        (5, 3, [(-1, 0, np.ones((1, 2, PAD)), np.ones((1, 5)))]),
-        (5, 3, [(0, 0, np.ones((2, 2, PAD)), np.ones((1, 5)))]),
-        (5, 3, [(0, 0, np.ones((1, 2, 2 * PAD)), np.ones((1, 5)))]), (5, 3, [(0, 0, np.ones((1, 3, PAD)), np.ones(5))]),
-        (5, 5, [(0, np.zeros((4, 40)))]), (5, 5, [(0, np.zeros((4, 39)))]), (4, 1, [(0, 0, 0, False, 1.0)]),
-        (4, 0, [(9, [0.0] * 8, [], [], [])]),
+        (0, 9, [1]), (0, 8, 2**40), (0, 2, "x"), (RUN, 3, [(3, 0, np.ones((1, 2, PAD)), np.ones((1, 5)))]),
+        (RUN, 3, [(-1, 0, np.ones((1, 2, PAD)), np.ones((1, 5)))]),
+        (RUN, 3, [(0, 0, np.ones((2, 2, PAD)), np.ones((1, 5)))]),
+        (RUN, 3, [(0, 0, np.ones((1, 2, 2 * PAD)), np.ones((1, 5)))]),
+        (RUN, 3, [(0, 0, np.ones((1, 3, PAD)), np.ones(5))]),
+        (RUN, 5, [(0, np.zeros((4, 40)))]), (RUN, 5, [(0, np.zeros((4, 39)))]),
+        (NONLINEAR, 1, [(0, 0, 0, False, 1.0)]), (NONLINEAR, 0, -1), (NONLINEAR, 0, 1),
+        (LAWS, 0, [(0, (0, [0.0] * 8, [], [], []))]), (LAWS, 0, [(-1, (0, [0.0] * 8, [], [], []))]),
     ],
 )  # fmt: skip
 def test_numbers_out_of_range_are_refused(call: int, argument: int, wrong: Any) -> None:
@@ -150,13 +160,63 @@ def contact(port: int, slot: int = 0) -> list[tuple[str, list[Any]]]:
     made = calls()
     m = CONNECTIONS
     law = (0, [1e6, 1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [], [], [])
-    made[4][1][:] = [
-        [law], [(0, slot, port, False, 1.0)], 1 / 48000, 0.6, False, np.eye(1) * 1e-6, np.zeros((1, m)),
-        np.zeros((m, 1)), np.zeros((1, 1)), np.zeros((CHANNELS, 1)),
-    ]  # fmt: skip
-    made[5][1][4] = np.zeros((40, 1))
-    made[5][1][6:9] = [np.zeros(1), np.zeros(1), np.zeros(1)]
+    made[NONLINEAR][1][:] = [1, [(0, slot, port, False, 1.0)], 1 / 48000, 0.6, False, np.zeros((CHANNELS, 1))]
+    made[LAWS][1][:] = [[(0, law)]]
+    made[GAPS][1][:] = [np.eye(1) * 1e-6, np.zeros((1, m)), np.zeros((m, 1)), np.zeros((1, 1))]
+    made[RUN][1][4] = np.zeros((40, 1))
+    made[RUN][1][6:9] = [np.zeros(1), np.zeros(1), np.zeros(1)]
     return made
+
+
+def test_arrays_of_a_contact_in_a_wrong_form_are_refused() -> None:
+    for call, argument in ((NONLINEAR, 5), (GAPS, 0), (GAPS, 1), (GAPS, 2), (GAPS, 3), (RUN, 4)):
+        given = contact(1)[call][1][argument]
+        for wrong in misfits(given):
+            if isinstance(wrong, np.ndarray) and wrong.shape == given.shape:
+                continue
+            made = contact(1)
+            made[call][1][argument] = wrong
+            with pytest.raises((TypeError, ValueError, RuntimeError)):
+                through(made)
+
+
+def test_what_a_contact_gives_way_by_must_be_told_with_it() -> None:
+    """Not what was told of connections before, and not of none."""
+    untold = contact(1)
+    del untold[GAPS]
+    other = contact(1)
+    other.insert(RUN, other[NONLINEAR])
+    for made in (untold, other):
+        with pytest.raises(ValueError, match="nonlinear connections"):
+            through(made)
+    for law in ((9, [0.0] * 8, [], [], []), (0, [0.0] * 7, [], [], []), (2, [0.0] * 8, [0.0, 1.0], [1.0], [])):
+        made = contact(1)
+        made[LAWS][1][:] = [[(0, law)]]
+        with pytest.raises(ValueError, match="law"):
+            through(made)
+
+
+def test_components_put_aside_come_back_or_are_missing() -> None:
+    kernel = make()
+    for name, arguments in calls()[:-1]:
+        getattr(kernel, name)(*arguments)
+    expected = job()
+    kernel.run(*expected)
+    for slot in (-1, 3):
+        with pytest.raises((TypeError, ValueError)):
+            kernel.set_aside(slot, 1)
+        with pytest.raises((TypeError, ValueError)):
+            kernel.take_back(slot, 1)
+    for number in range(40):
+        kernel.set_aside(0, number)
+        again = job()
+        again[3] = []
+        kernel.run(*again)  # nothing stands there: the others are stepped
+        assert kernel.take_back(0, number)
+    assert not kernel.take_back(0, 7)
+    again = job()
+    kernel.run(*again)
+    np.testing.assert_array_equal(again[1], expected[1])
 
 
 def test_connections_to_ports_that_are_not_there_are_refused() -> None:
@@ -171,7 +231,7 @@ def test_a_solve_that_no_longer_fits_is_refused() -> None:
     for m in (1, 3):
         made = contact(1)
         smaller = [np.eye(m), np.ones(m), np.zeros(m), np.ones((CHANNELS, m))]
-        made.insert(5, ("set_solve", smaller))
+        made.insert(RUN, ("set_solve", smaller))
         made[-1][1][2] = np.zeros((40, m))
         with pytest.raises((ValueError, RuntimeError)):
             through(made)
@@ -184,8 +244,8 @@ def stretched() -> list[tuple[str, list[Any]]]:
     one[0] = 1.0
     m = CONNECTIONS
     kick, e = np.stack([1e-3 * one, 1e-3 * one]), component(0)[3]
-    made.insert(5, ("set_stretched", [0, one, 1e-3 * one, one, kick, e]))
-    made.insert(6, ("set_tensions", [[(0, 10.0, [0])], np.eye(m), np.zeros(m)]))
+    made.insert(RUN, ("set_stretched", [0, one, 1e-3 * one, one, kick, e]))
+    made.insert(RUN + 1, ("set_tensions", [[(0, 10.0, [0])], np.eye(m), np.zeros(m)]))
     made[-1][1][9] = np.zeros((1, 3))
     return made
 
@@ -194,9 +254,9 @@ def test_tensions_that_do_not_fit_are_refused() -> None:
     """Strings that were not told how they are stretched, connections of another number, states too small."""
     assert np.isfinite(through(stretched())[1]).all()
     untold = stretched()
-    del untold[5]
+    del untold[RUN]
     smaller = stretched()
-    smaller.insert(7, ("set_solve", [np.eye(1), np.ones(1), np.zeros(1), np.ones((CHANNELS, 1))]))
+    smaller.insert(RUN + 2, ("set_solve", [np.eye(1), np.ones(1), np.zeros(1), np.ones((CHANNELS, 1))]))
     smaller[-1][1][2] = np.zeros((40, 1))
     states = []
     for wrong in (np.zeros((0, 3)), np.zeros((1, 2)), np.zeros(3), np.zeros((1, 3), dtype=np.float32)):
