@@ -177,3 +177,14 @@ def test_switches_do_not_click() -> None:
             ways.add(len(engine.tense) > len(tense))
     assert ways == {True, False}
     assert max(clicks) < 1e-4 * peak
+
+
+def test_what_a_hammer_brings_is_seen_before_it_strikes() -> None:
+    """Its stroke is a moment; the string is hit later, when nothing acts from outside any more."""
+    piano = tw.load_instrument("struck_monochord").replace({"strings.*.plugin": "tension_modulated_string"})
+    sounds = []
+    for mode in ("all", "auto"):
+        stream = renderer([NOTE(0.0, 1.0, note=60)], 0.3, piano.replace({"effects.mode": mode}))
+        sounds.append(sound(stream))
+        assert stream.engine.ledger.tense["C4"].all[0][0] <= 0
+    np.testing.assert_array_equal(*sounds)

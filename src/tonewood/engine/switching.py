@@ -30,6 +30,7 @@ from tonewood.numerics.forcing import Segment
 from tonewood.numerics.geometric import GeometricStretch, GeometricString
 from tonewood.numerics.motion import from_motion, share_velocities, to_motion
 from tonewood.numerics.system import Compiled, State, System
+from tonewood.numerics.tension import TensionModulation
 
 Floats = NDArray[np.float64]
 
@@ -80,8 +81,10 @@ class TensionSwitch:
         system = model.system
         self.strings = tuple(t.name for t in system.rising)
         self.stiffness = np.array([t.axial_stiffness for t in system.rising])
-        self._slots = [system.slot(c) for t in system.rising for c in t.components]
-        self._owner = np.array([i for i, t in enumerate(system.rising) for _ in t.components], dtype=np.intp)
+        # what a hammer brings may be the string's the next moment
+        parts = [(i, c) for i, t in enumerate(system.rising) for c in (*t.components, *_partners(system, t))]
+        self._slots = [system.slot(c) for _, c in parts]
+        self._owner = np.array([i for i, _ in parts], dtype=np.intp)
         #: those that move along themselves, and what of that may be missing, ratio to the loudest sample
         self.along = {g.name: g for g in system.stretches if g.longitudinal is not None}
         self.budget_level = 10 ** (model.choice.budget_db / 20)
@@ -104,7 +107,7 @@ class TensionSwitch:
         return self.model.choice.mode == "auto" and bool(self.strings)
 
     def energies(self, system: System, state: State) -> Floats:
-        """(n_strings,) J, energy of each string's modes."""
+        """(n_strings,) J, energy of each string's modes, and of what moves at it."""
         for i, slot in enumerate(self._slots):
             compiled = system.compiled[slot]
             if self._known[i] is not compiled:
@@ -199,6 +202,13 @@ class TensionSwitch:
         pluck = self.model.strings[name].pluck_from_bridge
         x = min(pluck, 0.9 * length) if fretting.place is None else fretting.place
         return x * (length - x) / (tension * length)
+
+
+def _partners(system: System, law: TensionModulation | GeometricStretch) -> list[str]:
+    """Components of what touches a string: hammers, fingers, rings."""
+    own = law.parts if isinstance(law, GeometricStretch) else law.components
+    there = [n for n in system.names if n.startswith(f"{law.name}.") and n not in own]
+    return [n for n in there if system.compiled[system.slot(n)].basis.is_real]
 
 
 def string_energy(system: System, state: State, name: str) -> tuple[float, float]:
