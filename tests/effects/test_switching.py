@@ -181,8 +181,14 @@ def test_switches_do_not_click() -> None:
 
 def test_what_a_hammer_brings_is_seen_before_it_strikes() -> None:
     """Its stroke is a moment; the string is hit later, when nothing acts from outside any more."""
-    piano = tw.load_instrument("struck_monochord").replace({"strings.*.plugin": "tension_modulated_string"})
-    sounds = []
+    bundle = tw.load_instrument("struck_monochord")
+    values, sounds = dict(bundle.resolved), []
+    values["strings"] = {
+        name: {k: v for k, v in part.items() if k not in ("freq_coupled", "longitudinal_loss", "bridge_leverage")}
+        | {"plugin": "tension_modulated_string"}
+        for name, part in values["strings"].items()
+    }
+    piano = tw.Instrument.from_values(values, bundle.folder)
     for mode in ("all", "auto"):
         stream = renderer([NOTE(0.0, 1.0, note=60)], 0.3, piano.replace({"effects.mode": mode}))
         sounds.append(sound(stream))
