@@ -131,6 +131,13 @@ def test_a_string_that_nobody_plays_is_linear_from_the_beginning() -> None:
     assert not quiet.engine.system.geometric
 
 
+def test_a_soft_pluck_is_coupled_from_the_beginning() -> None:
+    """Its rise is within the budget of cents; whether its phantoms are heard is only known once they sound."""
+    soft = renderer([tw.Note(0.0, 1, note=59, force=0.05)], 0.2, along(mode="auto"))
+    sound(soft)
+    assert soft.engine.ledger.tense["B3"].all[0][0] <= 0
+
+
 def test_a_coupling_that_would_set_energy_free_is_paid_or_kept() -> None:
     """With longitudinal modes strained against the slope the potential beside the modes is below zero."""
     model = assemble(along(mode="all"), FS)

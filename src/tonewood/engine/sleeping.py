@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from tonewood.engine.fretting import Fingerboard, Fretting
 from tonewood.engine.listening import Listening
 from tonewood.engine.rungs import BANDS, Part, Rungs, cuts, quiet_energy
-from tonewood.engine.switching import largest
+from tonewood.engine.switching import SILENT, largest
 from tonewood.engine.timeline import Play, Timeline
 from tonewood.engine.transfer import Transfer
 from tonewood.instrument.assembly import Model
@@ -55,8 +55,6 @@ _AROUND = 1.5
 _ONSET = 2.0
 #: share of its first size to which the body's slowest mode must decay after a stroke
 _DECAYED = 1e-4
-#: re full scale, the loudest sample before there is any
-_SILENT = 1e-150
 #: N, more than any bound allows
 _ENDLESS = 1e30
 
@@ -412,7 +410,7 @@ class Sleeper:
 
     def _levels(self, heard: Floats) -> Floats:
         """(n_strings, BANDS) what each string does at the outputs, (R, C, BANDS), re the loudest samples."""
-        ratio = heard / np.maximum(self.state.peak, _SILENT)[:, None, None]
+        ratio = heard / np.maximum(self.state.peak, SILENT)[:, None, None]
         return np.asarray(self._of @ ratio.max(axis=0, initial=0.0))
 
     @staticmethod

@@ -43,10 +43,7 @@ _AFFORDABLE = 0.5
 #: strings as they are held whose phantom partials are kept
 _KEPT = 64
 #: re full scale, the loudest sample before there is any
-_SILENT = 1e-150
-
-#: string -> cents and level, see `TensionSwitch.phantoms`
-Phantasms = dict[str, tuple[float, float]]
+SILENT = 1e-150
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +118,9 @@ class TensionSwitch:
         each = np.add.reduceat((xx * x + xy * y) * x + yy * y * y, self._starts)
         return np.asarray(np.bincount(self._owner, each, len(self.strings)), dtype=np.float64)
 
-    def phantoms(self, system: System, state: State, frettings: Mapping[str, Fretting], peak: Floats) -> Phantasms:
+    def phantoms(
+        self, system: System, state: State, frettings: Mapping[str, Fretting], peak: Floats
+    ) -> dict[str, tuple[float, float]]:
         """String that moves along itself -> how far partials are off without that, cents, and what would be missing.
 
         The latter is a ratio to the loudest sample of each readout so far, `peak` (R,), together with what is missing
@@ -135,7 +134,7 @@ class TensionSwitch:
                 basis = system.compiled[system.slot(component)].basis
                 motion[component] = to_motion(basis, np.asarray(system.modes_of(state, component), dtype=np.float64))
             slopes = found.slopes(motion)
-            out[name] = found.cents(slopes), found.level(slopes, np.maximum(peak, _SILENT))
+            out[name] = found.cents(slopes), found.level(slopes, np.maximum(peak, SILENT))
         together = 0.0
         for name, (cents, level) in sorted(out.items(), key=lambda one: one[1][1]):
             together += level
@@ -188,8 +187,8 @@ class TensionSwitch:
     def foreseen(self, play: Play, fretting: Fretting, energy: float) -> float:
         """Rise of tension after a gesture on a string of `energy` (J), in cents; unknown, it is infinite."""
         gesture = play.gesture
-        if gesture.motions or gesture.on is not None or not gesture.segments:
-            return math.inf
+        if gesture.motions or gesture.on is not None or not gesture.segments or play.string in self.along:
+            return math.inf  # nothing is known beforehand of the phantom partials that a pluck will drive
         name = play.string or ""
         force = max(largest(s) for s in gesture.segments)
         compliance = self.compliance(name, fretting)

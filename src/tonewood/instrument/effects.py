@@ -122,7 +122,7 @@ TENSION_MODULATION = Effect(
 )  # fmt: skip
 LONGITUDINAL = Effect(
     "longitudinal", "motion along the string: partials at sums of transverse ones", "additive",
-    "with every rise of the string's tension", "a bound on the phantom partials that the string's partials would "
+    "any gesture on the string", "a bound on the phantom partials that the string's partials would "
     "drive; without them it is linear", cost=lambda n: 60.0 * n,
 )  # fmt: skip
 DAMPERS = Effect(
