@@ -22,7 +22,7 @@ from tonewood.params import Parameters, described, quantity
 
 Floats = NDArray[np.float64]
 
-#: modes are found by a dense eigenproblem; nothing that is heard as a string has more
+#: cost and memory grow with the square of their number; nothing that is heard as a string has more
 MOST_MODES = 3000
 
 
@@ -76,12 +76,16 @@ class StiffString(Resonator[StiffStringParameters]):
         """Same shapes, omega^2 = T a_k + EI b_k: how a bend or the tuner changes a string.
 
         What is left out is the change of the shapes, which bending stiffness alone makes: a tension raised by 50
-        cents raises the partials of a classical guitar's strings by 0.08 to 0.2 cent less, all nearly alike.
+        cents raises the partials of a classical guitar's strings by 0.08 to 0.2 cent less, all nearly alike. Decay
+        rates follow the law from the old frequency of each mode to its new one: on a classical guitar 200 cents leave
+        those of partials on a rigid end within 0.6 % of the law.
         """
         known = basis.metadata
         a, b, wavenumber = (cast(Floats, known[key]) for key in ("tension_part", "bending_part", "wavenumber"))
-        freq_rad = np.sqrt(tension * a + self.parameters.bending_stiffness * b)
-        sigma = freq_rad * self._eta(freq_rad, wavenumber, tension) / 2
+        old_rad, freq_rad = np.sqrt(basis.stiffness), np.sqrt(tension * a + self.parameters.bending_stiffness * b)
+        old = old_rad * self._eta(old_rad, wavenumber, cast(float, known["tension"]))
+        new = freq_rad * self._eta(freq_rad, wavenumber, tension)
+        sigma = basis.damping_rate * np.divide(new, old, out=np.ones_like(new), where=old > 0)
         return retuned(basis, freq_rad, sigma, {"tension": tension})
 
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:

@@ -59,11 +59,15 @@ def test_static_deflection_by_the_end() -> None:
     ],
 )
 def test_losses(loss: dict[str, Any], sigma: Any) -> None:
-    basis = make(loss=loss).basis(8000.0)
-    omega = np.sqrt(basis.stiffness)
-    c2, kappa2 = 58.3 / 0.9e-3, 310e-6 / 0.9e-3
-    k = np.sqrt((-c2 + np.sqrt(c2**2 + 4 * kappa2 * omega**2)) / (2 * kappa2))
-    np.testing.assert_allclose(basis.damping_rate, sigma(omega, k), rtol=1e-9)
+    """Partials on a rigid end decay by the law: zeros of the end's compliance, with their real part."""
+    from tonewood.numerics.receptance import Joint, Ports
+
+    joint = Joint([Ports.of(make(loss=loss).basis(12000.0), np.ones((1, 1)))])
+    for k in np.arange(1, 11) * np.pi / 0.65:
+        omega = np.sqrt((58.3 * k**2 + 310e-6 * k**4) / 0.9e-3)
+        zero = joint.newton(complex(-sigma(omega, k), omega))
+        assert zero is not None
+        assert -zero.real == pytest.approx(sigma(omega, k), rel=1e-3)
 
 
 def test_valette_losses_of_a_measured_steel_string() -> None:

@@ -1,6 +1,8 @@
-"""Loss laws of strings: loss factor eta(omega, k) of a mode, from which sigma = omega eta / 2.
+"""Loss laws of strings: loss factor eta(omega, k) of a partial between fixed ends, sigma = omega eta / 2.
 
-The law is chosen by its key ``law`` in a bundle: ``woodhouse``, ``sigma`` or ``valette``.
+That is what measurements of strings give; `tonewood.numerics.string_modes` finds the loss of the modes with which the
+partials on a rigid bridge decay by the law. The law is chosen by its key ``law`` in a bundle: ``woodhouse``, ``sigma``
+or ``valette``.
 """
 
 from __future__ import annotations
@@ -24,11 +26,11 @@ class StringLoss(Parameters, ABC):
     def eta(
         self, freq_rad: Floats, wavenumber: Floats, *, tension: float, linear_density: float, bending_stiffness: float
     ) -> Floats:
-        """Loss factor 1/Q, 1.
+        """Loss factor 1/Q of partials between fixed ends, 1; not below 0.
 
         Parameters
         ----------
-        freq_rad : (n,) rad/s, above 0.
+        freq_rad : (n,) rad/s, above 0, without loss.
         wavenumber : (n,) 1/m.
         tension, linear_density, bending_stiffness : N, kg/m, N m^2.
         """

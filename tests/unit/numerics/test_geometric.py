@@ -131,7 +131,7 @@ def amplitude_at(signal: Floats, freq: float, fs: float) -> float:
 def two_modes(size: float, *, coupled: bool = True) -> tuple[Floats, float]:
     """Longitudinal end force of a string in its 2nd and 5th mode, and the sampling rate."""
     fs = 96000.0
-    motion = along(fs=fs, eta=0.05)  # its own vibration dies away; the forced one stays
+    motion = along(fs=fs, eta=0.02)  # its own vibration dies away; the forced one stays
     system = held_string(fs, basis=transverse(14), motion=motion, coupled=coupled, freq_coupled=1e6)
     state, stepper = in_modes(system, {2: size, 5: 0.6 * size}), KernelStepper(system)
     stepper.run(state, 4800)

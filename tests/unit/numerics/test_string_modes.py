@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg as sla
 
-from tonewood.numerics.string_modes import held_string_compliance, string_basis, wavenumber
+from tonewood.numerics.string_modes import held_string_compliance, string_basis
 
 A2 = {"length": 0.65, "tension": 73.9, "linear_density": 3.61e-3, "bending_stiffness": 4e-5}
 
@@ -73,11 +74,22 @@ def test_parts_of_the_frequency():
     np.testing.assert_allclose(parts, basis.stiffness, rtol=1e-10)
 
 
-def test_loss_is_taken_at_the_wavenumber_of_each_mode():
-    basis = string_basis(**A2, loss=lambda omega, k: 2 * (0.5 + 1e-3 * k**2) / omega, n_modes=25)
-    k = wavenumber(2 * np.pi * basis.natural_freq, 73.9, 3.61e-3, 4e-5)
-    np.testing.assert_allclose(73.9 * k**2 + 4e-5 * k**4, 3.61e-3 * basis.stiffness, rtol=1e-12)
-    np.testing.assert_allclose(basis.damping_rate, 0.5 + 1e-3 * k**2, rtol=1e-12)
+@pytest.mark.parametrize("n_modes", [1, 2, 3, 40, 300])
+@pytest.mark.parametrize("stiffness", [0.0, 4e-5, 4e-2])
+def test_modes_are_those_of_the_dense_eigenproblem(n_modes, stiffness):
+    length, tension, density = 0.65, 73.9, 3.61e-3
+    basis = string_basis(length, tension, density, stiffness, lossless, n_modes=n_modes)
+    k = np.arange(1, n_modes) * np.pi / length
+    K = np.diag(np.concatenate([[tension / length], length / 2 * (tension * k**2 + stiffness * k**4)]))
+    M = density * np.diag(np.concatenate([[length / 3], np.full(n_modes - 1, length / 2)]))
+    M[0, 1:] = M[1:, 0] = density / k
+    scale = 1 / np.sqrt(np.diag(K))
+    inverse = sla.eigvalsh(scale[:, None] * M * scale)[::-1]
+    np.testing.assert_allclose(1 / basis.stiffness, inverse, rtol=1e-11)
+    vec = basis.metadata["vec"]
+    np.testing.assert_allclose(vec.T @ M @ vec, np.eye(n_modes), atol=1e-11)
+    np.testing.assert_allclose(vec.T @ K @ vec / basis.stiffness, np.eye(n_modes), atol=1e-8)
+    assert np.all(vec[0] > 0)  # the sign of a mode is that of its motion at the bridge
 
 
 @pytest.mark.parametrize("bad", [{"freq_upper": 20.0}, {"n_modes": 0}, {}, {"freq_upper": 1e4, "n_modes": 3}])
