@@ -33,9 +33,11 @@ Floats = NDArray[np.float64]
 #: eta(omega rad/s, k 1/m) -> loss factor; the decay rate of a partial is sigma = omega eta / 2
 LossFactor = Callable[[Floats, Floats], ArrayLike]
 
-#: relative error of a fixed-end partial's decay rate at which `loss_rates` ends; iterations after which it gives up
+#: relative error of a fixed-end partial's decay rate at which `loss_rates` ends; iterations at most, and those after
+#: which the error must have fallen by a twentieth
 _LOSS_TOLERANCE = 5e-5
 _LOSS_ITERATIONS = 400
+_LOSS_PATIENCE = 25
 
 
 def wavenumber(freq_rad: ArrayLike, tension: float, linear_density: float, bending_stiffness: float) -> Floats:
@@ -96,7 +98,7 @@ def string_basis(
         raise ValueError("a string needs at least one mode")
     omega2, vec = _solve(n_modes - 1, *parameters)
     n_sines = len(vec) - 1
-    k = np.arange(1, n_sines + 1) * np.pi / length
+    k = np.asarray(np.arange(1, n_sines + 1) * np.pi / length, dtype=np.float64)
     omega = np.sqrt(omega2)
     mode_wavenumber = wavenumber(omega, tension, linear_density, bending_stiffness)
     stiffness = tension * k**2 + bending_stiffness * k**4  # L/2 is left out: it is in the mass too
@@ -197,18 +199,24 @@ def loss_rates(shares: Floats, partial: Floats, guess: Floats) -> LossRates:
     ----------
     shares : (n_partials, n_modes) P_nk >= 0 of each partial's mass; rows sum to 1.
     partial : (n_partials,) sigma_n >= 0, 1/s.
-    guess : (n_modes,) 1/s, s_k to begin with; those that are 0 stay so.
+    guess : (n_modes,) >= 0, 1/s, s_k to begin with; those that are 0 stay so.
     """
     if not partial.size:
         return LossRates(guess, np.zeros(0))
-    s, column = np.where(guess > 0.0, guess, partial.max()), shares.sum(axis=0)
-    wanted = np.where(partial > 0.0, partial, 1.0)
-    for _ in range(_LOSS_ITERATIONS):
+    s, column, known = guess, shares.sum(axis=0), partial > 0.0
+    error, before = np.zeros(len(partial)), np.inf
+    for i in range(_LOSS_ITERATIONS):
         found = shares @ s
-        if np.all(np.abs(found - partial) <= _LOSS_TOLERANCE * partial):
+        error[known] = found[known] / partial[known] - 1
+        worst = np.abs(error).max()
+        if worst <= _LOSS_TOLERANCE or not np.all(found > 0.0):
             break
+        if i % _LOSS_PATIENCE == 0:
+            if worst > 0.95 * before:  # no such rates exist
+                break
+            before = worst
         s = s * ((partial / found) @ shares) / column
-    return LossRates(s, np.where(partial > 0.0, (shares @ s - partial) / wanted, 0.0))
+    return LossRates(s, error)
 
 
 def _solve(
