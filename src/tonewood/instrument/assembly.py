@@ -89,6 +89,9 @@ class Model:
     choice: Choice
     resting: Mapping[str, Connection] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"Model({self.instrument.name!r}, {len(self.strings)} strings, {self.n_modes} modes, {self.fs:g} Hz)"
+
     @property
     def playing(self) -> Playing:
         """Velocity curve, end of notes, controllers."""

@@ -50,6 +50,10 @@ class Instrument:
     resolved: Mapping[str, Any]
     granted: frozenset[Path] = frozenset()
 
+    def __repr__(self) -> str:
+        strings = ", ".join(self.resonators)
+        return f"Instrument({self.name!r}, body {self.spec.body.plugin}, strings {strings})"
+
     @classmethod
     def load(cls, name_or_path: str | os.PathLike[str]) -> Instrument:
         """Load an installed instrument by name, or a folder with an ``instrument.yaml``.

@@ -73,6 +73,12 @@ class ModalBasis:
         if len(set(self.points)) != p:
             raise ValueError("two points of a basis have the same name")
 
+    def __repr__(self) -> str:
+        freq = self.natural_freq
+        span = f", {freq.min():.6g} to {freq.max():.6g} Hz" if freq.size else ""
+        kind = "real" if self.is_real else "complex"
+        return f"ModalBasis({self.n_modes} {kind} modes{span}, points {', '.join(self.points)})"
+
     @classmethod
     def real(
         cls,

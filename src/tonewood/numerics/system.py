@@ -294,6 +294,13 @@ class System:
     stretches: tuple[GeometricStretch, ...] = ()
     is_on: tuple[bool, ...] = ()
 
+    def __repr__(self) -> str:
+        modes = sum(c.basis.n_modes for c in self.compiled)
+        return (
+            f"System({len(self.compiled)} components, {modes} modes, {len(self.connections)} connections, "
+            f"{1 / self.dt:g} Hz)"
+        )
+
     @classmethod
     def build(
         cls,

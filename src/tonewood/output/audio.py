@@ -42,6 +42,10 @@ class Audio:
     channels: tuple[str, ...] = ()
     energy: EnergyTrace | None = None
 
+    def __repr__(self) -> str:
+        shape = f"{len(self.samples)} samples x {self.samples.shape[1]}"
+        return f"Audio({shape}, {self.duration:.6g} s at {self.fs} Hz, peak {self.peak_dbfs:.1f} dBFS)"
+
     @property
     def duration(self) -> float:
         """Length in s."""

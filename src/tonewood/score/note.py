@@ -107,6 +107,12 @@ class Score:
     name: str = "score"
     metadata: dict[str, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return (
+            f"Score({self.name!r}, {len(self.notes)} notes, {len(self.controls)} controls, {self.duration:.6g} s, "
+            f"{len(self.dropped)} dropped)"
+        )
+
     @property
     def duration(self) -> float:
         """End of the last note, s (0 for an empty score)."""
