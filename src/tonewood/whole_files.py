@@ -45,7 +45,7 @@ class Part:
             raise OutputError("is no file but a device", file=path)
         self.path = folder / f".{self._final.stem}.{secrets.token_hex(4)}.part{self._final.suffix}"
         # known before it exists; called when nobody holds this object any more, or at the end of the program
-        self.discard = weakref.finalize(self, _remove, self.path)
+        self.discard = weakref.finalize(self, remove, self.path)
         try:
             self.path.touch(exist_ok=False)
         except OSError as fault:
@@ -65,8 +65,18 @@ class Part:
         self.discard.detach()
 
 
-def _remove(path: Path) -> None:
-    path.unlink(missing_ok=True)
+def remove(path: Path) -> None:
+    """Remove a file, if it is there.
+
+    Raises
+    ------
+    OutputError : it cannot be removed; not where another error is on its way, which says more.
+    """
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as fault:
+        if fault.__context__ is None:
+            raise OutputError(f"cannot be removed: {fault.strerror}", file=path) from None
 
 
 @contextmanager

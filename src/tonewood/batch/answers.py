@@ -17,8 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
 from tonewood.batch.records import KEY_SCHEMA
 from tonewood.errors import TonewoodError
+from tonewood.faults import first_fault
 
 Kind = Literal["mushra", "bs1116", "paired_comparison"]
 MAX_BYTES = 50_000_000
@@ -57,27 +61,57 @@ class Answer:
     choice: str | None = None
 
 
-@dataclass(frozen=True)
-class Key:
+class Trial(BaseModel):
+    """A trial of the key: codes of its sounds."""
+
+    type: str
+    group: str
+    reference: str | None
+    stimuli: list[str]
+
+
+class Sound(BaseModel):
+    """What stands behind a code."""
+
+    condition: str
+    levels: dict[str, str]
+
+
+class Key(BaseModel):
     """The opened key of a batch."""
 
+    model_config = ConfigDict(strict=True, frozen=True)
+
+    schema_: Literal["tonewood-key/1"] = Field(alias="schema")
     name: str
-    trials: dict[str, dict[str, Any]]
-    stimuli: dict[str, dict[str, Any]]
-    factors: tuple[str, ...]
+    trials: dict[str, Trial]
+    stimuli: dict[str, Sound]
+    factors: list[str]
+
+    @model_validator(mode="after")
+    def _codes_lead_somewhere(self) -> Key:
+        for name, trial in self.trials.items():
+            rated = trial.type in ("mushra", "bs1116")
+            for code in (*trial.stimuli, *([trial.reference] if rated or trial.reference is not None else [])):
+                if code not in self.stimuli:
+                    raise PydanticCustomError("key", f"trials.{name}: {code!r} is not one of the key's stimuli")
+        for code, sound in self.stimuli.items():
+            if missing := set(self.factors) - set(sound.levels):
+                raise PydanticCustomError("key", f"stimuli.{code}.levels: {min(missing)} is missing")
+        return self
 
     def label(self, trial: str, code: str) -> str:
         """Levels of a sound that tell it from the others of its trial."""
         entry = self.trials[trial]
-        codes = [c for c in (entry["reference"], *entry["stimuli"]) if c is not None]
-        levels = [self.stimuli[c]["levels"] for c in codes]
-        mine = self.stimuli[code]["levels"]
+        codes = [c for c in (entry.reference, *entry.stimuli) if c is not None]
+        levels = [self.stimuli[c].levels for c in codes]
+        mine = self.stimuli[code].levels
         own = [f"{f}={mine[f]}" for f in self.factors if len({row[f] for row in levels}) > 1]
-        return ", ".join(own) or str(self.stimuli[code]["condition"])
+        return ", ".join(own) or self.stimuli[code].condition
 
     def condition(self, trial: str, code: str) -> str:
         """Full name of the condition behind a code, or behind the reference for a helper."""
-        return str(self.stimuli[self.trials[trial]["reference"] if code in HELPERS else code]["condition"])
+        return self.stimuli[(self.trials[trial].reference or "") if code in HELPERS else code].condition
 
 
 def read_key(path: str | os.PathLike[str]) -> Key:
@@ -90,18 +124,15 @@ def read_key(path: str | os.PathLike[str]) -> Key:
     """
     try:
         data = json.loads(_read(path))
-    except ValueError as fault:
+    except (ValueError, RecursionError) as fault:
         raise ResultsError(f"not JSON: {fault}", file=path) from None
     if not isinstance(data, dict) or data.get("schema") != KEY_SCHEMA:
         raise ResultsError(f"not a key: schema {KEY_SCHEMA} is wanted", file=path)
     try:
-        key = Key(str(data["name"]), dict(data["trials"]), dict(data["stimuli"]), tuple(data["factors"]))
-        for trial in key.trials:
-            for code in key.trials[trial]["stimuli"]:
-                key.label(trial, code)
-    except (KeyError, TypeError, ValueError) as fault:
-        raise ResultsError(f"not a whole key: {fault} is missing or wrong", file=path) from None
-    return key
+        return Key.model_validate(data)
+    except ValidationError as fault:
+        key, reason = first_fault(fault, Key)
+        raise ResultsError(f"not a whole key: {reason}", file=path, key=key) from None
 
 
 def read_answers(path: str | os.PathLike[str], key: Key) -> tuple[Kind, list[Answer]]:
@@ -156,11 +187,11 @@ def _answers(
         if row["session_test_id"].lower() != key.name.lower():
             raise fault("session_test_id", f"the batch of the key, {key.name}")
         trial = row["trial_id"]
-        if trial not in key.trials or key.trials[trial]["type"] != kind:
+        if trial not in key.trials or key.trials[trial].type != kind:
             raise fault("trial_id", f"a {kind} trial of the key")
         heard = "rating_stimulus" if kind == "mushra" else COLUMNS[kind][1]
         code = row[heard]
-        if code not in key.trials[trial]["stimuli"] and not (kind == "mushra" and code in HELPERS):
+        if code not in key.trials[trial].stimuli and not (kind == "mushra" and code in HELPERS):
             raise fault(heard, "a stimulus of its trial")
         listener = sessions.listener(", ".join(row[c] for c in identity), (trial, code))
         label = code if code in HELPERS else key.label(trial, code)

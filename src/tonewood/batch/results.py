@@ -131,7 +131,7 @@ def analyse(
         raise ResultsError(f"none of {len(everyone)} listeners passes the screening", file=results)
     summary: Callable[..., Any] = _rate if kind == "paired_comparison" else _mean
     labels = sorted(_unique(a.label for a in kept), key=lambda label: (label in HELPERS, label))
-    names = {t: f"{opened.trials[t]['group']} ({t})" for t in _unique(a.trial for a in kept)}
+    names = {t: f"{opened.trials[t].group} ({t})" for t in _unique(a.trial for a in kept)}
     overall = tuple(summary(label, None, [a for a in kept if a.label == label], confidence) for label in labels)
     per_trial = tuple(
         summary(label, names[trial], chosen, confidence)

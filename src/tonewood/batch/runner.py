@@ -26,6 +26,7 @@ from tonewood.batch.production import PICTURES, SERVED, SOUNDS, Fault, SoundFile
 from tonewood.batch.store import Rendered, Store, content_key
 from tonewood.batch.workers import Workers
 from tonewood.errors import NumericalError, OutputError, TonewoodError
+from tonewood.whole_files import remove
 
 WORK = "work"
 _FILE_SECONDS = 0.1  # to measure, write and draw one sound file
@@ -343,7 +344,7 @@ def _remove_strangers(folder: Path, codes: set[str]) -> None:
     for place in (folder / SOUNDS, folder / PICTURES):
         for path in place.glob("*.*"):
             if _CODE_FILE.fullmatch(path.name) and path.stem not in codes:
-                path.unlink()
+                remove(path)
 
 
 class _Counter:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
-from tonewood.whole_files import whole_file
+from tonewood.whole_files import remove, whole_file
 
 SCHEMA = "tonewood-render/1"
 
@@ -55,10 +54,10 @@ class Store:
     def has(self, key: str) -> bool:
         """Whether a whole, undamaged render of `key` is there (its checksums are read)."""
         try:
-            with zipfile.ZipFile(self.path(key)) as archive:
-                return archive.testzip() is None and set(archive.namelist()) == {"samples.npy", "facts.npy"}
-        except (OSError, zipfile.BadZipFile, EOFError):
+            self.load(key)
+        except OutputError:
             return False
+        return True
 
     def save(self, key: str, rendered: Rendered) -> None:
         """Keep a render; see `whole_file` for what can go wrong."""
@@ -77,23 +76,33 @@ class Store:
             It is not there or damaged; the next run makes it again.
         """
         with self._open(key) as archive:
-            facts = json.loads(archive["facts"].tobytes())
-            return Rendered(archive["samples"], int(facts["fs"]), facts["info"])
+            facts, samples = _facts(archive), archive["samples"]
+            if samples.dtype != np.float64 or samples.ndim != 2 or len(samples) != facts["frames"]:
+                raise ValueError("samples are not those the facts tell of")
+            return Rendered(samples, facts["fs"], facts["info"])
 
     def facts(self, key: str) -> dict[str, Any]:
         """Of the render of `key`: `fs`, `frames` and `info`, without reading its samples; raises as `load`."""
         with self._open(key) as archive:
-            return dict(json.loads(archive["facts"].tobytes()))
+            return _facts(archive)
 
     @contextlib.contextmanager
     def _open(self, key: str) -> Iterator[Any]:
         try:
             with np.load(self.path(key)) as archive:
                 yield archive
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        except Exception:  # what unzipping and decoding raise on damaged bytes is no closed list
             raise OutputError("is damaged or gone: run the batch again", file=self.path(key)) from None
 
     def clear_parts(self) -> None:
         """Remove what an earlier run had to leave half-written."""
         for part in self.folder.glob(".*.part.npz"):
-            part.unlink(missing_ok=True)
+            remove(part)
+
+
+def _facts(archive: Any) -> dict[str, Any]:
+    facts = json.loads(archive["facts"].tobytes())
+    fs, frames, info = facts["fs"], facts["frames"], facts["info"]
+    if not (type(fs) is int and fs > 0 and type(frames) is int and isinstance(info, dict)):
+        raise ValueError("facts are not those of a render")
+    return {"fs": fs, "frames": frames, "info": info}

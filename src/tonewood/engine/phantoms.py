@@ -101,7 +101,7 @@ class Phantoms:
         lines = np.stack([np.abs(np.subtract.outer(freq, freq)), np.add.outer(freq, freq)])
         audible = np.stack([~np.eye(n, dtype=bool), np.ones((n, n), dtype=bool)])
         end = law.longitudinal or ""
-        per_newton = transfer.heard_at(end, lines.ravel()).reshape(-1, *lines.shape)
+        per_newton = transfer.heard_at(end, lines.ravel()).reshape(len(transfer.heard), *lines.shape)
         own_per_newton = transfer.heard_at(end, own.freq_rad)
         heard, moved = np.zeros((len(per_newton), n, n)), np.zeros((n, n))
         for order in range(own.n_modes + 1):

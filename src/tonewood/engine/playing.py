@@ -14,6 +14,7 @@ from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Event, Gesture, Place
 from tonewood.numerics.forcing import Segment
 from tonewood.score.assignment import Assigned, PlayableString, assign
+from tonewood.score.controllers import Controllers, History
 from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
 
 #: a damped string is let go when it has decayed this many times by 60 dB: from then on it may ring with the others
@@ -62,7 +63,8 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     by_string: dict[str, list[Assigned]] = defaultdict(list)
     for assigned in assignment.notes:
         by_string[assigned.string].append(assigned)
-    bends = {channel: _glided(line, GRID / model.fs) for channel, line in _by_channel(score.controls, "bend").items()}
+    controllers = Controllers(score.controls)
+    bends = {channel: History(_glided(line, GRID / model.fs)) for channel, line in _by_channel(score.controls).items()}
     changes: list[Change] = []
     plays = list(body_plays)
     dropped = [*score.dropped, *assignment.dropped]
@@ -70,7 +72,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     for name, line in by_string.items():
         for i, assigned in enumerate(line):
             following = line[i + 1] if i + 1 < len(line) else None
-            play = _gesture(assigned, line[i - 1] if i else None, following, model, score.controls)
+            play = _gesture(assigned, line[i - 1] if i else None, following, model, controllers)
             if i:
                 play = replace(play, gesture=_hurried(play.gesture, play.time - plays[-1].stop))
             plays.append(play)
@@ -140,16 +142,16 @@ def _with_force(note: Note, model: Model, factor: float) -> Note:
 
 
 def _gesture(
-    assigned: Assigned, before: Assigned | None, following: Assigned | None, model: Model, controls: Sequence[Control]
+    assigned: Assigned, before: Assigned | None, following: Assigned | None, model: Model, controllers: Controllers
 ) -> Play:
     note, string = assigned.note, model.strings[assigned.string]
     name = note.technique or model.default_exciter
     values: dict[str, float] = {}
     for kind, control in model.playing.controls.items():
         exciter, _, parameter = control.parameter.partition(".")
-        latest = [c for c in controls if c.kind == kind and c.time <= note.time and c.channel in (None, note.channel)]
-        if latest and exciter == name:
-            values[parameter] = control.value(latest[-1].value)
+        latest = controllers.at(kind, note.channel, note.time)
+        if latest is not None and exciter == name:
+            values[parameter] = control.value(latest)
     given = {
         model.playing.velocity.parameter.partition(".")[2]: note.force,
         "from_bridge": note.from_bridge,
@@ -198,19 +200,18 @@ def _left_hand(
     following: Assigned | None,
     name: str,
     model: Model,
-    bends: Mapping[int | None, Sequence[Control]],
+    bends: Mapping[int | None, History],
 ) -> list[Change]:
     """Stop the string as the pluck begins, bend it with its channel, damp it at the note's end."""
     channel = assigned.note.channel
-    line = bends.get(channel, ())
-    before = [b.value for b in line if b.time <= play.start]
-    at_start = assigned.cents + (before[-1] if before else 0.0)
+    line = bends.get(channel, History())
+    at_start = assigned.cents + (line.at(play.start) or 0.0)
     course = stop_course(play, assigned.stop, model.strings[name].stopping.continuous, GRID / model.fs)
     (begin, first), *rest = course or [(play.start, assigned.stop)]
     out = [Change(begin, name, stop=first, cents=at_start, added_damping=0.0, touches=())]
     out += [Change(time, name, touches=touches) for time, touches in touch_course(play, GRID / model.fs)]
     out += [Change(time, name, stop=stop) for time, stop in rest]
-    out += [Change(b.time, name, cents=assigned.cents + b.value) for b in line if play.start < b.time < assigned.end]
+    out += [Change(b.time, name, cents=assigned.cents + b.value) for b in line.between(play.start, assigned.end)]
     end = model.playing.note_end
     if end.kind == "ring" or not math.isfinite(assigned.end):
         return out
@@ -238,9 +239,10 @@ def _glided(line: Sequence[Control], tick: float) -> list[Control]:
     return out
 
 
-def _by_channel(controls: Sequence[Control], kind: str) -> dict[int | None, list[Control]]:
+def _by_channel(controls: Sequence[Control]) -> dict[int | None, list[Control]]:
+    """Bends of each channel."""
     out: dict[int | None, list[Control]] = defaultdict(list)
     for control in controls:
-        if control.kind == kind:
+        if control.kind == "bend":
             out[control.channel].append(control)
     return out

@@ -10,6 +10,7 @@ import numpy as np
 from tonewood.engine.timeline import Play
 from tonewood.instrument.attached import Motion
 from tonewood.instrument.schema import Playing
+from tonewood.score.controllers import Controllers
 from tonewood.score.note import Score
 from tonewood.score.scales import note_number
 
@@ -26,6 +27,7 @@ def with_techniques(score: Score, playing: Playing) -> Score:
     if not (playing.keyswitches or playing.switches):
         return score
     keys = {float(note_number(key)): technique for key, technique in playing.keyswitches.items()}
+    controllers = Controllers(score.controls)
     notes, latest = [], dict[int | None, str]()
     # a key pressed together with a note is meant for it
     for note in sorted(score.notes, key=lambda n: (n.time, n.note not in keys)):
@@ -34,9 +36,7 @@ def with_techniques(score: Score, playing: Playing) -> Score:
             continue
         technique = note.technique or latest.get(note.channel)
         for kind, name in playing.switches.items():
-            seen = [c for c in score.controls if c.kind == kind and c.channel in (None, note.channel)]
-            seen = [c for c in seen if c.time <= note.time]
-            if note.technique is None and seen and seen[-1].value >= 0.5:
+            if note.technique is None and (controllers.at(kind, note.channel, note.time) or 0.0) >= 0.5:
                 technique = name
         notes.append(replace(note, technique=technique))
     return replace(score, notes=notes)

@@ -14,6 +14,8 @@ Complexes = NDArray[np.complex128]
 #: frequencies per octave besides the body's own resonances
 _PER_OCTAVE = 24
 _LOWEST = 2 * np.pi * 20.0
+#: complex numbers held at a time for responses
+_AT_ONCE = 500_000
 _POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
@@ -108,18 +110,24 @@ def response(compiled: Compiled, freq_rad: Floats, out: Floats, into: Floats) ->
     out, into : (n_out, n_points) and (n_in, n_points) weights of the points that are read and driven.
     """
     ins, outs = np.flatnonzero(into.any(axis=0)), np.flatnonzero(out.any(axis=0))
-    A, B, C = compiled.form.A, compiled.form.B[ins], compiled.form.C[outs]
-    s = 1j * freq_rad[:, None]
-    a, b, c, d = s - A[:, 0, 0], A[:, 0, 1], A[:, 1, 0], s - A[:, 1, 1]
-    det = a * d - b * c
-    # (s - A)^-1 B of every point that is driven, read at every point that is read, then the combinations
-    moved = np.empty((len(freq_rad), len(ins), len(A), 2), dtype=np.complex128)
-    for i, (x, y) in enumerate(B.transpose(0, 2, 1)):
-        moved[:, i, :, 0] = (d * x + b * y) / det
-        moved[:, i, :, 1] = (c * x + a * y) / det
-    points = moved.reshape(len(freq_rad), len(ins), -1) @ C.reshape(len(outs), -1).T
-    whole = out[:, outs] @ points.transpose(0, 2, 1) @ into[:, ins].T
-    return np.asarray(whole.transpose(1, 2, 0) + (out @ compiled.basis.residual @ into.T)[..., None])
+    A, B, C = compiled.form.A, compiled.form.B[ins], compiled.form.C[outs].reshape(len(outs), 2 * len(compiled.form.A))
+    residual = (out @ compiled.basis.residual @ into.T)[..., None]
+    whole = np.zeros((len(out), len(into), len(freq_rad)), dtype=np.complex128)
+    # (s - A)^-1 B of every point that is driven, read at every point that is read, then the combinations;
+    # some frequencies at a time: all of them would take memory by the product of frequencies and modes
+    at_a_time = max(1, _AT_ONCE // max(1, len(A) * (len(ins) + 3)))
+    for first in range(0, len(freq_rad), at_a_time):
+        s = 1j * freq_rad[first : first + at_a_time, None]
+        a, b, c, d = s - A[:, 0, 0], A[:, 0, 1], A[:, 1, 0], s - A[:, 1, 1]
+        det = a * d - b * c
+        moved = np.empty((len(s), len(ins), len(A), 2), dtype=np.complex128)
+        for i, (x, y) in enumerate(B.transpose(0, 2, 1)):
+            moved[:, i, :, 0] = (d * x + b * y) / det
+            moved[:, i, :, 1] = (c * x + a * y) / det
+        points = moved.reshape(len(s), len(ins), 2 * len(A)) @ C.T
+        combined = out[:, outs] @ points.transpose(0, 2, 1) @ into[:, ins].T
+        whole[..., first : first + at_a_time] = combined.transpose(1, 2, 0)
+    return whole + residual
 
 
 def _readout_rows(system: System, name: str, compiled: Compiled) -> tuple[Floats, NDArray[np.intp]]:

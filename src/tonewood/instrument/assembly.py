@@ -105,8 +105,18 @@ class Model:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was done to the bundle's figures to make them playable, one line each."""
-        note = self.system.compiled[self.system.slot("body")].basis.metadata.get("repair")
-        return () if note is None else (f"body: {note}",)
+        body = self.system.compiled[self.system.slot("body")].basis
+        note = body.metadata.get("repair")
+        lines = [] if note is None else [f"body: {note}"]
+        if not body.n_modes:
+            lines.append(f"body: has no mode below the highest that is stepped at {self.fs:g} Hz: it does not sound")
+        lines += [
+            f"strings.{name}: shares no direction with the body's points it ends on: its bridge end is rigid, and it does "
+            "not move the body"
+            for name, string in self.strings.items()
+            if not any(p.ends for p in string.ends)
+        ]
+        return tuple(lines)
 
     def place(self, string: str, stop: float = 0) -> Place:
         """A string at a stop, as exciters want it."""

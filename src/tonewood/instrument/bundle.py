@@ -158,7 +158,9 @@ class Instrument:
         try:
             if part.freq is not None:
                 return self.tuning.note(part.freq)
-            return float(note_number(part.note)) if isinstance(part.note, str) else float(part.note or 0.0)
+            note = float(note_number(part.note)) if isinstance(part.note, str) else float(part.note or 0.0)
+            self.tuning.freq(note)
+            return note
         except ScoreError as fault:
             raise self._fault(fault.reason, f"strings.{string}.note") from None
 

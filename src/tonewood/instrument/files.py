@@ -88,7 +88,10 @@ class Files:
         for number, line in enumerate(text.splitlines(), 1):
             if not line.strip() or line.lstrip().startswith("#"):
                 continue
-            cells = [cell.strip() for cell in next(csv.reader([line]))]
+            try:
+                cells = [cell.strip() for cell in next(csv.reader([line]))]
+            except csv.Error as fault:  # a field too long
+                raise BundleError(f"line {number}: {fault}", file=shown) from None
             if not header:
                 header = cells
                 if len(set(header)) != len(header) or "" in header:

@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.errors import BundleError
 from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Resonator
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
@@ -343,6 +344,12 @@ class StringModel:
             # the open string's tension, once known, is the best guess for every stop
             guess = self._tuned[0.0][1] if 0.0 in self._tuned else self._first_guess()
             basis = self.resonator.basis(self._freq_upper, stop=self.position(stop), tension=guess)
+            if basis.n_modes < 2:  # one alone moves with the bridge: held there, the string would have none
+                raise self.resonator.fault(
+                    f"{self._freq_upper:g} Hz leave {basis.n_modes} of the modes at stop {stop:g}; {self.freq(stop):.2f} "
+                    "Hz need 2 or more: raise freq_upper, or the sampling rate",
+                    "freq_upper",
+                )
             bridge = basis.index("bridge")
             residual = basis.residual.copy()
             residual[bridge, bridge] += self._end_compliance
@@ -385,15 +392,20 @@ class StringModel:
             elif how == "open_only" and stop > 0:
                 tension, string = self.tension(0.0), self.coupled(stop)
                 modes = string.modes(tension, self.freq(stop))
+                if not modes:
+                    raise self._without_mode(stop, f"no mode of the string was found near {self.freq(stop):.2f} Hz")
                 self._tuned[stop] = (TunedStop(self.freq(stop), tension, modes), tension)
             else:
                 guess = self.tension(0.0) if stop > 0 else self._first_guess()
                 try:
                     found = tune(self.coupled(stop), self.freq(stop), guess)
                 except ValueError as fault:
-                    raise self.resonator.fault(f"at stop {stop:g}: {fault}", "note") from None
+                    raise self._without_mode(stop, str(fault)) from None
                 self._tuned[stop] = (found, found.tension)
         return self._tuned[stop]
+
+    def _without_mode(self, stop: float, reason: str) -> BundleError:
+        return self.resonator.fault(f"at stop {stop:g}: {reason}", "note")
 
 
 def damped(bases: Mapping[str, ModalBasis], added_damping: float) -> dict[str, ModalBasis]:

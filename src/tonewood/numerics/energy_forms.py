@@ -217,7 +217,7 @@ def _interval_forms(A: Floats, B: Floats, integrands: tuple[Floats, Floats], dur
     M[:, n_x : n_x + p, n_x + p : n_x + 2 * p] = M[:, n_x + p : n_x + 2 * p, n_x + 2 * p :] = np.eye(p)
     loss, rows = np.zeros((b, n_s, n_s)), np.zeros((b, integrands[1].shape[1], n_s))
     loss[:, : n_x + p, : n_x + p], rows[:, :, : n_x + p] = integrands
-    doublings = max(0, int(np.ceil(np.log2(2 * np.abs(M).sum(axis=2).max()))))
+    doublings = max(0, int(np.ceil(np.log2(2 * np.abs(M).sum(axis=2).max(initial=0.5)))))
     t = 0.5**doublings
 
     powers = [np.broadcast_to(np.eye(n_s), M.shape)]

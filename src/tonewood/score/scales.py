@@ -21,6 +21,7 @@ A4_KEY = 69
 A4_FREQ = 440.0
 # No instrument needs more than ten octaves between neighbours; it also keeps every frequency a finite number.
 MAX_CENTS = 12_000.0
+MAX_OCTAVES = 100
 MAX_DEGREES = 10_000
 MAX_FILE_BYTES = 2**20
 
@@ -128,9 +129,14 @@ class Tuning:
 
         Raises
         ------
-        ScoreError : a key needed plays nothing in this tuning.
+        ScoreError : a key needed plays nothing in this tuning, or lies beyond `MAX_OCTAVES`.
         """
-        return self.reference_freq * math.exp2(self._cents(note) / 1200)
+        octaves = self._cents(note) / 1200
+        if abs(octaves) > MAX_OCTAVES:
+            raise ScoreError(
+                f"note {note:g} lies {octaves:g} octaves from the reference frequency; {MAX_OCTAVES} are allowed"
+            )
+        return self.reference_freq * math.exp2(octaves)
 
     def cents_between(self, low: float, high: float) -> float:
         """Interval from one note to another in cents."""
