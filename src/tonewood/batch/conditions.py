@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from tonewood.batch.manifest import Manifest, ManifestError, RenderSettings, ScoreSource, Variation
 from tonewood.batch.seeds import generator
+from tonewood.instrument.registry import INSTRUMENTS, entries
 from tonewood.score.note import Note
 
 MAX_CONDITIONS = 100_000
@@ -215,7 +216,11 @@ def _draw(path: str, variation: Variation, seed: int, labels: tuple[str, ...]) -
 
 
 def _bundle(value: str, folder: Path) -> str:
-    return str((folder / value).resolve()) if "/" in value or "\\" in value else value
+    """Name of an installed instrument, or a folder relative to the manifest's."""
+    beside = folder / value
+    if "/" in value or "\\" in value or (value not in entries(INSTRUMENTS) and beside.is_dir()):
+        return str(beside.resolve())
+    return value
 
 
 def _source(name: str, score: ScoreSource, folder: Path) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache, lru_cache
 from typing import Any
 
@@ -157,14 +157,7 @@ def _varied(score: Score, instrument: Instrument, condition: Condition) -> Score
     if not any(draw.note_field for draw in condition.draws):
         return score
     lookup = _Base(score, instrument, condition)
-    return Score(
-        vary_notes(score.notes, condition.draws, lookup.value),
-        score.controls,
-        score.dropped,
-        score.warnings,
-        score.name,
-        score.metadata,
-    )
+    return replace(score, notes=vary_notes(score.notes, condition.draws, lookup.value))
 
 
 class _Base:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import TYPE_CHECKING
 
 from tonewood.cli.common import Json
+from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
     from tonewood.instrument.registry import Entry
@@ -17,22 +19,24 @@ def list_installed(as_json: Json = False) -> None:
     from tonewood.instrument import registry
     from tonewood.instrument.bundle import Instrument
 
-    instruments = [
-        {
-            **_owner(entry),
-            "title": (found := Instrument.load(name)).spec.title,
-            "licence": found.spec.licence,
-            "folder": str(found.folder),
-        }
-        for name, entry in registry.entries(registry.INSTRUMENTS).items()
-    ]
-    plugins = []
+    instruments: list[dict[str, str]] = []
+    for name, entry in registry.entries(registry.INSTRUMENTS).items():
+        try:
+            found = Instrument.load(name)
+        except TonewoodError as fault:
+            instruments.append({**_owner(entry), "broken": str(fault)})
+            continue
+        more = {"title": found.spec.title, "licence": found.spec.licence, "folder": str(found.folder)}
+        instruments.append({**_owner(entry), **more})
+    plugins: list[dict[str, str]] = []
+    broken = registry.broken_plugins()
     for name, entry in registry.entries(registry.PLUGINS).items():
+        if name in broken:
+            plugins.append({**_owner(entry), "broken": broken[name]})
+            continue
         plugin = registry.plugin(name)
         summary = (plugin.__doc__ or "").strip().partition("\n")[0]
         if "see the module" in summary.lower():
-            import sys
-
             summary = (sys.modules[plugin.__module__].__doc__ or "").strip().partition("\n")[0]
         plugins.append({**_owner(entry), "kind": plugin.kind, "summary": summary})
     if as_json:
@@ -41,10 +45,19 @@ def list_installed(as_json: Json = False) -> None:
         return
     print(f"tonewood {__version__}\n\ninstruments")
     for row in instruments:
-        print(f"  {row['name']:<20} {row['title']}  [{row['package']} {row['version']}, {row['licence']}]")
+        print(
+            _line(row) or f"  {row['name']:<20} {row['title']}  [{row['package']} {row['version']}, {row['licence']}]"
+        )
     print("\nplugins")
     for row in plugins:
-        print(f"  {row['name']:<20} {row['kind']:<10} {row['summary']}  [{row['package']} {row['version']}]")
+        print(
+            _line(row) or f"  {row['name']:<20} {row['kind']:<10} {row['summary']}  [{row['package']} {row['version']}]"
+        )
+
+
+def _line(row: dict[str, str]) -> str:
+    """What a broken one is listed as; nothing for one that can be used."""
+    return f"  {row['name']:<20} broken: {row['broken']}" if "broken" in row else ""
 
 
 def _owner(entry: Entry) -> dict[str, str]:

@@ -132,6 +132,8 @@ def render(
         f"peak {decibel(peak):.1f} dBFS; {played} notes, {lost} dropped; "
         f"{summary.realtime_factor:.1f} x real time; ended: {summary.end}"
     )
+    if summary.ignored:
+        print(f"  ignored MIDI: {', '.join(f'{n} {kind}' for kind, n in summary.ignored.items())}")
     for line in _told(summary):
         print(line)
     if account is not None:
@@ -226,6 +228,7 @@ def _report(
         "notes_dropped": [
             {"time_s": d.time, "note": d.note, "channel": d.channel, "reason": d.reason} for d in s.notes_dropped
         ],
+        "midi_ignored": dict(s.ignored),
         "peak_dbfs": decibel(peak) if peak > 0 else None,
         "clipped": clipped,
         "end": s.end,

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from tonewood.engine.techniques import stop_course, touch_course, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
 from tonewood.errors import ScoreError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Gesture, Place
+from tonewood.instrument.contract import Event, Exciter, Gesture, Place
+from tonewood.instrument.gestures import is_played, places
+from tonewood.instrument.schema import Playing
 from tonewood.numerics.forcing import Segment
 from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.controllers import Controllers, History
@@ -21,6 +24,8 @@ from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
 _LET_GO_AFTER = 1.5
 #: s, for the preparation of a pluck that follows another at once
 _SHORTEST_PREPARATION = 1e-3
+#: volume, expression, sustain pedal
+_READ_CONTROLLERS = ("cc7", "cc11", "cc64")
 #: cents/s, how fast a bend follows its wheel: a string whose tension jumped would gain as much energy as tension
 _BEND_RATE = 40e3
 
@@ -35,12 +40,14 @@ class Performance:
     notes : every note played, with its string and stop.
     dropped : notes that cannot be played, and why.
     warnings : what else is worth knowing, one line each.
+    ignored : kind of message or controller that the instrument makes nothing of -> how many there were.
     """
 
     timeline: Timeline
     notes: Sequence[Assigned]
     dropped: Sequence[Dropped]
     warnings: Sequence[str]
+    ignored: Mapping[str, int]
 
 
 def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> Performance:
@@ -64,15 +71,19 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     for assigned in assignment.notes:
         by_string[assigned.string].append(assigned)
     controllers = Controllers(score.controls)
-    bends = {channel: History(_glided(line, GRID / model.fs)) for channel, line in _by_channel(score.controls).items()}
+    bends = {c: History(_glided(line, GRID / model.fs)) for c, line in _by_channel(score.controls).items()}
     changes: list[Change] = []
     plays = list(body_plays)
     dropped = [*score.dropped, *assignment.dropped]
     played: list[Assigned] = []
+    n_moved = 0
     for name, line in by_string.items():
         for i, assigned in enumerate(line):
             following = line[i + 1] if i + 1 < len(line) else None
-            play = _gesture(assigned, line[i - 1] if i else None, following, model, controllers)
+            event = _event(assigned, line[i - 1] if i else None, following, model, controllers)
+            n_moved += not _is_where_asked(event, assigned, model, score.name)
+            gesture = _exciter(assigned.note, model).gesture(event, model.place(name, assigned.stop))
+            play = Play(assigned.note.time, gesture, string=name)
             if i:
                 play = replace(play, gesture=_hurried(play.gesture, play.time - plays[-1].stop))
             plays.append(play)
@@ -81,6 +92,11 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     warnings = list(score.warnings)
     if assignment.n_cut:
         warnings.append(f"{assignment.n_cut} notes end early: their string is needed again")
+    if n_moved:
+        warnings.append(
+            f"{n_moved} notes are played at another place than asked for: nearer than 1 % of the speaking length to one "
+            "of its ends, or beyond the stop"
+        )
     if assignment.doubled:
         warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")
     timeline = Timeline(
@@ -88,7 +104,16 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
         sorted(plays, key=lambda p: p.start),
     )
     played.sort(key=lambda a: a.note.time)
-    return Performance(timeline, played, sorted(dropped, key=lambda d: d.time), warnings)
+    return Performance(
+        timeline, played, sorted(dropped, key=lambda d: d.time), warnings, _ignored(score, model.playing)
+    )
+
+
+def _ignored(score: Score, playing: Playing) -> dict[str, int]:
+    """What was ignored while reading, and changes of controllers that neither the player nor the bundle reads."""
+    read = {"bend", *_READ_CONTROLLERS, *playing.controls, *playing.switches}
+    unread = Counter(f"controller {c.kind[2:]}" for c in score.controls if c.kind not in read)
+    return dict(Counter(score.ignored) + unread)
 
 
 def playable(model: Model) -> list[PlayableString]:
@@ -141,9 +166,26 @@ def _with_force(note: Note, model: Model, factor: float) -> Note:
     return note if force is None else replace(note, force=force, velocity_midi=None)
 
 
-def _gesture(
+def _exciter(note: Note, model: Model) -> Exciter[Any]:
+    return model.exciters[note.technique or model.default_exciter]
+
+
+def _is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) -> bool:
+    """Whether a note is played where it is asked for; a place beyond the string is refused by a `ScoreError`."""
+    string, exciter = model.strings[assigned.string], _exciter(assigned.note, model)
+    length = string.length(assigned.stop)
+    try:
+        asked = places(exciter.adjusted(event.values), string.length(), length)
+    except ValueError as fault:
+        reason = f"the note at {assigned.note.time:g} s on string {string.name}: {fault}"
+        raise ScoreError(reason, file=file, key=exciter.key) from None
+    return all(is_played(x, length) for x in asked.values())
+
+
+def _event(
     assigned: Assigned, before: Assigned | None, following: Assigned | None, model: Model, controllers: Controllers
-) -> Play:
+) -> Event:
+    """What is asked of the exciter: the note's own values, and what controllers are at."""
     note, string = assigned.note, model.strings[assigned.string]
     name = note.technique or model.default_exciter
     values: dict[str, float] = {}
@@ -165,9 +207,7 @@ def _gesture(
     if following is not None and (following.note.technique or model.default_exciter) == name:
         free = following.note.time - note.time - model.exciters[name].recovery
         duration = min(duration, max(free, 0.5 * duration))
-    event = Event(values, string.freq(assigned.stop), duration, assigned.stop, held, string.length(held))
-    gesture = model.exciters[name].gesture(event, model.place(assigned.string, assigned.stop))
-    return Play(note.time, gesture, string=assigned.string)
+    return Event(values, string.freq(assigned.stop), duration, assigned.stop, held, string.length(held))
 
 
 def _hurried(gesture: Gesture, available: float) -> Gesture:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from tonewood.errors import BundleError
@@ -11,7 +12,7 @@ from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.contract import BodyPoint, BridgeForce, Exciter, Longitudinal, PickupRows, Place, Scene, dot
 from tonewood.instrument.directions import unit_vector
 from tonewood.instrument.effects import Choice, declared
-from tonewood.instrument.gestures import Fraction
+from tonewood.instrument.gestures import Fraction, places
 from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import Playing, StringPart
 from tonewood.instrument.strings import Along, Polarization, Stopping, StringModel
@@ -111,8 +112,8 @@ class Model:
         if not body.n_modes:
             lines.append(f"body: has no mode below the highest that is stepped at {self.fs:g} Hz: it does not sound")
         lines += [
-            f"strings.{name}: shares no direction with the body's points it ends on: its bridge end is rigid, and it does "
-            "not move the body"
+            f"strings.{name}: shares no direction with the body's points it ends on: its bridge end is rigid, and the "
+            "body does not move with it"
             for name, string in self.strings.items()
             if not any(p.ends for p in string.ends)
         ]
@@ -150,6 +151,7 @@ def assemble(
         name: _string(instrument, name, body, body_points, limit, instrument.exciters[exciter], choice)
         for name in instrument.string_names
     }
+    _check_places(instrument, strings, exciter, file)
     driven = {point for string in strings.values() for p in string.ends for point in p.ends}
     driven |= {e.at.partition(".")[2] for e in instrument.exciters.values() if e.at is not None}
     check_basis(body, sorted(driven), dt=1.0 / fs).require(file=str(file), key="body")
@@ -238,6 +240,18 @@ def assemble(
         choice=choice,
         resting=resting,
     )
+
+
+def _check_places(instrument: Instrument, strings: Mapping[str, StringModel], default: str, file: Path) -> None:
+    """Hold places of exciters to the strings: the default one plays them all, any other at least the longest."""
+    lengths = [string.length() for string in strings.values()]
+    for name, exciter in instrument.exciters.items():
+        if exciter.at is None:
+            length = min(lengths) if name == default else max(lengths)
+            try:
+                places(exciter.parameters, length, length)
+            except ValueError as fault:
+                raise BundleError(str(fault), file=file, key=f"exciters.{name}") from None
 
 
 def _string(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Annotated
 
 from pydantic import Field
@@ -21,6 +22,11 @@ class Fraction(Parameters):
 StringPlace = Annotated[Number, Field(ge=0.0)] | Fraction
 
 
+_OPTIONAL = StringPlace | None
+#: share of the speaking length within which of its ends a string is not played
+_NEAREST = 0.01
+
+
 def metres(place: StringPlace, on: Place) -> float:
     """Place in metres from the bridge; between 1 % of the string from the bridge and 1 % from the stop.
 
@@ -29,7 +35,37 @@ def metres(place: StringPlace, on: Place) -> float:
     if on.length <= 0:
         raise BundleError(f"{on.name} is not a string: there is no place from its bridge")
     x = place.fraction * on.length if isinstance(place, Fraction) else float(place)
-    return min(max(x, 0.01 * on.length), 0.99 * on.length)
+    return min(max(x, _NEAREST * on.length), (1 - _NEAREST) * on.length)
+
+
+@cache
+def _place_fields(kind: type[Parameters]) -> tuple[str, ...]:
+    return tuple(name for name, field in kind.model_fields.items() if field.annotation in (StringPlace, _OPTIONAL))
+
+
+def places(parameters: Parameters, open_length: float, length: float) -> dict[str, float]:
+    """Parameter -> m from the bridge, of all that are places on a string: metres, or shares of the speaking length.
+
+    Raises
+    ------
+    ValueError : a place lies beyond the open string; names it.
+    """
+    found = {}
+    for name in _place_fields(type(parameters)):
+        place = getattr(parameters, name)
+        if place is None:
+            continue
+        found[name] = place.fraction * length if isinstance(place, Fraction) else float(place)
+        if found[name] > open_length:
+            raise ValueError(
+                f"{name} is {found[name]:g} m; places up to {open_length:g} m, the open string, are allowed"
+            )
+    return found
+
+
+def is_played(x: float, length: float) -> bool:
+    """Whether a string of this speaking length (m) is played where it is asked for, x (m) from the bridge."""
+    return _NEAREST * length <= x <= (1 - _NEAREST) * length
 
 
 def smooth_step(start: float, stop: float, low: float, high: float) -> tuple[Segment, ...]:

@@ -10,7 +10,7 @@ import hashlib
 import inspect
 import os
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module, metadata
 from importlib.resources import files as package_files
@@ -35,22 +35,19 @@ class Entry:
     name : the word used in bundles or on the command line.
     value : what it points to.
     distribution, version : who announces it.
+    fault : why it cannot be used: another distribution announces the same name; empty where none does.
     """
 
     name: str
     value: str
     distribution: str
     version: str
+    fault: str = ""
 
 
 @cache
 def entries(group: str) -> dict[str, Entry]:
-    """Announced names of a group, sorted.
-
-    Raises
-    ------
-    PluginError : two distributions announce the same name.
-    """
+    """Announced names of a group, sorted; one that two distributions announce carries a `fault`."""
     found: dict[str, Entry] = {}
     for point in sorted(metadata.entry_points(group=group), key=lambda p: p.name):
         owner = point.dist
@@ -58,22 +55,34 @@ def entries(group: str) -> dict[str, Entry]:
         before = found.get(point.name)
         # one distribution may be seen twice, through two entries of the path
         if before is not None and (before.value, before.distribution) != (entry.value, entry.distribution):
-            raise PluginError(
-                f"the name {point.name!r} is announced twice in {group}: by {before.distribution} ({before.value}) "
-                f"and by {entry.distribution} ({entry.value}); one of them must go"
+            entry = replace(
+                before,
+                fault=f"the name {point.name!r} is announced twice in {group}: by {before.distribution} "
+                f"({before.value}) and by {entry.distribution} ({entry.value}); one of them must go",
             )
         found[point.name] = entry
     return found
 
 
 def list_plugins() -> dict[str, type[Plugin[Any]]]:
-    """Every installed plugin, by name."""
-    return {name: plugin(name) for name in entries(PLUGINS)}
+    """Every installed plugin that can be used, by name; what is wrong with others `broken_plugins` tells."""
+    return {name: plugin(name) for name in entries(PLUGINS) if name not in broken_plugins()}
+
+
+def broken_plugins() -> dict[str, str]:
+    """Installed plugins that cannot be used: name -> reason, one line."""
+    found = {}
+    for name in entries(PLUGINS):
+        try:
+            plugin(name)
+        except PluginError as fault:
+            found[name] = str(fault)
+    return found
 
 
 def list_instruments() -> dict[str, Path]:
     """Folder of every installed instrument, by name."""
-    return {name: instrument_folder(name) for name in entries(INSTRUMENTS)}
+    return {name: instrument_folder(name) for name, entry in entries(INSTRUMENTS).items() if not entry.fault}
 
 
 @cache
@@ -93,14 +102,19 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
     if name not in known:
         raise PluginError(f"there is no plugin {name!r}; installed are {', '.join(known) or 'none'}")
     entry = known[name]
+    if entry.fault:
+        raise PluginError(entry.fault)
     module, _, attribute = entry.value.partition(":")
     try:
         found = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError, SyntaxError) as fault:
-        raise PluginError(f"plugin {name!r} of {entry.distribution} cannot be imported: {fault}") from None
-    check_plugin(found, f"plugin {name!r} of {entry.distribution}")
+        check_plugin(found, f"plugin {name!r} of {entry.distribution}")
+    except PluginError:
+        raise
+    except (Exception, SystemExit) as fault:  # a stranger's code may raise anything
+        reason = f"cannot be imported: {type(fault).__name__}: {fault}"
+        raise PluginError(f"plugin {name!r} of {entry.distribution} {reason}") from None
     if kind is not None and found.kind != kind:
-        fitting = [other for other in known if plugin(other).kind == kind]
+        fitting = [other for other, p in list_plugins().items() if p.kind == kind]
         raise PluginError(f"plugin {name!r} is of kind {found.kind}; a {kind} is wanted: {', '.join(fitting)}")
     checked: type[Plugin[Any]] = found
     return checked
@@ -141,6 +155,8 @@ def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
     text = os.fspath(name_or_path)
     known = entries(INSTRUMENTS)
     if text in known:
+        if known[text].fault:
+            raise BundleError(known[text].fault)
         try:
             folder = Path(str(package_files(known[text].value))) / text
         except ModuleNotFoundError as fault:

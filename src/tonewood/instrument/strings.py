@@ -346,8 +346,8 @@ class StringModel:
             basis = self.resonator.basis(self._freq_upper, stop=self.position(stop), tension=guess)
             if basis.n_modes < 2:  # one alone moves with the bridge: held there, the string would have none
                 raise self.resonator.fault(
-                    f"{self._freq_upper:g} Hz leave {basis.n_modes} of the modes at stop {stop:g}; {self.freq(stop):.2f} "
-                    "Hz need 2 or more: raise freq_upper, or the sampling rate",
+                    f"{self._freq_upper:g} Hz leave {basis.n_modes} of the modes at stop {stop:g}; "
+                    f"{self.freq(stop):.2f} Hz need 2 or more: raise freq_upper, or the sampling rate",
                     "freq_upper",
                 )
             bridge = basis.index("bridge")

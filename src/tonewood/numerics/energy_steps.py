@@ -47,6 +47,8 @@ def over_steps(
     sample : absolute number of the first step.
     """
     T = len(x)
+    if not x.shape[1]:  # all its modes lie above the highest that is stepped
+        return np.zeros(T), [np.zeros(T) for _ in known]
     coefficients = [_by_step(force, sample, T, dt) for force in known]
     broken = np.zeros(T, dtype=bool)
     for c in coefficients:

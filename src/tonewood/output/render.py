@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,7 @@ class Summary:
     end : why it ended: decayed, tail cap or maximum duration.
     warnings : one line each.
     effects : what ran and what was left out, one per effect and component.
+    ignored : kind of MIDI message or controller that nothing was made of -> how many there were.
     """
 
     frames: int
@@ -79,6 +80,7 @@ class Summary:
     end: str
     warnings: Sequence[str]
     effects: Sequence[EffectReport] = ()
+    ignored: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,6 +230,7 @@ class Renderer:
             end=self._end or "not ended",
             warnings=[*self.model.warnings, *self.performance.warnings],
             effects=self.engine.ledger.reports(),
+            ignored=self.performance.ignored,
         )
 
     def snapshot(self) -> Checkpoint:

@@ -8,7 +8,7 @@ Readings decided here, because the format leaves them open or files get them wro
   sounds longer.
 - Silence longer than `LONG_GAP` is reported; `MAX_SILENCE` of it in all is refused, and so is a piece beyond
   `MAX_TIME`. An excerpt (`start`, `stop`) is judged by itself, so it is always a way out.
-- Programs, aftertouch and system exclusive messages say nothing to a string and are passed over.
+- Programs, pressure and system exclusive messages say nothing to a string; they are counted in `Score.ignored`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import os
 import stat
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import chain
@@ -79,7 +80,9 @@ def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float |
     texts: dict[str, str] = {}
     for track in midi.tracks:
         texts = {**track.texts, **texts}
-    return Score(notes, controls, warnings=warnings, name=path.stem, metadata=texts)
+    until = math.inf if stop is None else stop
+    ignored = Counter(kind for time, kind in performance.ignored if start <= time < until)
+    return Score(notes, controls, warnings=warnings, name=path.stem, metadata=texts, ignored=ignored)
 
 
 def _read_bytes(path: Path) -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 
@@ -98,7 +98,7 @@ class Dropped:
 
 @dataclass(frozen=True)
 class Score:
-    """Notes and controllers in time order, with what was dropped or mended while reading."""
+    """Notes and controllers in time order, with what was dropped, mended or ignored (kind -> number) while reading."""
 
     notes: Sequence[Note]
     controls: Sequence[Control] = ()
@@ -106,6 +106,7 @@ class Score:
     warnings: Sequence[str] = ()
     name: str = "score"
     metadata: dict[str, str] = field(default_factory=dict)
+    ignored: Mapping[str, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return (

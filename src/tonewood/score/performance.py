@@ -11,6 +11,9 @@ from tonewood.score.smf import Findings
 _PERCUSSION = 9
 # Bank select, data entry and parameter numbers steer other messages; 120 and up are mode messages.
 _NOT_CONTROLS = {0, 32, 6, 38, 96, 97, 98, 99, 100, 101}
+_IGNORED_CONTROLLERS = {0: "bank select", 32: "bank select", 96: "data increment", 97: "data decrement"}
+#: upper four bits of the status byte
+_IGNORED = {0xA0: "polyphonic pressure", 0xC0: "program change", 0xD0: "channel pressure", 0xF0: "system exclusive"}
 _NO_PARAMETER = (127, 127)
 _BEND_RANGE = (0, 0)
 
@@ -35,12 +38,14 @@ class Performance:
     notes : (time in s, channel, key, velocity) in time order.
     ends : s, one per note.
     controls : ``bend`` in cents, ``ccN`` from 0 to 1; only changes.
+    ignored : (time in s, kind) of messages that say nothing to a string.
     """
 
     def __init__(self, findings: Findings):
         self.notes: list[tuple[float, int, int, int]] = []
         self.ends: list[float] = []
         self.controls: list[Control] = []
+        self.ignored: list[tuple[float, str]] = []
         self._findings = findings
         self._latest: dict[tuple[int, str], float] = {}
         self._channels = [_Channel() for _ in range(16)]
@@ -62,6 +67,8 @@ class Performance:
                 case 0xE0:
                     channel.bend = (b << 7 | a) - 8192
                     self._bend(time, number, channel)
+                case kind:
+                    self.ignored.append((time, _IGNORED[kind]))
 
     def finish(self, time: float) -> None:
         """End what still sounds at the end of a pattern; controllers and bends stay as they are."""
@@ -133,6 +140,8 @@ class Performance:
             channel.parameter = (b, high) if a == 100 else (low, b)
         elif a in (6, 38):
             self._data_entry(time, number, channel, a, b)
+        elif a in _IGNORED_CONTROLLERS:
+            self.ignored.append((time, _IGNORED_CONTROLLERS[a]))
         if a not in _NOT_CONTROLS:
             self._control(time, number, f"cc{a}", b / 127)
 
@@ -142,6 +151,8 @@ class Performance:
             self._bend(time, number, channel)
         elif channel.parameter in ((1, 0), (2, 0)):
             self._findings.add("channel tuning (registered parameters 1 and 2) is not read", f"channel {number + 1}")
+        else:
+            self.ignored.append((time, "data entry of a parameter that is not read"))
 
     def _mode_message(self, time: float, number: int, channel: _Channel, a: int) -> None:
         if a == 120:
@@ -154,7 +165,9 @@ class Performance:
             for kind, value in (("cc1", 0.0), ("cc11", 1.0), ("cc64", 0.0)):
                 if (number, kind) in self._latest:
                     self._control(time, number, kind, value)
-        elif a >= 123:
+        elif a == 122:
+            self.ignored.append((time, "local control"))
+        else:
             self._all_notes_off(time, channel)
 
     def _bend(self, time: float, number: int, channel: _Channel) -> None:

@@ -45,7 +45,10 @@ class Findings:
 
 @dataclass
 class Track:
-    """One MTrk chunk: channel messages (tick, status, data 1, data 2), tempos (tick, µs per quarter), texts."""
+    """One MTrk chunk: messages (tick, status, data 1, data 2), tempos (tick, µs per quarter), texts.
+
+    System exclusive messages stand among the others without their data.
+    """
 
     messages: list[tuple[int, int, int, int]] = field(default_factory=list)
     tempos: list[tuple[int, int]] = field(default_factory=list)
@@ -220,6 +223,7 @@ def _read_events(data: bytes, pos: int, limit: int, room: int, label: str, track
             continue
         if status in (0xF0, 0xF7):
             length, pos = _variable_length(data, pos + 1, limit)
+            messages.append((tick, 0xF0, 0, 0))
             if pos + length > limit:
                 raise _BrokenTrackError(f"a system exclusive message of {length} bytes leaves the track", pos)
             pos += length
