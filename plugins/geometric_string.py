@@ -17,7 +17,10 @@ nowhere slack. A step whose solution is not found ends the render with one line.
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
+from pydantic import model_validator
 from tonewood.plugins.tension_modulated_string import TensionModulatedParameters, TensionModulatedString
 
 from tonewood.instrument.contract import Longitudinal
@@ -40,6 +43,15 @@ class GeometricParameters(TensionModulatedParameters):
     bridge_leverage: float = quantity(
         "1", low=-2.0, high=2.0, default=0.1, doc="motion of the string's end along it per motion of the body's point"
     )
+
+    @model_validator(mode="after")
+    def _stretches_little(self) -> Self:
+        if self.axial_stiffness < self.tension:
+            raise ValueError(
+                f"axial_stiffness: {self.axial_stiffness:g} N under a tension of {self.tension:g} N stretch the string to "
+                "more than twice its length; at least the tension is allowed"
+            )
+        return self
 
 
 class GeometricString(TensionModulatedString):

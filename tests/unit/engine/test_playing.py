@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import tonewood as tw
-from tonewood.engine.playing import perform
+from tonewood.engine.playing import Performance, perform
+from tonewood.score.controllers import Controllers, History
 
 
 @pytest.fixture(scope="module")
@@ -123,3 +124,87 @@ def test_one_channel_per_string(guitar: tw.Model) -> None:
     played = perform(tw.Score(notes), guitar, channel_per_string=True)
     names = list(guitar.strings)
     assert {a.note.channel: a.string for a in played.notes} == {2: names[2], 3: names[3]}
+
+
+class Counted(float):
+    """A time that counts how often it is compared."""
+
+    count = 0
+
+    def _compared(self, how: str, other: float) -> bool:
+        Counted.count += 1
+        return bool(getattr(float, how)(self, other))
+
+    def __lt__(self, other: float) -> bool:
+        return self._compared("__lt__", other)
+
+    def __le__(self, other: float) -> bool:
+        return self._compared("__le__", other)
+
+    def __gt__(self, other: float) -> bool:
+        return self._compared("__gt__", other)
+
+    def __ge__(self, other: float) -> bool:
+        return self._compared("__ge__", other)
+
+
+@pytest.mark.parametrize(("instrument", "kind"), [("classical_guitar", "bend"), ("electric_bass", "cc64")])
+def test_controls_cost_n_log_n(instrument: str, kind: str) -> None:
+    """Each of n notes has 20 bends, or changes of a controller that chooses the technique."""
+    base = tw.load_instrument(instrument)
+    exciter = base.spec.playing.exciter or next(iter(base.exciters))
+    model = tw.assemble(base.replace({"playing.switches": {"cc64": exciter}}), 48000)
+    pitch = base.open_note(base.string_names[0])
+
+    def compared(n: int) -> int:
+        notes = [tw.Note(0.5 * i, 0.4, note=pitch, force=1.0, channel=0) for i in range(n)]
+        values = [5.0, -5.0] if kind == "bend" else [1.0, 0.0]
+        controls = [tw.Control(Counted(0.025 * i), kind, values[i % 2], 0) for i in range(20 * n)]
+        Counted.count = 0
+        assert len(perform(tw.Score(notes, controls), model).timeline.plays) == n
+        return Counted.count
+
+    for n in (40, 160):
+        # one pass, or a sort of what is sorted, and some bisections per note; all with all would be 20 n^2
+        assert 0 < compared(n) < 4 * 20 * n + 8 * n * math.log2(20 * n)
+
+
+def test_a_controller_is_at_its_latest_value_of_the_note_s_channel(guitar: tw.Model) -> None:
+    line = [tw.Control(1.0, "cc1", 0.1, 0), tw.Control(2.0, "cc1", 0.2), tw.Control(2.0, "cc1", 0.3, 1)]
+    line += [tw.Control(3.0, "cc1", 0.4, 0), tw.Control(0.5, "cc2", 0.5, 3)]
+    at = Controllers(line).at
+    asked = [(0, 0.9), (0, 1.0), (0, 2.5), (0, 3.5), (1, 1.5), (1, 2.0), (2, 1.9), (2, 9.0), (None, 2.0)]
+    assert [at("cc1", c, t) for c, t in asked] == [None, 0.1, 0.2, 0.4, None, 0.3, None, 0.2, 0.2]
+    assert at("cc2", 0, 9.0) is None
+    assert at("cc2", 3, 0.5) == 0.5
+
+
+def test_bends_between_two_times() -> None:
+    history = History([tw.Control(t, "bend", v, 0) for t, v in ((2.0, 2.0), (1.0, 1.0), (3.0, 3.0), (3.0, 4.0))])
+    assert [history.at(t) for t in (0.5, 1.0, 2.5, 3.0)] == [None, 1.0, 2.0, 4.0]
+    assert [c.value for c in history.between(1.0, 3.0)] == [2.0]
+    assert [c.value for c in history.between(0.0, 9.0)] == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_places_are_refused_beyond_the_string_and_told_where_they_are_moved(guitar: tw.Model) -> None:
+    """E2 is 0.65 m long; stopped at 12 it speaks over 0.325 m."""
+
+    def played(stop: int, x: float) -> Performance:
+        return perform(tw.Score([tw.Note(0.0, 0.1, string="E2", stop=stop, force=1.0, from_bridge=x)]), guitar)
+
+    for stop, x in ((0, 0.1), (0, 0.643), (12, 0.321)):
+        asked = played(stop, x)
+        assert asked.timeline.plays[0].gesture.from_bridge == x
+        assert not asked.warnings
+    for stop, x, at in ((0, 0.001, 0.0065), (0, 0.65, 0.6435), (12, 0.4, 0.32175)):
+        moved = played(stop, x)
+        assert moved.timeline.plays[0].gesture.from_bridge == pytest.approx(at)
+        assert "1 notes are played at another place than asked for" in moved.warnings[0]
+    with pytest.raises(tw.ScoreError, match=r"exciters\.pluck: the note at 0 s on string E2: from_bridge is 0\.66 m"):
+        played(0, 0.66)
+
+
+def test_what_nobody_reads_is_counted(guitar: tw.Model) -> None:
+    controls = [tw.Control(0.1 * i, kind, 0.1 * i, 0) for i in range(3) for kind in ("cc1", "cc7", "cc64", "bend")]
+    score = tw.Score([tw.Note(0.0, 0.1, note=50)], controls, ignored={"channel pressure": 2, "controller 1": 4})
+    assert perform(score, guitar).ignored == {"channel pressure": 2, "controller 1": 7}

@@ -1,0 +1,194 @@
+"""Extreme values and damaged files at the command line: a sound, or one line and exit code 2, and no file."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile as sf
+
+from midi_bytes import midi_file, note, write
+from tonewood.cli.main import run
+from tonewood.instrument.registry import instrument_folder
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def tonewood(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command; returns exit code, stdout and stderr."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as exit_:
+            run([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return exit_.value.code, out, err
+
+    return call
+
+
+@pytest.fixture
+def score(tmp_path: Path) -> Path:
+    return write(tmp_path / "score.mid", [*note(0.0, 0.9, 45)])
+
+
+def settings(*values: str) -> list[str]:
+    return [word for value in values for word in ("--set", value)]
+
+
+def assert_one_line(result: tuple[int, str, str], folder: Path, *said: str) -> None:
+    code, out, err = result
+    assert (code, out, err.count("\n")) == (2, "", 1), err[-500:]
+    assert "Traceback" not in err
+    assert len(err) < 2000
+    for word in said:
+        assert word in err
+    assert not [path for path in folder.iterdir() if path.suffix in (".wav", ".json")]
+
+
+def partials_of(sound: np.ndarray, fs: int, near: np.ndarray) -> np.ndarray:
+    """Frequency of the largest line within 2 % of each frequency, Hz."""
+    n = 8 * len(sound)
+    spectrum = np.abs(np.fft.rfft(sound * np.hanning(len(sound)), n))
+    freq = np.arange(len(spectrum)) * fs / n
+    inside = [np.flatnonzero(np.abs(freq / f - 1) < 0.02) for f in near]
+    return np.array([freq[i[np.argmax(spectrum[i])]] for i in inside])
+
+
+@pytest.mark.parametrize(
+    ("changes", "plane"),
+    [
+        (["strings.A2.polarizations=[y]"], "y"),
+        (["strings.A2.end=[]"], "z"),
+        (["body.points.bridge.direction=x"], "z"),
+    ],
+)
+def test_a_string_that_moves_no_body_sounds_with_its_bridge_end_rigid(
+    tonewood: Run, score: Path, tmp_path: Path, changes: list[str], plane: str
+) -> None:
+    """Partials of a stiff string between rigid supports: n sqrt((1 + B n^2) / (1 + B)), B = pi^2 EI / (T L^2)."""
+    wav = tmp_path / "out.wav"
+    heard = ["strings.A2.points={place: {from_bridge: 0.2}}", "outputs.bridge.at=A2.place", f"outputs.0.direction={plane}"]
+    heard += ["outputs.bridge.quantity=velocity", "outputs.bridge.full_scale=10.0"]
+    code, _, err = tonewood(
+        "render", score, "-i", "monochord", "-o", wav, "--max-duration", 1.0, *settings(*changes, *heard)
+    )
+    assert code == 0
+    assert "strings.A2: shares no direction with the body's points it ends on" in err
+    samples, fs = sf.read(str(wav))
+    n = np.arange(1, 9)
+    stiffness = np.pi**2 * 2.0e-4 / (58.8 * 0.9**2)
+    wanted = 110.0 * n * np.sqrt((1 + stiffness * n**2) / (1 + stiffness))
+    assert partials_of(samples[4800:], fs, wanted) == pytest.approx(wanted, abs=0.3)
+
+
+def test_a_body_that_does_not_move_is_told(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    wav = tmp_path / "out.wav"
+    change = settings("strings.A2.end=[]")
+    code, out, _ = tonewood("render", score, "-i", "monochord", "-o", wav, "--max-duration", 0.1, "--json", *change)
+    assert code == 0
+    assert "its bridge end is rigid" in json.loads(out)["warnings"][0]
+    assert not np.any(sf.read(str(wav))[0])
+    assert tonewood("check", "monochord", *change)[0] == 0
+    assert tonewood("modes", "monochord", *change)[0] == 0
+
+
+@pytest.mark.parametrize("how", ["tuning.compensate=none", "tuning.at=open_only", "tuning.at=each_stop"])
+@pytest.mark.parametrize("model", ["ideal", "finger"])
+@pytest.mark.parametrize(("freq_upper", "command"), [(100.0, "render"), (420.0, "check")])
+def test_too_few_modes_are_one_line(
+    tonewood: Run, score: Path, tmp_path: Path, how: str, model: str, freq_upper: float, command: str
+) -> None:
+    change = settings(how, f"stops.model={model}", f"strings.A2.freq_upper={freq_upper}")
+    rest = [score, "-i", "monochord", "-o", tmp_path / "out.wav"] if command == "render" else ["monochord"]
+    said = ["instrument.yaml: strings.A2.freq_upper: ", f"{freq_upper:g} Hz leave 1 of the modes at stop", "2 or more"]
+    assert_one_line(tonewood(command, *rest, *change), tmp_path, *said)
+
+
+@pytest.mark.parametrize("freq_coupled", [20.0, 250.0, 300.0])
+def test_a_string_of_which_hardly_a_partial_drives_longitudinal_motion_sounds(
+    tonewood: Run, tmp_path: Path, freq_coupled: float
+) -> None:
+    score = write(tmp_path / "c4.mid", note(0.0, 0.2, 60))
+    change = settings(f"strings.C4.freq_coupled={freq_coupled}")
+    wav = tmp_path / "out.wav"
+    assert tonewood("render", score, "-i", "struck_monochord", "-o", wav, "--max-duration", 0.05, *change)[0] == 0
+    assert np.any(sf.read(str(wav))[0])
+
+
+@pytest.mark.parametrize("value", ["1e9", "-1e9", "1e300"])
+def test_a_note_beyond_all_pitch_is_one_line(tonewood: Run, score: Path, tmp_path: Path, value: str) -> None:
+    result = tonewood("render", score, "-i", "monochord", "-o", tmp_path / "o.wav", "--set", f"strings.A2.note={value}")
+    assert_one_line(result, tmp_path, "instrument.yaml: strings.A2.note: ", "octaves from the reference frequency; 100")
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    folder = tmp_path / "bundle"
+    shutil.copytree(instrument_folder("monochord"), folder)
+    return folder
+
+
+@pytest.mark.parametrize("field", ["9" * 200_000, "x" * 200_000, '"' + "1" * 200_000])
+@pytest.mark.parametrize("place", ["name", "number"])
+def test_a_long_field_of_a_table_is_one_line(
+    tonewood: Run, score: Path, tmp_path: Path, bundle: Path, field: str, place: str
+) -> None:
+    names, numbers = "f_Hz,Q,modal_mass,bridge", "300,30,1,1"
+    table = [f"{names},{field}", f"{numbers},1"] if place == "name" else [names, f"300,30,1,{field}"]
+    (bundle / "body.csv").write_text("\n".join(table) + "\n")
+    result = tonewood("render", score, "-i", bundle, "-o", tmp_path / "o.wav")
+    assert_one_line(result, tmp_path, "body.csv: line ", "field limit")
+
+
+def test_a_body_above_the_highest_mode_is_told_and_its_account_closes(
+    tonewood: Run, score: Path, tmp_path: Path, bundle: Path
+) -> None:
+    (bundle / "body.csv").write_text("f_Hz,Q,modal_mass,bridge\n30000,30,10.0,1\n40000,30,10.0,1\n")
+    render = ["render", score, "-i", bundle, "-o", tmp_path / "o.wav", "--max-duration", 0.05]
+    code, _, err = tonewood(*render)
+    assert code == 0
+    assert "warning: body: has no mode below the highest that is stepped at 48000 Hz" in err
+    code, out, _ = tonewood(*render, "--json", "--energy", tmp_path / "e.json")
+    assert code == 0
+    account = json.loads((tmp_path / "e.json").read_text())
+    assert np.max(np.abs(account["residual"])) < 1e-11 * max(account["stored"]["A2.z"])
+    assert "it does not sound" in json.loads(out)["warnings"][0]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("exciters.pluck.from_bridge=50", "exciters.pluck: from_bridge is 50 m; places up to 0.9 m"),
+        ("exciters.pluck.from_bridge=0.901", "exciters.pluck: from_bridge is 0.901 m; places up to 0.9 m"),
+    ],
+)
+def test_a_place_beyond_the_string_is_refused(
+    tonewood: Run, score: Path, tmp_path: Path, change: str, said: str
+) -> None:
+    for command in (["render", score, "-i", "monochord", "-o", tmp_path / "o.wav"], ["check", "monochord"]):
+        assert_one_line(tonewood(*command, "--set", change), tmp_path, "instrument.yaml: ", said)
+
+
+def test_ignored_midi_is_counted(tonewood: Run, tmp_path: Path) -> None:
+    """A program change, channel pressure twice, key pressure, bank select, modulation, system exclusive."""
+    ignored = [
+        (0.0, b"\xc0\x05"), (0.01, b"\xd0\x10"), (0.02, b"\xd0\x20"), (0.03, b"\xa0\x2d\x10"), (0.04, b"\xb0\x00\x01"),
+        (0.05, b"\xb0\x01\x40"), (0.06, b"\xf0\x03\x01\x02\xf7"),
+    ]  # fmt: skip
+    score = tmp_path / "score.mid"
+    score.write_bytes(midi_file([*note(0.0, 0.1, 45), *ignored]))
+    render = ["render", score, "-i", "monochord", "-o", tmp_path / "o.wav", "--max-duration", 0.1]
+    assert json.loads(tonewood(*render, "--json")[1])["midi_ignored"] == {
+        "program change": 1, "channel pressure": 2, "polyphonic pressure": 1, "bank select": 1, "system exclusive": 1,
+        "controller 1": 1,
+    }  # fmt: skip
+    line = next(line for line in tonewood(*render)[1].splitlines() if "ignored MIDI" in line)
+    assert "2 channel pressure" in line
+    assert "1 controller 1" in line
+    plain = write(tmp_path / "plain.mid", note(0.0, 0.1, 45))
+    assert "ignored MIDI" not in tonewood("render", plain, *render[2:])[1]
