@@ -48,8 +48,8 @@ class GeometricParameters(TensionModulatedParameters):
     def _stretches_little(self) -> Self:
         if self.axial_stiffness < self.tension:
             raise ValueError(
-                f"axial_stiffness: {self.axial_stiffness:g} N under a tension of {self.tension:g} N stretch the string to "
-                "more than twice its length; at least the tension is allowed"
+                f"axial_stiffness: {self.axial_stiffness:g} N under a tension of {self.tension:g} N stretch the string "
+                "to more than twice its length; at least the tension is allowed"
             )
         return self
 

@@ -66,12 +66,15 @@ class ModalRadiation(Pickup[ModalRadiationParameters]):
         sign, place = float(self.parameters.force_sign), {}
         for point, body_point in scene.body_points.items():
             if "u" in body_point.coordinates:
-                # beyond the ends of the bridge the fit would be extrapolated
-                place[point] = min(max(body_point.coordinates["u"], -1.0), 1.0)
+                place[point] = body_point.coordinates["u"]
         drives = []
         for force in scene.bridge_forces:
             if force.point not in place:
                 raise self.fault(f"the body's point {force.point!r} has no place u on the bridge")
+            if abs(place[force.point]) > 1.0:
+                raise self.fault(
+                    f"the body's point {force.point!r} lies at u = {place[force.point]:g}; -1 to 1 are allowed"
+                )
             factor = sign * force.factor
             drives.append(Drive(name, "heave", force.connection, factor))
             drives.append(Drive(name, "moment", force.connection, factor * place[force.point]))

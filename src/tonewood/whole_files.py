@@ -35,14 +35,17 @@ class Part:
 
     def __init__(self, path: str | os.PathLike[str]):
         self._named = path
-        self._final = Path(path).resolve()
-        folder = self._final.parent
-        if not folder.is_dir():
-            raise OutputError(f"there is no folder {str(Path(path).parent)!r}", file=path)
-        if self._final.is_dir():
-            raise OutputError("is a folder", file=path)
-        if self._final.exists() and not self._final.is_file():
-            raise OutputError("is no file but a device", file=path)
+        try:
+            self._final = Path(path).resolve()
+            folder = self._final.parent
+            if not folder.is_dir():
+                raise OutputError(f"there is no folder {str(Path(path).parent)!r}", file=path)
+            if self._final.is_dir():
+                raise OutputError("is a folder", file=path)
+            if self._final.exists() and not self._final.is_file():
+                raise OutputError("is no file but a device", file=path)
+        except (OSError, RuntimeError, ValueError) as fault:  # a name too long or with a zero byte, links in a circle
+            raise OutputError(f"cannot be written: {getattr(fault, 'strerror', None) or fault}", file=path) from None
         self.path = folder / f".{self._final.stem}.{secrets.token_hex(4)}.part{self._final.suffix}"
         # known before it exists; called when nobody holds this object any more, or at the end of the program
         self.discard = weakref.finalize(self, remove, self.path)

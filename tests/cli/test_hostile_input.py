@@ -72,7 +72,11 @@ def test_a_string_that_moves_no_body_sounds_with_its_bridge_end_rigid(
 ) -> None:
     """Partials of a stiff string between rigid supports: n sqrt((1 + B n^2) / (1 + B)), B = pi^2 EI / (T L^2)."""
     wav = tmp_path / "out.wav"
-    heard = ["strings.A2.points={place: {from_bridge: 0.2}}", "outputs.bridge.at=A2.place", f"outputs.0.direction={plane}"]
+    heard = [
+        "strings.A2.points={place: {from_bridge: 0.2}}",
+        "outputs.bridge.at=A2.place",
+        f"outputs.0.direction={plane}",
+    ]
     heard += ["outputs.bridge.quantity=velocity", "outputs.bridge.full_scale=10.0"]
     code, _, err = tonewood(
         "render", score, "-i", "monochord", "-o", wav, "--max-duration", 1.0, *settings(*changes, *heard)

@@ -41,7 +41,7 @@ def make(folder: Path, **values: Any) -> Any:
 
 
 def scene(**more: Any) -> Scene:
-    points = {"bass": BodyPoint((0.0, 0.0, 1.0), {"u": -0.8}), "far": BodyPoint((0.0, 0.0, 1.0), {"u": 1.7})}
+    points = {"bass": BodyPoint((0.0, 0.0, 1.0), {"u": -0.8}), "far": BodyPoint((0.0, 0.0, 1.0), {"u": 1.0})}
     forces = (BridgeForce("s.bridge", "bass", -0.9), BridgeForce("t.bridge", "far", -1.0))
     given: dict[str, Any] = {"body_points": points, "bridge_forces": forces, "string_points": {}, "end_forces": {}}
     return Scene(**{**given, "freq_upper": 20000.0, **more})
@@ -66,7 +66,7 @@ def test_same_numbers_as_the_discrete_bank(tmp_path: Path, fs: float) -> None:
     system.modes_of(state, "o")[:] = -2e-3
     out, forces = NumpyStepper(system).run(state, 300)
     on_body = np.array([-0.9 * forces[:, 0], -1.0 * forces[:, 1]])
-    u = np.array([-0.8, 1.0])  # beyond the end of the bridge the end counts
+    u = np.array([-0.8, 1.0])
     heave, moment = -on_body.sum(axis=0), -(u @ on_body)  # force_sign -1: into the soundboard is positive
     for channel, name in enumerate("ba"):
         expected = np.zeros(300)
@@ -107,6 +107,9 @@ def test_faults(tmp_path: Path) -> None:
     nowhere = {"bass": BodyPoint((0.0, 0.0, 1.0)), "far": BodyPoint((0.0, 0.0, 1.0))}
     with pytest.raises(BundleError, match="has no place u on the bridge"):
         make(tmp_path).rows("mics", scene(body_points=nowhere))
+    beyond = {"bass": BodyPoint((0.0, 0.0, 1.0), {"u": -1.01}), "far": BodyPoint((0.0, 0.0, 1.0), {"u": 0.0})}
+    with pytest.raises(BundleError, match=r"'bass' lies at u = -1\.01; -1 to 1 are allowed"):
+        make(tmp_path).rows("mics", scene(body_points=beyond))
     with pytest.raises(BundleError, match=r"there is no file 'other\.csv'"):
         make(tmp_path, table="other.csv").basis(1000.0)
 

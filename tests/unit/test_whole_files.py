@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -103,3 +104,24 @@ def test_what_cannot_be_a_file_is_said(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written"), whole_file(tmp_path / "file" / "x", make_folder=True):
         pass
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_what_cannot_be_removed_is_told_unless_something_worse_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = Part(tmp_path / "file")
+
+    def refuse(path: Path, missing_ok: bool = False) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", refuse)
+        with pytest.raises(OutputError, match="cannot be removed: Read-only file system"):
+            part.discard()
+
+        def broken() -> None:
+            with whole_file(tmp_path / "other"):
+                raise OutputError("the disk is full")
+
+        with pytest.raises(OutputError, match="the disk is full"):
+            broken()

@@ -60,7 +60,7 @@ def play(
         budget_db=budget_db,
         budget_cents=budget_cents,
     )
-    chosen = int(device) if device and device.isdigit() else device
+    chosen = int(device) if device and device.isdecimal() else device
     hold = Limiter(fs) if limiter else None
     played = play_renderer(renderer, block_size=block, device=chosen, limiter=hold)
     summary = renderer.summary()

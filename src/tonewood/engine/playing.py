@@ -94,8 +94,8 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
         warnings.append(f"{assignment.n_cut} notes end early: their string is needed again")
     if n_moved:
         warnings.append(
-            f"{n_moved} notes are played at another place than asked for: nearer than 1 % of the speaking length to one "
-            "of its ends, or beyond the stop"
+            f"{n_moved} notes are played at another place than asked for: that lies within 1 % of the length of "
+            "its ends, or beyond the stop"
         )
     if assignment.doubled:
         warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")

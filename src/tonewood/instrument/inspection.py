@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.strings import StringModel
-from tonewood.instrument.tuning import CoupledMode, TunedStop
+from tonewood.instrument.tuning import CoupledMode
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.receptance import Joint, Ports
 from tonewood.units import cents, t60
@@ -84,10 +84,7 @@ class Partial:
 def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
     """The string at one stop, tuned or as its tension stands."""
     held = model.strings[string]
-    tuned = held.tuned(stop)
-    if tuned is None:
-        tension = held.tension(stop)
-        tuned = TunedStop(held.freq(stop), tension, held.coupled(stop).modes(tension, held.freq(stop)))
+    tuned = held.tuned(stop) or held.under(held.tension(stop), stop)
     return Pitch(string, stop, held.open_note + stop, tuned.freq, tuned.tension, tuned.modes, tuned.wolf)
 
 

@@ -164,8 +164,12 @@ def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
     else:
         path = Path(text)
         folder = path.parent if path.name == MANIFEST else path
-        if not (folder / MANIFEST).is_file():
-            looks_like_path = os.sep in text or "/" in text or path.exists()
+        try:
+            there, exists = (folder / MANIFEST).is_file(), path.exists()
+        except (OSError, RuntimeError, ValueError):  # a name too long or with a zero byte, links in a circle
+            raise BundleError(f"instrument {text!r} cannot be followed to a folder") from None
+        if not there:
+            looks_like_path = os.sep in text or "/" in text or exists
             reason = f"there is no {MANIFEST} in it" if looks_like_path else "is neither installed nor a folder"
             raise BundleError(f"instrument {text!r}: {reason}; installed are {', '.join(known) or 'none'}")
     return folder

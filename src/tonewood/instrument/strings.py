@@ -195,6 +195,18 @@ class StringModel:
         """Tension of the first polarization at a stop, N."""
         return self._tune(0.0 if self.stopping.compensate == "open_only" else stop)[1]
 
+    def under(self, tension: float, stop: float = 0) -> TunedStop:
+        """Coupled modes of a stop under a tension (N) that stays as it is.
+
+        Raises
+        ------
+        BundleError : none lies near the pitch of the stop.
+        """
+        modes = self.coupled(stop).modes(tension, self.freq(stop))
+        if not modes:
+            raise self._without_mode(stop, f"no mode of the string was found near {self.freq(stop):.2f} Hz")
+        return TunedStop(self.freq(stop), tension, modes)
+
     def coupled(self, stop: float = 0) -> StringOnBody:
         """The string at a stop on its body, at any tension."""
         base = self._untuned(stop)
@@ -390,11 +402,8 @@ class StringModel:
             if how == "none":
                 self._tuned[stop] = (None, self.resonator.tension)
             elif how == "open_only" and stop > 0:
-                tension, string = self.tension(0.0), self.coupled(stop)
-                modes = string.modes(tension, self.freq(stop))
-                if not modes:
-                    raise self._without_mode(stop, f"no mode of the string was found near {self.freq(stop):.2f} Hz")
-                self._tuned[stop] = (TunedStop(self.freq(stop), tension, modes), tension)
+                tension = self.tension(0.0)
+                self._tuned[stop] = (self.under(tension, stop), tension)
             else:
                 guess = self.tension(0.0) if stop > 0 else self._first_guess()
                 try:

@@ -7,9 +7,9 @@ import io
 import json
 from pathlib import Path
 
-from tonewood.errors import OutputError, TonewoodError
+from tonewood.errors import TonewoodError
 from tonewood.numerics.energy_trace import EnergyTrace
-from tonewood.whole_files import whole_file, write_whole
+from tonewood.whole_files import Part, whole_file, write_whole
 
 _ENDINGS = (".json", ".csv", ".png")
 _KINDS = ("stored", "supplied", "booked", "lost")
@@ -20,12 +20,12 @@ def check_energy_file(path: Path) -> None:
 
     Raises
     ------
-    TonewoodError : another ending than .json, .csv or .png, no such folder, or no matplotlib for a picture.
+    TonewoodError : another ending than .json, .csv or .png, a place that cannot be written to, or no matplotlib for a
+        picture.
     """
     if path.suffix.lower() not in _ENDINGS:
         raise TonewoodError(f"is {path.name!r}; a name ending in {', '.join(_ENDINGS)} is allowed", key="--energy")
-    if not path.absolute().parent.is_dir():
-        raise OutputError(f"there is no folder {str(path.parent)!r}", file=path)
+    Part(path).discard()
     if path.suffix.lower() == ".png":
         try:
             import matplotlib  # noqa: F401  # better to know now

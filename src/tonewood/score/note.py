@@ -78,12 +78,25 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A controller's value from `time` on: `kind` is ``bend`` (value in cents) or ``ccN`` (value 0..1)."""
+    """A controller's value from `time` on: `kind` is ``bend`` (value in cents) or ``ccN`` (value 0..1).
+
+    Raises
+    ------
+    ScoreError : a number is not finite or out of its range.
+    """
 
     time: float
     kind: str
     value: float
     channel: int | None = None
+
+    def __post_init__(self) -> None:
+        low, high = (-math.inf, math.inf) if self.kind == "bend" else (0.0, 1.0)
+        if not (low <= self.value <= high and math.isfinite(self.value)):
+            allowed = "finite cents" if self.kind == "bend" else "0 to 1"
+            raise ScoreError(f"{self.kind} of {self.value!r} at {self.time!r} s: {allowed} are allowed")
+        if not 0.0 <= self.time < math.inf:
+            raise ScoreError(f"{self.kind} at {self.time!r} s: times from 0 are allowed")
 
 
 @dataclass(frozen=True, slots=True)

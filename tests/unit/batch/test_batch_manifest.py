@@ -146,6 +146,15 @@ def test_bundle_names_and_paths() -> None:
     assert [c.bundle for c in made[::12]] == ["harp", "/batches/mine", "/x/y"]
 
 
+def test_a_folder_beside_the_manifest_needs_no_dot(tmp_path: Path) -> None:
+    """The name of an installed instrument keeps its meaning."""
+    for name in ("mine", "monochord"):
+        (tmp_path / name).mkdir()
+    names = {"a": "mine", "b": "monochord", "c": "gone"}
+    made = expand(check_manifest(fakes.manifest(instruments=names)), tmp_path)
+    assert [c.bundle for c in made[::12]] == [str(tmp_path / "mine"), "monochord", "gone"]
+
+
 @pytest.mark.parametrize(
     ("changes", "line"),
     [

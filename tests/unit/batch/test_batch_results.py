@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import copy
 import csv
 import json
 from pathlib import Path
@@ -15,6 +16,7 @@ from tonewood.batch.layout import lay_out
 from tonewood.batch.manifest import check_manifest
 from tonewood.batch.records import key_of, write_json
 from tonewood.batch.results import analyse, write_plot
+from tonewood.errors import TonewoodError
 
 RATED = {"group_by": ["score", "pluck"], "reference": {"damping": "complex"}}
 PAGES = [
@@ -251,3 +253,50 @@ def test_keys_that_are_none(tmp_path: Path, text: str) -> None:
         analyse(tmp_path / "r.csv", tmp_path / "key.json")
     with pytest.raises(ResultsError, match="cannot be read"):
         analyse(tmp_path / "r.csv", tmp_path / "absent.json")
+
+
+_ODD = [None, 0, -1, 1e300, "", "x", [], {}, [[]], {"a": 1}, ["x"], [None], True]
+
+
+def test_a_damaged_key_is_one_line(tmp_path: Path, key: dict) -> None:
+    """Every value of the key replaced or taken away: read, or one line that names the file."""
+    label, who = "proportional", ["a", "b"]
+    marks = {"reference": dict.fromkeys(who, 100), label: dict.fromkeys(who, 50)}
+    answers = table(tmp_path / "mushra.csv", MUSHRA, mushra_rows(key, marks, who))
+    path = tmp_path / "odd.json"
+
+    def judge(data: object) -> str:
+        path.write_text(json.dumps(data))
+        line = ""
+        try:
+            analyse(answers, path)
+        except TonewoodError as fault:
+            line = str(fault)
+        assert "\n" not in line
+        assert not line or str(path) in line or str(answers) in line
+        return line
+
+    def places(value: object, at: tuple = ()) -> list[tuple]:
+        inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+        return [at, *(p for k, v in inside for p in places(v, (*at, k)))]
+
+    assert judge(key) == ""
+    found = sorted(places(key)[1:], key=str)
+    trial = next(i for i, p in enumerate(found) if p[0] == "trials" and len(p) > 1)
+    for place in [p for p in found if len(p) == 1] + found[trial : trial + 20] + found[:40]:
+        for odd in [*_ODD, ...]:
+            data = copy.deepcopy(key)
+            holder = data
+            for step in place[:-1]:
+                holder = holder[step]
+            if odd is ...:
+                del holder[place[-1]]
+            else:
+                holder[place[-1]] = odd
+            judge(data)
+    assert "trials" in judge(
+        {**key, "trials": {"t": {"type": "mushra", "group": "g", "reference": "no", "stimuli": []}}}
+    )
+    path.write_text("[" * 100_000)
+    with pytest.raises(ResultsError, match="not JSON"):
+        analyse(answers, path)

@@ -364,6 +364,61 @@ def test_store(tmp_path: Path) -> None:
     assert content_key({"a": 1, "b": [2]}) == content_key({"b": [2], "a": 1}) != content_key({"a": 1})
 
 
+def test_a_damaged_render_is_not_there(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Bytes changed, cut off or put in, entries of other kinds: rendered again, or one line, never another error."""
+    store, samples = Store(tmp_path), rng.normal(size=(300, 2))
+    store.save("k", Rendered(samples, 44100, {"a": [1]}))
+    whole = store.path("k").read_bytes()
+    damaged = [b"", whole[:40], b"PK", b"\x93NUMPY", b"\x93NUMPY\x01\x00\xff\xff", json.dumps([1]).encode()]
+    for _ in range(100):
+        raw = bytearray(whole)
+        for at in rng.integers(0, len(raw), rng.integers(1, 4)):
+            raw[at] = rng.integers(0, 256)
+        damaged.append(bytes(raw[: rng.integers(1, len(raw) + 1)]) if rng.random() < 0.3 else bytes(raw))
+    # the zip's directory and the headers, where fields have meanings
+    ends = [*range(120), *range(len(whole) - 300, len(whole))]
+    damaged += [whole[:at] + bytes([value]) + whole[at + 1 :] for at in ends for value in (0xFF, whole[at] ^ 1)]
+    for raw in damaged:
+        store.path("k").write_bytes(raw)
+        if store.has("k"):  # what was changed says nothing, a date for instance
+            assert np.array_equal(store.load("k").samples, samples)
+        else:
+            with pytest.raises(OutputError, match="damaged or gone"):
+                store.load("k")
+
+
+@pytest.mark.parametrize(
+    ("facts", "samples"),
+    [
+        (b"not JSON", np.zeros((3, 1))),
+        (b"[]", np.zeros((3, 1))),
+        (b'{"fs": 0, "frames": 3, "info": {}}', np.zeros((3, 1))),
+        (b'{"fs": "x", "frames": 3, "info": {}}', np.zeros((3, 1))),
+        (b'{"fs": 8000, "frames": 3, "info": 1}', np.zeros((3, 1))),
+        (b'{"fs": 8000, "frames": 4, "info": {}}', np.zeros((3, 1))),
+        (b'{"fs": 8000, "frames": 3, "info": {}}', np.zeros(3)),
+        (b'{"fs": 8000, "frames": 3, "info": {}}', np.zeros((3, 1), dtype=np.int16)),
+        (b"[" * 100_000, np.zeros((3, 1))),
+    ],
+)
+def test_an_entry_that_is_no_render_is_not_there(tmp_path: Path, facts: bytes, samples: np.ndarray) -> None:
+    with Store(tmp_path).path("k").open("wb") as stream:
+        np.savez(stream, samples=samples, facts=np.frombuffer(facts, dtype=np.uint8))
+    assert not Store(tmp_path).has("k")
+
+
+def test_what_cannot_be_removed_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a mount that has become read-only."""
+    (tmp_path / ".x.part.npz").write_bytes(b"")
+
+    def refuse(path: Path, missing_ok: bool = False) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(OutputError, match=r"\.x\.part\.npz: cannot be removed: Read-only file system"):
+        Store(tmp_path).clear_parts()
+
+
 def test_a_dead_cluster_is_one_line() -> None:
     with pytest.raises(TonewoodError, match="cluster nonsense does not answer"):
         list(Workers(cluster="nonsense").each(len, ["a"]))

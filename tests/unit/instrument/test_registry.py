@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+import tonewood as tw
+from tonewood.cli.main import run
 from tonewood.errors import BundleError, PluginError
 from tonewood.instrument import registry
 
@@ -46,8 +49,20 @@ def test_a_foreign_plugin_is_found(foreign: Path) -> None:
 
 def test_the_same_name_twice(foreign: Path) -> None:
     announce(foreign, "[tonewood.plugins]\npluck_ramp = foreign_plugin:Knock\n")
-    with pytest.raises(PluginError, match=r"'pluck_ramp' is announced twice .*foreign.*one of them must go"):
-        registry.list_plugins()
+    said = r"'pluck_ramp' is announced twice .*foreign.*one of them must go"
+    with pytest.raises(PluginError, match=said):
+        registry.plugin("pluck_ramp")
+    assert registry.broken_plugins().keys() == {"pluck_ramp"}
+    assert "hammer" in registry.list_plugins()
+    assert "pluck_ramp" not in registry.list_plugins()
+
+
+def test_an_instrument_announced_twice_leaves_the_others(foreign: Path) -> None:
+    announce(foreign, "[tonewood.instruments]\nmonochord = foreign_instruments\n")
+    with pytest.raises(BundleError, match="'monochord' is announced twice"):
+        registry.instrument_folder("monochord")
+    assert "monochord" not in registry.list_instruments()
+    assert registry.instrument_folder("sitar").is_dir()
 
 
 @pytest.mark.parametrize(
@@ -57,6 +72,9 @@ def test_the_same_name_twice(foreign: Path) -> None:
         ("foreign_plugin:Missing", "x = 1\n", "plugin 'knock' of foreign cannot be imported"),
         ("foreign_plugin:X", "class X: pass\n", "plugin 'knock' of foreign is not a class derived from"),
         ("foreign_plugin:X", "def broken(:\n", "plugin 'knock' of foreign cannot be imported"),
+        ("foreign_plugin:X", "1 / 0\n", "plugin 'knock' of foreign cannot be imported: ZeroDivisionError"),
+        ("foreign_plugin:X", "raise SystemExit(3)\n", "plugin 'knock' of foreign cannot be imported: SystemExit"),
+        ("foreign_plugin", "x = 1\n", "plugin 'knock' of foreign cannot be imported"),
     ],
 )
 def test_a_broken_plugin_names_its_distribution(foreign: Path, value: str, source: str, reason: str) -> None:
@@ -64,6 +82,10 @@ def test_a_broken_plugin_names_its_distribution(foreign: Path, value: str, sourc
     (foreign / "foreign_plugin.py").write_text(source)
     with pytest.raises(PluginError, match=reason):
         registry.plugin("knock")
+    with pytest.raises(PluginError, match="'hammer' is of kind exciter; a body is wanted: modal_table"):
+        registry.plugin("hammer", "body")
+    assert "\n" not in registry.broken_plugins()["knock"]
+    assert "knock" not in registry.list_plugins()
 
 
 def test_a_foreign_instrument(foreign: Path) -> None:
@@ -78,3 +100,28 @@ def test_a_foreign_instrument(foreign: Path) -> None:
 def test_built_ins_are_announced_like_anyone() -> None:
     assert {e.distribution for e in registry.entries(registry.PLUGINS).values()} >= {"tonewood"}
     assert {"classical_guitar", "flamenco_guitar", "african_harp", "monochord"} <= set(registry.list_instruments())
+
+
+def test_what_is_broken_is_listed_beside_the_rest(foreign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    announce(
+        foreign,
+        "[tonewood.plugins]\nknock = no_such_module:X\nplop = foreign_plugin:X\n"
+        "[tonewood.instruments]\nghost = no_such_package\n",
+    )
+    (foreign / "foreign_plugin.py").write_text("1 / 0\n")
+    for arguments in (["list", "--json"], ["list"]):
+        with pytest.raises(SystemExit) as exit_:
+            run(arguments)
+        assert exit_.value.code == 0
+    as_json, *text = capsys.readouterr().out.splitlines()
+    found = json.loads(as_json)
+    broken = {
+        row["name"]: row["broken"] for kind in ("plugins", "instruments") for row in found[kind] if "broken" in row
+    }
+    assert broken.keys() == {"knock", "plop", "ghost"}
+    assert "ZeroDivisionError" in broken["plop"]
+    assert {"hammer", "monochord"} <= {row["name"] for kind in ("plugins", "instruments") for row in found[kind]}
+    assert len([line for line in text if "broken: " in line]) == 3
+    # and the others play
+    audio = tw.render(tw.Score([tw.Note(0.0, 0.1, note=45)]), tw.load_instrument("monochord"), 8000, max_duration=0.02)
+    assert audio.samples.any()
