@@ -196,3 +196,20 @@ def test_ignored_midi_is_counted(tonewood: Run, tmp_path: Path) -> None:
     assert "1 controller 1" in line
     plain = write(tmp_path / "plain.mid", note(0.0, 0.1, 45))
     assert "ignored MIDI" not in tonewood("render", plain, *render[2:])[1]
+
+
+def test_names_the_file_system_cannot_hold_are_one_line(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    name, wav = "n" * 300, tmp_path / "o.wav"
+    assert_one_line(tonewood("render", score, "-i", name, "-o", wav), tmp_path, "instrument 'nnn")
+    assert_one_line(tonewood("render", score, "-i", "monochord", "-o", tmp_path / f"{name}.wav"), tmp_path, "too long")
+    energy = ["--energy", tmp_path / f"{name}.json"]
+    assert_one_line(tonewood("render", score, "-i", "monochord", "-o", wav, *energy), tmp_path, "too long")
+
+
+@pytest.mark.parametrize("command", ["check", "modes"])
+def test_a_pitch_far_from_a_tension_that_stays_is_one_line(tonewood: Run, tmp_path: Path, command: str) -> None:
+    """A string four times as light sounds an octave higher: at some stop none of its modes is near the note."""
+    change = settings("tuning.compensate=none", "strings.A2.linear_density=0.000375")
+    assert_one_line(
+        tonewood(command, "monochord", *change), tmp_path, "strings.A2.note: at stop 0: no mode of the string"
+    )

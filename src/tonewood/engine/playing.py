@@ -274,7 +274,7 @@ def _glided(line: Sequence[Control], tick: float) -> list[Control]:
         while value != control.value and time < until:
             way = control.value - value
             value = control.value if abs(way) <= step else value + math.copysign(step, way)
-            out.append(replace(control, time=time, value=value))
+            out.append(Control(time, control.kind, value, control.channel))
             time += tick
     return out
 
