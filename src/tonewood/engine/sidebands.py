@@ -1,0 +1,141 @@
+"""Sidebands that a rising tension gives to a string's partials: a bound on what is missing without them.
+
+Partial m, of stretch S_m in the mean, makes the tension dT_m (1 + cos 2 w_m t) with dT_m = EA S_m / (2 L). The mean is
+a matter of pitch (`instrument.effects.rise_of_tension`). The rest gives partial n, of amplitude A_n and force F_n on
+the bridge, sidebands at w = |w_n - 2 w_m| and w_n + 2 w_m. They are those of an oscillator whose stiffness beats, and
+at the bridge the slope pulls with the risen tension besides:
+
+    A / A_n = (dT_m / 2T) w_n^2 / |w_n^2 - w^2|,      F / F_n = (dT_m / 2T) |2 w_n^2 - w^2| / |w_n^2 - w^2|.
+
+Where n and m are one partial, in the same plane or in both, 2 w_m - w_n is w_n: this sideband is the partial itself,
+shifted in pitch and level, and not counted here. In tune with a partial k other than n, a force on the bridge moves
+that partial through the bridge: of a shift d_k by the bridge's mobility Y, d_k = g_k^2 |Y| / (2 w_k^2), and decay s_k,
+it is louder by up to 1 + d_k / max(s_k, |w - w_k| - d_k). Amplitudes are added up as if all were in step, with the
+click of a force that stops at once when the rise is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.engine.transfer import Transfer
+from tonewood.numerics.held_modes import HeldModes
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.system import Compiled, System
+
+Floats = NDArray[np.float64]
+
+#: partials whose beats are told apart; those above are taken together
+_BEATING = 12
+#: relative; partials drift by so much at most: 2 cents
+_DRIFT = 0.0012
+_POWER = {"velocity": 1, "acceleration": 2}
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """Partials of one component.
+
+    Attributes
+    ----------
+    bent, moving : (n, n_modes) amplitude of each partial's velocity per coordinate q, and per q'.
+    heard : (R, n, _BEATING + 1) of each readout, per velocity of a partial and dT_m / 2T; last, of all m above.
+    """
+
+    bent: Floats
+    moving: Floats
+    heard: Floats
+
+    @classmethod
+    def of(cls, component: str, basis: ModalBasis, held: HeldModes, system: System, transfer: Transfer) -> Plane:
+        """Of a component and its modes with the bridge held."""
+        w, g, s = held.freq_rad, held.force, held.damping_rate
+        n, m = w[:, None, None], w[None, :_BEATING, None]
+        lines = np.abs(n + 2 * m * np.array([-1.0, 1.0]))
+        away = np.maximum(np.abs(n**2 - lines**2), 2 * lines * (_DRIFT * lines + s[:, None, None]))
+        answer, pull = n**2 / away, np.abs(2 * n**2 - lines**2) / away
+        own = np.arange(min(len(w), _BEATING))
+        answer[own, own, 0] = pull[own, own, 0] = 0.0
+        # per force on the bridge, the partials there; a point of the string that is read moves by itself
+        loud = transfer.heard_at(component, lines.ravel()) + transfer.stopped_at(component, lines.ravel())
+        loud *= _resonance(component, basis, held, transfer, lines.ravel())
+        force = (g / w)[:, None, None] * pull
+        heard = loud.reshape(-1, *lines.shape) * force
+        top = transfer.heard[:, transfer.components.index(component)].max(axis=1)
+        # beats far above a partial pull at the bridge alone; those close to it are as strong as its number
+        rest = np.outer(top, (g / w) * (2.0 + w / w[0]))
+        for r, readout in enumerate(system.readouts):
+            for probe in readout.probes:
+                if probe.component == component:
+                    moved = np.abs(probe.factor * (held.vectors @ basis.right[basis.index(probe.point)].real)) / w
+                    power = _POWER.get(readout.quantity, 0)
+                    heard[r] += moved[:, None, None] * answer * lines**power
+                    rest[r] += moved * (2.0 + w / w[0]) * w[-1] ** power
+        each = np.zeros((*rest.shape, _BEATING + 1))
+        each[..., : len(own)], each[..., -1] = heard.sum(axis=-1), rest
+        return cls(held.vectors * held.stiffness / w[:, None], held.vectors, each)
+
+
+def _resonance(component: str, basis: ModalBasis, held: HeldModes, transfer: Transfer, lines: Floats) -> Floats:
+    """How much louder a force on the bridge is made by the string's own partials, at frequencies of (n,)."""
+    i, end = transfer.components.index(component), basis.index("bridge")
+    w = held.freq_rad
+    mobility = np.interp(w, transfer.freq_rad, transfer.mobility[i, i]) + w * abs(basis.residual[end, end])
+    shift = held.force**2 * mobility / (2 * w**2)
+    near = np.searchsorted(0.5 * (w[1:] + w[:-1]), lines)
+    apart = np.abs(lines - w[near]) - _DRIFT * w[near] - shift[near]
+    return np.asarray(1.0 + shift[near] / np.maximum(held.damping_rate[near], apart))
+
+
+@dataclass(frozen=True, eq=False)
+class Sidebands:
+    """Those of one string as it is held now.
+
+    Attributes
+    ----------
+    planes : component -> its partials.
+    rise : dT / 2T in the mean per J.
+    """
+
+    planes: Mapping[str, Plane]
+    rise: float
+
+    @classmethod
+    def of(cls, compiled: Mapping[str, Compiled], rise: float, system: System, transfer: Transfer) -> Sidebands:
+        """Of a string's transverse components."""
+        planes = {}
+        for name, part in compiled.items():
+            if part.basis.n_modes > 1:
+                held = HeldModes.of(part.basis, "bridge")
+                planes[name] = Plane.of(name, part.basis, held, system, transfer)
+        return cls(planes, rise)
+
+    def level(
+        self, motion: Mapping[str, tuple[Floats, Floats]], peak: Floats, pulled: Mapping[str, Floats] | None = None
+    ) -> float:
+        """Largest sample that would be missing, ratio to the loudest one of each readout (R,).
+
+        Parameters
+        ----------
+        motion : component -> q and q'.
+        pulled : component -> q of a pull that is going to be let go besides.
+        """
+        beats, moving, energy = np.zeros(_BEATING), {}, 0.0
+        for name, plane in self.planes.items():
+            q, v = motion[name]
+            size = np.hypot(plane.bent @ q, plane.moving @ v)
+            if pulled is not None:
+                size += np.abs(plane.bent @ pulled[name])
+            moving[name] = size
+            energy += 0.5 * float(size @ size)
+            squares = 0.5 * size[:_BEATING] ** 2
+            beats[: len(squares)] += squares
+        shares = self.rise * np.append(beats, max(energy - beats.sum(), 0.0))
+        heard = np.zeros(len(peak))
+        for name, size in moving.items():
+            heard += size @ (self.planes[name].heard @ shares).T
+        return float(np.max(heard / peak, initial=0.0))
