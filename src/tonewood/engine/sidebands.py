@@ -9,9 +9,9 @@ at the bridge the slope pulls with the risen tension besides:
 
 Where n and m are one partial, in the same plane or in both, 2 w_m - w_n is w_n: this sideband is the partial itself,
 shifted in pitch and level, and not counted here. In tune with a partial k other than n, a force on the bridge moves
-that partial through the bridge: of a shift d_k by the bridge's mobility Y, d_k = g_k^2 |Y| / (2 w_k^2), and decay s_k,
-it is louder by up to 1 + d_k / max(s_k, |w - w_k| - d_k). Amplitudes are added up as if all were in step, with the
-click of a force that stops at once when the rise is left out.
+that partial through the bridge, which shifts it by d_k = g_k^2 |Y| / (2 w_k^2) rad/s, Y the bridge's mobility. A force
+that decays as s_n + 2 s_m is so made louder by up to 1 + d_k / max(s_k + s_n + 2 s_m, |w - w_k| - d_k). Amplitudes are
+added up as if all were in step, with the click of the risen tension's pull at the bridge if it stopped now.
 """
 
 from __future__ import annotations
@@ -44,11 +44,15 @@ class Plane:
     ----------
     bent, moving : (n, n_modes) amplitude of each partial's velocity per coordinate q, and per q'.
     heard : (R, n, _BEATING + 1) of each readout, per velocity of a partial and dT_m / 2T; last, of all m above.
+    pull : (n_modes,) N on the bridge per coordinate q, the partials' alone.
+    stopped : (R,) click in each readout per N that stops at once.
     """
 
     bent: Floats
     moving: Floats
     heard: Floats
+    pull: Floats
+    stopped: Floats
 
     @classmethod
     def of(cls, component: str, basis: ModalBasis, held: HeldModes, system: System, transfer: Transfer) -> Plane:
@@ -60,11 +64,9 @@ class Plane:
         answer, pull = n**2 / away, np.abs(2 * n**2 - lines**2) / away
         own = np.arange(min(len(w), _BEATING))
         answer[own, own, 0] = pull[own, own, 0] = 0.0
-        # per force on the bridge, the partials there; a point of the string that is read moves by itself
-        loud = transfer.heard_at(component, lines.ravel()) + transfer.stopped_at(component, lines.ravel())
-        loud *= _resonance(component, basis, held, transfer, lines.ravel())
-        force = (g / w)[:, None, None] * pull
-        heard = loud.reshape(-1, *lines.shape) * force
+        decay = s[:, None, None] + 2 * s[None, :_BEATING, None] + np.zeros(2)
+        force = (g / w)[:, None, None] * pull * _resonance(component, basis, held, transfer, lines, decay)
+        heard = transfer.heard_at(component, lines.ravel()).reshape(-1, *lines.shape) * force
         top = transfer.heard[:, transfer.components.index(component)].max(axis=1)
         # beats far above a partial pull at the bridge alone; those close to it are as strong as its number
         rest = np.outer(top, (g / w) * (2.0 + w / w[0]))
@@ -77,18 +79,21 @@ class Plane:
                     rest[r] += moved * (2.0 + w / w[0]) * w[-1] ** power
         each = np.zeros((*rest.shape, _BEATING + 1))
         each[..., : len(own)], each[..., -1] = heard.sum(axis=-1), rest
-        return cls(held.vectors * held.stiffness / w[:, None], held.vectors, each)
+        bent = held.vectors * held.stiffness / w[:, None]
+        return cls(bent, held.vectors, each, (g / w) @ bent, transfer.stopped_at(component, transfer.freq_rad[:1])[:, 0])
 
 
-def _resonance(component: str, basis: ModalBasis, held: HeldModes, transfer: Transfer, lines: Floats) -> Floats:
-    """How much louder a force on the bridge is made by the string's own partials, at frequencies of (n,)."""
+def _resonance(
+    component: str, basis: ModalBasis, held: HeldModes, transfer: Transfer, lines: Floats, decay: Floats
+) -> Floats:
+    """How much louder a force on the bridge is made by the string's own partials, at frequencies that decay (1/s)."""
     i, end = transfer.components.index(component), basis.index("bridge")
     w = held.freq_rad
     mobility = np.interp(w, transfer.freq_rad, transfer.mobility[i, i]) + w * abs(basis.residual[end, end])
     shift = held.force**2 * mobility / (2 * w**2)
     near = np.searchsorted(0.5 * (w[1:] + w[:-1]), lines)
     apart = np.abs(lines - w[near]) - _DRIFT * w[near] - shift[near]
-    return np.asarray(1.0 + shift[near] / np.maximum(held.damping_rate[near], apart))
+    return np.asarray(1.0 + shift[near] / np.maximum(held.damping_rate[near] + decay, apart))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +129,12 @@ class Sidebands:
         motion : component -> q and q'.
         pulled : component -> q of a pull that is going to be let go besides.
         """
-        beats, moving, energy = np.zeros(_BEATING), {}, 0.0
+        beats, moving, energy, bending = np.zeros(_BEATING), {}, 0.0, 0.0
         for name, plane in self.planes.items():
             q, v = motion[name]
-            size = np.hypot(plane.bent @ q, plane.moving @ v)
+            bent = plane.bent @ q
+            size = np.hypot(bent, plane.moving @ v)
+            bending += 0.5 * float(bent @ bent)
             if pulled is not None:
                 size += np.abs(plane.bent @ pulled[name])
             moving[name] = size
@@ -137,5 +144,8 @@ class Sidebands:
         shares = self.rise * np.append(beats, max(energy - beats.sum(), 0.0))
         heard = np.zeros(len(peak))
         for name, size in moving.items():
-            heard += size @ (self.planes[name].heard @ shares).T
+            plane = self.planes[name]
+            heard += size @ (plane.heard @ shares).T
+            # dT / T of now, which the energy of bending tells: what it pulls stops or begins at once
+            heard += plane.stopped * (4 * self.rise * bending * abs(float(plane.pull @ motion[name][0])))
         return float(np.max(heard / peak, initial=0.0))
