@@ -240,18 +240,20 @@ class Engine:
     def _switch(self, now: int, moved: Collection[str], fresh: Sequence[Play]) -> None:
         """Let tensions rise that gestures or what moves call for, and leave out those that do not matter."""
         switch = self.switch
-        look = now % self._look == 0 or any(name in switch.strings for name in moved)
+        whole, look = now % (GRID * SELDOM) == 0, now % self._look == 0
+        moved = [name for name in moved if name in switch.strings]
         fresh = [play for play in fresh if play.string in switch.strings]
-        if not (look or fresh or self.awaited):
+        if not (whole or look or moved or fresh or self.awaited):
             return
         energies = dict(zip(switch.strings, switch.energies(self.system, self.state).tolist(), strict=True))
         wanted = self.tense | self.awaited
-        if look or fresh:
-            self._hear()
+        self._hear()
         peak = self.sleeper.state.peak
-        if look:
-            cents, levels = switch.bounds(self.system, self.state, self.frettings, energies, peak)
-            wanted = switch.wanted(cents, levels, wanted, {a.play.string or "" for a in self.active})
+        if whole or look or moved:
+            names = switch.strings if whole else moved
+            cents, levels = switch.bounds(self.system, self.state, self.frettings, energies, peak, names)
+            busy = {a.play.string or "" for a in self.active} if whole else switch.strings
+            wanted = switch.wanted(cents, levels, wanted, busy)
             self.ledger.rises(cents, levels, wanted)
         for play in fresh:
             name = play.string or ""

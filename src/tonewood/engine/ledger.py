@@ -170,7 +170,7 @@ class Ledger:
     def rises(self, rises: Mapping[str, float], levels: Mapping[str, float], tense: Collection[str]) -> None:
         """Enter a look at the strings: cents by which each would rise, what that adds besides, and which do."""
         for name, cents in rises.items():
-            self.rise(name, cents, levels[name], name not in tense)
+            self.rise(name, cents, levels.get(name, 0.0), name not in tense)
 
     def rise(self, name: str, cents: float, level: float, left_out: bool) -> None:
         """Enter by how much a string's tension rises or is about to, what that adds, and whether it is left out."""

@@ -16,6 +16,7 @@ added up as if all were in step, with the click of the risen tension's pull at t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -31,6 +32,8 @@ Floats = NDArray[np.float64]
 
 #: partials whose beats are told apart; those above are taken together
 _BEATING = 12
+#: partials that are told apart
+_TOLD = 32
 #: relative; partials drift by so much at most: 2 cents
 _DRIFT = 0.0012
 _POWER = {"velocity": 1, "acceleration": 2}
@@ -38,20 +41,25 @@ _POWER = {"velocity": 1, "acceleration": 2}
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """Partials of one component.
+    """Partials of one component, the lowest ones told apart.
 
     Attributes
     ----------
+    stiffness, shape : (n_modes,) of its free-interface modes, 1/s^2, and at the bridge, 1/sqrt(kg).
     bent, moving : (n, n_modes) amplitude of each partial's velocity per coordinate q, and per q'.
+    pull : (n_modes,) N on the bridge per coordinate q, of all partials.
     heard : (R, n, _BEATING + 1) of each readout, per velocity of a partial and dT_m / 2T; last, of all m above.
-    pull : (n_modes,) N on the bridge per coordinate q, the partials' alone.
+    above : (R, _BEATING + 1) the same of all partials above those n together, per root of twice their energy.
     stopped : (R,) click in each readout per N that stops at once.
     """
 
+    stiffness: Floats
+    shape: Floats
     bent: Floats
     moving: Floats
-    heard: Floats
     pull: Floats
+    heard: Floats
+    above: Floats
     stopped: Floats
 
     @classmethod
@@ -80,7 +88,25 @@ class Plane:
         each = np.zeros((*rest.shape, _BEATING + 1))
         each[..., : len(own)], each[..., -1] = heard.sum(axis=-1), rest
         bent = held.vectors * held.stiffness / w[:, None]
-        return cls(bent, held.vectors, each, (g / w) @ bent, transfer.stopped_at(component, transfer.freq_rad[:1])[:, 0])
+        told = min(_TOLD, len(w))
+        return cls(
+            held.stiffness,
+            held.shape,
+            np.ascontiguousarray(bent[:told]),
+            np.ascontiguousarray(held.vectors[:told]),
+            (g / w) @ bent,
+            np.ascontiguousarray(each[:, :told]),
+            np.sqrt(np.sum(each[:, told:] ** 2, axis=1)),
+            transfer.stopped_at(component, transfer.freq_rad[:1])[:, 0],
+        )
+
+    def energies(self, q: Floats, v: Floats) -> tuple[float, float]:
+        """Potential and kinetic energy of all partials, J: without the shape that the bridge's motion gives."""
+        bridge, speed = float(self.shape @ q), float(self.shape @ v)
+        compliance = float(np.sum(self.shape**2 / self.stiffness))
+        potential = float(self.stiffness @ (q * q)) - bridge**2 / compliance
+        kinetic = float(v @ v) - speed**2 / float(self.shape @ self.shape)
+        return 0.5 * max(potential, 0.0), 0.5 * max(kinetic, 0.0)
 
 
 def _resonance(
@@ -129,23 +155,25 @@ class Sidebands:
         motion : component -> q and q'.
         pulled : component -> q of a pull that is going to be let go besides.
         """
-        beats, moving, energy, bending = np.zeros(_BEATING), {}, 0.0, 0.0
+        beats, sizes, bending, all_ = np.zeros(_BEATING), [], 0.0, 0.0
         for name, plane in self.planes.items():
             q, v = motion[name]
-            bent = plane.bent @ q
-            size = np.hypot(bent, plane.moving @ v)
-            bending += 0.5 * float(bent @ bent)
+            potential, kinetic = plane.energies(q, v)
+            size, energy = np.hypot(plane.bent @ q, plane.moving @ v), potential + kinetic
             if pulled is not None:
                 size += np.abs(plane.bent @ pulled[name])
-            moving[name] = size
-            energy += 0.5 * float(size @ size)
-            squares = 0.5 * size[:_BEATING] ** 2
-            beats[: len(squares)] += squares
-        shares = self.rise * np.append(beats, max(energy - beats.sum(), 0.0))
+                energy = (math.sqrt(energy) + math.sqrt(plane.energies(pulled[name], 0.0 * v)[0])) ** 2
+            squares = 0.5 * size * size
+            higher = max(energy - float(squares.sum()), 0.0)
+            bending += potential
+            all_ += float(squares.sum()) + higher
+            told = squares[:_BEATING]
+            beats[: len(told)] += told
+            sizes.append((plane, size, math.sqrt(2 * higher), abs(float(plane.pull @ q))))
+        shares = self.rise * np.append(beats, max(all_ - float(beats.sum()), 0.0))
         heard = np.zeros(len(peak))
-        for name, size in moving.items():
-            plane = self.planes[name]
-            heard += size @ (plane.heard @ shares).T
+        for plane, size, higher, pull in sizes:
             # dT / T of now, which the energy of bending tells: what it pulls stops or begins at once
-            heard += plane.stopped * (4 * self.rise * bending * abs(float(plane.pull @ motion[name][0])))
+            heard += (plane.heard @ shares) @ size + higher * (plane.above @ shares)
+            heard += plane.stopped * (4 * self.rise * bending * pull)
         return float(np.max(heard / peak, initial=0.0))

@@ -13,6 +13,7 @@ coupling to the motion along the string may be negative; then it is leaving that
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -38,7 +39,8 @@ from tonewood.numerics.tension import TensionModulation, stretch_weights
 
 Floats = NDArray[np.float64]
 
-#: points of the control grid from one look at the strings to the next, while a tension rises and while none does
+#: points of the control grid from one look at the strings' energies to the next while a tension rises; and from one
+#: look at all bounds to the next, after which tensions may be left out
 LOOK, SELDOM = 16, 64
 #: share of the budget below which a rise is left out; above the whole of it, it comes back
 _LEAVE = 0.9
@@ -97,6 +99,8 @@ class TensionSwitch:
         self.along = {g.name: g for g in system.stretches if g.longitudinal is not None}
         #: what may be missing at the outputs, ratio to the loudest sample
         self.budget_level = 10 ** (model.choice.budget_db / 20) * (1.0 if system.stretches else _SHARE)
+        self._planes = {t.name: [system.slot(c) for c in t.components] for t in system.rising}
+        self._told: dict[str, tuple[tuple[Compiled, ...], float, float]] = {}
         self._transfer: Transfer | None = None
         self._phantoms: dict[tuple[str, Fretting], Phantoms] = {}
         self._sidebands: dict[tuple[str, Fretting, int], Sidebands] = {}
@@ -137,30 +141,29 @@ class TensionSwitch:
         frettings: Mapping[str, Fretting],
         energies: Mapping[str, float],
         peak: Floats,
+        names: Collection[str],
     ) -> tuple[dict[str, float], dict[str, float]]:
-        """What leaving out each string's rise would cost: cents, and the largest sample that would be missing.
+        """What leaving out each string's rise would cost: cents, and of `names` the largest sample that is missing.
 
         The latter is a ratio to the loudest sample of each readout so far, `peak` (R,), together with what is missing
         of the strings of which less is heard: the strings with the least share the budget. A string beyond the budget
         of cents is not looked at further, its level is infinite.
         """
         cents = {name: self.rise(name, system, energy) for name, energy in energies.items()}
-        levels = dict.fromkeys(cents, math.inf)
-        for name, alone in cents.items():
-            if alone > self.budget:
+        alone = {}
+        for name in names:
+            if cents[name] > self.budget:
+                alone[name] = math.inf
                 continue
             motion = _motion(system, state, self._laws[name].components)
-            levels[name] = self._held_sidebands(name, system, frettings[name]).level(motion, np.maximum(peak, SILENT))
+            alone[name] = self._held_sidebands(name, system, frettings[name]).level(motion, np.maximum(peak, SILENT))
             if name in self.along:
-                found = self._held_phantoms(name, system, frettings[name])
-                slopes = found.slopes(motion)
-                cents[name] += found.cents(slopes)
-                levels[name] += found.level(slopes, np.maximum(peak, SILENT))
-        together = 0.0
-        for name in sorted(levels, key=lambda one: levels[one]):
-            together += levels[name]
-            levels[name] = together
-        return cents, levels
+                phantoms = self._held_phantoms(name, system, frettings[name])
+                slopes = phantoms.slopes(motion)
+                cents[name] += phantoms.cents(slopes)
+                alone[name] += phantoms.level(slopes, np.maximum(peak, SILENT))
+        quietest = sorted(alone, key=lambda name: alone[name])
+        return cents, dict(zip(quietest, itertools.accumulate(alone[name] for name in quietest), strict=True))
 
     @property
     def transfer(self) -> Transfer:
@@ -204,10 +207,15 @@ class TensionSwitch:
         a dT, of which a stiff string has w^2 = T a + EI b.
         """
         law = self._laws[name]
-        parts = [system.compiled[system.slot(c)].basis for c in law.components]
-        per_newton = [cast(Floats, stretch_weights(basis)) / basis.stiffness for basis in parts]
-        length = law.length if isinstance(law, TensionModulation) and law.length else parts[0].metadata["length"]
-        return 1.0 / np.max(np.concatenate(per_newton), initial=_TINY), cast(float, length)
+        compiled = tuple(system.compiled[slot] for slot in self._planes[name])
+        known = self._told.get(name)
+        if known is None or any(a is not b for a, b in zip(known[0], compiled, strict=True)):
+            parts = [part.basis for part in compiled]
+            per_newton = [cast(Floats, stretch_weights(basis)) / basis.stiffness for basis in parts]
+            length = law.length if isinstance(law, TensionModulation) and law.length else parts[0].metadata["length"]
+            tension = 1.0 / float(np.max(np.concatenate(per_newton), initial=_TINY))
+            self._told[name] = known = compiled, tension, float(cast(float, length))
+        return known[1], known[2]
 
     def wanted(
         self, rises: Mapping[str, float], levels: Mapping[str, float], on: Collection[str], busy: Collection[str]
@@ -247,7 +255,8 @@ class TensionSwitch:
             basis = system.compiled[system.slot(component)].basis
             pulled[component] = force * factor * basis.right[basis.index(point)].real / basis.stiffness
         found = self._held_sidebands(name, system, fretting)
-        return cents, found.level(_motion(system, state, components), np.maximum(peak, SILENT), pulled)
+        motion = _motion(system, state, components)
+        return cents, found.level(motion, np.maximum(peak, SILENT), pulled)
 
     def compliance(self, name: str, system: System, fretting: Fretting) -> float:
         """Static compliance of a string between fixed ends where it is plucked, x (L - x) / (T L) in m/N."""
