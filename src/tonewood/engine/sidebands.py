@@ -2,15 +2,21 @@
 
 Partial m, of stretch S_m in the mean, makes the tension dT_m (1 + cos 2 w_m t) with dT_m = EA S_m / (2 L). The mean is
 a matter of pitch (`instrument.effects.rise_of_tension`). The rest gives partial n, of amplitude A_n and force F_n on
-the bridge, sidebands at w = |w_n - 2 w_m| and w_n + 2 w_m. They are those of an oscillator whose stiffness beats, and
-at the bridge the slope pulls with the risen tension besides:
+the bridge, sidebands at w = |w_n - 2 w_m| and w_n + 2 w_m. They are those of an oscillator whose stiffness beats; at
+the bridge the tension's own beat is taken from them:
 
-    A / A_n = (dT_m / 2T) w_n^2 / |w_n^2 - w^2|,      F / F_n = (dT_m / 2T) |2 w_n^2 - w^2| / |w_n^2 - w^2|.
+    A / A_n = (dT_m / 2T) w_n^2 / |w_n^2 - w^2|,      F / F_n = (dT_m / 2T) w^2 / |w_n^2 - w^2|.
 
 Where n and m are one partial, in the same plane or in both, 2 w_m - w_n is w_n: this sideband is the partial itself,
-shifted in pitch and level, and not counted here. In tune with a partial k other than n, a force on the bridge moves
-that partial through the bridge, which shifts it by d_k = g_k^2 |Y| / (2 w_k^2) rad/s, Y the bridge's mobility. A force
-that decays as s_n + 2 s_m is so made louder by up to 1 + d_k / max(s_k + s_n + 2 s_m, |w - w_k| - d_k). Amplitudes are
+shifted in pitch and level, and not counted here. In tune with a
+partial k other than n, a force on the bridge moves that partial through the bridge, which shifts it by d_k = g_k^2 |Y| /
+(2 w_k^2) rad/s, Y the bridge's mobility; and tension does so by itself where the stretch is not quite the sum of those
+of the partials, but has terms c sqrt(S_n S_k) besides (c is 2e-4 to 2e-3: `numerics.tension`). With a force that decays
+as s_n + 2 s_m, and a partial as s_k, that adds at most
+
+    (|F / F_n| d_k + (dT_m / 2T) c w_k / 2) / max(s_k + s_n + 2 s_m, |w - w_k| - d_k)    re F_n.
+
+Amplitudes are
 added up as if all were in step, with the click of the risen tension's pull at the bridge if it stopped now.
 """
 
@@ -19,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +34,7 @@ from tonewood.engine.transfer import Transfer
 from tonewood.numerics.held_modes import HeldModes
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.system import Compiled, System
+from tonewood.numerics.tension import stretch_weights
 
 Floats = NDArray[np.float64]
 
@@ -69,11 +77,11 @@ class Plane:
         n, m = w[:, None, None], w[None, :_BEATING, None]
         lines = np.abs(n + 2 * m * np.array([-1.0, 1.0]))
         away = np.maximum(np.abs(n**2 - lines**2), 2 * lines * (_DRIFT * lines + s[:, None, None]))
-        answer, pull = n**2 / away, np.abs(2 * n**2 - lines**2) / away
+        answer, pull = n**2 / away, lines**2 / away
         own = np.arange(min(len(w), _BEATING))
         answer[own, own, 0] = pull[own, own, 0] = 0.0
         decay = s[:, None, None] + 2 * s[None, :_BEATING, None] + np.zeros(2)
-        force = (g / w)[:, None, None] * pull * _resonance(component, basis, held, transfer, lines, decay)
+        force = (g / w)[:, None, None] * _resonant(component, basis, held, transfer, lines, decay, pull)
         heard = transfer.heard_at(component, lines.ravel()).reshape(-1, *lines.shape) * force
         top = transfer.heard[:, transfer.components.index(component)].max(axis=1)
         # beats far above a partial pull at the bridge alone; those close to it are as strong as its number
@@ -109,17 +117,26 @@ class Plane:
         return 0.5 * max(potential, 0.0), 0.5 * max(kinetic, 0.0)
 
 
-def _resonance(
-    component: str, basis: ModalBasis, held: HeldModes, transfer: Transfer, lines: Floats, decay: Floats
+def _resonant(
+    component: str, basis: ModalBasis, held: HeldModes, transfer: Transfer, lines: Floats, decay: Floats, pull: Floats
 ) -> Floats:
-    """How much louder a force on the bridge is made by the string's own partials, at frequencies that decay (1/s)."""
+    """Sizes of sidebands on the bridge with what the string's partials make of them.
+
+    Parameters
+    ----------
+    lines, decay, pull : (n, m, 2) rad/s, 1/s, and sizes by themselves.
+    """
     i, end = transfer.components.index(component), basis.index("bridge")
     w = held.freq_rad
     mobility = np.interp(w, transfer.freq_rad, transfer.mobility[i, i]) + w * abs(basis.residual[end, end])
     shift = held.force**2 * mobility / (2 * w**2)
+    low = held.vectors[:_BEATING]
+    form = (low * cast(Floats, stretch_weights(basis))) @ low.T
+    coupled = np.abs(form) / np.sqrt(np.outer(np.diag(form), np.diag(form))) - np.eye(len(low))
     near = np.searchsorted(0.5 * (w[1:] + w[:-1]), lines)
     apart = np.abs(lines - w[near]) - _DRIFT * w[near] - shift[near]
-    return np.asarray(1.0 + shift[near] / np.maximum(held.damping_rate[near] + decay, apart))
+    driven = pull * shift[near] + 0.5 * coupled.max(initial=0.0) * w[near] * (pull > 0.0)
+    return np.asarray(pull + driven / np.maximum(held.damping_rate[near] + decay, apart))
 
 
 @dataclass(frozen=True, eq=False)

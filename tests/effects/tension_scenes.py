@@ -1,0 +1,92 @@
+"""Random scenes for tensions that come and go: forces, places, bends, soft and loud plucks in turn, one string or two."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from effect_scenes import FS, partial
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+
+import tonewood as tw
+from tonewood.engine.engine import Engine
+from tonewood.score.note import Control
+
+Floats = NDArray[np.float64]
+#: open notes of the strings taken, of a steel-string guitar and of a classical one with rising tensions
+OPEN = {"steel_guitar": {"E2": 40, "G3": 55, "E4": 64}, "classical_guitar": {"A2": 45, "G3": 55, "B3": 59}}
+#: Pa, of nylon: with a string's bending stiffness E pi r^4 / 4 it gives its axial stiffness E pi r^2
+NYLON = 5e9
+SECONDS = 2.4
+#: s after a bend's beginning in which the pitch of both renders moves
+GLIDE = 0.15
+
+
+def guitar(name: str, strings: tuple[str, ...], **effects: Any) -> tw.Instrument:
+    """Some strings of a guitar, their tensions rising, on its body."""
+    plain = tw.load_instrument(name)
+    values = dict(plain.resolved)
+    values["strings"] = {string: dict(values["strings"][string]) for string in strings}
+    for part in values["strings"].values():
+        if part["plugin"] != "tension_modulated_string":
+            part["plugin"] = "tension_modulated_string"
+            part["axial_stiffness"] = float(np.sqrt(4 * np.pi * NYLON * part["bending_stiffness"]))
+    values["playing"] = {**values["playing"], "note_end": {"kind": "ring"}}
+    values["connections"] = {}
+    values["effects"] = {**values["effects"], **effects}
+    return tw.Instrument.from_values(values, plain.folder)
+
+
+def scene(seed: int) -> tuple[str, tuple[str, ...], tw.Score, list[float]]:
+    """Instrument, strings, what is played, and when strings are bent."""
+    rng = np.random.default_rng(seed)
+    name = str(rng.choice(list(OPEN)))
+    strings = tuple(str(s) for s in rng.permutation(list(OPEN[name]))[: rng.integers(1, 3)])
+    notes, bends, time = [], [], 0.0
+    for _ in range(rng.integers(1, 5)):
+        string = str(rng.choice(strings))
+        notes.append(
+            tw.Note(time, 4.0, string=string, stop=int(rng.integers(0, 8)), force=float(10 ** rng.uniform(-1.3, 1.3)),
+                    from_bridge=float(rng.uniform(0.03, 0.3)), angle_deg=float(rng.uniform(-90, 90)))
+        )  # fmt: skip
+        time += float(rng.uniform(0.1, 0.6))
+    for _ in range(rng.integers(0, 3)):
+        bends.append(Control(float(rng.uniform(0.0, 1.2)), "bend", float(rng.uniform(-1200, 700))))
+    bends.sort(key=lambda b: b.time)
+    return name, strings, tw.Score(notes, controls=bends), [b.time for b in bends]
+
+
+def forces(engine: Engine, seconds: float) -> tuple[Floats, Floats]:
+    """(n,) sound of the first channel and (n, components) N, of each component on its bridge."""
+    stepper, step = engine.stepper, engine.stepper._step
+    bridges = [f"{c}.bridge" for s in engine.model.strings.values() for c in s.components]
+    names = [c.name for c in engine.system.connections]
+    kept: list[Floats] = []
+
+    def watched(*args: Any) -> Any:
+        found = step(*args)
+        kept.append(np.array(found[1][:, np.searchsorted(stepper._active, [names.index(b) for b in bridges])]))
+        return found
+
+    stepper._step = watched  # type: ignore[method-assign]  # watched, not changed
+    sound = engine.advance(int(seconds * FS) // 64)[:, 0]
+    return sound, np.concatenate(kept)
+
+
+def followed(a: Floats, b: Floats, freq: float) -> tuple[Floats, Floats]:
+    """Cents by which a partial near `freq` is higher in b than in a, and dB by which it is louder, each 0.05 s.
+
+    Left out are what lies 30 dB below the loudest, and the nulls of beats, more than 6 dB below the neighbourhood of
+    0.25 s: a string's two planes beat through the body, and in a null the pitch of both together is ill-defined.
+    """
+    x, y = partial(a, freq, width=0.02), partial(b, freq, width=0.02)
+    step = round(0.05 * FS)
+    x, y = x[step:-step:step], y[step:-step:step]
+    turn = np.angle(y[1:] * np.conj(x[1:]) * np.conj(y[:-1] * np.conj(x[:-1])))
+    size = np.minimum(abs(x), abs(y))
+    around = maximum_filter1d(size, 5, mode="nearest")
+    heard = (size > 0.5 * around) & (size > 0.03 * abs(x).max(initial=0.0))
+    cents = turn * FS / (2 * np.pi * freq * step) * 1200 / np.log(2)
+    level = 20 * np.log10(abs(y) / np.maximum(abs(x), 1e-300))
+    return cents[heard[1:] & heard[:-1]], level[heard]
