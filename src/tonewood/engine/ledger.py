@@ -224,7 +224,13 @@ class Ledger:
                     high = effect.name == "high_modes"
                     slept = (self.asleep if high else self.silent)[name].samples
                     saved = self.left_to_sleep[name] * effect.cost(1) * per_unit if high else 0.0
-                    add(effect, name, (self.samples - slept) / fs, saved, _decibel(self.unheard[name]) if slept else None)
+                    add(
+                        effect,
+                        name,
+                        (self.samples - slept) / fs,
+                        saved,
+                        _decibel(self.unheard[name]) if slept else None,
+                    )
                 else:
                     add(effect, name, whole)
         for part, plugin in self._parts.items():

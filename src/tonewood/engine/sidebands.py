@@ -8,11 +8,10 @@ the bridge the tension's own beat is taken from them:
     A / A_n = (dT_m / 2T) w_n^2 / |w_n^2 - w^2|,      F / F_n = (dT_m / 2T) w^2 / |w_n^2 - w^2|.
 
 Where n and m are one partial, in the same plane or in both, 2 w_m - w_n is w_n: this sideband is the partial itself,
-shifted in pitch and level, and not counted here. In tune with a
-partial k other than n, a force on the bridge moves that partial through the bridge, which shifts it by d_k = g_k^2 |Y| /
-(2 w_k^2) rad/s, Y the bridge's mobility; and tension does so by itself where the stretch is not quite the sum of those
-of the partials, but has terms c sqrt(S_n S_k) besides (c is 2e-4 to 2e-3: `numerics.tension`). With a force that decays
-as s_n + 2 s_m, and a partial as s_k, that adds at most
+shifted in pitch and level, and not counted here. In tune with a partial k other than n, a force on the bridge moves
+that partial through the bridge, which shifts it by d_k = g_k^2 |Y| / (2 w_k^2) rad/s, Y the bridge's mobility; and
+tension does so by itself where the stretch is not quite the sum of those of the partials, but has terms c sqrt(S_n S_k)
+besides (c is 2e-4 to 2e-3 in guitars). With a force that decays as s_n + 2 s_m, and a partial as s_k, that adds
 
     (|F / F_n| d_k + (dT_m / 2T) c w_k / 2) / max(s_k + s_n + 2 s_m, |w - w_k| - d_k)    re F_n.
 
