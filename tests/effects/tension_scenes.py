@@ -88,9 +88,11 @@ def deviations(seed: int, **effects: float) -> tuple[float, float, list[EffectRe
     a, b = (forces(renderer.engine, SECONDS)[1] for renderer in (every, auto))
     cents, levels = [0.0], [0.0]
     for here, pitch in pieces(auto, score, bends):
-        strongest = max(abs(partial(a[here, j], k * pitch, width=0.02)).max() for j in range(2) for k in (1, 2, 3))
-        for j, k in itertools.product(range(2), (1, 2, 3)):
-            off, louder = followed(a[here, j], b[here, j], k * pitch, 0.03 * strongest)
+        # each partial in the plane in which it is stronger: the other one is moved by it, and beats with it
+        sizes = {(k, j): abs(partial(a[here, j], k * pitch, width=0.02)).max() for k in (1, 2, 3) for j in range(2)}
+        for k in (1, 2, 3):
+            j = max(range(2), key=lambda plane, k=k: sizes[k, plane])
+            off, louder = followed(a[here, j], b[here, j], k * pitch, 0.03 * max(sizes.values()))
             cents += abs(off).tolist()
             levels += abs(louder).tolist()
     return max(cents), max(levels), [e for e in auto.summary().effects if e.name == "tension_modulation"]
