@@ -166,7 +166,7 @@ def test_switches_do_not_click() -> None:
     """Just after a switch the sound is what it would be without; then it drifts apart, as another pitch does."""
     notes = SCENES["quiet and loud in turn"][0]
     engine, other = (renderer(notes, 2.0, duet()).engine for _ in range(2))
-    other._switch = lambda now, fresh: None  # type: ignore[method-assign]  # never switches
+    other._switch = lambda now, moved, fresh: None  # type: ignore[method-assign]  # never switches
     peak, clicks, ways = 0.0, [], set()
     while engine.state.sample < 1.9 * FS:
         before, tense = engine.snapshot(), engine.tense

@@ -48,7 +48,7 @@ def test_a_bent_string_is_within_its_budget(cents: float, time: float) -> None:
 def test_a_bend_of_a_ringing_string_is_looked_at_at_once() -> None:
     """Left out while it is not bent, the rise comes back with the bend, not at the next look at all strings."""
     score = tw.Score([tw.Note(0.0, 4.0, string="G3", stop=0, force=0.9)], controls=[Control(0.9, "bend", -1200.0)])
-    made = guitar("steel_guitar", ("G3",), mode="auto", budget_db=0.0)
+    made = guitar("steel_guitar", ("G3",), mode="auto", budget_db=0.0, budget_cents=0.1)
     renderer = tw.Renderer(score, made, FS, max_duration=SECONDS)
     engine, rises = renderer.engine, []
     while engine.state.sample < 1.1 * FS:
@@ -57,7 +57,7 @@ def test_a_bend_of_a_ringing_string_is_looked_at_at_once() -> None:
             energy = dict(zip(engine.switch.strings, engine.switch.energies(engine.system, engine.state), strict=True))
             rises.append(engine.switch.rise("G3", engine.system, float(energy["G3"])))
     assert rises
-    assert 0.05 < max(rises) < BUDGET
+    assert 0.02 < max(rises) < 0.11
     assert "G3" in engine.tense
 
 
