@@ -92,7 +92,7 @@ def test_slopes_are_those_of_the_partials() -> None:
 def test_switches_lose_no_more_than_the_budget_and_gain_no_energy() -> None:
     options = {"mode": "auto", "budget_db": -40.0, "budget_cents": 2.0}
     engine, other = (renderer(NOTES, 3.0, along(**options)).engine for _ in range(2))
-    other._switch = lambda now, fresh: None  # type: ignore[method-assign]  # never switches
+    other._switch = lambda now, moved, fresh: None  # type: ignore[method-assign]  # never switches
     peak, left, energies, ways = 0.0, [], [], set()
     while engine.state.sample < 2.0 * FS:
         before, tense = engine.snapshot(), engine.tense

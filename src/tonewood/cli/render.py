@@ -29,6 +29,8 @@ from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from tonewood.engine.ledger import EffectReport
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer, Summary
@@ -198,11 +200,19 @@ def _told(summary: Summary) -> list[str]:
         touched = sum(r.seconds_active for r in reports) / len(reports)
         if all(r.seconds_active >= summary.duration_s for r in reports) or not (saved or touched):
             continue
-        bounds = [r.bound for r in reports if r.bound is not None]
-        bound = f"; left out, at most {max(bounds):.2g} {reports[0].unit}" if bounds and max(bounds) > 0 else ""
+        bounds = [f"{max(b):.2g} {unit}" for b, unit in _bounds(reports)]
+        bound = f"; left out, at most {' and '.join(bounds)}" if bounds else ""
         gain = f"; {saved:.1f} s of computing saved" if saved else ""
         lines.append(f"  {name}: {touched:.2f} s of {summary.duration_s:.2f} s, mean of {len(reports)}{bound}{gain}")
     return lines
+
+
+def _bounds(reports: Sequence[EffectReport]) -> Iterator[tuple[list[float], str]]:
+    """Bounds of one effect that were used and not for nothing, of each unit."""
+    for values, unit in (([r.bound for r in reports], reports[0].unit), ([r.bound_db for r in reports], "dB")):
+        used = [value for value in values if value is not None and value != 0.0]
+        if used:
+            yield used, unit
 
 
 def _report(
@@ -234,5 +244,5 @@ def _report(
         "end": s.end,
         "warnings": warnings,
         "energy": None if account is None else account.balance(),
-        "effects": [{**asdict(e), "bound": finite(e.bound)} for e in s.effects],
+        "effects": [{**asdict(e), "bound": finite(e.bound), "bound_db": finite(e.bound_db)} for e in s.effects],
     }

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -177,7 +177,7 @@ class Engine:
 
     def _hear(self) -> None:
         """Tell the sleeper what has sounded since it was last told."""
-        if (self.sleeper.enabled or self.switch.along) and self._unheard:
+        if (self.sleeper.enabled or self.switch.enabled) and self._unheard:
             self.sleeper.heard(np.concatenate(self._unheard))
         self._unheard = []
 
@@ -225,11 +225,11 @@ class Engine:
         now = self.state.sample
         if now % GRID == 0:
             before = len(self.active)
-            fresh = self._take(now)
+            moved, fresh = self._take(now)
             over = len(self.active) < before + len(fresh)
             self._exchange(self.surroundings.woken(self.system, self.active), "partners that come and go")
             if self.switch.enabled:
-                self._switch(now, fresh)
+                self._switch(now, moved, fresh)
             if (fresh or over or now >= self.sleeper.state.following) and self._sleeps:
                 self._look_after_sleepers(now, fresh)
         wanted = holds_at(self.active, now)
@@ -237,28 +237,30 @@ class Engine:
             self.holds = wanted
             self._exchange(self.surroundings.held(self.system, wanted), "holds")
 
-    def _switch(self, now: int, fresh: Sequence[Play]) -> None:
+    def _switch(self, now: int, moved: Collection[str], fresh: Sequence[Play]) -> None:
         """Let tensions rise that gestures or what moves call for, and leave out those that do not matter."""
-        look = now % self._look == 0
-        fresh = [play for play in fresh if play.string in self.switch.strings]
-        if not (look or fresh or self.awaited):
+        switch = self.switch
+        whole, look = now % (GRID * SELDOM) == 0, now % self._look == 0
+        moved = [name for name in moved if name in switch.strings]
+        fresh = [play for play in fresh if play.string in switch.strings]
+        if not (whole or look or moved or fresh or self.awaited):
             return
-        energies = dict(zip(self.switch.strings, self.switch.energies(self.system, self.state).tolist(), strict=True))
+        energies = dict(zip(switch.strings, switch.energies(self.system, self.state).tolist(), strict=True))
         wanted = self.tense | self.awaited
-        if look:
-            self._hear()
-            phantoms = self.switch.phantoms(self.system, self.state, self.frettings, self.sleeper.state.peak)
-            rises = {n: self.switch.rise(n, self.frettings[n].stop, e) for n, e in energies.items()}
-            rises |= {n: rises[n] + cents for n, (cents, _) in phantoms.items()}
-            levels = {n: level for n, (_, level) in phantoms.items()}
-            wanted = self.switch.wanted(rises, levels, wanted, {a.play.string or "" for a in self.active})
-            self.ledger.rises(rises, levels, wanted)
+        self._hear()
+        peak = self.sleeper.state.peak
+        if whole or look or moved:
+            names = switch.strings if whole else moved
+            cents, levels = switch.bounds(self.system, self.state, self.frettings, energies, peak, names)
+            busy = {a.play.string or "" for a in self.active} if whole else switch.strings
+            wanted = switch.wanted(cents, levels, wanted, busy)
+            self.ledger.rises(cents, levels, wanted)
         for play in fresh:
             name = play.string or ""
-            cents = self.switch.foreseen(play, self.frettings[name], energies[name])
-            self.ledger.foreseen(name, cents)
-            if cents > self.switch.budget:
+            rise, level = switch.foreseen(play, self.system, self.state, self.frettings[name], energies[name], peak)
+            if rise > switch.budget or level > switch.budget_level:
                 wanted |= {name}
+            self.ledger.rise(name, rise, level, name not in wanted)
         if self.watching:
             self.tense = wanted
             return
@@ -272,13 +274,13 @@ class Engine:
             self.tense = tense
             self._exchange(self.system.with_tensions(tense), "tension let rise or left out")
 
-    def _take(self, now: int) -> list[Play]:
-        """Hold strings as they are due to be held, and begin the gestures due to begin; these are returned."""
+    def _take(self, now: int) -> tuple[Collection[str], list[Play]]:
+        """Hold strings as they are due to be held, and begin the gestures due to begin; both are returned."""
         moved, fresh = self._due(now)
         if moved or fresh:
             self._touch(moved, fresh, now)
         self.active = [a for a in self.active if a.stop > now]
-        return fresh
+        return moved.keys(), fresh
 
     def _touch(self, moved: Mapping[str, Fretting], fresh: Sequence[Play], now: int) -> None:
         """Hold strings otherwise, and begin gestures."""

@@ -35,9 +35,11 @@ class EffectReport:
     component : string, ``body`` or output group.
     seconds_active : of sound while it was stepped; of a contact or a finger, while it touched.
     seconds_saved : of computing, from what steps took in this render; from the declared costs where none were made.
-    bound : on what leaving it out cost, in `unit`; None where it was left out without being watched. Nothing is lost by
-        leaving out contacts that touch nothing: there it is 0 as it is where nothing was left out.
+    bound : on what leaving it out cost, in `unit`; None where it never was left out, or was without being watched.
+        Nothing is lost by leaving out contacts that touch nothing: there it is 0.
     unit : dB re the loudest sample, or cents.
+    bound_db : of a tension, besides `bound`: what was missing at the outputs without its sidebands, dB re the loudest
+        sample; None as there.
     """
 
     name: str
@@ -46,6 +48,7 @@ class EffectReport:
     seconds_saved: float
     bound: float | None
     unit: str
+    bound_db: float | None = None
 
 
 @dataclass(eq=False)
@@ -98,10 +101,10 @@ class Ledger:
         self.held: dict[str, Spans] = defaultdict(Spans)
         self.touched: dict[tuple[str, str], Spans] = defaultdict(Spans)
         #: string -> largest rise of tension that was left out, and that was foreseen or seen, cents
-        self.left_out: dict[str, float] = defaultdict(float)
+        self.left_out: dict[str, float] = {}
         self.largest: dict[str, float] = defaultdict(float)
-        #: string -> largest of its phantom partials that was left out, ratio to the loudest sample
-        self.phantoms: dict[str, float] = defaultdict(float)
+        #: string -> largest of its sidebands and phantom partials that was left out, ratio to the loudest sample
+        self.sidebands: dict[str, float] = {}
         self._modes = {name: self.n_modes(name) for name in model.strings}
         # columns of the forces of each string's contacts with one part
         columns: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -165,18 +168,16 @@ class Ledger:
         return touched
 
     def rises(self, rises: Mapping[str, float], levels: Mapping[str, float], tense: Collection[str]) -> None:
-        """Enter a look at the strings: cents by which each would rise, what its phantoms add, and which do."""
-        for name, level in levels.items():
-            if name not in tense:
-                self.phantoms[name] = max(self.phantoms[name], level)
+        """Enter a look at the strings: cents by which each would rise, what that adds besides, and which do."""
         for name, cents in rises.items():
-            if name not in tense:
-                self.left_out[name] = max(self.left_out[name], cents)
-            self.foreseen(name, cents)
+            self.rise(name, cents, levels.get(name, 0.0), name not in tense)
 
-    def foreseen(self, name: str, cents: float) -> None:
-        """Enter by how much a string's tension will rise."""
+    def rise(self, name: str, cents: float, level: float, left_out: bool) -> None:
+        """Enter by how much a string's tension rises or is about to, what that adds, and whether it is left out."""
         self.largest[name] = max(self.largest[name], cents)
+        if left_out:
+            self.left_out[name] = max(self.left_out.get(name, 0.0), cents)
+            self.sidebands[name] = max(self.sidebands.get(name, 0.0), level)
 
     def reports(self) -> list[EffectReport]:
         """All effects."""
@@ -187,8 +188,15 @@ class Ledger:
         still = (self.samples - self.any_tense) * rates.tense / max(sum(modes[t.name] for t in model.system.rising), 1)
         out: list[EffectReport] = []
 
-        def add(effect: Effect, component: str, active: float, saved: float = 0.0, bound: float | None = 0.0) -> None:
-            out.append(EffectReport(effect.name, component, active, saved, bound, effect.unit))
+        def add(
+            effect: Effect,
+            component: str,
+            active: float,
+            saved: float = 0.0,
+            bound: float | None = None,
+            bound_db: float | None = None,
+        ) -> None:
+            out.append(EffectReport(effect.name, component, active, saved, bound, effect.unit, bound_db))
 
         choice = model.choice
         for name, string in model.strings.items():
@@ -197,29 +205,32 @@ class Ledger:
                     if string.resonator.axial_stiffness <= 0:
                         continue
                     off = self.samples - self.tense[name].samples
-                    bound = self.left_out.get(name, 0.0) if effect.name in choice.names else None
                     saved = modes[name] * (off * rates.tense_mode + still)
-                    add(effect, name, self.tense[name].samples / fs, saved, bound)
+                    lost = _decibel(self.sidebands.get(name))
+                    add(effect, name, self.tense[name].samples / fs, saved, self.left_out.get(name), lost)
                 elif effect.name == "second_polarization":
                     if len(model.instrument.polarizations(name)) < 2:
                         continue
                     there = effect.name in choice.names
                     saved = 0.0 if there else self.samples * effect.cost(modes[name]) * per_unit
-                    add(effect, name, whole if there else 0.0, saved, 0.0 if there else None)
+                    add(effect, name, whole if there else 0.0, saved)
                 elif effect.name == "longitudinal":
                     if string.along is None:
-                        add(effect, name, 0.0, self.samples * effect.cost(modes[name]) * per_unit, None)
+                        add(effect, name, 0.0, self.samples * effect.cost(modes[name]) * per_unit)
                         continue
-                    on = self.tense[name].samples
-                    lost = 20 * math.log10(max(self.phantoms[name], _NOTHING)) if on < self.samples else 0.0
                     # what it takes besides stands with the rising tension, which comes and goes with it
-                    add(effect, name, on / fs, 0.0, lost)
+                    add(effect, name, self.tense[name].samples / fs, 0.0, _decibel(self.sidebands.get(name)))
                 elif effect.name in ("high_modes", "sympathetic_strings"):
                     high = effect.name == "high_modes"
                     slept = (self.asleep if high else self.silent)[name].samples
                     saved = self.left_to_sleep[name] * effect.cost(1) * per_unit if high else 0.0
-                    lost = 20 * math.log10(max(self.unheard[name], _NOTHING)) if slept else 0.0
-                    add(effect, name, (self.samples - slept) / fs, saved, lost)
+                    add(
+                        effect,
+                        name,
+                        (self.samples - slept) / fs,
+                        saved,
+                        _decibel(self.unheard[name]) if slept else None,
+                    )
                 else:
                     add(effect, name, whole)
         for part, plugin in self._parts.items():
@@ -230,9 +241,9 @@ class Ledger:
                     samples = (self.held[name] if held else self.touched[name, part]).samples
                     reaches = samples > 0 if held else (name, part) in self.contacts
                     if reaches:
-                        add(effect, name, samples / fs)
+                        add(effect, name, samples / fs, bound=0.0 if samples < self.samples else None)
                 if not there:
-                    add(effect, part, 0.0, 0.0, None)
+                    add(effect, part, 0.0)
         for effect in model.instrument.body.effects:
             add(effect, "body", whole)
         made = {group.name for group in model.outputs}
@@ -245,6 +256,10 @@ class Ledger:
         """Modes of an open string, all polarizations."""
         system = self.model.system
         return sum(system.compiled[system.slot(c)].basis.n_modes for c in self.model.strings[name].components)
+
+
+def _decibel(ratio: float | None) -> float | None:
+    return None if ratio is None else 20 * math.log10(max(ratio, _NOTHING))
 
 
 def finite(value: float | None) -> float | None:

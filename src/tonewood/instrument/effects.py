@@ -117,7 +117,7 @@ TENSION_MODULATION = Effect(
     "tension_modulation", "tension that rises with amplitude: glides, turning planes", "detuning",
     "a gesture's force bends the string so far that its tension would rise by more than the budget; every gesture that "
     "moves a mass, a bow or a finger",
-    "the string's energy, which bounds the mean rise of its tension",
+    "the string's energy, which bounds the mean rise of its tension; its partials, which bound the sidebands",
     bound=rise_of_tension, cost=lambda n: 8.0 * n,
 )  # fmt: skip
 LONGITUDINAL = Effect(

@@ -29,6 +29,11 @@ from tonewood.numerics.propagator import apply
 Floats = NDArray[np.float64]
 
 
+def stretch_weights(basis: ModalBasis) -> ArrayLike | None:
+    """(n_modes,) a of a string's modes, 1 / (kg m), as its `metadata` have them; None if they do not."""
+    return cast("ArrayLike | None", basis.metadata.get("stretch_part", basis.metadata.get("tension_part")))
+
+
 @dataclass(frozen=True, eq=False)
 class TensionModulation:
     """The common tension of one string's polarizations.
@@ -75,8 +80,7 @@ class TensionModulation:
         """
         if not basis.is_real:
             raise ValueError(f"{self.name}: the modes of {component} must be real")
-        own = basis.metadata.get("stretch_part", basis.metadata.get("tension_part"))
-        known = own if self.weights is None else self.weights.get(component)
+        known = stretch_weights(basis) if self.weights is None else self.weights.get(component)
         if known is None:
             raise ValueError(f"{self.name}: no weights for {component}")
         weights = np.array(known, dtype=np.float64)

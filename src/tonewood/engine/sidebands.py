@@ -1,0 +1,195 @@
+"""Sidebands that a rising tension gives to a string's partials: a bound on what is missing without them.
+
+Partial m, of stretch S_m in the mean, makes the tension dT_m (1 + cos 2 w_m t) with dT_m = EA S_m / (2 L). The mean is
+a matter of pitch (`instrument.effects.rise_of_tension`). The rest gives partial n, of amplitude A_n and force F_n on
+the bridge, sidebands at w = |w_n - 2 w_m| and w_n + 2 w_m. They are those of an oscillator whose stiffness beats; at
+the bridge the tension's own beat is taken from them:
+
+    A / A_n = (dT_m / 2T) w_n^2 / |w_n^2 - w^2|,      F / F_n = (dT_m / 2T) w^2 / |w_n^2 - w^2|.
+
+Where n and m are one partial, in the same plane or in both, 2 w_m - w_n is w_n: this sideband is the partial itself,
+shifted in pitch and level, and not counted here. In tune with a partial k other than n, a force on the bridge moves
+that partial through the bridge, which shifts it by d_k = g_k^2 |Y| / (2 w_k^2) rad/s, Y the bridge's mobility; and
+tension does so by itself where the stretch is not quite the sum of those of the partials, but has terms c sqrt(S_n S_k)
+besides (c is 2e-4 to 2e-3 in guitars). With a force that decays as s_n + 2 s_m, and a partial as s_k, that adds
+
+    (|F / F_n| d_k + (dT_m / 2T) c w_k / 2) / max(s_k + s_n + 2 s_m, |w - w_k| - d_k)    re F_n.
+
+Amplitudes are
+added up as if all were in step, with the click of the risen tension's pull at the bridge if it stopped now.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.engine.transfer import Transfer
+from tonewood.numerics.held_modes import HeldModes
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.system import Compiled, System
+from tonewood.numerics.tension import stretch_weights
+
+Floats = NDArray[np.float64]
+
+#: partials whose beats are told apart; those above are taken together
+_BEATING = 12
+#: partials that are told apart
+_TOLD = 32
+#: relative; partials drift by so much at most: 2 cents
+_DRIFT = 0.0012
+_POWER = {"velocity": 1, "acceleration": 2}
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """Partials of one component, the lowest ones told apart.
+
+    Attributes
+    ----------
+    stiffness, shape : (n_modes,) of its free-interface modes, 1/s^2, and at the bridge, 1/sqrt(kg).
+    bent, moving : (n, n_modes) amplitude of each partial's velocity per coordinate q, and per q'.
+    pull : (n_modes,) N on the bridge per coordinate q, of all partials.
+    heard : (R, n, _BEATING + 1) of each readout, per velocity of a partial and dT_m / 2T; last, of all m above.
+    above : (R, _BEATING + 1) the same of all partials above those n together, per root of twice their energy.
+    stopped : (R,) click in each readout per N that stops at once.
+    """
+
+    stiffness: Floats
+    shape: Floats
+    bent: Floats
+    moving: Floats
+    pull: Floats
+    heard: Floats
+    above: Floats
+    stopped: Floats
+
+    @classmethod
+    def of(cls, component: str, basis: ModalBasis, held: HeldModes, system: System, transfer: Transfer) -> Plane:
+        """Of a component and its modes with the bridge held."""
+        w, g, s = held.freq_rad, held.force, held.damping_rate
+        n, m = w[:, None, None], w[None, :_BEATING, None]
+        lines = np.abs(n + 2 * m * np.array([-1.0, 1.0]))
+        away = np.maximum(np.abs(n**2 - lines**2), 2 * lines * (_DRIFT * lines + s[:, None, None]))
+        answer, pull = n**2 / away, lines**2 / away
+        own = np.arange(min(len(w), _BEATING))
+        answer[own, own, 0] = pull[own, own, 0] = 0.0
+        decay = s[:, None, None] + 2 * s[None, :_BEATING, None] + np.zeros(2)
+        force = (g / w)[:, None, None] * _resonant(component, basis, held, transfer, lines, decay, pull)
+        heard = transfer.heard_at(component, lines.ravel()).reshape(-1, *lines.shape) * force
+        top = transfer.heard[:, transfer.components.index(component)].max(axis=1)
+        # beats far above a partial pull at the bridge alone; those close to it are as strong as its number
+        rest = np.outer(top, (g / w) * (2.0 + w / w[0]))
+        for r, readout in enumerate(system.readouts):
+            for probe in readout.probes:
+                if probe.component == component:
+                    moved = np.abs(probe.factor * (held.vectors @ basis.right[basis.index(probe.point)].real)) / w
+                    power = _POWER.get(readout.quantity, 0)
+                    heard[r] += moved[:, None, None] * answer * lines**power
+                    rest[r] += moved * (2.0 + w / w[0]) * w[-1] ** power
+        each = np.zeros((*rest.shape, _BEATING + 1))
+        each[..., : len(own)], each[..., -1] = heard.sum(axis=-1), rest
+        bent = held.vectors * held.stiffness / w[:, None]
+        told = min(_TOLD, len(w))
+        return cls(
+            held.stiffness,
+            held.shape,
+            np.ascontiguousarray(bent[:told]),
+            np.ascontiguousarray(held.vectors[:told]),
+            (g / w) @ bent,
+            np.ascontiguousarray(each[:, :told]),
+            np.sqrt(np.sum(each[:, told:] ** 2, axis=1)),
+            transfer.stopped_at(component, transfer.freq_rad[:1])[:, 0],
+        )
+
+    def energies(self, q: Floats, v: Floats) -> tuple[float, float]:
+        """Potential and kinetic energy of all partials, J: without the shape that the bridge's motion gives."""
+        bridge, speed = float(self.shape @ q), float(self.shape @ v)
+        compliance = float(np.sum(self.shape**2 / self.stiffness))
+        potential = float(self.stiffness @ (q * q)) - bridge**2 / compliance
+        kinetic = float(v @ v) - speed**2 / float(self.shape @ self.shape)
+        return 0.5 * max(potential, 0.0), 0.5 * max(kinetic, 0.0)
+
+
+def _resonant(
+    component: str, basis: ModalBasis, held: HeldModes, transfer: Transfer, lines: Floats, decay: Floats, pull: Floats
+) -> Floats:
+    """Sizes of sidebands on the bridge with what the string's partials make of them.
+
+    Parameters
+    ----------
+    lines, decay, pull : (n, m, 2) rad/s, 1/s, and sizes by themselves.
+    """
+    i, end = transfer.components.index(component), basis.index("bridge")
+    w = held.freq_rad
+    mobility = np.interp(w, transfer.freq_rad, transfer.mobility[i, i]) + w * abs(basis.residual[end, end])
+    shift = held.force**2 * mobility / (2 * w**2)
+    low = held.vectors[:_BEATING]
+    form = (low * cast(Floats, stretch_weights(basis))) @ low.T
+    coupled = np.abs(form) / np.sqrt(np.outer(np.diag(form), np.diag(form))) - np.eye(len(low))
+    near = np.searchsorted(0.5 * (w[1:] + w[:-1]), lines)
+    apart = np.abs(lines - w[near]) - _DRIFT * w[near] - shift[near]
+    driven = pull * shift[near] + 0.5 * coupled.max(initial=0.0) * w[near] * (pull > 0.0)
+    return np.asarray(pull + driven / np.maximum(held.damping_rate[near] + decay, apart))
+
+
+@dataclass(frozen=True, eq=False)
+class Sidebands:
+    """Those of one string as it is held now.
+
+    Attributes
+    ----------
+    planes : component -> its partials.
+    rise : dT / 2T in the mean per J.
+    """
+
+    planes: Mapping[str, Plane]
+    rise: float
+
+    @classmethod
+    def of(cls, compiled: Mapping[str, Compiled], rise: float, system: System, transfer: Transfer) -> Sidebands:
+        """Of a string's transverse components."""
+        planes = {}
+        for name, part in compiled.items():
+            if part.basis.n_modes > 1:
+                held = HeldModes.of(part.basis, "bridge")
+                planes[name] = Plane.of(name, part.basis, held, system, transfer)
+        return cls(planes, rise)
+
+    def level(
+        self, motion: Mapping[str, tuple[Floats, Floats]], peak: Floats, pulled: Mapping[str, Floats] | None = None
+    ) -> float:
+        """Largest sample that would be missing, ratio to the loudest one of each readout (R,).
+
+        Parameters
+        ----------
+        motion : component -> q and q'.
+        pulled : component -> q of a pull that is going to be let go besides.
+        """
+        beats, sizes, bending, all_ = np.zeros(_BEATING), [], 0.0, 0.0
+        for name, plane in self.planes.items():
+            q, v = motion[name]
+            potential, kinetic = plane.energies(q, v)
+            size, energy = np.hypot(plane.bent @ q, plane.moving @ v), potential + kinetic
+            if pulled is not None:
+                size += np.abs(plane.bent @ pulled[name])
+                energy = (math.sqrt(energy) + math.sqrt(plane.energies(pulled[name], 0.0 * v)[0])) ** 2
+            squares = 0.5 * size * size
+            higher = max(energy - float(squares.sum()), 0.0)
+            bending += potential
+            all_ += float(squares.sum()) + higher
+            told = squares[:_BEATING]
+            beats[: len(told)] += told
+            sizes.append((plane, size, math.sqrt(2 * higher), abs(float(plane.pull @ q))))
+        shares = self.rise * np.append(beats, max(all_ - float(beats.sum()), 0.0))
+        heard = np.zeros(len(peak))
+        for plane, size, higher, pull in sizes:
+            # dT / T of now, which the energy of bending tells: what it pulls stops or begins at once
+            heard += (plane.heard @ shares) @ size + higher * (plane.above @ shares)
+            heard += plane.stopped * (4 * self.rise * bending * pull)
+        return float(np.max(heard / peak, initial=0.0))
