@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import json
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tonewood.errors import OutputError
 from tonewood.whole_files import whole_file
 
-SCHEMA = "tonewood-render/1"
+SCHEMA = "tonewood-render/2"
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,10 @@ class Store:
                 return archive.testzip() is None and set(archive.namelist()) == {"samples.npy", "facts.npy"}
         except (OSError, zipfile.BadZipFile, EOFError):
             return False
+
+    def others(self, keys: Collection[str]) -> int:
+        """How many renders there are besides those of `keys`."""
+        return sum(path.stem not in keys for path in self.folder.glob("[0-9a-f]*.npz"))
 
     def save(self, key: str, rendered: Rendered) -> None:
         """Keep a render; see `whole_file` for what can go wrong."""
