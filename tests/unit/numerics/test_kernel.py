@@ -74,7 +74,7 @@ def plucked(system, steps=200, seed=3):
 
 
 def rounding_of_gaps(system, state):
-    """Rounding of the gaps of linear connections, m: each is a sum of `n` modes, rounded to eps sqrt(n) of its terms."""
+    """Rounding of the gaps of linear connections, m: each sums `n` modes, rounded to eps sqrt(n) of their size."""
     size = np.zeros(len(system.connections))
     for i, compiled in enumerate(system.compiled):
         if not system.driven[i]:
