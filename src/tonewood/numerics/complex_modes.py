@@ -80,7 +80,8 @@ def complex_modes(
     moving = P @ Q[e:]  # velocity of each dof per unit state
 
     out = _rigid_modes(P, omega, e, steady, -Q[2 * e :] @ sla.solve(A, force)) if e < m else []
-    poles, X = sla.eig(A)
+    poles, vectors = sla.eig(A)
+    X = vectors.astype(np.complex128)  # real where all poles are
     blocks: list[NDArray[np.intp]] = []
     for group in _groups(poles):
         lam, vectors = poles[group], X[:, group]
