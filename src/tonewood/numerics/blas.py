@@ -24,6 +24,16 @@ def _libraries() -> tuple[Any, ...]:
     return tuple(ThreadpoolController().select(user_api="blas").lib_controllers)
 
 
+def _set_threads(library: Any, threads: int) -> None:
+    """Set a library's number of threads, from any thread: threadpoolctl heeds only the first that changed OpenBLAS's."""
+    for prefix in ("scipy_", ""):
+        for suffix in ("", "64_", "_64", "_64_"):
+            if setter := getattr(library.dynlib, f"{prefix}openblas_set_num_threads{suffix}", None):
+                setter(threads)
+                return
+    library.set_num_threads(threads)
+
+
 class _OneThread:
     """Limits BLAS to one thread from the first entry to the last exit, in whichever threads these are."""
 
@@ -36,14 +46,14 @@ class _OneThread:
             if self.entries == 1:
                 self.before = [library.get_num_threads() for library in _libraries()]
                 for library in _libraries():
-                    library.set_num_threads(1)
+                    _set_threads(library, 1)
 
     def __exit__(self, *_: object) -> None:
         with self.lock:
             self.entries -= 1
             if self.entries == 0:
                 for library, threads in zip(_libraries(), self.before, strict=True):
-                    library.set_num_threads(threads)
+                    _set_threads(library, threads)
 
 
 _ONE_THREAD = _OneThread()
