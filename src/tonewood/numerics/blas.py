@@ -25,7 +25,7 @@ def _libraries() -> tuple[Any, ...]:
 
 
 def _set_threads(library: Any, threads: int) -> None:
-    """Set a library's number of threads, from any thread: threadpoolctl heeds only the first that changed OpenBLAS's."""
+    """Set a library's number of threads from any thread: threadpoolctl heeds only the first that changed OpenBLAS."""
     for prefix in ("scipy_", ""):
         for suffix in ("", "64_", "_64", "_64_"):
             if setter := getattr(library.dynlib, f"{prefix}openblas_set_num_threads{suffix}", None):

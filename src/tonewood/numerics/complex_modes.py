@@ -93,7 +93,7 @@ def complex_modes(
             centre = lam.real.mean()
             if np.abs(span.T @ A @ span - centre * np.eye(2)).max() <= _EQUAL * abs(centre):
                 # one real pole of two modes, which rounding may take for a pair: no block has it, two modes do
-                X[:, group], poles[group] = span @ _inverse_root(span.T @ signs @ span), centre
+                X[:, group], poles[group] = span @ _inverse_root((span.T @ signs @ span).astype(np.complex128)), centre
             else:
                 blocks.append(group)
         elif weakest < least_pairing:
