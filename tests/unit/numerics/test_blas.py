@@ -25,6 +25,9 @@ print(json.dumps([threads, hashlib.sha256(sound.samples.tobytes()).hexdigest()])
 """
 
 
+blas_libraries()  # loads them all, so that the limits below reach SciPy's too
+
+
 def threads() -> set[int]:
     return {i["num_threads"] for i in threadpool_info() if i["user_api"] == "blas"}
 
