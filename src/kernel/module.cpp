@@ -743,6 +743,11 @@ NB_MODULE(_kernel, m) {
     m.doc() = "Steps modal systems; see tonewood.numerics.kernel.";
     m.attr("BLOCK_SIZE") = kBlock;
     m.attr("PADDING") = kPadding;
+#ifdef __clang__
+    m.attr("COMPILER") = __VERSION__;
+#else
+    m.attr("COMPILER") = "GCC " __VERSION__;
+#endif
     m.def("instruction_sets", [] {
         std::vector<std::string> names;
         for (const Table* t : supported()) names.emplace_back(t->name);

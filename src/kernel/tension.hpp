@@ -575,7 +575,7 @@ private:
             const V reach = kFar * (at + over_most), steepness = most(1.0 + kappa * falls, V{} + 0.5);
             const V secant = (excess - of<S>(ws_.last_excess, s)) / (tension - of<S>(ws_.last_tension, s));
             S::store(&ws_.last_excess[s], excess), S::store(&ws_.last_tension[s], tension);
-            const auto within = [&](S::V next) { return most(most(least(next, at + reach), at - reach), least_tension); };
+            const auto within = [&](V next) { return most(most(least(next, at + reach), at - reach), least_tension); };
             const V near = within(tension - excess / steepness);
             // that was at constant forces; a secant knows how they answer, and goes less far where it is steeper
             const V next = by_secant ? (secant > steepness ? within(tension - excess / secant) : near) : near;

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 BLOCK_SIZE: int
 PADDING: int
+COMPILER: str
 
 def instruction_sets() -> list[str]: ...
 def fma_peak(isa: str, seconds: float) -> float: ...

@@ -90,6 +90,8 @@ def parse_yaml(
 class _StrictComposer(Composer):
     """Builds the node tree, and stops at the first thing the dialect leaves out."""
 
+    _levels = 0  # nodes that are being composed; ruamel.yaml counts them from 0.19 on
+
     def compose_document(self) -> Any:
         event = self.parser.peek_event()
         if event.version not in (None, (1, 2)) or event.tags:
@@ -104,9 +106,11 @@ class _StrictComposer(Composer):
             raise _refused(f"anchor &{event.anchor} is not allowed: write the value out", event)
         if event.ctag is not None:
             raise _refused(f"tag {event.ctag} is not allowed: plain values only", event)
-        if self.depth >= MAX_DEPTH:
+        if self._levels >= MAX_DEPTH:
             raise _refused(f"nested deeper than the {MAX_DEPTH} levels allowed", event)
+        self._levels += 1
         node = super().compose_node(parent, index)
+        self._levels -= 1
         if str(node.ctag) == _TIMESTAMP:
             raise _refused(f"{node.value} would be read as a date: quote it", node)
         if isinstance(node, MappingNode):

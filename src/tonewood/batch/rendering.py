@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import platform
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache, lru_cache
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,8 @@ from tonewood.errors import TonewoodError
 from tonewood.instrument import registry
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.numerics.kernel import instruction_set
+from tonewood.numerics.blas import blas_libraries
+from tonewood.numerics.kernel import compiler, instruction_set
 from tonewood.output.render import Renderer, Tail
 from tonewood.score.assignment import assign
 from tonewood.score.midi import read_midi
@@ -33,7 +36,7 @@ class EngineRenderer:
     """Renders conditions; holds nothing, so it costs nothing to send to a worker."""
 
     def identity(self, condition: Condition) -> dict[str, Any]:
-        """Parameters, hashes, version and instruction set that decide the samples.
+        """All that decides the samples: parameters, hashes, version, instruction set, and what else computes here.
 
         Raises
         ------
@@ -51,6 +54,7 @@ class EngineRenderer:
             "parameters": instrument.resolved,
             "version": _version(),
             "isa": here,
+            "computed_with": computed_with(),
         }
 
     def predict(self, condition: Condition) -> float:
@@ -137,9 +141,23 @@ def _loaded(bundle: str) -> Instrument:
 
 @cache
 def _version() -> str:
-    from importlib.metadata import version
-
     return version("tonewood")
+
+
+@cache
+def computed_with() -> dict[str, Any]:
+    """Compiler and libraries that change the last bits, and the vector instructions that NumPy uses here.
+
+    The number of BLAS threads is not among them: renders use one (`numerics.blas`).
+    """
+    return {
+        "kernel": compiler(),
+        "blas": blas_libraries(),
+        "numpy": np.__version__,
+        "scipy": version("scipy"),
+        "simd": np.show_config(mode="dicts")["SIMD Extensions"].get("found", []),
+        "libc": " ".join(platform.libc_ver()),
+    }
 
 
 def _score(condition: Condition) -> Score:

@@ -160,6 +160,11 @@ def plan_batch(
         wanted = keys.get(condition.name)
         if wanted is not None and wanted not in todo and not store.has(wanted):
             todo[wanted] = condition
+    if todo and (unused := store.others(set(keys.values()))):
+        notes.append(
+            f"{unused} renders in {store.folder} are not used: they were made of something else (parameters, scores, "
+            "version, instruction set, BLAS or other libraries)"
+        )
     seconds = None
     if predict:
         seconds = _FILE_SECONDS * sum(len(g.stimuli) for g in groups)
@@ -271,7 +276,10 @@ def _render(task: tuple[Renderer, Condition, str]) -> _Outcome:
     started = time.perf_counter()
     try:
         if content_key(renderer.identity(condition)) != key:
-            reason = "the worker would render something else: other bundle, plugins, version or instruction set"
+            reason = (
+                "the worker would render something else: other bundle, plugins, version, instruction set, "
+                "BLAS or other libraries"
+            )
             return _Outcome(key, None, Fault(condition.name, reason))
         rendered = renderer.render(condition)
         _check(rendered)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tonewood.errors import OutputError
 from tonewood.whole_files import remove, whole_file
 
-SCHEMA = "tonewood-render/1"
+SCHEMA = "tonewood-render/2"
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,10 @@ class Store:
         except OutputError:
             return False
         return True
+
+    def others(self, keys: Collection[str]) -> int:
+        """How many renders there are besides those of `keys`."""
+        return sum(path.stem not in keys for path in self.folder.glob("[0-9a-f]*.npz"))
 
     def save(self, key: str, rendered: Rendered) -> None:
         """Keep a render; see `whole_file` for what can go wrong."""

@@ -24,6 +24,7 @@ from tonewood.engine.surroundings import Surroundings, holds_at, string_of
 from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable, may_rest, string_energy
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
+from tonewood.numerics.blas import one_blas_thread
 from tonewood.numerics.connections import Connection
 from tonewood.numerics.kernel import KernelStepper
 from tonewood.numerics.motion import share_velocities
@@ -118,6 +119,7 @@ class Engine:
             dict(self.holds), self.tense, self.awaited, self.sleeper.state.copy(), self._next_change, self._next_play,
         )  # fmt: skip
 
+    @one_blas_thread
     def restore(self, snapshot: Snapshot) -> None:
         """Go back to a snapshot of this engine (or of one with the same model and timeline)."""
         s = snapshot
@@ -135,6 +137,7 @@ class Engine:
         if self.books:
             self.books = Books(self.system, self.state, self.model)
 
+    @one_blas_thread
     def advance(self, n_ticks: int) -> Floats:
         """Step n_ticks intervals of the control grid; returns (n_ticks * GRID, n_channels)."""
         out, end = [], self.state.sample + n_ticks * GRID

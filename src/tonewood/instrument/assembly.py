@@ -18,6 +18,7 @@ from tonewood.instrument.schema import Playing, StringPart
 from tonewood.instrument.strings import Along, Polarization, Stopping, StringModel
 from tonewood.instrument.tuning import body_ports
 from tonewood.numerics.basis_passivity import check_basis
+from tonewood.numerics.blas import one_blas_thread
 from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.numerics.geometric import GeometricStretch
 from tonewood.numerics.modes import ModalBasis
@@ -125,6 +126,7 @@ class Model:
         return Place(string, held.length(stop), len(held.polarizations), held.tension(stop))
 
 
+@one_blas_thread
 def assemble(
     instrument: Instrument, fs: float, *, freq_limit: float | None = None, outputs: Sequence[str] | None = None
 ) -> Model:

@@ -30,6 +30,9 @@ _NEAR = 1e-3
 _NEAR_AXIS = 0.1
 #: pairing of left and right vectors below which two poles on the axis become a block, and a group is left as it is
 _DEFECTIVE = 1e-4
+#: deviation of two poles' motion from that of one double pole below which it is one, relative: the error of taking it
+#: for one is then no larger than that of a block, which is rounding divided by the deviation
+_EQUAL = 1e-8
 
 
 #: pole, kind, stiffness, damping rate, right and left shape at all dofs
@@ -77,7 +80,8 @@ def complex_modes(
     moving = P @ Q[e:]  # velocity of each dof per unit state
 
     out = _rigid_modes(P, omega, e, steady, -Q[2 * e :] @ sla.solve(A, force)) if e < m else []
-    poles, X = sla.eig(A)
+    poles, vectors = sla.eig(A)
+    X = vectors.astype(np.complex128)  # real where all poles are
     blocks: list[NDArray[np.intp]] = []
     for group in _groups(poles):
         lam, vectors = poles[group], X[:, group]
@@ -85,8 +89,13 @@ def complex_modes(
         pairing = vectors.T @ signs @ vectors
         weakest = float(sla.svdvals(pairing)[-1])
         if on_axis and (weakest < _DEFECTIVE or np.any(lam.imag != 0)):
-            X[:, group] = _real_span(A, lam)
-            blocks.append(group)
+            X[:, group] = span = _real_span(A, lam)
+            centre = lam.real.mean()
+            if np.abs(span.T @ A @ span - centre * np.eye(2)).max() <= _EQUAL * abs(centre):
+                # one real pole of two modes, which rounding may take for a pair: no block has it, two modes do
+                X[:, group], poles[group] = span @ _inverse_root((span.T @ signs @ span).astype(np.complex128)), centre
+            else:
+                blocks.append(group)
         elif weakest < least_pairing:
             return None
         elif group.size > 1 and weakest >= _DEFECTIVE:

@@ -1,8 +1,8 @@
 """The C++ kernel behind the same interface as `stepper.NumpyStepper`.
 
 The instruction set is chosen when the module is imported: the widest this machine has, or the one named by the
-environment variable ``TONEWOOD_ISA``. Results are bit-identical for one instruction set, also where a run
-is cut at multiples of 64 samples.
+environment variable ``TONEWOOD_ISA``. For the same arrays, one build and one instruction set, results are
+bit-identical, also where a run is cut at multiples of 64 samples.
 """
 
 from __future__ import annotations
@@ -50,6 +50,11 @@ def instruction_set() -> str:
     if wanted not in available:
         raise TonewoodError(f"TONEWOOD_ISA={wanted}: this machine has auto, {', '.join(available)}")
     return wanted
+
+
+def compiler() -> str:
+    """Name and version of the compiler that built the kernel: another one may fuse other products and sums."""
+    return _kernel.COMPILER
 
 
 @dataclass(frozen=True, slots=True, eq=False)

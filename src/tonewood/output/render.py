@@ -16,6 +16,7 @@ from tonewood.engine.playing import Performance, perform
 from tonewood.errors import TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
 from tonewood.instrument.bundle import Instrument
+from tonewood.numerics.blas import one_blas_thread
 from tonewood.numerics.energy_trace import EnergyTrace
 from tonewood.output.accuracy import Decimator, accuracy_level
 from tonewood.output.audio import Audio, decibels
@@ -124,6 +125,7 @@ class Renderer:
     TonewoodError : something cannot be played or is out of range; one line.
     """
 
+    @one_blas_thread
     def __init__(
         self,
         score: Score,

@@ -128,6 +128,15 @@ def test_motion_is_that_of_the_assembled_system(name: str) -> None:
         assert sorted(_agrees(M, C, K, [], h, tolerance)) == sorted(kinds)
 
 
+def test_a_double_real_pole_is_two_modes_however_it_is_rounded() -> None:
+    """Two equal overdamped halves, turned in 150 ways: after some, rounding makes a pair of complex poles of it."""
+    C, K = sla.block_diag(*[np.diag([6.0, 8.0])] * 2), sla.block_diag(_PAIR_K, _PAIR_K)
+    for seed in range(150):
+        turn = sla.qr(np.random.default_rng(seed).normal(size=(4, 4)))[0]
+        kinds = _agrees(np.eye(4), turn @ C @ turn.T, turn @ K @ turn.T, [], 0.7, 1e-12)
+        assert sorted(kinds) == sorted([REAL] * 8)
+
+
 @pytest.mark.parametrize("shift", [s * 10.0**-k for k in range(1, 15) for s in (1, -1)])
 def test_accuracy_holds_through_critical_damping(shift: float) -> None:
     _agrees(*_near_critical(shift), [], 0.4, 5e-12)
