@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tonewood.engine.ledger import EffectReport as EffectReport
     from tonewood.errors import BundleError as BundleError
+    from tonewood.errors import DroppedNotesWarning as DroppedNotesWarning
+    from tonewood.errors import NothingPlayedError as NothingPlayedError
     from tonewood.errors import NumericalError as NumericalError
     from tonewood.errors import OutputError as OutputError
     from tonewood.errors import PassivityError as PassivityError
@@ -113,7 +115,8 @@ if TYPE_CHECKING:
 _MODULES = {
     "engine.ledger": ("EffectReport",),
     "errors": (
-        "BundleError", "NumericalError", "OutputError", "PassivityError", "PluginError", "ScoreError", "TonewoodError",
+        "BundleError", "DroppedNotesWarning", "NothingPlayedError", "NumericalError", "OutputError", "PassivityError",
+        "PluginError", "ScoreError", "TonewoodError",
     ),
     "instrument.assembly": ("Model", "assemble"),
     "instrument.attached": ("Attached", "Motion", "Site", "loose_mass"),

@@ -1,7 +1,7 @@
 """Errors meant for people: one line that names the file, the key, the value and what is allowed.
 
 Every error a user can cause derives from `TonewoodError`; the command line prints its one line on stderr and exits
-with code 2. A programming mistake is not one of these and keeps its traceback.
+with code 2 (1 where every note was dropped). A programming mistake is not one of these and keeps its traceback.
 """
 
 from __future__ import annotations
@@ -10,6 +10,10 @@ import os
 
 #: characters of a reason; what a damaged file holds may be quoted, but not at length
 _LONGEST = 800
+
+
+class DroppedNotesWarning(UserWarning):
+    """Some notes of a score cannot be played; the render's `dropped` lists them."""
 
 
 class TonewoodError(Exception):
@@ -21,6 +25,9 @@ class TonewoodError(Exception):
     file : the file at fault, if there is one.
     key : dotted path of the key at fault, e.g. ``strings.E2.tension``.
     """
+
+    #: of the command line
+    exit_code = 2
 
     def __init__(self, reason: str, *, file: str | os.PathLike[str] | None = None, key: str | None = None):
         line = " ".join(reason.split())
@@ -48,6 +55,12 @@ class PluginError(TonewoodError):
 
 class ScoreError(TonewoodError):
     """A score, scale or tuning file cannot be read or played."""
+
+
+class NothingPlayedError(ScoreError):
+    """No note of a score can be played: nothing would sound. The command line exits with code 1."""
+
+    exit_code = 1
 
 
 class PassivityError(TonewoodError):

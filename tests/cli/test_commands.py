@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -304,3 +305,77 @@ def test_play_without_a_sound_card_is_one_line(tonewood: Run, score: Path, monke
 
     monkeypatch.setitem(sys.modules, "sounddevice", None)
     refused(tonewood("play", score, "-i", "monochord"), "sounddevice")
+
+
+def test_a_score_of_which_nothing_can_be_played_ends_with_1(tonewood: Run, tmp_path: Path) -> None:
+    low = write(tmp_path / "low.mid", [*note(0.0, 0.2, 20), *note(0.3, 0.2, 21)])
+    for more in ((), ("--json",)):
+        code, out, err = tonewood("render", low, "-i", "monochord", "-o", tmp_path / "a.wav", *more)
+        assert (code, out) == (1, "")
+        assert err.count("\n") == 1
+        assert "none of 2 notes can be played: no string plays" in err
+    assert not (tmp_path / "a.wav").exists()
+    assert tonewood("plan", low, "-i", "monochord")[0] == 1
+
+
+def test_plan_lists_dropped_notes(tonewood: Run, score: Path) -> None:
+    code, _, err = tonewood("plan", score, "-i", "monochord", "--max-duration", 0.2, "--fs", 16000)
+    assert code == 0
+    assert err.count("not played at 0.20 s") == 1
+
+
+def test_lead_in_and_step_are_stated(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    common = ("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.1)
+    plain = json.loads(tonewood(*common, "--json")[1])
+    assert (plain["zero_frame"], plain["frames"]) == (0, 4800)
+    assert plain["onset_step_dbfs"] > -100
+    assert "at the first frame was smoothed" in tonewood(*common)[1]
+    whole = json.loads(tonewood(*common, "--json", "--lead-in", "auto")[1])
+    assert whole["zero_frame"] == 960  # the ramp's 20 ms
+    assert whole["frames"] == 960 + 4800
+    assert whole["onset_step_dbfs"] is None
+    assert "score time 0 is frame 2400" in tonewood(*common, "--lead-in", 0.05)[1]
+    refused(tonewood(*common, "--lead-in", "soon"), "--lead-in", "auto or a number of seconds")
+    refused(tonewood(*common, "--lead-in", -1), "lead_in", "0 to 60 s")
+
+
+def test_a_tension_put_back_by_the_tuner_is_told(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    common = ("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.02)
+    heavy = ("--set", "strings.A2.tension=80")
+    assert json.loads(tonewood(*common, "--json")[1])["tensions"] == []
+    (told,) = json.loads(tonewood(*common, *heavy, "--json")[1])["tensions"]
+    assert (told["string"], told["given"], told["held"]) == ("A2", 80.0, "pitch")
+    assert told["cents"] == pytest.approx(600 * np.log2(80.0 / told["used"]))
+    assert "tuned to its note at 58.83 N; the 80 N given would sound +266 cents" in tonewood(*common, *heavy)[1]
+    held = ("--set", "tuning.hold=tension")
+    (told,) = json.loads(tonewood(*common, *heavy, *held, "--json")[1])["tensions"]
+    assert (told["used"], told["held"]) == (80.0, "tension")
+    text = tonewood("check", "monochord", *heavy, *held)[1]
+    assert "its tension of 80 N is held; it sounds +26" in text
+    assert "the 80 N given would sound" in tonewood("check", "monochord", *heavy)[1]
+
+
+def test_check_shows_strings_alone_and_mounted(tonewood: Run) -> None:
+    few = [("--set", f"strings.{name}.stops={count}") for name, count in {"E2": 5, "A2": 0, "D3": 0}.items()]
+    few += [("--set", f"strings.{name}.stops=0") for name in ("G3", "B3", "E4")]
+    code, out, _ = tonewood("check", "classical_guitar", "--fs", 16000, "--json", *(a for pair in few for a in pair))
+    assert code == 0
+    report = json.loads(out)
+    (shared,) = [row for row in report["off_pitch_mounted"] if (row["string"], row["stop"]) == ("E2", 5)]
+    assert shared["partner"] == "A2"
+    assert abs(shared["cents_alone"]) < 0.01
+    assert abs(shared["cents_mounted"]) > 2
+    assert report["strings"]["E2"]["worst_cents_mounted"] != report["strings"]["E2"]["worst_cents"]
+    text = tonewood("check", "classical_guitar", "--fs", 16000, *(a for pair in few for a in pair))[1]
+    assert "with all strings on: E2 stop  5 (A2): " in text
+    assert "shared with A2 (4" in text
+
+
+def test_check_warns_of_a_table_that_is_another(tonewood: Run, tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    shutil.copytree(tw.load_instrument("african_harp").folder, folder)
+    (folder / "body.csv").write_text((folder / "body.csv").read_text() + "# mine\n")
+    code, out, _ = tonewood("check", folder)
+    assert code == 0
+    assert "  warning: body: body.csv is not the table that its provenance calls stand_in" in out
+    assert len(json.loads(tonewood("check", folder, "--json")[1])["table_doubts"]) == 1

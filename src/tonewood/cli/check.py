@@ -14,6 +14,7 @@ from tonewood.cli.common import Json, Overrides, allow_rate, load
 if TYPE_CHECKING:
     from tonewood.instrument.assembly import Model
     from tonewood.instrument.inspection import Pitch
+    from tonewood.instrument.mounted import MountedPitch
 
 
 def check(
@@ -22,12 +23,16 @@ def check(
     settings: Overrides = None,
     as_json: Json = False,
 ) -> int:
-    """Load INSTRUMENT, test its body, tune every stop, list wolf notes, stand-ins and sources.
+    """Load INSTRUMENT, test its body, tune every stop, list wolf notes, shared partials, stand-ins and sources.
+
+    Every stop is looked at twice: its string alone on the body, as it is tuned, and with all other strings open beside
+    it.
 
     Exit code 2 if it cannot be played or its body could create energy.
     """
     from tonewood.instrument.assembly import assemble
     from tonewood.instrument.inspection import TOLERANCE_CENTS, pitches
+    from tonewood.instrument.mounted import Mounted
 
     allow_rate(fs)
     bundle = load(instrument, settings)
@@ -36,6 +41,9 @@ def check(
     found = pitches(model)
     wolves = [p for p in found if p.wolf is not None]
     off = [p for p in found if abs(p.error_cents) > TOLERANCE_CENTS]
+    everything = Mounted(model.strings, model.system.compiled[model.system.slot("body")].basis)
+    together = [everything.pitch(p) for p in found]
+    pairs = list(zip(found, together, strict=True))
     spec = bundle.spec
     report: dict[str, Any] = {
         "schema": "tonewood-check/1",
@@ -48,9 +56,11 @@ def check(
         "fs": fs,
         "n_modes": model.n_modes,
         "body": body,
-        "strings": {name: _string(model, name, found) for name in model.strings},
+        "strings": {name: _string(model, name, pairs) for name in model.strings},
         "off_pitch": [pitch_row(p) for p in off],
+        "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "wolf_notes": [pitch_row(p) for p in wolves],
+        "table_doubts": bundle.table_doubts(),
         "stand_ins": [{"path": path, "note": spec.provenance[path].note} for path in bundle.stand_ins()],
         "provenance": dict(Counter(entry.kind for entry in spec.provenance.values())),
         "sources": {key: source.model_dump(exclude_none=True) for key, source in spec.sources.items()},
@@ -82,16 +92,38 @@ def _body(model: Model) -> dict[str, Any]:
     }
 
 
-def _string(model: Model, name: str, found: list[Pitch]) -> dict[str, Any]:
+def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) -> dict[str, Any]:
     from tonewood.score.scales import note_name
 
-    string, mine = model.strings[name], [p for p in found if p.string == name]
+    string, mine = model.strings[name], [(p, m) for p, m in pairs if p.string == name]
+    given = string.given_tension
     return {
         "note": note_name(string.open_note),
         "stops": string.n_stops,
         "n_modes": sum(model.system.compiled[model.system.slot(c)].basis.n_modes for c in string.components),
-        "tension": mine[0].tension,
-        "worst_cents": max((p.error_cents for p in mine), key=abs),
+        "tension": mine[0][0].tension,
+        "given_tension": given.given,
+        "held": given.held,
+        "held_note": given.line() if given.noticeable else None,
+        "worst_cents": max((p.error_cents for p, _ in mine), key=abs),
+        "worst_cents_mounted": max((m.error_cents for _, m in mine), key=abs),
+    }
+
+
+def _mounted_row(p: Pitch, mounted: MountedPitch) -> dict[str, Any]:
+    """A stop that is off its pitch when all strings are on the body."""
+    from tonewood.score.scales import note_name
+
+    return {
+        "string": p.string,
+        "stop": p.stop,
+        "note": note_name(p.note),
+        "wanted_freq": p.wanted_freq,
+        "cents_alone": p.error_cents,
+        "cents_mounted": mounted.error_cents,
+        "modes": [{"cents": cents, "share": share} for cents, share in mounted.modes],
+        "partner": mounted.partner,
+        "partner_share": mounted.partner_share,
     }
 
 
@@ -128,6 +160,15 @@ def wolf_line(row: dict[str, Any]) -> str:
     )
 
 
+def _mounted_line(row: dict[str, Any]) -> str:
+    """One line about a stop whose partial is shared."""
+    modes = " and ".join(f"{mode['cents']:+.1f}" for mode in row["modes"])
+    shared = "" if row["partner"] is None else f", shared with {row['partner']} ({100 * row['partner_share']:.0f} %)"
+    return (
+        f"{row['string']} stop {row['stop']:>2} ({row['note']}): {modes} cents, {row['cents_alone']:+.1f} alone{shared}"
+    )
+
+
 def _print(report: dict[str, Any]) -> None:
     body = report["body"]
     print(f"{report['instrument']}: {report['title']} ({report['licence']})")
@@ -142,12 +183,18 @@ def _print(report: dict[str, Any]) -> None:
         stops = f"{row['stops']} stops" if row["stops"] else "open"
         print(
             f"  string {name}: {row['note']}, {stops}, {row['n_modes']} modes, {row['tension']:.2f} N, "
-            f"within {abs(row['worst_cents']):.2g} cents"
+            f"within {abs(row['worst_cents']):.2g} cents alone, {abs(row['worst_cents_mounted']):.2g} with all on"
         )
+        if row["held_note"]:
+            print(f"    {row['held_note']}")
     for row in report["off_pitch"]:
         print(f"  off pitch: {row['string']} stop {row['stop']} ({row['note']}): {row['error_cents']:+.1f} cents")
+    for row in report["off_pitch_mounted"]:
+        print(f"  with all strings on: {_mounted_line(row)}")
     for row in report["wolf_notes"]:
         print(f"  wolf note: {wolf_line(row)}")
+    for line in report["table_doubts"]:
+        print(f"  warning: {line}")
     for row in report["stand_ins"]:
         print(f"  stand-in: {row['path']}" + (f": {row['note']}" if row["note"] else ""))
     kinds = ", ".join(f"{count} {kind}" for kind, count in report["provenance"].items())

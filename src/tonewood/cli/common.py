@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Protocol
 
 import typer
 
-from tonewood.errors import TonewoodError
+from tonewood.errors import DroppedNotesWarning, TonewoodError
 
 if TYPE_CHECKING:
     from tonewood.instrument.bundle import Instrument
+    from tonewood.score.note import Dropped
 
 ScorePath = Annotated[Path, typer.Argument(help="MIDI file", metavar="SCORE")]
 InstrumentName = Annotated[str, typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder")]
@@ -106,6 +108,19 @@ def chosen_effects(text: str | None, budget_db: float | None, budget_cents: floa
     if text is None or text in ("auto", "all", "none"):
         return text
     return [name.strip() for name in text.split(",") if name.strip()]
+
+
+@contextmanager
+def drops_told() -> Iterator[None]:
+    """Silence the library's warning of dropped notes where a command lists them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DroppedNotesWarning)
+        yield
+
+
+def warn_of_dropped(dropped: Sequence[Dropped]) -> None:
+    """Notes that cannot be played, one line each on stderr."""
+    warn([f"not played at {drop.time:.2f} s: {drop.reason}" for drop in dropped])
 
 
 def warn(lines: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""Entry point: one line on stderr and exit code 2 for what a user can mend, 130 for Ctrl-C."""
+"""Entry point: one line on stderr and exit code 2 for what a user can mend (1: no note played), 130 for Ctrl-C."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def run(arguments: list[str] | None = None) -> None:
         if code == _INTERRUPTED:  # what typer makes of a Ctrl-C before the command has begun
             raise InterruptError
     except TonewoodError as error:
-        _fail(str(error), 2)
+        _fail(str(error), error.exit_code)
     except (InterruptError, KeyboardInterrupt) as error:
         # Where a KeyboardInterrupt has passed a call of exec (every dataclass makes some), CPython ends by killing
         # itself with the signal, whatever the exit code; another call makes it forget.

@@ -18,8 +18,10 @@ from tonewood.cli.common import (
     ScorePath,
     allow,
     chosen_effects,
+    drops_told,
     load,
     progress,
+    warn_of_dropped,
 )
 
 
@@ -47,7 +49,8 @@ def plan(
     wanted = chosen_effects(effects, budget_db, budget_cents)
     bundle, notes = load(instrument, settings), read_midi(score)
     longest = max((n.time + n.duration for n in notes.notes), default=0.0) + tail
-    with progress("sketching", longest if max_duration is None else min(longest, max_duration)) as advance:
+    bar = progress("sketching", longest if max_duration is None else min(longest, max_duration))
+    with drops_told(), bar as advance:
         found = foresee(
             notes,
             bundle,
@@ -64,6 +67,7 @@ def plan(
         report = {"schema": "tonewood-plan/1", "score": str(score), "instrument": bundle.name, "fs": fs}
         print(json.dumps({**report, **asdict(found)}, allow_nan=False))
         return
+    warn_of_dropped(found.notes_dropped)
     print(f"{found.duration_s:.2f} s of sound in about {found.predicted_s:.1f} s of computing")
     for effect in found.effects:
         spans = ", ".join(f"{start:.2f}-{stop:.2f}" for start, stop in effect.spans_s[:3])

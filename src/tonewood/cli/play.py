@@ -15,8 +15,10 @@ from tonewood.cli.common import (
     ScorePath,
     allow,
     chosen_effects,
+    drops_told,
     load,
     warn,
+    warn_of_dropped,
 )
 
 
@@ -47,26 +49,26 @@ def play(
     allow("--tail", tail, 0.0, 3600.0, "s")
     allow("--gain", gain, -200.0, 200.0, "dB")
     wanted = chosen_effects(effects, budget_db, budget_cents)
-    renderer = Renderer(
-        read_midi(score),
-        load(instrument, settings),
-        fs,
-        precision=precision,
-        outputs=[name.strip() for name in outputs.split(",")] if outputs else None,
-        tail=Tail(cap=tail),
-        gain_db=gain,
-        channel_per_string=channel_per_string,
-        effects=wanted,
-        budget_db=budget_db,
-        budget_cents=budget_cents,
-    )
+    with drops_told():
+        renderer = Renderer(
+            read_midi(score),
+            load(instrument, settings),
+            fs,
+            precision=precision,
+            outputs=[name.strip() for name in outputs.split(",")] if outputs else None,
+            tail=Tail(cap=tail),
+            gain_db=gain,
+            channel_per_string=channel_per_string,
+            effects=wanted,
+            budget_db=budget_db,
+            budget_cents=budget_cents,
+        )
     chosen = int(device) if device and device.isdecimal() else device
     hold = Limiter(fs) if limiter else None
     played = play_renderer(renderer, block_size=block, device=chosen, limiter=hold)
     summary = renderer.summary()
     warn(list(summary.warnings))
-    for drop in summary.notes_dropped:
-        warn([f"not played at {drop.time:.2f} s: {drop.reason}"])
+    warn_of_dropped(summary.notes_dropped)
     if played.clipped:
         warn([f"{played.clipped} samples were clipped; lower --gain or use --limiter"])
     print(f"played {played.frames / fs:.2f} s, {played.underruns} underruns; {summary.realtime_factor:.1f} x real time")

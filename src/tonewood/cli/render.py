@@ -21,9 +21,11 @@ from tonewood.cli.common import (
     ScorePath,
     allow,
     chosen_effects,
+    drops_told,
     load,
     progress,
     warn,
+    warn_of_dropped,
 )
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
@@ -55,6 +57,9 @@ def render(
     ] = False,
     outputs: Annotated[str | None, typer.Option(help="output groups, comma-separated; default: the first")] = None,
     channel_per_string: Annotated[bool, typer.Option(help="MIDI channel 1 plays the first string, and so on")] = False,
+    lead_in: Annotated[
+        str, typer.Option(metavar="SECONDS|auto", help="sound kept from before score time 0; auto: all there is")
+    ] = "0",
     effects: EffectsChoice = None,
     budget_db: BudgetDb = None,
     budget_cents: BudgetCents = None,
@@ -89,25 +94,28 @@ def render(
             raise TonewoodError("a normalized sound has no peaks to limit; one of both is allowed", key="--limiter")
     for path in energy or ():
         check_energy_file(path)
+    lead = lead_in if lead_in == "auto" else _seconds(lead_in)
     wanted = chosen_effects(effects, budget_db, budget_cents)
     groups = [name.strip() for name in outputs.split(",")] if outputs else None
     bundle = load(instrument, settings)
-    renderer = Renderer(
-        read_midi(score),
-        bundle,
-        fs,
-        accuracy=accuracy,
-        precision=precision,
-        outputs=groups,
-        tail=Tail(level_db=tail_level, cap=tail),
-        max_duration=max_duration,
-        gain_db=gain,
-        channel_per_string=channel_per_string,
-        effects=wanted,
-        budget_db=budget_db,
-        budget_cents=budget_cents,
-        energy=bool(energy),
-    )
+    with drops_told():
+        renderer = Renderer(
+            read_midi(score),
+            bundle,
+            fs,
+            accuracy=accuracy,
+            precision=precision,
+            outputs=groups,
+            tail=Tail(level_db=tail_level, cap=tail),
+            max_duration=max_duration,
+            gain_db=gain,
+            channel_per_string=channel_per_string,
+            lead_in=lead,
+            effects=wanted,
+            budget_db=budget_db,
+            budget_cents=budget_cents,
+            energy=bool(energy),
+        )
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
     clipped, peak = _write(renderer, output, subtype, block, normalize, hold)
@@ -126,8 +134,7 @@ def render(
         print(json.dumps(_report(renderer, output, clipped, peak, loaded - began, warnings), allow_nan=False))
         return
     warn(warnings)
-    for drop in summary.notes_dropped:
-        warn([f"not played at {drop.time:.2f} s: {drop.reason}"])
+    warn_of_dropped(summary.notes_dropped)
     played, lost = summary.notes, len(summary.notes_dropped)
     print(
         f"{output}: {summary.duration_s:.2f} s, {len(renderer.channels)} channels at {fs} Hz, "
@@ -136,6 +143,13 @@ def render(
     )
     if summary.ignored:
         print(f"  ignored MIDI: {', '.join(f'{n} {kind}' for kind, n in summary.ignored.items())}")
+    for tension in summary.tensions:
+        print(f"  {tension.line()}")
+    if summary.zero_frame:
+        print(f"  score time 0 is frame {summary.zero_frame}")
+    if summary.onset_step_dbfs is not None:
+        step = f"{summary.onset_step_dbfs:.0f} dBFS"
+        print(f"  a step of {step} at the first frame was smoothed: sound before it was cut off (see --lead-in)")
     for line in _told(summary):
         print(line)
     if account is not None:
@@ -143,6 +157,14 @@ def render(
             f"  energy: peak {account.peak:.3g} J, balance open by {account.worst_residual:.1e} of it in an interval, "
             f"{account.worst_cumulative_residual:.1e} summed up: {', '.join(str(path) for path in energy or ())}"
         )
+
+
+def _seconds(text: str) -> float:
+    """``--lead-in``; raises TonewoodError for anything but a number or auto."""
+    try:
+        return float(text)
+    except ValueError:
+        raise TonewoodError(f"is {text!r}; auto or a number of seconds is allowed", key="--lead-in") from None
 
 
 def _write(
@@ -242,6 +264,9 @@ def _report(
         "peak_dbfs": decibel(peak) if peak > 0 else None,
         "clipped": clipped,
         "end": s.end,
+        "tensions": [{**asdict(t), "cents": t.cents} for t in s.tensions],
+        "zero_frame": s.zero_frame,
+        "onset_step_dbfs": s.onset_step_dbfs,
         "warnings": warnings,
         "energy": None if account is None else account.balance(),
         "effects": [{**asdict(e), "bound": finite(e.bound), "bound_db": finite(e.bound_db)} for e in s.effects],

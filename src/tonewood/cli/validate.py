@@ -1,4 +1,7 @@
-"""``tonewood validate``: every system of the papers against references from outside the code."""
+"""``tonewood validate``: every system of the papers against references from outside the code.
+
+Rows of a reconstruction or stand-in that was fitted to the reference are listed as regression.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,10 @@ def validate(
         Path | None, typer.Option("--plots", metavar="DIR", help="redraw the papers' figures into DIR")
     ] = None,
 ) -> int:
-    """Print one row per checked quantity; exit code 1 if one fails."""
+    """Print one row per checked quantity; exit code 1 if one fails.
+
+    Rows whose system was fitted to the reference (a reconstruction, a stand-in) are called regression, not validation.
+    """
     if json is not None and not json.absolute().parent.is_dir():
         raise OutputError(f"there is no folder {str(json.parent)!r}", file=json)
     if plots is not None:
@@ -39,7 +45,7 @@ def validate(
         console.print(validation.table(name, found))
         rows += found
     failed = [row for row in rows if not row.passed]
-    console.print(f"{len(rows)} rows, {len(failed)} failed")
+    console.print(f"{validation.counted(rows)}, {len(failed)} failed")
     for row in failed:
         console.print(f"FAILED: {row.system}: {row.quantity}: error {row.error:.3g}, tolerance {row.tolerance:.3g}")
     if json is not None:

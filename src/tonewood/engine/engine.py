@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tonewood.engine.books import Books
 from tonewood.engine.fretting import Fingerboard, Fretting, pulls
-from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, samples
+from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, quasi_static, samples
 from tonewood.engine.ledger import Ledger
 from tonewood.engine.sleeping import Asleep, Sleeper
 from tonewood.engine.surroundings import Surroundings, holds_at, string_of
@@ -158,6 +158,9 @@ class Engine:
             stepped = time.thread_time()
             if self.books and before and pushes is not None:
                 self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
+            added = quasi_static(self.active, self.model, self.system, self.state.sample - steps, steps)
+            if added is not None:
+                sound = sound + added
             out.append(sound)
             touched = self.ledger.count(
                 self.state.sample - steps,

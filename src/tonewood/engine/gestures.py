@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tonewood.engine.timeline import GRID, Play
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.forcing import Course
+from tonewood.numerics.forcing import Course, course
 from tonewood.numerics.system import Control, Injection, System
+
+Floats = NDArray[np.float64]
 
 #: a finger's growing dashpot is followed in this many steps
 _HOLD_LEVELS = 3
@@ -54,6 +58,36 @@ def forces(play: Play, model: Model, system: System, first: int) -> list[Injecti
     for component, point, factor in places(play, model):
         impulses = system.compiled[system.slot(component)].impulses(point)
         out += course.injections(component, impulses, factor)
+    return out
+
+
+def quasi_static(active: Sequence[Active], model: Model, system: System, start: int, n: int) -> Floats | None:
+    """What modes that are not stepped add to readouts of a component on which gestures' known forces act.
+
+    Those modes follow a force F(t) by their compliance: y = R F with R = `ModalBasis.residual` between the point that
+    is read and the point that is pushed. Velocities take R F'; accelerations, means over a step, R (F'(t + h) - F'(t))
+    / h.
+
+    Returns
+    -------
+    (n, n_readouts) of the samples from `start` on; None if nothing is added.
+    """
+    out: Floats | None = None
+    for play in (a.play for a in active if a.play.gesture.segments):
+        for component, point, factor in places(play, model):
+            basis = system.compiled[system.slot(component)].basis
+            for channel, readout in enumerate(system.readouts):
+                compliance = factor * sum(
+                    p.factor * float(basis.residual[basis.index(p.point), basis.index(point)])
+                    for p in readout.probes
+                    if p.component == component
+                )
+                if compliance:
+                    out = np.zeros((n, len(system.readouts))) if out is None else out
+                    times = np.arange(start, start + n + 1) * system.dt - play.time
+                    force = course(play.gesture.segments, times, derivative=readout.quantity != "displacement")
+                    mean = readout.quantity == "acceleration"
+                    out[:, channel] += compliance * (np.diff(force) / system.dt if mean else force[:-1])
     return out
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from tonewood.engine.techniques import stop_course, touch_course, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
-from tonewood.errors import ScoreError
+from tonewood.errors import NothingPlayedError, ScoreError
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place
 from tonewood.instrument.gestures import is_played, places
@@ -58,10 +58,10 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
 
     Raises
     ------
-    ScoreError : the score has no notes, or asks for a technique the instrument does not have.
+    ScoreError : the score has no notes, none that can be played, or asks for a technique the instrument does not have.
     """
     score = with_techniques(score, model.playing)
-    if not score.notes:
+    if not score.notes and not score.dropped:
         raise ScoreError("has no notes to play", file=score.name)
     notes, body_plays = _split_taps(score, model)
     factor = dict(zip(map(id, score.notes), volume_factors(score), strict=True))
@@ -89,6 +89,8 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
             plays.append(play)
             played.append(assigned)
             changes += _left_hand(assigned, play, following, name, model, bends)
+    if not plays:
+        raise NothingPlayedError(_why_nothing(dropped), file=score.name)
     warnings = list(score.warnings)
     if assignment.n_cut:
         warnings.append(f"{assignment.n_cut} notes end early: their string is needed again")
@@ -114,6 +116,14 @@ def _ignored(score: Score, playing: Playing) -> dict[str, int]:
     read = {"bend", *_READ_CONTROLLERS, *playing.controls, *playing.switches}
     unread = Counter(f"controller {c.kind[2:]}" for c in score.controls if c.kind not in read)
     return dict(Counter(score.ignored) + unread)
+
+
+def _why_nothing(dropped: Sequence[Dropped]) -> str:
+    """One line: how many notes were dropped, and the reasons from the most frequent on."""
+    reasons = Counter(drop.reason for drop in dropped).most_common()
+    told = "; ".join(f"{reason} ({count})" if count > 1 else reason for reason, count in reasons[:3])
+    count = "the one note cannot" if len(dropped) == 1 else f"none of {len(dropped)} notes can"
+    return f"{count} be played: {told}" + ("; and others" if len(reasons) > 3 else "")
 
 
 def playable(model: Model) -> list[PlayableString]:

@@ -284,6 +284,7 @@ def _string(
         continuous=stops.kind == "continuous",
         freq=lambda stop: tuning.freq(note + stop),
         compensate=spec.tuning.at if spec.tuning.compensate == "coupled" else "none",
+        hold=spec.tuning.hold,
         finger=stops.finger if stops.model == "finger" else None,
     )
     motion, along = resonator.longitudinal, None

@@ -8,17 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.numerics.connections import Connection, Term
+from tonewood.numerics.forcing import Segment, course
 from tonewood.numerics.modes import ModalBasis
 from tonewood.params import Vector
-
-if TYPE_CHECKING:
-    from tonewood.numerics.forcing import Segment
 
 Floats = NDArray[np.float64]
 
@@ -98,13 +96,7 @@ class Motion:
 
     def course(self, times: ArrayLike) -> Floats:
         """Values at times (n,); 0 outside the segments."""
-        t = np.asarray(times, dtype=np.float64)
-        out = np.zeros_like(t)
-        for s in self.segments:
-            here = (t >= s.start) & (t < s.stop)
-            u = t[here] - s.start
-            out[here] = s.c0 + u * (s.c1 + u * s.c2)
-        return out
+        return course(self.segments, times)
 
 
 def loose_mass(mass: float, freq_rad: float = 0.0, damping_rate: float = 0.0) -> ModalBasis:

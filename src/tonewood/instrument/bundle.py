@@ -191,6 +191,37 @@ class Instrument:
         """Paths the bundle itself names stand-ins."""
         return [path for path, entry in self.spec.provenance.items() if entry.kind == "stand_in"]
 
+    def table_doubts(self) -> list[str]:
+        """Tables that need not be those their provenance speaks of, one line each.
+
+        A table is a file of the bundle that a part's key ``table`` names. Its entry of `provenance` may carry the
+        SHA-256 of the file's bytes; one that says `measured` should.
+        """
+        doubts = []
+        parts = {
+            "body": self.resolved["body"],
+            **{f"outputs.{part['name']}": part for part in self.resolved["outputs"]},
+        }
+        for kind in ("strings", "exciters", "connections"):
+            parts |= {f"{kind}.{name}": part for name, part in self.resolved[kind].items()}
+        for path, part in parts.items():
+            entry, name = self.provenance(f"{path}.table"), part.get("table")
+            if not isinstance(name, str) or entry is None:
+                continue
+            found = hashlib.sha256(self._files.path(name, f"{path}.table").read_bytes()).hexdigest()
+            says = f"{entry.kind}{f' ({entry.source})' if entry.source else ''}"
+            if entry.sha256 is not None and entry.sha256 != found:
+                doubts.append(
+                    f"{path}: {name} is not the table that its provenance calls {says}: its SHA-256 is {found}, not "
+                    f"{entry.sha256}; say where this one comes from"
+                )
+            elif entry.sha256 is None and entry.kind == "measured":
+                doubts.append(
+                    f"{path}: its provenance says {says} without the SHA-256 of {name}, so that nothing tells this "
+                    f"table from another one; if it is the one, add sha256: {found}"
+                )
+        return doubts
+
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 over the resolved values, the bundle's other files, and the plugins' sources."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.strings import StringModel
+from tonewood.instrument.strings import held_freq
 from tonewood.instrument.tuning import CoupledMode
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.receptance import Joint, Ports
@@ -84,8 +84,8 @@ class Partial:
 def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
     """The string at one stop, tuned or as its tension stands."""
     held = model.strings[string]
-    tuned = held.tuned(stop) or held.under(held.tension(stop), stop)
-    return Pitch(string, stop, held.open_note + stop, tuned.freq, tuned.tension, tuned.modes, tuned.wolf)
+    tuned = held.tuned(stop)
+    return Pitch(string, stop, held.open_note + stop, held.freq(stop), tuned.tension, tuned.modes, tuned.wolf)
 
 
 def pitches(model: Model, strings: Sequence[str] | None = None) -> list[Pitch]:
@@ -97,18 +97,16 @@ def pitches(model: Model, strings: Sequence[str] | None = None) -> list[Pitch]:
 def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> list[Partial]:
     """String-dominated coupled modes, at most `count` of them and below the string's highest mode.
 
-    Each is looked for at the partial of the same string on a bridge that does not move.
+    Each is looked for at the partial of the same string, at its tension, on a bridge that does not move, and has its
+    number.
     """
-    held = model.strings[string]
-    at, coupled = pitch(model, string, stop), held.coupled(stop)
+    at, coupled = pitch(model, string, stop), model.strings[string].coupled(stop)
     joint = coupled.joint(at.tension)
-    rigid = _rigid_partials(held, stop, at, count)
+    rigid = held_partials(coupled.bases(at.tension)[0], count)
     found = []
     for number, freq in enumerate(rigid, 1):
         near = [
-            (s, shares)
-            for s, shares in coupled.poles(joint, freq)
-            if abs(s.imag / (2 * math.pi) - freq) < at.wanted_freq / 2
+            (s, shares) for s, shares in coupled.poles(joint, freq) if abs(s.imag / (2 * math.pi) - freq) < rigid[0] / 2
         ]
         if near:
             s, shares = near[0]
@@ -117,12 +115,11 @@ def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> li
     return found
 
 
-def _rigid_partials(held: StringModel, stop: int, at: Pitch, count: int) -> list[float]:
-    """Frequencies of the first polarization held at the bridge, Hz."""
-    basis = _basis(held, stop)
+def held_partials(basis: ModalBasis, count: int) -> list[float]:
+    """Frequencies of a string held at the bridge, Hz, from the fundamental on, at most `count`."""
     joint = Joint([Ports.of(basis, np.eye(len(basis.points))[[basis.index("bridge")]])])
     out: list[float] = []
-    last, step = 0.0, at.wanted_freq
+    last, step = 0.0, held_freq(basis) or math.inf
     while len(out) < count and last + step < float(basis.natural_freq.max()):
         zero = joint.newton(2 * math.pi * (last + step) * complex(-1e-4, 1.0), steps=80)
         if zero is None or zero.imag / (2 * math.pi) <= last + step / 2:
@@ -131,10 +128,6 @@ def _rigid_partials(held: StringModel, stop: int, at: Pitch, count: int) -> list
         last, step = freq, freq - last
         out.append(freq)
     return out
-
-
-def _basis(held: StringModel, stop: int) -> ModalBasis:
-    return held.bases(stop)[held.components[0]]
 
 
 def bridge_mobility(model: Model, freq: Sequence[float] | Floats) -> dict[str, Complexes]:

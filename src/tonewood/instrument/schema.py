@@ -42,6 +42,9 @@ class Provenance(Parameters):
     )
     source: str | None = described("key of `sources`; needed unless authored or stand_in", default=None)
     note: str | None = described("what to know about them", default=None)
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = described(
+        "SHA-256 of the bytes of the table that these figures are; `check` tells when it is another", default=None
+    )
 
 
 class PluginPart(Parameters):
@@ -135,6 +138,11 @@ class TuningPart(Parameters):
     compensate: Literal["coupled", "none"] = described(
         "coupled: tensions are set so that the string on its body sounds the note; none: as they stand",
         default="coupled",
+    )
+    hold: Literal["pitch", "tension"] = described(
+        "where coupled, what an open string keeps: pitch (its note; the tension is what that needs) or tension (that "
+        "of the bundle; the pitch of the string and of its stops follows)",
+        default="pitch",
     )
     at: Literal["each_stop", "open_only"] = described(
         "each_stop: every stop is compensated; open_only: frets keep their errors", default="each_stop"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -27,6 +28,9 @@ Floats = NDArray[np.float64]
 
 #: a note that needs this many times the bundle's tension, or this many times less, is a mistake
 _RETENSION = 5.0
+#: given and used tension further apart than this, in cents of pitch, are told of: printed tensions and a body that
+#: gives way make up to 27 (E2 of flamenco_guitar, beside a strong body mode)
+NOTICEABLE_CENTS = 30.0
 #: bases of stops between whole ones that are remembered: a slide passes hundreds
 _PASSING_STOPS = 32
 
@@ -75,8 +79,9 @@ class Stopping:
     ----------
     count : highest stop, in steps of the scale; 0 for open strings.
     continuous : whether stops between whole steps exist.
-    freq : stop -> pitch it should sound, Hz.
+    freq : stop -> pitch of its note, Hz.
     compensate : ``each_stop``, ``open_only`` or ``none``.
+    hold : ``pitch`` or ``tension``: what the open string keeps where it is compensated.
     finger : that stops the string softly; None where the stop is its ideal end.
     """
 
@@ -84,7 +89,47 @@ class Stopping:
     continuous: bool
     freq: Callable[[float], float]
     compensate: str
+    hold: str = "pitch"
     finger: Finger | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class GivenTension:
+    """What became of the tension that the bundle gives an open string.
+
+    Attributes
+    ----------
+    string : its name.
+    given, used : N, of the first polarization.
+    held : ``pitch`` or ``tension``: which of the two was kept.
+    raised_cents : of the open string's pitch, from its note to where the tension puts it; 0 where the pitch is held.
+    """
+
+    string: str
+    given: float
+    used: float
+    held: str
+    raised_cents: float
+
+    @property
+    def cents(self) -> float:
+        """Pitch that the given tension would make, from the pitch that was asked for: 600 lg2(given / used)."""
+        return self.raised_cents if self.held == "tension" else 600.0 * math.log2(self.given / self.used)
+
+    @property
+    def noticeable(self) -> bool:
+        """Whether the two are further apart than tuning to the body makes them, `NOTICEABLE_CENTS`."""
+        return abs(self.cents) > NOTICEABLE_CENTS
+
+    def line(self) -> str:
+        """One line that says which of the two was kept."""
+        if self.held == "tension":
+            off = f"{self.cents:+.0f} cents from its note"
+            return f"{self.string}: its tension of {self.given:g} N is held; it sounds {off}"
+        return (
+            f"{self.string}: tuned to its note at {self.used:.4g} N; the {self.given:g} N given would sound "
+            f"{self.cents:+.0f} cents from it (tuning.hold: tension keeps them)"
+        )
 
 
 class StringModel:
@@ -152,15 +197,41 @@ class StringModel:
         return tuple(self.freq(stop) for stop in range(self.n_stops + 1))
 
     def freq(self, stop: float = 0) -> float:
-        """Pitch a stop should sound, Hz."""
-        return self.stopping.freq(stop)
+        """Pitch a stop should sound, Hz: that of its note, raised or lowered with the open string if that is held."""
+        return self.stopping.freq(stop) * self._raised
+
+    @property
+    def given_tension(self) -> GivenTension:
+        """What became of the bundle's tension."""
+        held = "tension" if self._tension_held or self.stopping.compensate == "none" else "pitch"
+        return GivenTension(self.name, self.resonator.tension, self.tension(0.0), held, cents(self._raised))
+
+    @property
+    def _tension_held(self) -> bool:
+        return self.stopping.hold == "tension" and self.stopping.compensate != "none"
+
+    @cached_property
+    def _raised(self) -> float:
+        """Ratio of the open string's pitch at the bundle's tension to its note; 1 where the pitch is held."""
+        if not self._tension_held:
+            return 1.0
+        return self._as_it_stands(0.0).modes[0].freq / self.stopping.freq(0)
+
+    def _as_it_stands(self, stop: float) -> TunedStop:
+        """The string at a stop, at the bundle's tension."""
+        tension, string = self.resonator.tension, self.coupled(stop)
+        freq = held_freq(string.bases(tension)[0]) or self.stopping.freq(stop)
+        modes = string.modes(tension, freq)
+        if not modes:
+            raise self._without_mode(stop, f"no mode of the string was found near {freq:.2f} Hz")
+        return TunedStop(modes[0].freq, tension, modes)
 
     def position(self, stop: float) -> float:
         """Place of a stop, m from the nut: where the ideal string sounds the stop's pitch."""
         if not (0 <= stop <= self.n_stops and (self.stopping.continuous or stop == int(stop))):
             kind = "" if self.stopping.continuous else "whole "
             raise ValueError(f"string {self.name} has {kind}stops from 0 to {self.n_stops}, not {stop:g}")
-        return self.resonator.length * (1.0 - self.freq(0) / self.freq(stop))
+        return self.resonator.length * (1.0 - self.stopping.freq(0) / self.stopping.freq(stop))
 
     def length(self, stop: float = 0) -> float:
         """Speaking length at a stop, m."""
@@ -187,9 +258,9 @@ class StringModel:
         """Connections of what touches it; at every stop the same, but for their laws."""
         return tuple(c for a in self.attached(stop) for c in a.connections)
 
-    def tuned(self, stop: float = 0) -> TunedStop | None:
-        """Tension and coupled modes of a stop; None where the bundle asks for no compensation."""
-        return self._tune(stop)[0]
+    def tuned(self, stop: float = 0) -> TunedStop:
+        """Tension and coupled modes of a stop, as the bundle's tension stands where it asks for no compensation."""
+        return self._tune(stop)[0] or self._as_it_stands(float(stop))
 
     def tension(self, stop: float = 0) -> float:
         """Tension of the first polarization at a stop, N."""
@@ -374,7 +445,7 @@ class StringModel:
     def _first_guess(self) -> float:
         """Tension of a rigidly held string of this pitch: f goes with its root."""
         nominal = self.resonator.tension
-        if self.stopping.compensate == "none":
+        if self._tension_held or self.stopping.compensate == "none":
             return nominal
         freq = held_freq(self.resonator.basis(min(self._freq_upper, 12 * self.freq(0)), tension=nominal))
         guess = nominal if freq is None else nominal * (self.freq(0) / freq) ** 2
@@ -401,6 +472,8 @@ class StringModel:
             how = self.stopping.compensate
             if how == "none":
                 self._tuned[stop] = (None, self.resonator.tension)
+            elif stop == 0 and self._tension_held:
+                self._tuned[stop] = (self._as_it_stands(stop), self.resonator.tension)
             elif how == "open_only" and stop > 0:
                 tension = self.tension(0.0)
                 self._tuned[stop] = (self.under(tension, stop), tension)

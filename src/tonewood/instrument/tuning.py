@@ -111,10 +111,17 @@ class StringOnBody:
 
     def joint(self, tension: float) -> Joint:
         """String and body at a tension."""
+        return self._at(tension)[0]
+
+    def bases(self, tension: float) -> Sequence[ModalBasis]:
+        """Of the string alone at a tension, one per polarization."""
+        return self._at(tension)[1]
+
+    def _at(self, tension: float) -> tuple[Joint, Sequence[ModalBasis]]:
         if tension not in self._made:
             bases = self._bases(tension)
             self._made[tension] = (self._join(bases), bases)
-        return self._made[tension][0]
+        return self._made[tension]
 
     def _join(self, bases: Sequence[ModalBasis]) -> Joint:
         parts = []
@@ -140,7 +147,7 @@ class StringOnBody:
 
     def modes(self, tension: float, freq: float) -> tuple[CoupledMode, ...]:
         """Coupled modes near `freq` (Hz): first the string-dominated one, then by strength."""
-        joint, first = self.joint(tension), self._made[tension][1][0]
+        joint, first = self.joint(tension), self.bases(tension)[0]
         modes = [CoupledMode(s, shares, self._strength(joint, s, first)) for s, shares in self.poles(joint, freq)]
         return (*modes[:1], *sorted(modes[1:], key=lambda m: -m.strength))
 

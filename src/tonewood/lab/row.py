@@ -1,13 +1,19 @@
-"""One checked quantity: what a validation prints, and what a test asserts."""
+"""One checked quantity: what a validation prints, and what a test asserts.
+
+A row is a *validation* where the system under test was given and the reference came from elsewhere. Where the system
+was made so as to give the reference (a reconstruction's figures, a stand-in's level), the row shows only that this
+still holds: a *regression*.
+"""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A value held against a reference that the code under test did not produce.
+    """A value held against a reference that the code under test did not produce, or, as a regression, was made to give.
 
     Attributes
     ----------
@@ -16,6 +22,7 @@ class Row:
     reference, value : in the unit named by `quantity`.
     tolerance : largest error that passes.
     relative : whether the error is |value - reference| / |reference| rather than the plain difference.
+    kind : ``validation``, or ``regression`` where the system was fitted to the reference.
     """
 
     system: str
@@ -25,6 +32,7 @@ class Row:
     value: float
     tolerance: float
     relative: bool = False
+    kind: Literal["validation", "regression"] = "validation"
 
     @property
     def error(self) -> float:

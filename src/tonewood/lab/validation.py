@@ -1,5 +1,7 @@
 """All checked quantities of the laboratory in one table: every system of the papers, and closed forms.
 
+Rows whose system was fitted to the reference are called regression, not validation (see `lab.row`).
+
 Each module of `lab.systems` offers ``rows()`` and, where there are figures to redraw, ``plots(directory)``; what is
 listed here is run by ``tonewood validate``, and by the tests.
 """
@@ -83,18 +85,25 @@ def write_json(rows: Sequence[Row], path: Path) -> None:
     write_whole(path, json.dumps({"schema": SCHEMA, "rows": plain}, indent=1) + "\n")
 
 
+def counted(rows: Sequence[Row]) -> str:
+    """How many rows there are, and how many of each kind where there are two."""
+    fitted = sum(row.kind == "regression" for row in rows)
+    return f"{len(rows)} rows" + (f" ({len(rows) - fitted} validation, {fitted} regression)" if fitted else "")
+
+
 def table(name: str, rows: Sequence[Row]) -> Table:
     """The rows of one system for a terminal."""
     from rich.table import Table
 
     failed = sum(not row.passed for row in rows)
-    title = f"{name}: {len(rows)} rows" + (f", {failed} FAILED" if failed else "")
+    title = f"{name}: {counted(rows)}" + (f", {failed} FAILED" if failed else "")
     out = Table(title=title, title_justify="left", expand=False)
     out.add_column("system")
     out.add_column("quantity", overflow="fold")
     out.add_column("reference from", overflow="fold")
     for heading in ("reference", "value", "error", "tolerance"):
         out.add_column(heading, justify="right", no_wrap=True)
+    out.add_column("kind", no_wrap=True)
     out.add_column("", no_wrap=True)
     for row in rows:
         relative = " rel" if row.relative else ""
@@ -106,6 +115,7 @@ def table(name: str, rows: Sequence[Row]) -> Table:
             f"{row.value:.6g}",
             f"{row.error:.2g}{relative}",
             f"{row.tolerance:.2g}",
+            row.kind,
             "ok" if row.passed else "FAIL",
             style=None if row.passed else "bold red",
         )

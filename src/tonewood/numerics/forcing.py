@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tonewood.numerics.modes import ModalBasis
 from tonewood.numerics.propagator import SERIES_TERMS, impulse_series, moments, real_form
@@ -30,6 +30,17 @@ class Segment:
     def shifted(self, by: float) -> tuple[float, float, float]:
         """Coefficients about start + by."""
         return self.c0 + by * (self.c1 + by * self.c2), self.c1 + 2 * by * self.c2, self.c2
+
+
+def course(pieces: Sequence[Segment], times: ArrayLike, *, derivative: bool = False) -> Floats:
+    """Values (or first derivatives) at times (n,) s; 0 outside the pieces, from the right at their ends."""
+    t = np.asarray(times, dtype=np.float64)
+    out = np.zeros_like(t)
+    for s in pieces:
+        here = (t >= s.start) & (t < s.stop)
+        u = t[here] - s.start
+        out[here] = s.c1 + 2 * u * s.c2 if derivative else s.c0 + u * (s.c1 + u * s.c2)
+    return out
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,9 @@ from tonewood.numerics.modes import BLOCK, PAIR, ModalBasis
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
+#: moments of the integrals that `Joint.zeros_within` takes, per Hankel matrix, and their smallest singular value
+_MOMENTS, _RANK = 3, 1e-7
+
 
 @dataclass(frozen=True, eq=False)
 class Ports:
@@ -90,22 +93,30 @@ class Joint:
         self.parts = tuple(parts)
         self.size = parts[0].residual.shape[0]
         self._poles = np.concatenate([p.poles for p in parts])
-        self._residues = np.concatenate([_products(p.right, p.left) for p in parts], axis=1)
+        self._right, self._left = (
+            np.concatenate([getattr(p, side) for p in parts], axis=1) for side in ("right", "left")
+        )
         self._stiffness = np.concatenate([p.stiffness for p in parts])
         self._damping_rate = np.concatenate([p.damping_rate for p in parts])
-        self._block_residues = np.concatenate([_products(p.block_right, p.block_left) for p in parts], axis=1)
-        self._residual = np.sum([p.residual for p in parts], axis=0).ravel()
+        self._block_right = np.concatenate([p.block_right for p in parts], axis=1)
+        self._block_left = np.concatenate([p.block_left for p in parts], axis=1)
+        self._residual = np.sum([p.residual for p in parts], axis=0)
 
     def receptance(self, s: complex) -> tuple[Complexes, Complexes]:
         """M(s) and its derivative, (p, p) each."""
-        reach = 1 / (s - self._poles)
-        value = self._residues @ reach + self._residual
-        slope = -(self._residues @ reach**2)
+        at = np.array([s])
+        return self.receptances(at)[0], self.receptances(at, slope=True)[0]
+
+    def receptances(self, s: Complexes, slope: bool = False) -> Complexes:
+        """(n, p, p) M at n places, or M'."""
+        reach = 1 / (s[:, None, None] - self._poles)
+        out = (
+            -(self._right * reach**2) @ self._left.T if slope else (self._right * reach) @ self._left.T + self._residual
+        )
         if self._stiffness.size:
-            below = 1 / (s**2 + 2 * self._damping_rate * s + self._stiffness)
-            value = value + self._block_residues @ below
-            slope = slope - self._block_residues @ (2 * (s + self._damping_rate) * below**2)
-        return value.reshape(self.size, self.size), slope.reshape(self.size, self.size)
+            blocks = _blocks(s, self._stiffness, self._damping_rate, slope)
+            out = out + (self._block_right * blocks[:, None]) @ self._block_left.T
+        return np.asarray(out)
 
     def determinant(self, s: complex) -> tuple[complex, complex]:
         """Return det M and its derivative, det M tr(M^-1 M')."""
@@ -116,10 +127,14 @@ class Joint:
             det = M[0, 0] * M[1, 1] - M[0, 1] * M[1, 0]
             slope = D[0, 0] * M[1, 1] + M[0, 0] * D[1, 1] - D[0, 1] * M[1, 0] - M[0, 1] * D[1, 0]
             return complex(det), complex(slope)
-        import scipy.linalg as sla
+        from scipy.linalg.lapack import zgetrf, zgetri  # OpenBLAS solves by threads, however few the unknowns are
 
-        det = complex(sla.det(M))
-        return det, det * complex(np.trace(sla.solve(M, D)))
+        # near a zero M is as good as singular, which `solve` would warn of
+        lu, pivots, singular = zgetrf(M)
+        if singular:
+            return 0j, 0j
+        det = complex(np.prod(np.diag(lu))) * (-1) ** int(np.count_nonzero(pivots != np.arange(self.size)))
+        return det, det * complex(np.sum(zgetri(lu, pivots)[0].T * D))
 
     def null(self, s: complex) -> tuple[Complexes, Complexes]:
         """Right and left null vectors v, w of M at a zero s, norm 1: M v = 0, w M = 0; v are the gaps' forces."""
@@ -181,8 +196,78 @@ class Joint:
                 found.append(s)
         return found
 
+    def zeros_within(self, centre: complex, radius: float, *, places: int = 48) -> list[complex]:
+        """Every zero of M within a circle, by integrals of M^-1 along it, each made exact by Newton's rule.
 
-def _products(right: Complexes, left: Complexes) -> Complexes:
-    """(p * p, n) r_i l_j of every mode."""
-    p, n = right.shape
-    return np.asarray((right[:, None, :] * left[None, :, :]).reshape(p * p, n))
+        The poles of M are none of M^-1. Moments A_k = sum_j u_j^(k + 1) M(z_j)^-1, k = 0 .. 5, u = (z - centre) /
+        radius, as block Hankel matrices H_0 of A_0 .. A_4 and H_1 of A_1 .. A_5: the eigenvalues of H_0^+ H_1 are the
+        zeros' u, up to three per port. Newton's rule from there removes the error of a finite number of `places`; zeros
+        outside the circle are dropped.
+
+        Source: W.-J. Beyn, Linear Algebra and its Applications 436 (2012) 3839, section 5.
+        """
+        import scipy.linalg as sla
+
+        u = np.exp(2j * np.pi * (np.arange(places) + 0.5) / places)
+        inverse = np.array([sla.inv(M) for M in self.receptances(centre + radius * u)])
+        scale = np.abs(inverse).max()
+        moments = [np.einsum("j,jab->ab", u ** (k + 1), inverse / scale) / places for k in range(2 * _MOMENTS)]
+
+        def hankel(first: int) -> Complexes:
+            return np.block([[moments[first + i + j] for j in range(_MOMENTS)] for i in range(_MOMENTS)])
+
+        U, size, Vh = sla.svd(hankel(0))
+        rank = int(np.count_nonzero(size > _RANK * size[0]))
+        small = (U[:, :rank].conj().T @ hankel(1) @ Vh[:rank].conj().T) / size[:rank]
+        found: list[complex] = []
+        for start in centre + radius * sla.eigvals(small):
+            s = self.newton(complex(start))
+            if s is not None and abs(s - centre) <= radius and all(abs(s - other) > 1e-9 * abs(s) for other in found):
+                found.append(s)
+        return sorted(found, key=lambda s: s.imag)
+
+
+class Star(Joint):
+    """One component with p ports, and at each of them another one with one port: strings on a body.
+
+    Parameters
+    ----------
+    centre : with p ports.
+    rays : p components with one port each; they meet through the centre only.
+    """
+
+    def __init__(self, centre: Ports, rays: Sequence[Ports]):
+        super().__init__([centre])
+        self.parts = (centre, *rays)
+        self._rays = tuple(rays)
+        self._ray_poles = np.concatenate([r.poles for r in rays])
+        self._ray_residues = np.concatenate([(r.right * r.left)[0] for r in rays])
+        self._first = np.cumsum([0, *(r.poles.size for r in rays[:-1])])
+        self._diagonal = np.array([r.residual[0, 0] for r in rays])
+
+    def receptances(self, s: Complexes, slope: bool = False) -> Complexes:
+        """(n, p, p) M at n places, or M'."""
+        out = super().receptances(s, slope)
+        reach = 1 / (s[:, None] - self._ray_poles)
+        terms = self._ray_residues * (-(reach**2) if slope else reach)
+        on = np.arange(self.size)
+        out[:, on, on] += np.add.reduceat(terms, self._first, axis=1) + (0.0 if slope else self._diagonal)
+        for i, ray in enumerate(self._rays):
+            if ray.stiffness.size:
+                out[:, i, i] += (
+                    _blocks(s, ray.stiffness, ray.damping_rate, slope) @ (ray.block_right * ray.block_left)[0]
+                )
+        return out
+
+    def shares(self, s: complex) -> Floats:
+        """(p + 1,) share of the modal energy in the centre and in each ray, in the mode at a zero s."""
+        force = self.null(s)[0]
+        rays = [ray.energy(s, force[i : i + 1]) for i, ray in enumerate(self._rays)]
+        energy = np.array([self.parts[0].energy(s, force), *rays])
+        return np.asarray(energy / energy.sum())
+
+
+def _blocks(s: Complexes, stiffness: Floats, damping_rate: Floats, slope: bool) -> Complexes:
+    """(n, b) 1 / (s^2 + 2 sigma s + omega^2), or its derivative."""
+    below = 1 / (s[:, None] ** 2 + 2 * damping_rate * s[:, None] + stiffness)
+    return np.asarray(-2 * (s[:, None] + damping_rate) * below**2 if slope else below)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
 from tonewood.numerics.energy_trace import EnergyTrace
+from tonewood.score.note import Dropped
 from tonewood.whole_files import Part
 
 Floats = NDArray[np.float64]
@@ -35,12 +36,14 @@ class Audio:
     fs : sampling rate, Hz.
     channels : their names.
     energy : account of energy of the render, if it was asked for.
+    dropped : notes of the score that could not be played, and why.
     """
 
     samples: Floats
     fs: int
     channels: tuple[str, ...] = ()
     energy: EnergyTrace | None = None
+    dropped: tuple[Dropped, ...] = ()
 
     def __repr__(self) -> str:
         shape = f"{len(self.samples)} samples x {self.samples.shape[1]}"

@@ -7,16 +7,18 @@ what would be switched when. How long things take is timed on the first second o
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from tonewood.engine.engine import Engine
 from tonewood.engine.ledger import Ledger, Spans
+from tonewood.errors import DroppedNotesWarning
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.contract import Plugin
 from tonewood.output.render import DEFAULT_TAIL, Renderer, Tail, with_effects
-from tonewood.score.note import Score
+from tonewood.score.note import Dropped, Score
 
 #: the sketch is made at this share of the sampling rate, but at no less than this
 _SKETCH, _LEAST_FS = 3, 12000
@@ -61,12 +63,14 @@ class Plan:
     duration_s : of sound, with its tail.
     predicted_s : of computing, without load.
     timed_s : of sound on which that rests.
+    notes_dropped : what cannot be played, and why.
     """
 
     effects: Sequence[PlannedEffect]
     duration_s: float
     predicted_s: float
     timed_s: float
+    notes_dropped: Sequence[Dropped] = ()
 
 
 def plan(
@@ -82,7 +86,7 @@ def plan(
     max_duration: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Plan:
-    """Foresee a render; the parameters are those of `Renderer`."""
+    """Foresee a render; the parameters are those of `Renderer`, which warns of dropped notes."""
     chosen = with_effects(instrument, effects, budget_db, budget_cents)
     options: Mapping[str, Any] = {"outputs": outputs, "tail": tail}
     low = max(fs // _SKETCH, min(_LEAST_FS, fs))
@@ -90,7 +94,9 @@ def plan(
     first_second = _TIMED if max_duration is None else min(_TIMED, max_duration)
     for _ in Renderer(score, chosen, low, max_duration=first_second, **options).blocks(4096):
         pass
-    sketch = Renderer(score, chosen, low, max_duration=max_duration, **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DroppedNotesWarning)  # the first one has told
+        sketch = Renderer(score, chosen, low, max_duration=max_duration, **options)
     sketch.engine.watching = True
     # with fewer modes at fewer samples the same sleep is worth less
     sketch.engine.sleeper.worth *= (low / fs) ** 2
@@ -101,7 +107,9 @@ def plan(
         if progress is not None:
             progress(sketch.time)
     seconds = sketch.summary().duration_s
-    timed = Renderer(score, chosen, fs, max_duration=min(_TIMED, seconds), **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DroppedNotesWarning)
+        timed = Renderer(score, chosen, fs, max_duration=min(_TIMED, seconds), **options)
     for _ in timed.blocks(4096):
         pass
     rising = _rising(timed.engine)
@@ -117,6 +125,7 @@ def plan(
         + sum(per_string.values())
         + scale * ledger.any_tense * rising.per_sample,
         timed_s=timed.summary().duration_s,
+        notes_dropped=timed.dropped,
     )
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -13,9 +15,10 @@ from numpy.typing import NDArray
 from tonewood.engine.engine import GRID, Engine, Snapshot
 from tonewood.engine.ledger import EffectReport
 from tonewood.engine.playing import Performance, perform
-from tonewood.errors import TonewoodError
+from tonewood.errors import DroppedNotesWarning, TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
 from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.strings import GivenTension
 from tonewood.numerics.blas import one_blas_thread
 from tonewood.numerics.energy_trace import EnergyTrace
 from tonewood.output.accuracy import Decimator, accuracy_level
@@ -30,6 +33,8 @@ _TICKS = 8
 _BLOCK = 4096
 #: s over which the decayed tail is judged
 _WINDOW = 0.2
+#: s over which a step at the first frame is smoothed, and longest lead-in
+_SMOOTHING, LONGEST_LEAD_IN = 5e-3, 60.0
 FS_RANGE = (8000, 768000)
 
 
@@ -56,7 +61,7 @@ class Summary:
 
     Attributes
     ----------
-    frames, fs, duration_s : length of what was rendered.
+    frames, fs, duration_s : length of what was rendered, lead-in included.
     render_s : seconds of computing, without import and load.
     realtime_factor : seconds of sound per second of computing.
     n_modes : modes that were stepped, at most at a time.
@@ -67,6 +72,9 @@ class Summary:
     warnings : one line each.
     effects : what ran and what was left out, one per effect and component.
     ignored : kind of MIDI message or controller that nothing was made of -> how many there were.
+    zero_frame : frame of score time 0: the lead-in's length.
+    tensions : strings whose given tension and the one used are noticeably apart, and which of tension and pitch won.
+    onset_step_dbfs : largest sample at the first frame before it was smoothed; None if nothing sounded before it.
     """
 
     frames: int
@@ -82,6 +90,9 @@ class Summary:
     warnings: Sequence[str]
     effects: Sequence[EffectReport] = ()
     ignored: Mapping[str, int] = field(default_factory=dict)
+    zero_frame: int = 0
+    tensions: Sequence[GivenTension] = ()
+    onset_step_dbfs: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,13 +106,18 @@ class Checkpoint:
     loudest: float
     recent: tuple[tuple[int, float], ...]
     end: str
+    step: Floats | None
 
 
 class Renderer:
     """Streams a score on an instrument.
 
     Frame 0 is score time 0: what is needed before it (the ramp of a pluck that sounds at once) is computed and
-    discarded. Samples do not depend on the block size, to the last bit.
+    discarded, unless a lead-in is asked for. Discarding it would leave a step at the first frame: the value that the
+    past leaves there is subtracted, fading over 5 ms, (1 + cos(pi t / 5 ms)) / 2. The note's own attack is not scaled.
+    Samples do not depend on the block size, to the last bit.
+
+    Notes that cannot be played are in `dropped`, and one `DroppedNotesWarning` tells of them.
 
     Parameters
     ----------
@@ -112,9 +128,10 @@ class Renderer:
     precision : ``f64`` or ``f32`` (of states and coefficients); that of `accuracy` where left out.
     outputs : names of output groups; by default the instrument's first.
     tail : when to end after the last event.
-    max_duration : s, hard end.
+    max_duration : s of score time, hard end.
     gain_db : on all channels.
     channel_per_string : MIDI channel 1 plays the first string, and so on.
+    lead_in : s of sound before score time 0, which then is frame `zero_frame`; ``auto`` for as much as comes before it.
     effects : ``auto``, ``all``, ``none`` or names of effects that run; the bundle's choice where left out.
     budget_db, budget_cents : what leaving an effect out may cost; the bundle's where left out.
     energy : keep an account of energy, in `energy`; many times slower, with the same samples. Balances close to
@@ -122,7 +139,8 @@ class Renderer:
 
     Raises
     ------
-    TonewoodError : something cannot be played or is out of range; one line.
+    NothingPlayedError : no note can be played.
+    TonewoodError : something is out of range; one line.
     """
 
     @one_blas_thread
@@ -139,6 +157,7 @@ class Renderer:
         max_duration: float | None = None,
         gain_db: float = 0.0,
         channel_per_string: bool = False,
+        lead_in: float | str = 0.0,
         effects: str | Sequence[str] | None = None,
         budget_db: float | None = None,
         budget_cents: float | None = None,
@@ -153,6 +172,8 @@ class Renderer:
             raise TonewoodError(f"is {precision!r}; f64 or f32 are allowed", key="precision")
         if max_duration is not None and not max_duration > 0:
             raise TonewoodError(f"is {max_duration} s; more than 0 is allowed", key="max_duration")
+        if lead_in != "auto" and not (isinstance(lead_in, (int, float)) and 0 <= lead_in <= LONGEST_LEAD_IN):
+            raise TonewoodError(f"is {lead_in!r}; auto or 0 to {LONGEST_LEAD_IN:g} s are allowed", key="lead_in")
         self.fs, self.tail, self.max_duration = int(fs), tail, max_duration
         # an instrument may need finer steps to be as accurate as others are
         finer = level.oversampling * (instrument.spec.oversampling if level.as_asked else 1)
@@ -170,10 +191,24 @@ class Renderer:
         scales = [group.full_scale for group in groups for _ in group.channels]
         self._scale = gain / (scales[0] if len(set(scales)) == 1 else np.array(scales))
         self._decimator = Decimator(finer, len(columns))
-        self._pending = np.zeros((0, len(columns)))
+        earliest = self.performance.timeline.start
+        self.zero_frame = math.ceil(-earliest * self.fs) if lead_in == "auto" else round(float(lead_in) * self.fs)
+        # the first frame that comes out of the decimator, which looks ahead; silence where the lead-in is longer
+        first = self.engine.state.sample // finer - self._decimator.lead
+        self._pending = np.zeros((max(0, first + self.zero_frame), len(columns)))
+        #: what stands at the first frame because the past is cut off there; None until that frame is computed
+        self._step: Floats | None = None if earliest * self.fs < -self.zero_frame else np.zeros(len(columns))
+        n = round(_SMOOTHING * self.fs)
+        self._fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(n) / n)
         self._frames, self._seconds, self._loudest = 0, 0.0, 0.0
         self._recent: list[tuple[int, float]] = []
         self._end = ""
+        _warn_of(self.dropped)
+
+    @property
+    def dropped(self) -> tuple[Dropped, ...]:
+        """Notes that cannot be played, and why."""
+        return tuple(self.performance.dropped)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -189,9 +224,10 @@ class Renderer:
 
     @property
     def expected_duration(self) -> float:
-        """Upper bound of the length in s: last event plus the tail's cap."""
+        """Upper bound of the length in s: lead-in, last event and the tail's cap."""
         longest = self.performance.timeline.stop + self.tail.cap
-        return longest if self.max_duration is None else min(longest, self.max_duration)
+        longest = longest if self.max_duration is None else min(longest, self.max_duration)
+        return longest + self.zero_frame / self.fs
 
     @property
     def time(self) -> float:
@@ -233,6 +269,9 @@ class Renderer:
             warnings=[*self.model.warnings, *self.performance.warnings],
             effects=self.engine.ledger.reports(),
             ignored=self.performance.ignored,
+            zero_frame=self.zero_frame,
+            tensions=[t for s in self.model.strings.values() if (t := s.given_tension).noticeable],
+            onset_step_dbfs=None if self._step is None or not self._step.any() else decibels(np.abs(self._step).max()),
         )
 
     def snapshot(self) -> Checkpoint:
@@ -245,6 +284,7 @@ class Renderer:
             self._loudest,
             tuple(self._recent),
             self._end,
+            self._step,
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -253,6 +293,7 @@ class Renderer:
         self._decimator.held = checkpoint.held.copy()
         self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
         self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
+        self._step = checkpoint.step
 
     def _fill(self, frames: int) -> None:
         """Step on for some frames; one span after another from where the sound may be found to have ended."""
@@ -265,11 +306,23 @@ class Renderer:
         began = time.perf_counter()
         sound = self._decimator(self.engine.advance(spans * _TICKS)[:, self._columns] * self._scale)
         self._seconds += time.perf_counter() - began
-        sound = sound[max(0, -first) :]
+        sound = self._begun(sound, first + self.zero_frame)
+        room += min(max(0, -first), self.zero_frame)  # counted from score time 0
         if len(sound) >= room:
             sound, self._end = sound[: int(room)], "maximum duration"
         self._pending = np.concatenate([self._pending, sound]) if len(self._pending) else sound
         self._watch(float(np.max(np.abs(sound), initial=0.0)))
+
+    def _begun(self, sound: Floats, first: int) -> Floats:
+        """Cut off what lies before the first frame, and smooth the step that this leaves; `first` is sound's frame."""
+        sound, first = sound[max(0, -first) :], max(0, first)
+        if self._step is None and len(sound):
+            self._step = sound[0].copy()
+        if self._step is not None and self._step.any() and first < len(self._fade):
+            fade = self._fade[first : first + len(sound)]
+            sound = sound.copy()
+            sound[: len(fade)] -= fade[:, None] * self._step
+        return sound
 
     def _watch(self, peak: float) -> None:
         """Notice when the sound has decayed."""
@@ -285,6 +338,19 @@ class Renderer:
             self._end = "decayed"
         elif since_end >= self.tail.cap:
             self._end = "tail cap"
+
+
+def _warn_of(dropped: Sequence[Dropped]) -> None:
+    """One warning, at the line outside this package that asked for the render."""
+    if not dropped:
+        return
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "tonewood":
+        level, frame = level + 1, frame.f_back
+    drop = dropped[0]
+    notes = "1 note" if len(dropped) == 1 else f"{len(dropped)} notes"
+    text = f"{notes} cannot be played; the first, at {drop.time:.2f} s: {drop.reason}"
+    warnings.warn(DroppedNotesWarning(text), stacklevel=level)
 
 
 def with_effects(
@@ -322,6 +388,7 @@ def render(
     max_duration: float | None = None,
     gain_db: float = 0.0,
     channel_per_string: bool = False,
+    lead_in: float | str = 0.0,
     effects: str | Sequence[str] | None = None,
     budget_db: float | None = None,
     budget_cents: float | None = None,
@@ -336,7 +403,7 @@ def render(
 
     Returns
     -------
-    The sound; with `energy` it carries the account of energy, too.
+    The sound, with the notes that could not be played; with `energy` it carries the account of energy, too.
     """
     renderer = Renderer(
         score,
@@ -349,6 +416,7 @@ def render(
         max_duration=max_duration,
         gain_db=gain_db,
         channel_per_string=channel_per_string,
+        lead_in=lead_in,
         effects=effects,
         budget_db=budget_db,
         budget_cents=budget_cents,
@@ -360,4 +428,4 @@ def render(
         if progress is not None:
             progress(renderer.time)
     samples = np.concatenate(blocks) if blocks else np.zeros((0, len(renderer.channels)))
-    return Audio(samples, renderer.fs, renderer.channels, renderer.energy)
+    return Audio(samples, renderer.fs, renderer.channels, renderer.energy, renderer.dropped)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import pickle
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import tonewood as tw
 from tonewood.errors import BundleError, PluginError, TonewoodError
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.bundle import Instrument
@@ -249,3 +252,40 @@ def test_an_instrument_crosses_processes_whole(make: Make) -> None:
     again = pickle.loads(pickle.dumps(small))
     assert again.resolved == small.resolved
     assert again.open_note("D3") == 48
+
+
+@pytest.mark.parametrize("name", sorted(tw.list_instruments()))
+def test_shipped_tables_are_those_of_their_provenance(name: str) -> None:
+    instrument = tw.load_instrument(name)
+    assert instrument.table_doubts() == []
+    entry = instrument.provenance("body.table")
+    assert entry is not None
+    assert entry.sha256 is not None or entry.kind in ("authored", "stand_in")
+
+
+def test_another_table_does_not_keep_its_measurement(tmp_path: Path) -> None:
+    """One figure changed in a copy; then the hash taken out; then the entry made true."""
+    folder = tmp_path / "mine"
+    shutil.copytree(tw.list_instruments()["classical_guitar"], folder)
+    table, manifest = folder / "body.csv", folder / "instrument.yaml"
+    old = hashlib.sha256(table.read_bytes()).hexdigest()
+    lines = table.read_text().splitlines(keepends=True)
+    table.write_text("".join([*lines[:-1], lines[-1].replace("1", "2", 1)]))
+    new = hashlib.sha256(table.read_bytes()).hexdigest()
+    (line,) = tw.load_instrument(folder).table_doubts()
+    assert line.startswith(
+        f"body: body.csv is not the table that its provenance calls measured (body): its SHA-256 is {new}"
+    )
+    manifest.write_text(manifest.read_text().replace(f",\n    sha256: {old}", ""))
+    (line,) = tw.load_instrument(folder).table_doubts()
+    assert line.startswith("body: its provenance says measured (body) without the SHA-256 of body.csv")
+    manifest.write_text(manifest.read_text().replace("body: {kind: measured, source: body}", "body: {kind: authored}"))
+    assert tw.load_instrument(folder).table_doubts() == []
+
+
+def test_a_table_put_in_by_an_override_is_doubted(tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    shutil.copytree(tw.list_instruments()["classical_guitar"], folder)
+    (folder / "other.csv").write_bytes((folder / "body.csv").read_bytes() + b"\n")
+    (line,) = tw.load_instrument(folder).replace({"body.table": "other.csv"}).table_doubts()
+    assert "other.csv is not the table" in line

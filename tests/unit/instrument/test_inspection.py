@@ -90,3 +90,25 @@ def test_bridge_mobility_is_the_sum_over_the_table(tmp_path: Path) -> None:
     peaks = mobility_peaks(model, "A2")
     assert [f for f, _ in peaks] == pytest.approx([150.0, 410.0], rel=5e-3)
     assert peaks[0][1] == pytest.approx(30.0 / (2 * np.pi * 150.0 * 0.4), rel=5e-3)  # Q / (w m)
+
+
+@pytest.mark.parametrize("note", ["E2", "E3", "A3"])
+def test_partials_have_their_numbers_however_far_the_note_is(note: str) -> None:
+    """Without compensation the string is the same whatever it is called; cents count from the note."""
+    plain = tw.load_instrument("monochord").replace({"tuning.compensate": "none"})
+    true = partials(tw.assemble(plain, 48000), "A2", count=6)
+    called = tw.assemble(plain.replace({"strings.A2.note": note}), 48000)
+    found = partials(called, "A2", count=6)
+    assert [p.number for p in found] == [1, 2, 3, 4, 5, 6]
+    assert [p.freq for p in found] == pytest.approx([p.freq for p in true], rel=1e-9)
+    shift = 1200 * np.log2(110.0 / called.strings["A2"].freq(0))
+    assert [p.cents for p in found] == pytest.approx([p.cents + shift for p in true], abs=1e-6)
+    assert pitch(called, "A2").freq == pytest.approx(true[0].freq, rel=1e-9)
+
+
+def test_partials_of_a_string_under_a_soft_finger_are_those_of_its_stop() -> None:
+    slide = tw.load_instrument("monochord").replace({"stops.model": "finger"})
+    model = tw.assemble(slide, 48000)
+    found = partials(model, "A2", 7, count=4)
+    assert [p.number for p in found] == [1, 2, 3, 4]
+    assert all(abs(p.cents) < 30 for p in found)

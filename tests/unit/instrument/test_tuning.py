@@ -126,7 +126,6 @@ def test_open_only_leaves_the_frets_errors(make: Make) -> None:
     each, only = (assemble(make().replace({"tuning.at": at}), 16000.0) for at in ("each_stop", "open_only"))
     assert only.strings["A2"].tension(7) == only.strings["A2"].tension(0)
     tuned = only.strings["A2"].tuned(7)
-    assert tuned is not None
     assert abs(tuned.error_cents) > 0.05
     exact = each.strings["A2"].tuned(7)
     assert exact is not None
@@ -134,9 +133,10 @@ def test_open_only_leaves_the_frets_errors(make: Make) -> None:
 
 
 def test_without_compensation_tensions_stand(make: Make) -> None:
-    model = assemble(make().replace({"tuning.compensate": "none"}), 16000.0)
-    assert model.strings["A2"].tension(0) == 73.9
-    assert model.strings["A2"].tuned(0) is None
+    string = assemble(make().replace({"tuning.compensate": "none"}), 16000.0).strings["A2"]
+    assert string.tension(0) == string.tuned(0).tension == 73.9
+    assert string.freq(0) == pytest.approx(110.0)
+    assert string.given_tension.held == "tension"
 
 
 @pytest.mark.parametrize(
@@ -161,3 +161,39 @@ def test_more_modes_than_a_string_can_have(make: Make) -> None:
     long = {"length": 5.0, "linear_density": 0.1, "tension": 670.0, "note": "C-1", "freq_upper": 1e5}
     with pytest.raises(BundleError, match=r"strings\.A2: has some \d+ modes below 100000 Hz; at most 3000"):
         assemble(make().replace({f"strings.A2.{key}": value for key, value in long.items()}), 400000.0)
+
+
+def test_a_held_tension_moves_the_pitch_and_its_stops(make: Make) -> None:
+    """On a rigid end f goes with sqrt(T); the stops keep their intervals to the open string."""
+    free = make().replace(
+        {"strings.*.end": "body.bridge", "strings.A2.tension": 80.0, "body.points.bridge.direction": "y"}
+    )
+    by_pitch = assemble(free, 16000.0).strings["D3"]
+    assert by_pitch.given_tension.held == "pitch"
+    held = assemble(free.replace({"tuning.hold": "tension", "strings.D3.tension": 80.0}), 16000.0).strings["D3"]
+    assert held.tension(0) == 80.0
+    tuned = by_pitch.tension(0)
+    # bending stiffness takes no part in the ratio: it is 1e-4 of the pitch
+    assert held.freq(0) / by_pitch.freq(0) == pytest.approx(math.sqrt(80.0 / tuned), rel=1e-5)
+    assert held.given_tension.cents == pytest.approx(600 * math.log2(80.0 / tuned), abs=0.02)
+    for stop in (1, 7, 12):
+        assert held.position(stop) == by_pitch.position(stop)
+        assert held.freq(stop) / held.freq(0) == pytest.approx(2 ** (stop / 12))
+        assert abs(held.tuned(stop).error_cents) < 0.01
+    assert "its tension of 80 N is held; it sounds" in held.given_tension.line()
+
+
+def test_which_of_tension_and_pitch_won_is_said(make: Make) -> None:
+    given = assemble(make().replace({"strings.A2.tension": 90.0}), 16000.0).strings["A2"].given_tension
+    assert given.given == 90.0
+    assert given.held == "pitch"
+    assert given.noticeable
+    assert given.cents == pytest.approx(600 * math.log2(90.0 / given.used))
+    assert "the 90 N given would sound +" in given.line()
+    assert not assemble(make(), 16000.0).strings["A2"].given_tension.noticeable
+
+
+@pytest.mark.parametrize("name", ["classical_guitar", "flamenco_guitar", "african_harp", "steel_guitar"])
+def test_no_shipped_tension_is_far_from_its_note(name: str) -> None:
+    model = assemble(Instrument.load(name), 48000.0)
+    assert [s.name for s in model.strings.values() if s.given_tension.noticeable] == []

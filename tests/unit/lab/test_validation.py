@@ -6,11 +6,13 @@ import json
 from types import SimpleNamespace
 
 import pytest
+from rich.console import Console
 
 from tonewood.cli.validate import validate
 from tonewood.errors import TonewoodError
 from tonewood.lab import validation
 from tonewood.lab.row import Row
+from tonewood.lab.systems import fabre_academic, harp
 
 GOOD = Row("toy", "a", "by hand", 2.0, 2.01, 0.1)
 BAD = Row("toy", "b", "by hand", 2.0, 2.2, 0.05, relative=True)
@@ -85,3 +87,27 @@ def test_plots_are_listed(toys, tmp_path, capsys):
     assert validate(plots=tmp_path / "new", only=["good", "nan"]) == 1
     assert capsys.readouterr().out.count("toy.png") == 1
     assert (tmp_path / "new").is_dir()
+
+
+FITTED = Row("toy", "fitted", "made for it", 1.0, 1.0, 0.1, kind="regression")
+
+
+def test_regression_is_told_from_validation(capsys):
+    assert validation.counted([GOOD, BAD]) == "2 rows"
+    assert validation.counted([GOOD, FITTED, BAD]) == "3 rows (2 validation, 1 regression)"
+    Console(width=200).print(validation.table("toys", [GOOD, FITTED]))
+    printed = capsys.readouterr().out
+    assert "toys: 2 rows (1 validation, 1 regression)" in printed
+    (line,) = [line for line in printed.splitlines() if "made for it" in line]
+    assert "regression" in line
+    assert FITTED.to_dict()["kind"] == "regression"
+
+
+def test_rows_that_were_fitted_are_regression():
+    """The academic system is a reconstruction from Table 1, the harp's body a stand-in with the paper's levels."""
+    kinds = {row.quantity: row.kind for row in [*fabre_academic.rows(), *harp.rows()]}
+    assert kinds["S1 mode 1 frequency (Hz)"] == kinds["S2 mode 5 MPC"] == "regression"
+    assert kinds["case 2: third coupled mode, zeta"] == "regression"
+    assert kinds["case 2 - case 1, string partial 3 (dB), as in the paper"] == "regression"
+    assert kinds["case 2 - case 1, string partial 3 (dB)"] == "validation"
+    assert kinds["case 1: waveform of m9, largest error / peak"] == "validation"

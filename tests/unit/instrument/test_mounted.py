@@ -1,0 +1,75 @@
+"""All strings on the body at once, against the eigenproblem of the whole and a closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from tonewood.instrument.assembly import Model, assemble
+from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.inspection import pitch
+from tonewood.instrument.mounted import Mounted
+from tonewood.numerics.coupled_modes import CoupledModes, coupled_modes
+from tonewood.numerics.modes import ModalBasis
+from tonewood.numerics.receptance import Ports, Star
+
+Make = Callable[..., Instrument]
+
+
+def whole(model: Model, string: str, stop: int) -> CoupledModes:
+    """The dense eigenproblem: one string stopped, the others open, every polarization on the body."""
+    components = {"body": model.system.compiled[0].basis}
+    for name, held in model.strings.items():
+        components |= held.bases(stop if name == string else 0)
+    return coupled_modes(components, [c for c in model.system.connections if c.name.endswith(".bridge")])
+
+
+@pytest.mark.parametrize(("string", "stop"), [("A2", 5), ("A2", 0), ("A2", 12), ("D3", 7), ("D3", 2)])
+def test_modes_are_those_of_the_whole_system(make: Make, string: str, stop: int) -> None:
+    """Every mode with a tenth of the string in it is found, with its share, where the eigenproblem has it."""
+    model = assemble(make(), 16000.0)
+    at = pitch(model, string, stop)
+    found = Mounted(model.strings, model.system.compiled[0].basis).pitch(at)
+    dense = whole(model, string, stop)
+    off = 1200 * np.log2(dense.freq / at.wanted_freq)
+    share = dense.shares[:, dense.components.index(f"{string}.z")]
+    wanted = [(c, x) for c, x in zip(off, share, strict=True) if abs(c) < 60 and x > 0.11]
+    assert len(wanted) >= 1
+    for c, x in wanted:
+        assert min(abs(c - mine) + 100 * abs(x - part) for mine, part in found.modes) < 0.1
+    assert found.error_cents == pytest.approx(max(wanted, key=lambda pair: pair[1])[0], abs=0.01)
+
+
+def test_a_shared_partial_is_named_and_both_figures_stand(make: Make) -> None:
+    """A2 stop 5 is D3: in tune alone, off with D3 beside it; without the other string nothing changes."""
+    model = assemble(make(), 16000.0)
+    body = model.system.compiled[0].basis
+    at = pitch(model, "A2", 5)
+    together = Mounted(model.strings, body).pitch(at)
+    assert abs(at.error_cents) < 0.01
+    assert abs(together.error_cents) > 1.0
+    assert together.partner == "D3"
+    assert together.partner_share > 0.2
+    alone = Mounted({"A2": model.strings["A2"]}, body).pitch(at)
+    assert alone.error_cents == pytest.approx(at.error_cents, abs=1e-6)
+    assert alone.partner is None
+    apart = Mounted(model.strings, body).pitch(pitch(model, "A2", 3))
+    assert apart.partner is None
+
+
+def test_two_like_strings_on_one_bridge(make: Make) -> None:
+    """Against each other they leave the bridge at rest: one mode is that of a rigid end, k = n pi / L."""
+    length, tension, density, bending = 0.65, 71.2, 1.95e-3, 4e-5
+    string = make().resonators["D3"].basis(15000.0, tension=tension)
+    body = ModalBasis.real([2 * np.pi * 220.0], [2.0], {"bridge": [1.0]}, modal_mass=0.1)
+    bridge = np.eye(len(string.points))[[string.index("bridge")]]
+    star = Star(Ports.of(body, np.ones((2, 1))), [Ports.of(string, bridge)] * 2)
+    for n in (1, 2, 3):
+        k = n * np.pi / length
+        held = np.sqrt((tension * k**2 + bending * k**4) / density) / (2 * np.pi)
+        zeros = star.zeros_within(2j * np.pi * held, 2 * np.pi * held * 0.1)
+        assert len(zeros) == 2
+        assert min(abs(s.imag / (2 * np.pi * held) - 1) for s in zeros) < 1e-6
+        assert max(abs(s.imag / (2 * np.pi * held) - 1) for s in zeros) > 1e-4
