@@ -56,7 +56,10 @@ class Part:
     compliance : largest g^2 / 2 W^2, N/m: N that a mode in tune gathers per metre of the bridge.
     decay : (BANDS,) 1/s, slowest of each band; infinite where it has no mode.
     loudest : (n_readouts, BANDS) of the readouts per N of a held mode.
-    spread : m^-1 s, that, times compliance: N per m/s of the bridge for all modes of a band out of tune.
+    spread : N per m/s of the bridge for all modes of a band out of tune with its motion.
+    inertia : (BANDS + 1, BANDS) N per m/s, at most, of what the modes culled at a level (first index) would do besides
+        their static force when the bridge moves at frequencies of a lower band (second index); 0 elsewhere.
+    edge : (BANDS + 1, 2) rad/s, last held mode kept at each level and first one culled.
     """
 
     compiled: Compiled
@@ -71,6 +74,8 @@ class Part:
     decay: Floats
     loudest: Floats
     spread: float
+    inertia: Floats
+    edge: Floats
     made: dict[int, tuple[Condensed, Compiled]] = field(default_factory=dict)
 
     @classmethod
@@ -96,6 +101,7 @@ class Part:
         few = counts[:-1] - counts[1:] < _MANY
         gathered = float(np.max(g**2 / (2 * w**2), initial=0.0))
         apart = float(np.min(np.diff(w), initial=np.inf)) / 2
+        bounded = np.concatenate([[0.0], w, [np.inf]])
         return cls(
             compiled=compiled,
             held=held,
@@ -109,6 +115,8 @@ class Part:
             decay=np.array([held.damping_rate[band].min(initial=np.inf) for band in bands]),
             loudest=np.array([per_newton[:, band].max(axis=1, initial=0.0) for band in bands]).T,
             spread=gathered * math.log(held.n_modes + 2) / apart,
+            inertia=_inertia(push, w, counts, edges),
+            edge=np.stack([bounded[counts], bounded[counts + 1]], axis=1),
         )
 
     def at(self, component: str, model: Model, level: int) -> tuple[Condensed | None, Compiled]:
@@ -142,6 +150,21 @@ class Part:
         total = np.concatenate([np.zeros((2, 1)), np.cumsum(each, axis=1)], axis=1)
         force, square = total[:, self.counts[:-1]] - total[:, self.counts[1:]]
         return force, np.sqrt(np.maximum(square, 0.0))
+
+
+def _inertia(push: Floats, freq_rad: Floats, counts: NDArray[np.intp], edges: Floats) -> Floats:
+    """(BANDS + 1, BANDS) largest dynamic minus static force of the culled modes, N per m/s: see `Part.inertia`.
+
+    Under a motion of velocity v at frequency w below its own W a held mode pulls w^3 g^2 / (W^4 (W^2 - w^2)) v less
+    than its static compliance does; that grows with w, so that the upper edge of a band bounds it.
+    """
+    out = np.zeros((BANDS + 1, BANDS))
+    for level in range(1, BANDS):
+        culled = freq_rad[counts[level] :] ** 2
+        for band in range(level + 1, BANDS):
+            top = edges[band]
+            out[level, band] = np.sum(push[counts[level] :] ** 2 * top**3 / (culled * (culled - top**2)))
+    return out
 
 
 @dataclass(frozen=True, eq=False)

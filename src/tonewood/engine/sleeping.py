@@ -57,6 +57,9 @@ _ONSET = 2.0
 _DECAYED = 1e-4
 #: N, more than any bound allows
 _ENDLESS = 1e30
+_LEVELS = np.arange(BANDS + 1)
+#: (BANDS + 1, BANDS) which bands are culled at each level
+_CULLED = np.arange(BANDS) < _LEVELS[:, None]
 
 
 @dataclass(eq=False)
@@ -70,6 +73,9 @@ class Asleep:
     driven : (C, BANDS) N, bound on what came in since.
     force : (C, BANDS) N, of all that is awake, at the last look.
     root : (BANDS,) roots of twice the energy (J) of strings and body in each band, at the last look.
+    ringing : (C, BANDS) m/s, bound on the velocities that earlier forces left in the body.
+    shifted : (C, C, BANDS) N, bound on how far the force of each component in use (second index) is off because modes
+        of another, or of its own (first index), are culled.
     peak : (R,) largest sample of each readout so far.
     last, following : samples of the last look, and of the next at the latest.
     shaken_until : sample until which all are awake.
@@ -82,6 +88,8 @@ class Asleep:
     driven: Floats
     force: Floats
     root: Floats
+    ringing: Floats
+    shifted: Floats
     peak: Floats
     last: int = 0
     following: int = 0
@@ -92,7 +100,8 @@ class Asleep:
         """Return an independent copy."""
         return Asleep(
             dict(self.level), self.own.copy(), self.own_heard.copy(), self.driven.copy(), self.force.copy(),
-            self.root.copy(), self.peak.copy(), self.last, self.following, self.shaken_until, self.touched,
+            self.root.copy(), self.ringing.copy(), self.shifted.copy(), self.peak.copy(), self.last, self.following,
+            self.shaken_until, self.touched,
         )  # fmt: skip
 
 
@@ -130,7 +139,7 @@ class Sleeper:
         none = np.zeros((n, BANDS))
         self.state = Asleep(
             dict.fromkeys(self.names, 0), none.copy(), np.zeros((r, n, BANDS)), none.copy(), none.copy(),
-            np.zeros(BANDS), np.zeros(r),
+            np.zeros(BANDS), none.copy(), np.zeros((n, n, BANDS)), np.zeros(r),
         )  # fmt: skip
         self.largest = dict.fromkeys(self.names, 0.0)
         self._met: System | None = None
@@ -142,14 +151,20 @@ class Sleeper:
         self.transfer, self.edges = Transfer(model), edges
         self._listening = Listening(model, self.components)
         self._of = (self._owner == np.arange(len(self.names))[:, None]).astype(float)
-        between = [self.transfer.mobility_between(low, high) for high, low in itertools.pairwise(edges)]
-        self._mobility = _ONSET * np.stack(between)
-        self._mobility[:, np.arange(n), np.arange(n)] = 0.0
+        octaves = list(itertools.pairwise(edges))
+        between = self.transfer.between
+        #: (BANDS, C, C) and without each end's own
+        self._all_mobility = _ONSET * np.stack([between(self.transfer.mobility, low, high) for high, low in octaves])
+        self._mobility = self._all_mobility * (1.0 - np.eye(n))
+        #: (R, C, BANDS)
+        self._response = np.stack([between(self.transfer.heard, low, high) for high, low in octaves], axis=-1)
         body = model.system.compiled[model.system.slot("body")].basis
         freq = np.abs(body.poles)
         self._near_body = np.array(
-            [(freq >= low / _AROUND) & (freq < high * _AROUND) for high, low in itertools.pairwise(edges)], dtype=float
+            [(freq >= low / _AROUND) & (freq < high * _AROUND) for high, low in octaves], dtype=float
         )
+        #: (BANDS,) 1/s, slowest decay of the body's modes in each
+        self._ringing_decay = np.where(self._near_body > 0.0, body.damping_rate, np.inf).min(axis=1, initial=np.inf)
         slowest = float(body.damping_rate[body.damping_rate > 0].min(initial=np.inf))
         self._shaken = math.ceil(-math.log(_DECAYED) / slowest * model.fs)
         # connections of each string besides its ends; dashpots and springs among them hold it awake while they act
@@ -194,7 +209,7 @@ class Sleeper:
         return min(float(times[following]) - now, _AFTER) if following < len(times) else _AFTER
 
     def rungs(self, name: str, fretting: Fretting) -> Rungs | None:
-        """A string as it is held; None if none of it can sleep."""
+        """A string as it is held; None if it cannot be held at its bridge, and no other may sleep beside it."""
         key = (name, fretting)
         if key not in self._known:
             if len(self._known) >= _CACHE:
@@ -209,8 +224,6 @@ class Sleeper:
         touching = [laws.get(c.name, c) for j in self._touching[name] for c in [system.connections[j]]]
         touching = [c for c in touching if c.name not in self.model.resting]
         quiet = quiet_energy(name, {c: compiled.basis for c, compiled in whole.items()}, touching)
-        if quiet <= 0.0:
-            return None
         try:
             parts = {c: Part.of(c, compiled, self.model, self.transfer, self.edges) for c, compiled in whole.items()}
         except ValueError:
@@ -279,16 +292,26 @@ class Sleeper:
         if system is not self._met:
             self._meet(system, frettings)
         rungs = self._rungs
+        if any(known is None for known in rungs):
+            return self.all_awake(now)
         force, heard, doubled, energies = strings.look(state)
-        decay, lasting, loudest, gathers = strings.decay, strings.lasting, strings.loudest, strings.gathers[:, None]
+        decay, lasting, loudest = strings.decay, strings.lasting, strings.loudest
+        gathers, apart = strings.gathers[:, None], strings.spread[:, None]
         free = self._loose & [name not in busy for name in self.names]
         level = np.array([s.level[name] for name in self.names])
         asleep = np.arange(BANDS) < level[self._owner, None]
         elapsed = (now - s.last) * dt
         lost = -np.expm1(-elapsed * decay)
+        levels = level[self._owner]
+        velocity, reached = self._velocity(s.force, s.root, ~asleep, elapsed)
         quiet = np.where(asleep, s.own + s.driven, 0.0)
+        came = (velocity + self._driving(quiet) + s.ringing) * gathers
+        missing = self._missing(quiet + velocity * apart, reached, s.ringing)[np.arange(len(levels)), levels]
+        s.shifted = np.minimum(
+            s.shifted * (1.0 - lost) + self._shifting(missing, asleep) * (lost * lasting), 2.0 * reached
+        )
+        s.ringing = np.maximum(s.ringing * np.exp(-elapsed * self._ringing_decay), self._driving_all(reached))
         s.own, s.own_heard = s.own * (1.0 - lost), s.own_heard * (1.0 - lost)
-        came = (self._velocity(s.force, s.root, ~asleep, elapsed) + self._driving(quiet)) * gathers
         s.driven = np.where(asleep, s.driven * (1.0 - lost) + came * lost * lasting, 0.0)
         quiet = np.where(asleep, s.own, 0.0) + s.driven
         root = np.sqrt(doubled.sum(axis=0) + self._doubled_body(system, state, doubled))
@@ -297,30 +320,40 @@ class Sleeper:
             force, root = force + begun, root + gained
         s.force, s.root, s.last = force, root, now
 
-        def moved(ahead: float) -> Floats:
-            """(C, BANDS) m/s, bound on the velocities of the ends for so many seconds."""
-            return self._velocity(force, root, ~asleep, ahead) + self._driving(quiet)
-
         def still(velocity: Floats, ahead: float) -> NDArray[np.bool_]:
             """(n_strings,) whether they reach nothing meanwhile."""
             speed = np.sqrt(2.0 * energies) + ahead * np.sum(strings.kick * velocity, axis=1)
             return np.asarray(self._quiet >= self._of @ (0.5 * speed * speed))
 
-        def kept(ahead: float) -> NDArray[np.intp]:
-            """(n_strings,) bands that may go on sleeping for so many seconds."""
-            left, velocity = np.exp(-ahead * decay), moved(ahead)
-            coming, apart = velocity * gathers, velocity * strings.spread[:, None]
-            soon = s.driven * left + coming * lasting * (1.0 - left) + apart
-            going_on = self._within(self._levels(s.own_heard + soon * loudest), self.budget)
-            return np.where(free & still(velocity, ahead), np.minimum(level, going_on), 0)
+        def foreseen(ahead: float) -> tuple[Floats, Floats]:
+            """(C, BANDS) velocities of the ends, m/s, and forces of the strings in use, N, for so many seconds."""
+            velocity, reached = self._velocity(force, root, ~asleep, ahead)
+            return velocity + self._driving(quiet) + s.ringing, reached
 
+        def kept(ahead: float) -> NDArray[np.intp]:
+            """(n_strings,) bands that may go on being culled for so many seconds."""
+            left = np.exp(-ahead * decay)
+            velocity, reached = foreseen(ahead)
+            soon = s.driven * left + velocity * (gathers * lasting * (1.0 - left) + apart)
+            missing = self._missing(np.where(asleep, s.own, 0.0) + soon, reached, s.ringing)
+            more = self._shifting(missing, _CULLED) * (lasting * (1.0 - left))
+            shifted = np.minimum(s.shifted[:, None] + more, 2.0 * reached)
+            totals = self._totals(s.own_heard + soon * loudest, missing, shifted)
+            allowed = (totals <= self.budget) & (_LEVELS <= level[:, None])
+            lasts = np.where(free & still(velocity, ahead), BANDS - np.argmax(allowed[:, ::-1], axis=1), 0)
+            done[:] = np.maximum(done, totals[np.arange(len(lasts)), lasts])
+            return lasts
+
+        done = np.zeros(len(level))
         late = bool(np.all(kept(_LATE) == level))
         after = level if late else kept(_SOON)
-        velocity = moved(_LATE)
-        at_last = np.maximum(velocity * gathers * lasting, s.driven) + velocity * strings.spread[:, None]
-        resting = self._levels(np.where(asleep, s.own_heard, heard) + at_last * loudest)
-        deeper = np.where(still(velocity, _LATE), self._within(resting, _LEAVE * self.budget), 0)
-        done = self._levels(s.own_heard + s.driven * loudest)
+        velocity, reached = foreseen(_LATE)
+        at_last = np.maximum(velocity * gathers * lasting, s.driven) + velocity * apart
+        missing = self._missing(np.where(asleep, s.own, force) + at_last, reached, s.ringing)
+        shifted = np.minimum(s.shifted[:, None] + self._shifting(missing, _CULLED) * lasting, 2.0 * reached)
+        resting = self._totals(np.where(asleep, s.own_heard, heard) + at_last * loudest, missing, shifted)
+        allowed = (resting <= _LEAVE * self.budget) & still(velocity, _LATE)[:, None]
+        deeper = np.where(allowed.any(axis=1), BANDS - np.argmax(allowed[:, ::-1], axis=1), 0)
         wanted: dict[str, int] = {}
         for k, name in enumerate(self.names):
             before, then = int(level[k]), int(after[k])
@@ -328,12 +361,12 @@ class Sleeper:
             if may and self._pays(name, rungs[k], before, int(deeper[k]), now * dt, name in tense):
                 then = int(deeper[k])
             if before:
-                self.largest[name] = max(self.largest[name], float(np.sum(done[k, :before])))
+                self.largest[name] = max(self.largest[name], float(done[k]))
             if then > before:
                 mine = np.flatnonzero(self._owner == k)
                 s.own[mine, before:then] = force[mine, before:then]
                 s.own_heard[:, mine, before:then] = heard[:, mine, before:then]
-                self.largest[name] = max(self.largest[name], float(np.sum(resting[k, :then])))
+                self.largest[name] = max(self.largest[name], float(resting[k, then]))
             if then != before:
                 wanted[name] = then
         nobody = not any(wanted.get(name, s.level[name]) for name in self.names)
@@ -348,6 +381,20 @@ class Sleeper:
             part = None if rungs is None else rungs.parts[c]
             self._listening.set(i, system.compiled[system.slot(c)], part, self.state.level[name])
         self._quiet = np.array([-1.0 if rungs is None else rungs.quiet for rungs in self._rungs])
+        strings, n = self._listening, len(self.components)
+        self._coupling = (self._all_mobility * strings.gathers[:, None]).transpose(2, 1, 0)
+        self._inertia, limits = np.zeros((n, BANDS + 1, BANDS)), np.zeros((n, BANDS + 1, 2))
+        for i, (_, c) in enumerate(self._parts):
+            rungs = self._rungs[self._owner[i]]
+            if rungs is not None:
+                self._inertia[i], limits[i] = rungs.parts[c].inertia, rungs.parts[c].edge
+        # N per m/s: the first modes culled under motions at the last ones kept, of other strings perhaps in tune
+        gap = 0.5 * (limits[:, None, :BANDS, 1] - limits[None, :, :BANDS, 0])
+        slowest = np.minimum.accumulate(np.concatenate([strings.decay[:, :1], strings.decay[:, :-1]], axis=1), axis=1)
+        near = strings.gathers[:, None, None] / np.maximum(gap, slowest[:, None])
+        near[np.arange(n), np.arange(n)] = 0.0
+        there = np.isfinite(limits[:, None, :BANDS, 1]) & (np.arange(BANDS) > 0)
+        self._edge = np.where(there, near + strings.spread[:, None, None], 0.0).transpose(2, 0, 1)
         #: strings that no spring or dashpot holds
         self._loose = np.array(
             [not any(_acts(system.connections[j].law) for j in self._springs[name]) for name in self.names], dtype=bool
@@ -385,8 +432,10 @@ class Sleeper:
         q, v = to_motion(basis, np.asarray(system.modes_of(state, "body"), dtype=np.float64))
         return np.asarray(self._near_body @ (v * v + basis.stiffness * (q * q)))
 
-    def _velocity(self, force: Floats, root: Floats, awake: NDArray[np.bool_], ahead: float) -> Floats:
-        """(C, BANDS) m/s, bound on each end's velocity for `ahead` s.
+    def _velocity(
+        self, force: Floats, root: Floats, awake: NDArray[np.bool_], ahead: float
+    ) -> tuple[Floats, Floats]:
+        """Bounds for `ahead` s on each end's velocity under the others' forces, and on those forces, (C, BANDS) m/s, N.
 
         No string's force passes what all the energy there is would make of it; nor what it is now and what its modes
         gather, in tune, from the ends' velocities meanwhile.
@@ -402,21 +451,59 @@ class Sleeper:
         # whichever strings have the energy, the squares of their shares add up to one
         velocity = np.sqrt((self._mobility**2 @ (utmost**2).T[:, :, None])[:, :, 0].T)
         gathered = (listening.gathers * ahead + listening.spread)[:, None] * velocity
-        return np.asarray(np.minimum(velocity, self._driving(np.minimum(utmost, force + gathered))))
+        reached = np.minimum(utmost, force + gathered)
+        return np.minimum(velocity, self._driving(reached)), reached
 
     def _driving(self, force: Floats) -> Floats:
-        """(C, BANDS) m/s, bound on each end's velocity under forces of strings (C, BANDS)."""
+        """(C, BANDS) m/s, bound on each end's velocity under forces of the other strings (C, BANDS)."""
         return np.asarray((self._mobility @ force.T[:, :, None])[:, :, 0].T)
 
-    def _levels(self, heard: Floats) -> Floats:
-        """(n_strings, BANDS) what each string does at the outputs, (R, C, BANDS), re the loudest samples."""
+    def _driving_all(self, force: Floats) -> Floats:
+        """(C, BANDS) m/s, bound on each end's velocity under forces of all strings (C, BANDS)."""
+        return np.asarray((self._all_mobility @ force.T[:, :, None])[:, :, 0].T)
+
+    def _missing(self, quiet: Floats, reached: Floats, ringing: Floats) -> Floats:
+        """(C, BANDS + 1, BANDS) N at each end that culled modes would add to their static force, at every level.
+
+        In a culled band that is all they do; in the bands below, what a motion there makes of their inertia.
+
+        Parameters
+        ----------
+        quiet : (C, BANDS) N, bound on the forces of culled bands.
+        reached : (C, BANDS) N, bound on the forces of bands in use.
+        ringing : (C, BANDS) m/s.
+        """
+        out = self._inertia * (self._driving_all(reached) + ringing)[:, None]
+        below = np.einsum("bci,bci,ib->cb", self._edge, self._all_mobility, reached)
+        out[:, np.arange(BANDS), np.arange(BANDS)] = below + self._listening.spread[:, None] * ringing
+        return np.where(_CULLED, quiet[:, None], out)
+
+    def _shifting(self, missing: Floats, culled: NDArray[np.bool_]) -> Floats:
+        """(C, ..., C, BANDS) N/s by which missing forces (C, ..., BANDS) change those of components in use, in tune."""
+        n, own = len(missing), np.arange(len(missing))
+        change = self._coupling.reshape(n, *(1,) * (missing.ndim - 2), n, BANDS) * missing[..., None, :]
+        change[own, ..., own, :] *= ~culled
+        return np.asarray(change)
+
+    def _totals(self, culled: Floats, missing: Floats, shifted: Floats) -> Floats:
+        """(n_strings, BANDS + 1) what each string adds to the difference at the outputs, re the loudest samples.
+
+        Parameters
+        ----------
+        culled : (R, C, BANDS) what bands do at the readouts where they are culled.
+        missing : (C, BANDS + 1, BANDS) N, see `_missing`.
+        shifted : (C, BANDS + 1, C, BANDS) N, by which the forces of components in use are off.
+        """
+        n = len(self.components)
+        heard = np.zeros((len(culled), n, BANDS + 1))
+        heard[:, :, 1:] = np.cumsum(culled, axis=-1)
+        lower = np.where(_CULLED, 0.0, missing)
+        heard += np.einsum("rcb,clb->rcl", self._response, lower)
+        loudest = self._listening.loudest.reshape(len(culled), -1)
+        heard += (loudest @ shifted.reshape(n * (BANDS + 1), -1).T).reshape(heard.shape)
+        heard[:, :, 0] = 0.0
         ratio = heard / np.maximum(self.state.peak, SILENT)[:, None, None]
         return np.asarray(self._of @ ratio.max(axis=0, initial=0.0))
-
-    @staticmethod
-    def _within(levels: Floats, budget: float) -> NDArray[np.intp]:
-        """(n_strings,) bands, from the highest, that together stay within a budget."""
-        return np.asarray(np.count_nonzero(np.cumsum(levels, axis=1) <= budget, axis=1))
 
     def _pays(self, name: str, rungs: Rungs | None, before: int, after: int, now: float, tense: bool) -> bool:
         """Whether falling asleep saves more than it takes."""

@@ -79,11 +79,11 @@ class Transfer:
         rows = sizes[:, self.components.index(component)]
         return np.array([np.interp(freq_rad, self.freq_rad, row) for row in rows]).reshape(len(rows), len(freq_rad))
 
-    def mobility_between(self, low: float, high: float) -> Floats:
-        """(C, C) largest mobility between two frequencies, rad/s."""
+    def between(self, sizes: Floats, low: float, high: float) -> Floats:
+        """Largest of (..., f) sizes between two frequencies, rad/s."""
         inside = (self.freq_rad >= low) & (self.freq_rad < high)
         inside[np.searchsorted(self.freq_rad, [low, min(high, self.freq_rad[-1])]).clip(max=inside.size - 1)] = True
-        return np.asarray(self.mobility[:, :, inside].max(axis=-1))
+        return np.asarray(sizes[..., inside].max(axis=-1))
 
 
 def _stopped(size: Floats, freq_rad: Floats) -> Floats:
