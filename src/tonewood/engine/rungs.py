@@ -57,8 +57,10 @@ class Part:
     decay : (BANDS,) 1/s, slowest of each band; infinite where it has no mode.
     loudest : (n_readouts, BANDS) of the readouts per N of a held mode.
     spread : N per m/s of the bridge for all modes of a band out of tune with its motion.
-    inertia : (BANDS + 1, BANDS) N per m/s, at most, of what the modes culled at a level (first index) would do besides
-        their static force when the bridge moves at frequencies of a lower band (second index); 0 elsewhere.
+    inertia : (BANDS + 1, F) N per m/s, at most, of what the modes culled at a level would do besides their static force
+        when the bridge moves at frequencies of a bin below theirs; 0 elsewhere.
+    gain : (F,) s N/m, at most: N, after a long time, per m/s of the bridge in a bin, of the modes in and near it.
+    bins : (n_held,) bins of the modes.
     edge : (BANDS + 1, 2) rad/s, last held mode kept at each level and first one culled.
     """
 
@@ -75,6 +77,8 @@ class Part:
     loudest: Floats
     spread: float
     inertia: Floats
+    gain: Floats
+    bins: NDArray[np.intp]
     edge: Floats
     made: dict[int, tuple[Condensed, Compiled]] = field(default_factory=dict)
 
@@ -115,7 +119,9 @@ class Part:
             decay=np.array([held.damping_rate[band].min(initial=np.inf) for band in bands]),
             loudest=np.array([per_newton[:, band].max(axis=1, initial=0.0) for band in bands]).T,
             spread=gathered * math.log(held.n_modes + 2) / apart,
-            inertia=_inertia(push, w, counts, edges),
+            inertia=_inertia(push, w, counts, edges, transfer.bins),
+            gain=_gain(gathered, w, held.damping_rate, transfer.bins),
+            bins=transfer.bin_of(w),
             edge=np.stack([bounded[counts], bounded[counts + 1]], axis=1),
         )
 
@@ -138,8 +144,8 @@ class Part:
         fewer = self.at(component, model, level)[0]
         return self._picks if fewer is None else fewer.held
 
-    def plucked(self, shortest: float) -> tuple[Floats, Floats]:
-        """(BANDS,) forces on the bridge, and roots of twice the energies, per N that is let go within `shortest` s.
+    def plucked(self, shortest: float) -> tuple[Floats, Floats, Floats]:
+        """Forces on the bridge (BANDS,) and (F,), roots of twice the energies (BANDS,), per N let go in `shortest` s.
 
         It is let go at the point ``pluck``.
         """
@@ -149,22 +155,40 @@ class Part:
         each = np.stack([held.force * amplitude, (w * amplitude) ** 2])
         total = np.concatenate([np.zeros((2, 1)), np.cumsum(each, axis=1)], axis=1)
         force, square = total[:, self.counts[:-1]] - total[:, self.counts[1:]]
-        return force, np.sqrt(np.maximum(square, 0.0))
+        spectrum = np.bincount(self.bins, each[0], self.gain.size)
+        return force, spectrum, np.sqrt(np.maximum(square, 0.0))
 
 
-def _inertia(push: Floats, freq_rad: Floats, counts: NDArray[np.intp], edges: Floats) -> Floats:
-    """(BANDS + 1, BANDS) largest dynamic minus static force of the culled modes, N per m/s: see `Part.inertia`.
+def _inertia(push: Floats, freq_rad: Floats, counts: NDArray[np.intp], edges: Floats, bins: Floats) -> Floats:
+    """(BANDS + 1, F) largest dynamic minus static force of the culled modes, N per m/s: see `Part.inertia`.
 
     Under a motion of velocity v at frequency w below its own W a held mode pulls w^3 g^2 / (W^4 (W^2 - w^2)) v less
-    than its static compliance does; that grows with w, so that the upper edge of a band bounds it.
+    than its static compliance does; that grows with w, so that the upper edge of a bin bounds it. The component's own
+    partials come no nearer than its modes lie apart.
     """
-    out = np.zeros((BANDS + 1, BANDS))
+    out = np.zeros((BANDS + 1, len(bins) - 1))
+    if not freq_rad.size:
+        return out
+    apart = float(np.min(np.diff(freq_rad), initial=freq_rad[0]))
+    low, top = bins[:-1, None], np.minimum(bins[1:, None], freq_rad)
+    each = push**2 * top**3 / (freq_rad**2 * np.maximum(freq_rad - top, apart) * (freq_rad + top))
+    upward = np.concatenate([np.cumsum(each[:, ::-1], axis=1)[:, ::-1], np.zeros((len(each), 1))], axis=1)
     for level in range(1, BANDS):
-        culled = freq_rad[counts[level] :] ** 2
-        for band in range(level + 1, BANDS):
-            top = edges[band]
-            out[level, band] = np.sum(push[counts[level] :] ** 2 * top**3 / (culled * (culled - top**2)))
+        out[level] = np.where(low[:, 0] < edges[level], upward[:, counts[level]], 0.0)
     return out
+
+
+def _gain(gathered: float, freq_rad: Floats, damping_rate: Floats, bins: Floats) -> Floats:
+    """(F,) see `Part.gain`: in tune in a mode's own bin and in those beside it, else by the distance."""
+    wide = bins[1:] - bins[:-1]
+    distance, rate = np.full(len(wide), np.inf), np.full(len(wide), np.inf)
+    if freq_rad.size:
+        middle = 0.5 * (bins[1:] + bins[:-1])
+        above = np.clip(np.searchsorted(freq_rad, middle), 1, max(freq_rad.size - 1, 1))
+        for j in (above - 1, np.minimum(above, freq_rad.size - 1)):
+            distance = np.minimum(distance, np.maximum(np.abs(freq_rad[j] - middle) - 1.5 * wide, 0.0))
+            rate = np.minimum(rate, damping_rate[j])
+    return np.asarray(gathered / np.maximum(np.maximum(distance, rate), 1e-9))
 
 
 @dataclass(frozen=True, eq=False)

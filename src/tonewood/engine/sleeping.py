@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.engine.fretting import Fingerboard, Fretting
-from tonewood.engine.listening import Listening
+from tonewood.engine.listening import _AT_ONCE, Listening
 from tonewood.engine.rungs import BANDS, Part, Rungs, cuts, quiet_energy
 from tonewood.engine.switching import SILENT, largest
 from tonewood.engine.timeline import Play, Timeline
@@ -58,8 +58,6 @@ _DECAYED = 1e-4
 #: N, more than any bound allows
 _ENDLESS = 1e30
 _LEVELS = np.arange(BANDS + 1)
-#: (BANDS + 1, BANDS) which bands are culled at each level
-_CULLED = np.arange(BANDS) < _LEVELS[:, None]
 
 
 @dataclass(eq=False)
@@ -73,9 +71,9 @@ class Asleep:
     driven : (C, BANDS) N, bound on what came in since.
     force : (C, BANDS) N, of all that is awake, at the last look.
     root : (BANDS,) roots of twice the energy (J) of strings and body in each band, at the last look.
-    ringing : (C, BANDS) m/s, bound on the velocities that earlier forces left in the body.
-    shifted : (C, C, BANDS) N, bound on how far the force of each component in use (second index) is off because modes
-        of another, or of its own (first index), are culled.
+    ringing : (C, F) m/s, bound on what earlier forces left of motion at the ends, in bins of the body's resonances.
+    shifted, earlier : (R, C) bound on what was heard of what is in use being off since modes of each component are
+        culled, and of all earlier times together.
     peak : (R,) largest sample of each readout so far.
     last, following : samples of the last look, and of the next at the latest.
     shaken_until : sample until which all are awake.
@@ -90,6 +88,7 @@ class Asleep:
     root: Floats
     ringing: Floats
     shifted: Floats
+    earlier: Floats
     peak: Floats
     last: int = 0
     following: int = 0
@@ -100,8 +99,8 @@ class Asleep:
         """Return an independent copy."""
         return Asleep(
             dict(self.level), self.own.copy(), self.own_heard.copy(), self.driven.copy(), self.force.copy(),
-            self.root.copy(), self.ringing.copy(), self.shifted.copy(), self.peak.copy(), self.last, self.following,
-            self.shaken_until, self.touched,
+            self.root.copy(), self.ringing.copy(), self.shifted.copy(), self.earlier.copy(), self.peak.copy(),
+            self.last, self.following, self.shaken_until, self.touched,
         )  # fmt: skip
 
 
@@ -136,10 +135,11 @@ class Sleeper:
         self.components = tuple(c for _, c in self._parts)
         self._owner = np.array([i for i, s in enumerate(model.strings.values()) for _ in s.components], dtype=np.intp)
         n, r = len(self.components), len(model.system.readouts)
-        none = np.zeros((n, BANDS))
+        self.transfer = Transfer(model)
+        none, n_bins = np.zeros((n, BANDS)), len(self.transfer.bins) - 1
         self.state = Asleep(
             dict.fromkeys(self.names, 0), none.copy(), np.zeros((r, n, BANDS)), none.copy(), none.copy(),
-            np.zeros(BANDS), none.copy(), np.zeros((n, n, BANDS)), np.zeros(r),
+            np.zeros(BANDS), np.zeros((n, n_bins)), np.zeros((r, n)), np.zeros((r, n)), np.zeros(r),
         )  # fmt: skip
         self.largest = dict.fromkeys(self.names, 0.0)
         self._met: System | None = None
@@ -148,23 +148,28 @@ class Sleeper:
         #: re the loudest sample, of each string
         self.budget = 10 ** (model.choice.budget_db / 20) / len(self.names)
         edges = cuts(model)
-        self.transfer, self.edges = Transfer(model), edges
-        self._listening = Listening(model, self.components)
+        self.edges = edges
+        self._listening = Listening(model, self.components, n_bins)
         self._of = (self._owner == np.arange(len(self.names))[:, None]).astype(float)
         octaves = list(itertools.pairwise(edges))
-        between = self.transfer.between
-        #: (BANDS, C, C) and without each end's own
-        self._all_mobility = _ONSET * np.stack([between(self.transfer.mobility, low, high) for high, low in octaves])
-        self._mobility = self._all_mobility * (1.0 - np.eye(n))
-        #: (R, C, BANDS)
-        self._response = np.stack([between(self.transfer.heard, low, high) for high, low in octaves], axis=-1)
+        between = [self.transfer.between(self.transfer.mobility, low, high) for high, low in octaves]
+        self._mobility = _ONSET * np.stack(between)
+        #: (F, C, C), (R, C, F) and the bands of bins
+        self._mobility_bins = np.ascontiguousarray(self.transfer.binned(self.transfer.mobility).transpose(2, 0, 1))
+        self._response = self.transfer.binned(self.transfer.heard)
+        upper = self.transfer.bins[1:]
+        self._band_of = np.clip(np.searchsorted(-edges[1:], -upper), 0, BANDS - 1)
+        self._in_band = (self._band_of[:, None] == np.arange(BANDS)).astype(float)
+        self._mobility[:, np.arange(n), np.arange(n)] = 0.0
         body = model.system.compiled[model.system.slot("body")].basis
         freq = np.abs(body.poles)
         self._near_body = np.array(
             [(freq >= low / _AROUND) & (freq < high * _AROUND) for high, low in octaves], dtype=float
         )
-        #: (BANDS,) 1/s, slowest decay of the body's modes in each
-        self._ringing_decay = np.where(self._near_body > 0.0, body.damping_rate, np.inf).min(axis=1, initial=np.inf)
+        #: (F,) 1/s, slowest decay of the body's modes in each bin
+        self._ringing_decay = np.full(n_bins, _AT_ONCE)
+        np.minimum.at(self._ringing_decay, self.transfer.bin_of(freq), np.maximum(body.damping_rate, 0.0))
+        self._resonant = self._ringing_decay < _AT_ONCE
         slowest = float(body.damping_rate[body.damping_rate > 0].min(initial=np.inf))
         self._shaken = math.ceil(-math.log(_DECAYED) / slowest * model.fs)
         # connections of each string besides its ends; dashpots and springs among them hold it awake while they act
@@ -255,6 +260,8 @@ class Sleeper:
         self.state.level[name] = level
         self.state.own[awake] = self.state.driven[awake] = 0.0
         self.state.own_heard[:, awake] = 0.0
+        self.state.earlier[:, mine] += self.state.shifted[:, mine]
+        self.state.shifted[:, mine] = 0.0
 
     def heard(self, out: Floats) -> None:
         """Take note of what the readouts said, (n, R)."""
@@ -294,7 +301,7 @@ class Sleeper:
         rungs = self._rungs
         if any(known is None for known in rungs):
             return self.all_awake(now)
-        force, heard, doubled, energies = strings.look(state)
+        force, spectrum, heard, doubled, energies = strings.look(state)
         decay, lasting, loudest = strings.decay, strings.lasting, strings.loudest
         gathers, apart = strings.gathers[:, None], strings.spread[:, None]
         free = self._loose & [name not in busy for name in self.names]
@@ -302,59 +309,66 @@ class Sleeper:
         asleep = np.arange(BANDS) < level[self._owner, None]
         elapsed = (now - s.last) * dt
         lost = -np.expm1(-elapsed * decay)
-        levels = level[self._owner]
-        velocity, reached = self._velocity(s.force, s.root, ~asleep, elapsed)
         quiet = np.where(asleep, s.own + s.driven, 0.0)
-        came = (velocity + self._driving(quiet) + s.ringing) * gathers
-        missing = self._missing(quiet + velocity * apart, reached, s.ringing)[np.arange(len(levels)), levels]
-        s.shifted = np.minimum(
-            s.shifted * (1.0 - lost) + self._shifting(missing, asleep) * (lost * lasting), 2.0 * reached
-        )
-        s.ringing = np.maximum(s.ringing * np.exp(-elapsed * self._ringing_decay), self._driving_all(reached))
         s.own, s.own_heard = s.own * (1.0 - lost), s.own_heard * (1.0 - lost)
+        levels = level[self._owner]
+        ringing = s.ringing @ self._in_band
+        came = (self._velocity(s.force, s.root, ~asleep, elapsed) + self._driving(quiet) + ringing) * gathers
         s.driven = np.where(asleep, s.driven * (1.0 - lost) + came * lost * lasting, 0.0)
         quiet = np.where(asleep, s.own, 0.0) + s.driven
+        s.earlier *= math.exp(-elapsed * self._slowest)
         root = np.sqrt(doubled.sum(axis=0) + self._doubled_body(system, state, doubled))
         for play in fresh:
-            begun, gained = self._foreseen(play, frettings[play.string or ""])
-            force, root = force + begun, root + gained
+            begun, at_bins, gained = self._foreseen(play, frettings[play.string or ""])
+            force, spectrum, root = force + begun, spectrum + at_bins, root + gained
         s.force, s.root, s.last = force, root, now
+        s.ringing *= np.exp(-elapsed * self._ringing_decay)
+        moving = self._moved(spectrum)
+        forced = np.where(self._resonant, moving.sum(axis=1, keepdims=True) if fresh else moving, 0.0)
+        s.ringing = np.maximum(s.ringing, forced)
+        ringing = s.ringing @ self._in_band
+
+        def moved(ahead: float) -> Floats:
+            """(C, BANDS) m/s, bound on the velocities of the ends for so many seconds."""
+            return self._velocity(force, root, ~asleep, ahead) + self._driving(quiet) + ringing
 
         def still(velocity: Floats, ahead: float) -> NDArray[np.bool_]:
             """(n_strings,) whether they reach nothing meanwhile."""
             speed = np.sqrt(2.0 * energies) + ahead * np.sum(strings.kick * velocity, axis=1)
             return np.asarray(self._quiet >= self._of @ (0.5 * speed * speed))
 
-        def foreseen(ahead: float) -> tuple[Floats, Floats]:
-            """(C, BANDS) velocities of the ends, m/s, and forces of the strings in use, N, for so many seconds."""
-            velocity, reached = self._velocity(force, root, ~asleep, ahead)
-            return velocity + self._driving(quiet) + s.ringing, reached
+        late = self._shifting(spectrum, root, ~asleep, _LATE)
+
+        def totals(ahead: float, culled: Floats, missing: Floats) -> Floats:
+            """(n_strings, BANDS + 1) at every level, from what is heard of culled bands and their forces."""
+            below = np.maximum(late + self._back(missing, force), s.shifted[:, :, None])
+            heard = below + s.earlier[:, :, None]
+            heard[:, :, 1:] += np.cumsum(culled, axis=-1)
+            heard[:, :, 0] = 0.0
+            return self._levels(heard)
 
         def kept(ahead: float) -> NDArray[np.intp]:
-            """(n_strings,) bands that may go on being culled for so many seconds."""
-            left = np.exp(-ahead * decay)
-            velocity, reached = foreseen(ahead)
+            """(n_strings,) bands that may go on sleeping for so many seconds."""
+            left, velocity = np.exp(-ahead * decay), moved(ahead)
             soon = s.driven * left + velocity * (gathers * lasting * (1.0 - left) + apart)
-            missing = self._missing(np.where(asleep, s.own, 0.0) + soon, reached, s.ringing)
-            more = self._shifting(missing, _CULLED) * (lasting * (1.0 - left))
-            shifted = np.minimum(s.shifted[:, None] + more, 2.0 * reached)
-            totals = self._totals(s.own_heard + soon * loudest, missing, shifted)
-            allowed = (totals <= self.budget) & (_LEVELS <= level[:, None])
-            lasts = np.where(free & still(velocity, ahead), BANDS - np.argmax(allowed[:, ::-1], axis=1), 0)
-            done[:] = np.maximum(done, totals[np.arange(len(lasts)), lasts])
-            return lasts
+            each = totals(ahead, s.own_heard + soon * loudest, np.where(asleep, s.own, 0.0) + soon)
+            allowed = (each <= self.budget) & (_LEVELS <= level[:, None])
+            going_on = np.where(free & still(velocity, ahead), BANDS - np.argmax(allowed[:, ::-1], axis=1), 0)
+            done[:] = np.maximum(done, each[np.arange(len(going_on)), going_on])
+            return going_on
 
         done = np.zeros(len(level))
-        late = bool(np.all(kept(_LATE) == level))
-        after = level if late else kept(_SOON)
-        velocity, reached = foreseen(_LATE)
+        unchanged = bool(np.all(kept(_LATE) == level))
+        after = level if unchanged else kept(_SOON)
+        velocity = moved(_LATE)
         at_last = np.maximum(velocity * gathers * lasting, s.driven) + velocity * apart
-        missing = self._missing(np.where(asleep, s.own, force) + at_last, reached, s.ringing)
-        shifted = np.minimum(s.shifted[:, None] + self._shifting(missing, _CULLED) * lasting, 2.0 * reached)
-        resting = self._totals(np.where(asleep, s.own_heard, heard) + at_last * loudest, missing, shifted)
+        resting = totals(
+            _LATE, np.where(asleep, s.own_heard, heard) + at_last * loudest, np.where(asleep, s.own, force) + at_last
+        )
         allowed = (resting <= _LEAVE * self.budget) & still(velocity, _LATE)[:, None]
         deeper = np.where(allowed.any(axis=1), BANDS - np.argmax(allowed[:, ::-1], axis=1), 0)
         wanted: dict[str, int] = {}
+        begun = np.zeros_like(s.shifted)
         for k, name in enumerate(self.names):
             before, then = int(level[k]), int(after[k])
             may = then == before and free[k] and deeper[k] > before
@@ -369,8 +383,16 @@ class Sleeper:
                 self.largest[name] = max(self.largest[name], float(resting[k, then]))
             if then != before:
                 wanted[name] = then
+            # what is in use is off from now on by what is allowed, at most
+            mine = np.flatnonzero(self._owner == k)
+            if then > 0:
+                begun[:, mine] = late[:, mine, then]
+            if then < before:
+                s.earlier[:, mine] += s.shifted[:, mine]
+                s.shifted[:, mine] = 0.0
+        s.shifted = np.maximum(s.shifted, begun)
         nobody = not any(wanted.get(name, s.level[name]) for name in self.names)
-        s.following = now + math.floor((_LATE if late or nobody else _SOON) / dt)
+        s.following = now + math.floor((_LATE if unchanged or nobody else _SOON) / dt)
         return wanted
 
     def _meet(self, system: System, frettings: Mapping[str, Fretting]) -> None:
@@ -381,45 +403,53 @@ class Sleeper:
             part = None if rungs is None else rungs.parts[c]
             self._listening.set(i, system.compiled[system.slot(c)], part, self.state.level[name])
         self._quiet = np.array([-1.0 if rungs is None else rungs.quiet for rungs in self._rungs])
-        strings, n = self._listening, len(self.components)
-        self._coupling = (self._all_mobility * strings.gathers[:, None]).transpose(2, 1, 0)
-        self._inertia, limits = np.zeros((n, BANDS + 1, BANDS)), np.zeros((n, BANDS + 1, 2))
-        for i, (_, c) in enumerate(self._parts):
-            rungs = self._rungs[self._owner[i]]
-            if rungs is not None:
-                self._inertia[i], limits[i] = rungs.parts[c].inertia, rungs.parts[c].edge
-        # N per m/s: the first modes culled under motions at the last ones kept, of other strings perhaps in tune
-        gap = 0.5 * (limits[:, None, :BANDS, 1] - limits[None, :, :BANDS, 0])
-        slowest = np.minimum.accumulate(np.concatenate([strings.decay[:, :1], strings.decay[:, :-1]], axis=1), axis=1)
-        near = strings.gathers[:, None, None] / np.maximum(gap, slowest[:, None])
-        near[np.arange(n), np.arange(n)] = 0.0
-        there = np.isfinite(limits[:, None, :BANDS, 1]) & (np.arange(BANDS) > 0)
-        self._edge = np.where(there, near + strings.spread[:, None, None], 0.0).transpose(2, 0, 1)
+        strings, transfer = self._listening, self.transfer
+        self._slowest = float(strings.decay.min(initial=_AT_ONCE))
+        parts = [rungs.parts[c] if rungs else None for rungs, (_, c) in zip(self._by_part(), self._parts, strict=True)]
+        if None in parts:
+            return
+        self._inertia = np.stack([part.inertia for part in parts if part])
+        self._gain = np.stack([part.gain for part in parts if part])
+        limits = np.stack([part.edge for part in parts if part])
+        for i in range(len(parts)):
+            for level in range(1, BANDS):
+                # the first modes culled may be in tune with the last ones kept of other strings
+                first, last = limits[i, level, 0 + 1], np.delete(limits[:, level, 0], i).max(initial=0.0)
+                if np.isfinite(first) and last > 0.0:
+                    near = strings.gathers[i] / max(0.5 * (first - last), float(strings.decay[i, :level].min()))
+                    self._inertia[i, level, transfer.bin_of(np.array(last))] += near
+        # what a force at an end does at the readouts, by itself and by way of the partials in tune with it
+        self._turned = self._response + np.einsum("rjf,jf,fjc->rcf", self._response, self._gain, self._mobility_bins)
         #: strings that no spring or dashpot holds
         self._loose = np.array(
             [not any(_acts(system.connections[j].law) for j in self._springs[name]) for name in self.names], dtype=bool
         )
+
+    def _by_part(self) -> list[Rungs | None]:
+        return [self._rungs[owner] for owner in self._owner]
 
     def all_awake(self, now: int) -> dict[str, int]:
         """Nobody may sleep: strings that are to wake."""
         self.state.last, self.state.following = now, now + math.floor(_SOON / self.model.system.dt)
         return dict.fromkeys(self.sleeping, 0)
 
-    def _foreseen(self, play: Play, fretting: Fretting) -> tuple[Floats, Floats]:
-        """What a gesture's force leaves in its string when it is let go: (C, BANDS) N, and (BANDS,) roots of twice the
-        energies, J.
+    def _foreseen(self, play: Play, fretting: Fretting) -> tuple[Floats, Floats, Floats]:
+        """What a gesture's force leaves in its string when it is let go: (C, BANDS) and (C, F) N, and (BANDS,) roots of
+        twice the energies, J.
         """
         out, gained, name = np.zeros((len(self.components), BANDS)), np.zeros(BANDS), play.string or ""
+        at_bins = np.zeros_like(self.state.ringing)
         rungs = self.rungs(name, fretting)
         segments = play.gesture.segments
         if rungs is None:
-            return np.full_like(out, _ENDLESS), np.full_like(gained, _ENDLESS)
+            return np.full_like(out, _ENDLESS), np.full_like(at_bins, _ENDLESS), np.full_like(gained, _ENDLESS)
         size, shortest = max(largest(s) for s in segments), min(s.stop - s.start for s in segments)
         for c, weight in self.model.strings[name].weights(play.gesture.angle_deg).items():
-            force, root = rungs.parts[c].plucked(shortest)
+            force, spectrum, root = rungs.parts[c].plucked(shortest)
             out[self.components.index(c)] = abs(weight) * size * force
+            at_bins[self.components.index(c)] = abs(weight) * size * spectrum
             gained += abs(weight) * size * root
-        return out, gained
+        return out, at_bins, gained
 
     def _doubled_body(self, system: System, state: State, doubled: Floats) -> Floats:
         """(BANDS,) twice the energy of the body in each band, J.
@@ -432,10 +462,8 @@ class Sleeper:
         q, v = to_motion(basis, np.asarray(system.modes_of(state, "body"), dtype=np.float64))
         return np.asarray(self._near_body @ (v * v + basis.stiffness * (q * q)))
 
-    def _velocity(
-        self, force: Floats, root: Floats, awake: NDArray[np.bool_], ahead: float
-    ) -> tuple[Floats, Floats]:
-        """Bounds for `ahead` s on each end's velocity under the others' forces, and on those forces, (C, BANDS) m/s, N.
+    def _velocity(self, force: Floats, root: Floats, awake: NDArray[np.bool_], ahead: float) -> Floats:
+        """(C, BANDS) m/s, bound on each end's velocity for `ahead` s.
 
         No string's force passes what all the energy there is would make of it; nor what it is now and what its modes
         gather, in tune, from the ends' velocities meanwhile.
@@ -451,59 +479,65 @@ class Sleeper:
         # whichever strings have the energy, the squares of their shares add up to one
         velocity = np.sqrt((self._mobility**2 @ (utmost**2).T[:, :, None])[:, :, 0].T)
         gathered = (listening.gathers * ahead + listening.spread)[:, None] * velocity
-        reached = np.minimum(utmost, force + gathered)
-        return np.minimum(velocity, self._driving(reached)), reached
+        return np.asarray(np.minimum(velocity, self._driving(np.minimum(utmost, force + gathered))))
 
     def _driving(self, force: Floats) -> Floats:
-        """(C, BANDS) m/s, bound on each end's velocity under forces of the other strings (C, BANDS)."""
+        """(C, BANDS) m/s, bound on each end's velocity under forces of strings (C, BANDS)."""
         return np.asarray((self._mobility @ force.T[:, :, None])[:, :, 0].T)
 
-    def _driving_all(self, force: Floats) -> Floats:
-        """(C, BANDS) m/s, bound on each end's velocity under forces of all strings (C, BANDS)."""
-        return np.asarray((self._all_mobility @ force.T[:, :, None])[:, :, 0].T)
+    def _levels(self, heard: Floats) -> Floats:
+        """(n_strings, ...) what each string does at the outputs, (R, C, ...), re the loudest samples."""
+        peak = np.maximum(self.state.peak, SILENT)
+        ratio = heard / peak.reshape(-1, *(1,) * (heard.ndim - 1))
+        return np.asarray(np.tensordot(self._of, ratio.max(axis=0, initial=0.0), axes=1))
 
-    def _missing(self, quiet: Floats, reached: Floats, ringing: Floats) -> Floats:
-        """(C, BANDS + 1, BANDS) N at each end that culled modes would add to their static force, at every level.
+    def _moved(self, spectrum: Floats) -> Floats:
+        """(C, F) m/s, bound on each end's velocity in every bin under the forces of all strings (C, F)."""
+        return np.asarray((self._mobility_bins @ spectrum.T[:, :, None])[:, :, 0].T)
 
-        In a culled band that is all they do; in the bands below, what a motion there makes of their inertia.
+    def _shifting(self, spectrum: Floats, root: Floats, awake: NDArray[np.bool_], ahead: float) -> Floats:
+        """(R, C, BANDS + 1) bound on what is heard of the difference that culling makes to partials in lower bands.
 
-        Parameters
-        ----------
-        quiet : (C, BANDS) N, bound on the forces of culled bands.
-        reached : (C, BANDS) N, bound on the forces of bands in use.
-        ringing : (C, BANDS) m/s.
-        """
-        out = self._inertia * (self._driving_all(reached) + ringing)[:, None]
-        below = np.einsum("bci,bci,ib->cb", self._edge, self._all_mobility, reached)
-        out[:, np.arange(BANDS), np.arange(BANDS)] = below + self._listening.spread[:, None] * ringing
-        return np.where(_CULLED, quiet[:, None], out)
-
-    def _shifting(self, missing: Floats, culled: NDArray[np.bool_]) -> Floats:
-        """(C, ..., C, BANDS) N/s by which missing forces (C, ..., BANDS) change those of components in use, in tune."""
-        n, own = len(missing), np.arange(len(missing))
-        change = self._coupling.reshape(n, *(1,) * (missing.ndim - 2), n, BANDS) * missing[..., None, :]
-        change[own, ..., own, :] *= ~culled
-        return np.asarray(change)
-
-    def _totals(self, culled: Floats, missing: Floats, shifted: Floats) -> Floats:
-        """(n_strings, BANDS + 1) what each string adds to the difference at the outputs, re the loudest samples.
+        At every level of each component: its culled modes no longer oppose the bridge's motion with their inertia. That
+        is heard at once, and turns the partials of strings that are in tune with the motion for as long as they last;
+        no partial is off by more than twice its amplitude.
 
         Parameters
         ----------
-        culled : (R, C, BANDS) what bands do at the readouts where they are culled.
-        missing : (C, BANDS + 1, BANDS) N, see `_missing`.
-        shifted : (C, BANDS + 1, C, BANDS) N, by which the forces of components in use are off.
+        spectrum : (C, F) N, forces of all strings.
+        root, awake, ahead : as of `_velocity`.
         """
-        n = len(self.components)
-        heard = np.zeros((len(culled), n, BANDS + 1))
-        heard[:, :, 1:] = np.cumsum(culled, axis=-1)
-        lower = np.where(_CULLED, 0.0, missing)
-        heard += np.einsum("rcb,clb->rcl", self._response, lower)
-        loudest = self._listening.loudest.reshape(len(culled), -1)
-        heard += (loudest @ shifted.reshape(n * (BANDS + 1), -1).T).reshape(heard.shape)
-        heard[:, :, 0] = 0.0
-        ratio = heard / np.maximum(self.state.peak, SILENT)[:, None, None]
-        return np.asarray(self._of @ ratio.max(axis=0, initial=0.0))
+        utmost = np.where(awake, self._listening.reach * root, 0.0)[:, self._band_of]
+        moving = self._moved(spectrum) + self.state.ringing
+        gathered = np.minimum(self._listening.gathers[:, None] * ahead, self._gain) * moving
+        spectrum = np.minimum(spectrum + gathered, np.maximum(utmost, spectrum))
+        moving = self._moved(spectrum) + self.state.ringing
+        # a resonance of the body rings as if a force kept it up
+        own = np.einsum("fcc->cf", self._mobility_bins)
+        ringing = np.divide(self.state.ringing, own, out=np.zeros_like(own), where=own > 0.0).max(axis=0)
+        most = 2.0 * self._response.max(axis=1) * (spectrum.sum(axis=0) + ringing)
+        out = np.empty((len(self._response), len(self.components), BANDS + 1))
+        for level in range(BANDS + 1):
+            each = self._turned * (self._inertia[:, level] * moving)
+            out[:, :, level] = np.minimum(each, most[:, None]).sum(axis=-1)
+        return out
+
+    def _back(self, missing: Floats, force: Floats) -> Floats:
+        """(R, C, BANDS + 1) what is heard of partials of other strings in tune with the culled bands of each component.
+
+        Parameters
+        ----------
+        missing : (C, BANDS) N, bound on the forces of culled bands.
+        force : (C, BANDS) N, of what is in use.
+        """
+        strings = self._listening
+        lasting = (strings.gathers[:, None] * strings.lasting).T
+        # (BANDS, C, C): of the first, by the second
+        off = np.minimum(self._mobility * lasting[:, :, None] * missing.T[:, None], 2.0 * force.T[:, :, None])
+        each = np.einsum("rib,bic->rcb", strings.loudest, off)
+        out = np.zeros((*each.shape[:2], BANDS + 1))
+        out[:, :, 1:] = np.cumsum(each, axis=-1)
+        return out
 
     def _pays(self, name: str, rungs: Rungs | None, before: int, after: int, now: float, tense: bool) -> bool:
         """Whether falling asleep saves more than it takes."""
