@@ -26,6 +26,7 @@ from tonewood.numerics.motion import from_motion, to_motion
 from tonewood.numerics.system import Compiled
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 
 #: bands, an octave each but for the last one, which holds all that is left
 BANDS = 6
@@ -81,6 +82,7 @@ class Part:
     bins: NDArray[np.intp]
     edge: Floats
     made: dict[int, tuple[Condensed, Compiled]] = field(default_factory=dict)
+    _turned: dict[int, Floats] = field(default_factory=dict)
 
     @classmethod
     def of(cls, component: str, compiled: Compiled, model: Model, transfer: Transfer, edges: Floats) -> Part:
@@ -134,6 +136,24 @@ class Part:
             self.made[level] = fewer, model.system.compile(component, fewer.basis)
         return self.made[level]
 
+    def turned(self, component: str, model: Model, level: int) -> Floats:
+        """(F,) ratio to its amplitude, at most, by which the part's own partials in a bin are off if it stays at a level.
+
+        Forces are held for a step: so stepped, the point's compliance differs from that in continuous time, a little
+        less for the modes that are kept alone. At a held mode's frequency, where the point hardly moves, a difference
+        D of compliance turns the partial by g^2 |D| / 2 W, and t exp(-s t) is 1 / (e s) at most.
+        """
+        if level not in self._turned:
+            ratio = np.zeros_like(self.gain)
+            w, g = self.held.freq_rad[: self.counts[level]], self.held.force[: self.counts[level]]
+            if level and w.size:
+                whole, fewer = (_stepped_compliance(c, w) for c in (self.compiled, self.at(component, model, level)[1]))
+                rate = g**2 / (2 * w) * np.abs(whole - fewer)
+                off = np.minimum(rate / (math.e * np.maximum(self.held.damping_rate[: w.size], 1e-9)), 2.0)
+                np.maximum.at(ratio, self.bins[: w.size], off)
+            self._turned[level] = ratio
+        return self._turned[level]
+
     @cached_property
     def _picks(self) -> Floats:
         """(n_held, n_modes) velocities of the held modes, as they add to the static shape's."""
@@ -157,6 +177,16 @@ class Part:
         force, square = total[:, self.counts[:-1]] - total[:, self.counts[1:]]
         spectrum = np.bincount(self.bins, each[0], self.gain.size)
         return force, spectrum, np.sqrt(np.maximum(square, 0.0))
+
+
+def _stepped_compliance(compiled: Compiled, freq_rad: Floats) -> Complexes:
+    """(n,) displacement of the bridge per force held for a step, without the residual compliance, at frequencies (n,)."""
+    i = int(np.flatnonzero(compiled.ports == compiled.basis.index("bridge"))[0])
+    E, C, W = compiled.E, compiled.form.C[compiled.ports[i]], compiled.W[i]
+    z = np.exp(1j * freq_rad * compiled.dt)[:, None]
+    a, b, c, d = z - E[:, 0, 0], E[:, 0, 1], E[:, 1, 0], z - E[:, 1, 1]
+    each = (C[:, 0] * (d * W[:, 0] + b * W[:, 1]) + C[:, 1] * (c * W[:, 0] + a * W[:, 1])) / (a * d - b * c)
+    return np.asarray(each.sum(axis=1))
 
 
 def _inertia(push: Floats, freq_rad: Floats, counts: NDArray[np.intp], edges: Floats, bins: Floats) -> Floats:

@@ -338,6 +338,8 @@ class Sleeper:
             return np.asarray(self._quiet >= self._of @ (0.5 * speed * speed))
 
         late = self._shifting(spectrum, root, ~asleep, _LATE)
+        for i in np.flatnonzero(level[self._owner]):
+            late[:, i, level[self._owner[i]]] += self._turning(i, spectrum, int(level[self._owner[i]]))
 
         def totals(ahead: float, culled: Floats, missing: Floats) -> Floats:
             """(n_strings, BANDS + 1) at every level, from what is heard of culled bands and their forces."""
@@ -374,6 +376,12 @@ class Sleeper:
             may = then == before and free[k] and deeper[k] > before
             if may and self._pays(name, rungs[k], before, int(deeper[k]), now * dt, name in tense):
                 then = int(deeper[k])
+                for i in np.flatnonzero(self._owner == k):
+                    turning = self._turning(i, spectrum, then)
+                    late[:, i, then] += turning
+                    resting[k, then] += self._ratio(turning)
+                if resting[k, then] > self.budget * _LEAVE:
+                    then = before
             if before:
                 self.largest[name] = max(self.largest[name], float(done[k]))
             if then > before:
@@ -419,7 +427,8 @@ class Sleeper:
                     near = strings.gathers[i] / max(0.5 * (first - last), float(strings.decay[i, :level].min()))
                     self._inertia[i, level, transfer.bin_of(np.array(last))] += near
         # what a force at an end does at the readouts, by itself and by way of the partials in tune with it
-        self._turned = self._response + np.einsum("rjf,jf,fjc->rcf", self._response, self._gain, self._mobility_bins)
+        tuned = (self._response * self._gain).transpose(2, 0, 1) @ self._mobility_bins
+        self._turned = self._response + tuned.transpose(1, 2, 0)
         #: strings that no spring or dashpot holds
         self._loose = np.array(
             [not any(_acts(system.connections[j].law) for j in self._springs[name]) for name in self.names], dtype=bool
@@ -487,9 +496,18 @@ class Sleeper:
 
     def _levels(self, heard: Floats) -> Floats:
         """(n_strings, ...) what each string does at the outputs, (R, C, ...), re the loudest samples."""
+        return np.asarray(np.tensordot(self._of, self._ratio(heard), axes=1))
+
+    def _ratio(self, heard: Floats) -> Floats:
+        """(...) largest of what is heard at the readouts, (R, ...), re the loudest samples."""
         peak = np.maximum(self.state.peak, SILENT)
-        ratio = heard / peak.reshape(-1, *(1,) * (heard.ndim - 1))
-        return np.asarray(np.tensordot(self._of, ratio.max(axis=0, initial=0.0), axes=1))
+        return np.asarray((heard / peak.reshape(-1, *(1,) * (heard.ndim - 1))).max(axis=0, initial=0.0))
+
+    def _turning(self, i: int, spectrum: Floats, level: int) -> Floats:
+        """(R,) what is heard of the partials of component i being off at a level; see `Part.turned`."""
+        rungs, c = self._rungs[self._owner[i]], self.components[i]
+        assert rungs is not None
+        return np.asarray(self._response[:, i] @ (spectrum[i] * rungs.parts[c].turned(c, self.model, level)))
 
     def _moved(self, spectrum: Floats) -> Floats:
         """(C, F) m/s, bound on each end's velocity in every bin under the forces of all strings (C, F)."""
