@@ -20,6 +20,7 @@ import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ from tonewood.engine.listening import _AT_ONCE, Listening
 from tonewood.engine.rungs import BANDS, Part, Rungs, cuts, quiet_energy
 from tonewood.engine.switching import SILENT, largest
 from tonewood.engine.timeline import Play, Timeline
-from tonewood.engine.transfer import Transfer
+from tonewood.engine.transfer import Transfer, frequency_bins
 from tonewood.instrument.assembly import Model
 from tonewood.numerics.connections import Rigid, SpringDashpot
 from tonewood.numerics.motion import to_motion
@@ -41,14 +42,17 @@ Floats = NDArray[np.float64]
 _CACHE = 64
 #: share of the budget below which modes fall asleep; at the whole of it they wake
 _LEAVE = 0.5
-#: steps of one mode that a string's sleep has to save: falling asleep and waking take some 5 ms
-WORTH = 1.5e7
+#: steps of one mode that culling in a string has to save: making its fewer modes, putting them in and back and judging
+#: what that changes take some 12 ms
+WORTH = 4e7
 #: what a mode of a string whose tension rises costs in such steps
 _TENSE = 8.0
 #: s until the next look: where a sleeper might have to wake or a string touch something, and where not
 _SOON, _LATE = 0.08, 0.75
-#: s, for which a string that is not played again is taken to sleep
-_AFTER = 4.0
+#: and when nothing has happened for a long time
+_LONG = 3.0
+#: share of all steps that a rest saves; 0.05 to 0.2 were seen in rests of 8 s of guitars
+_SHARE = 0.1
 #: ratio of frequencies by which a body's mode may lie outside a band and yet move with it
 _AROUND = 1.5
 #: a force that sets in shakes the body up to twice as much as it does when it lasts
@@ -76,6 +80,7 @@ class Asleep:
         culled, and of all earlier times together.
     peak : (R,) largest sample of each readout so far.
     last, following : samples of the last look, and of the next at the latest.
+    changed : sample of the last gesture or exchange.
     shaken_until : sample until which all are awake.
     touched : whether a contact has acted since.
     """
@@ -92,6 +97,7 @@ class Asleep:
     peak: Floats
     last: int = 0
     following: int = 0
+    changed: int = 0
     shaken_until: int = -(2**62)
     touched: bool = False
 
@@ -100,7 +106,7 @@ class Asleep:
         return Asleep(
             dict(self.level), self.own.copy(), self.own_heard.copy(), self.driven.copy(), self.force.copy(),
             self.root.copy(), self.ringing.copy(), self.shifted.copy(), self.earlier.copy(), self.peak.copy(),
-            self.last, self.following, self.shaken_until, self.touched,
+            self.last, self.following, self.changed, self.shaken_until, self.touched,
         )  # fmt: skip
 
 
@@ -113,13 +119,15 @@ class Sleeper:
     model : of the engine.
     board : its strings as they can be held.
     timeline : what is going to happen: nothing falls asleep that is played at once.
-    worth : steps of one mode that an exchange has to save.
+    worth : steps of one mode that the exchange of one string has to save.
+    tail : s after the last event in which the sound may fall below what the budget allows to leave out.
     """
 
     model: Model
     board: Fingerboard
     timeline: Timeline
     worth: float = WORTH
+    tail: float = 0.0
     state: Asleep = field(init=False)
     #: string -> largest bound on what it would have added, ratio to the loudest sample
     largest: dict[str, float] = field(init=False)
@@ -135,21 +143,35 @@ class Sleeper:
         self.components = tuple(c for _, c in self._parts)
         self._owner = np.array([i for i, s in enumerate(model.strings.values()) for _ in s.components], dtype=np.intp)
         n, r = len(self.components), len(model.system.readouts)
-        self.transfer = Transfer(model)
-        none, n_bins = np.zeros((n, BANDS)), len(self.transfer.bins) - 1
+        none, n_bins = np.zeros((n, BANDS)), len(frequency_bins(model.system.dt)) - 1
         self.state = Asleep(
             dict.fromkeys(self.names, 0), none.copy(), np.zeros((r, n, BANDS)), none.copy(), none.copy(),
             np.zeros(BANDS), np.zeros((n, n_bins)), np.zeros((r, n)), np.zeros((r, n)), np.zeros(r),
         )  # fmt: skip
         self.largest = dict.fromkeys(self.names, 0.0)
         self._met: System | None = None
-        if not self.enabled:
-            return
         #: re the loudest sample, of each string
-        self.budget = 10 ** (model.choice.budget_db / 20) / len(self.names)
-        edges = cuts(model)
-        self.edges = edges
-        self._listening = Listening(model, self.components, n_bins)
+        self.budget = 10 ** (model.choice.budget_db / 20) / max(len(self.names), 1)
+        events: dict[str, list[float]] = {name: [] for name in self.names}
+        for play in self.timeline.plays:
+            if play.string is not None:
+                events[play.string].append(play.start)
+        for change in self.timeline.changes:
+            events[change.string].append(change.time)
+        self._events = {name: np.sort(times) for name, times in events.items()}
+        self._all_events = np.sort(
+            [*(play.start for play in self.timeline.plays), *(change.time for change in self.timeline.changes)]
+        )
+        between = np.diff(np.concatenate([[min(self.timeline.start, 0.0)], self._all_events]))
+        self._longest = float(between.max(initial=0.0))
+
+    @cached_property
+    def _listening(self) -> Listening:
+        """What tells levels of strings; it and the bounds are made when they are first wanted."""
+        model, n = self.model, len(self.components)
+        self.transfer = Transfer(model)
+        n_bins = len(self.transfer.bins) - 1
+        self.edges = edges = cuts(model)
         self._of = (self._owner == np.arange(len(self.names))[:, None]).astype(float)
         octaves = list(itertools.pairwise(edges))
         between = [self.transfer.between(self.transfer.mobility, low, high) for high, low in octaves]
@@ -183,35 +205,41 @@ class Sleeper:
             name: [j for j in found if isinstance(model.system.connections[j].law, SpringDashpot)]
             for name, found in self._touching.items()
         }
-        events: dict[str, list[float]] = {name: [] for name in self.names}
-        for play in self.timeline.plays:
-            if play.string is not None:
-                events[play.string].append(play.start)
-        for change in self.timeline.changes:
-            events[change.string].append(change.time)
-        self._events = {name: np.sort(times) for name, times in events.items()}
-        self._all_events = np.sort([t for times in events.values() for t in times])
+        return Listening(model, self.components, n_bins)
 
     @property
     def sleeping(self) -> dict[str, int]:
         """Strings with bands that sleep, and how many."""
         return {name: level for name, level in self.state.level.items() if level}
 
+    @property
+    def worthwhile(self) -> bool:
+        """Whether any rest of the score is long enough to watch in."""
+        last = float(self._all_events[-1]) if len(self._all_events) else 0.0
+        return self.enabled and self._promises(max(self._longest, self._end - last))
+
     def promising(self, now: int, pending: float) -> bool:
         """Whether it pays to look: somebody sleeps, or nothing is going to be played until `pending`, s, for a while.
 
         While gestures follow each other closely every string is moved by the others, and nothing may sleep for long.
         """
-        if not self.enabled:
+        if not self.worthwhile:
             return False
-        seconds = min(pending - now * self.model.system.dt, _AFTER)
-        return bool(self.sleeping) or self._n_modes * seconds * self.model.fs >= self.worth * len(self.names)
+        return bool(self.sleeping) or self._promises(min(pending, self._end) - now * self.model.system.dt)
 
-    @staticmethod
-    def _until(times: Floats, now: float) -> float:
-        """Seconds from now to the next of these times."""
+    def _promises(self, seconds: float) -> bool:
+        """Whether a rest of so many seconds saves more steps than it takes to look and to exchange strings."""
+        return _SHARE * self._n_modes * max(seconds, 0.0) * self.model.fs >= self.worth * len(self.names)
+
+    @property
+    def _end(self) -> float:
+        """Time until which strings ring, s."""
+        return self.timeline.stop + self.tail
+
+    def _until(self, times: Floats, now: float) -> float:
+        """Seconds from now to the next of these times, or to the end."""
         following = np.searchsorted(times, now)
-        return min(float(times[following]) - now, _AFTER) if following < len(times) else _AFTER
+        return (float(times[following]) if following < len(times) else self._end) - now
 
     def rungs(self, name: str, fretting: Fretting) -> Rungs | None:
         """A string as it is held; None if it cannot be held at its bridge, and no other may sleep beside it."""
@@ -223,6 +251,7 @@ class Sleeper:
         return self._known[key]
 
     def _made(self, name: str, fretting: Fretting) -> Rungs | None:
+        assert self._listening
         whole = self.board.bases(name, fretting)
         laws = self.board.laws(name, fretting)
         system = self.model.system
@@ -271,6 +300,7 @@ class Sleeper:
 
     def shaken(self, now: int, plays: Collection[Play]) -> bool:
         """Whether something moves that no bound is known of: strokes on the body, bows and fingers, contacts."""
+        assert self._listening
         if any(p.string is None for p in plays):
             self.state.shaken_until = max(self.state.shaken_until, now + self._shaken)
         unknown = any(p.gesture.on is not None or p.gesture.motions or not p.gesture.segments for p in plays)
@@ -322,6 +352,8 @@ class Sleeper:
             begun, at_bins, gained = self._foreseen(play, frettings[play.string or ""])
             force, spectrum, root = force + begun, spectrum + at_bins, root + gained
         s.force, s.root, s.last = force, root, now
+        s.changed = now if fresh else s.changed
+        ahead = min(max(0.5 * (now - s.changed) * dt, _LATE), max(_LATE, _LONG))
         s.ringing *= np.exp(-elapsed * self._ringing_decay)
         moving = self._moved(spectrum)
         forced = np.where(self._resonant, moving.sum(axis=1, keepdims=True) if fresh else moving, 0.0)
@@ -337,11 +369,11 @@ class Sleeper:
             speed = np.sqrt(2.0 * energies) + ahead * np.sum(strings.kick * velocity, axis=1)
             return np.asarray(self._quiet >= self._of @ (0.5 * speed * speed))
 
-        late = self._shifting(spectrum, root, ~asleep, _LATE)
+        late = self._shifting(spectrum, root, ~asleep, ahead)
         for i in np.flatnonzero(level[self._owner]):
             late[:, i, level[self._owner[i]]] += self._turning(i, spectrum, int(level[self._owner[i]]))
 
-        def totals(ahead: float, culled: Floats, missing: Floats) -> Floats:
+        def totals(culled: Floats, missing: Floats) -> Floats:
             """(n_strings, BANDS + 1) at every level, from what is heard of culled bands and their forces."""
             below = np.maximum(late + self._back(missing, force), s.shifted[:, :, None])
             heard = below + s.earlier[:, :, None]
@@ -353,21 +385,21 @@ class Sleeper:
             """(n_strings,) bands that may go on sleeping for so many seconds."""
             left, velocity = np.exp(-ahead * decay), moved(ahead)
             soon = s.driven * left + velocity * (gathers * lasting * (1.0 - left) + apart)
-            each = totals(ahead, s.own_heard + soon * loudest, np.where(asleep, s.own, 0.0) + soon)
+            each = totals(s.own_heard + soon * loudest, np.where(asleep, s.own, 0.0) + soon)
             allowed = (each <= self.budget) & (_LEVELS <= level[:, None])
             going_on = np.where(free & still(velocity, ahead), BANDS - np.argmax(allowed[:, ::-1], axis=1), 0)
             done[:] = np.maximum(done, each[np.arange(len(going_on)), going_on])
             return going_on
 
         done = np.zeros(len(level))
-        unchanged = bool(np.all(kept(_LATE) == level))
+        unchanged = bool(np.all(kept(ahead) == level))
         after = level if unchanged else kept(_SOON)
-        velocity = moved(_LATE)
+        velocity = moved(ahead)
         at_last = np.maximum(velocity * gathers * lasting, s.driven) + velocity * apart
         resting = totals(
-            _LATE, np.where(asleep, s.own_heard, heard) + at_last * loudest, np.where(asleep, s.own, force) + at_last
+            np.where(asleep, s.own_heard, heard) + at_last * loudest, np.where(asleep, s.own, force) + at_last
         )
-        allowed = (resting <= _LEAVE * self.budget) & still(velocity, _LATE)[:, None]
+        allowed = (resting <= _LEAVE * self.budget) & still(velocity, ahead)[:, None]
         deeper = np.where(allowed.any(axis=1), BANDS - np.argmax(allowed[:, ::-1], axis=1), 0)
         wanted: dict[str, int] = {}
         begun = np.zeros_like(s.shifted)
@@ -400,7 +432,8 @@ class Sleeper:
                 s.shifted[:, mine] = 0.0
         s.shifted = np.maximum(s.shifted, begun)
         nobody = not any(wanted.get(name, s.level[name]) for name in self.names)
-        s.following = now + math.floor((_LATE if unchanged or nobody else _SOON) / dt)
+        s.changed = now if wanted else s.changed
+        s.following = now + math.floor((ahead if unchanged or nobody else _SOON) / dt)
         return wanted
 
     def _meet(self, system: System, frettings: Mapping[str, Fretting]) -> None:
@@ -419,13 +452,13 @@ class Sleeper:
         self._inertia = np.stack([part.inertia for part in parts if part])
         self._gain = np.stack([part.gain for part in parts if part])
         limits = np.stack([part.edge for part in parts if part])
-        for i in range(len(parts)):
-            for level in range(1, BANDS):
-                # the first modes culled may be in tune with the last ones kept of other strings
-                first, last = limits[i, level, 0 + 1], np.delete(limits[:, level, 0], i).max(initial=0.0)
-                if np.isfinite(first) and last > 0.0:
-                    near = strings.gathers[i] / max(0.5 * (first - last), float(strings.decay[i, :level].min()))
-                    self._inertia[i, level, transfer.bin_of(np.array(last))] += near
+        # the first modes culled may be in tune with the last ones kept of other strings
+        last = np.where(np.eye(len(parts), dtype=bool)[:, :, None], 0.0, limits[None, :, :BANDS, 0]).max(axis=1)
+        gap = np.maximum(0.5 * (limits[:, :BANDS, 1] - last), np.minimum.accumulate(strings.decay, axis=1))
+        near = np.where(last > 0.0, strings.gathers[:, None] / gap, 0.0)
+        np.add.at(
+            self._inertia, (np.arange(len(parts))[:, None], np.arange(1, BANDS), transfer.bin_of(last[:, 1:])), near[:, 1:]
+        )
         # what a force at an end does at the readouts, by itself and by way of the partials in tune with it
         tuned = (self._response * self._gain).transpose(2, 0, 1) @ self._mobility_bins
         self._turned = self._response + tuned.transpose(1, 2, 0)

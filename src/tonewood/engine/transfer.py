@@ -19,6 +19,12 @@ _AT_ONCE = 500_000
 _POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
+def frequency_bins(dt: float) -> Floats:
+    """(F + 1,) rad/s, edges of narrow bands of frequency up to half the rate."""
+    top = np.pi / dt
+    return np.geomspace(_LOWEST, top, int(_PER_OCTAVE * np.log2(top / _LOWEST)))
+
+
 class Transfer:
     """Sizes of frequency responses from the forces that strings exert on their bridges, strings themselves left out.
 
@@ -36,7 +42,7 @@ class Transfer:
         system = model.system
         self.components = tuple(c for string in model.strings.values() for c in string.components)
         top = np.pi / system.dt
-        self.bins = grid = np.geomspace(_LOWEST, top, int(_PER_OCTAVE * np.log2(top / _LOWEST)))
+        self.bins = grid = frequency_bins(system.dt)
         body = system.compiled[system.slot("body")]
         own = np.abs(body.basis.poles.imag)
         self.freq_rad = np.unique(np.concatenate([grid, own[(own > _LOWEST) & (own < top)]]))
