@@ -239,7 +239,7 @@ class Sleeper:
     def _until(self, times: Floats, now: float) -> float:
         """Seconds from now to the next of these times, or to the end."""
         following = np.searchsorted(times, now)
-        return (float(times[following]) if following < len(times) else self._end) - now
+        return max((float(times[following]) if following < len(times) else self._end) - now, 0.0)
 
     def rungs(self, name: str, fretting: Fretting) -> Rungs | None:
         """A string as it is held; None if it cannot be held at its bridge, and no other may sleep beside it."""
@@ -353,7 +353,6 @@ class Sleeper:
             force, spectrum, root = force + begun, spectrum + at_bins, root + gained
         s.force, s.root, s.last = force, root, now
         s.changed = now if fresh else s.changed
-        ahead = min(max(0.5 * (now - s.changed) * dt, _LATE), max(_LATE, _LONG))
         s.ringing *= np.exp(-elapsed * self._ringing_decay)
         moving = self._moved(spectrum)
         forced = np.where(self._resonant, moving.sum(axis=1, keepdims=True) if fresh else moving, 0.0)
@@ -369,7 +368,7 @@ class Sleeper:
             speed = np.sqrt(2.0 * energies) + ahead * np.sum(strings.kick * velocity, axis=1)
             return np.asarray(self._quiet >= self._of @ (0.5 * speed * speed))
 
-        late = self._shifting(spectrum, root, ~asleep, ahead)
+        late = self._shifting(spectrum, root, ~asleep, _LATE)
         for i in np.flatnonzero(level[self._owner]):
             late[:, i, level[self._owner[i]]] += self._turning(i, spectrum, int(level[self._owner[i]]))
 
@@ -392,14 +391,14 @@ class Sleeper:
             return going_on
 
         done = np.zeros(len(level))
-        unchanged = bool(np.all(kept(ahead) == level))
+        unchanged = bool(np.all(kept(_LATE) == level))
         after = level if unchanged else kept(_SOON)
-        velocity = moved(ahead)
+        velocity = moved(_LATE)
         at_last = np.maximum(velocity * gathers * lasting, s.driven) + velocity * apart
         resting = totals(
             np.where(asleep, s.own_heard, heard) + at_last * loudest, np.where(asleep, s.own, force) + at_last
         )
-        allowed = (resting <= _LEAVE * self.budget) & still(velocity, ahead)[:, None]
+        allowed = (resting <= _LEAVE * self.budget) & still(velocity, _LATE)[:, None]
         deeper = np.where(allowed.any(axis=1), BANDS - np.argmax(allowed[:, ::-1], axis=1), 0)
         wanted: dict[str, int] = {}
         begun = np.zeros_like(s.shifted)
@@ -431,9 +430,11 @@ class Sleeper:
                 s.earlier[:, mine] += s.shifted[:, mine]
                 s.shifted[:, mine] = 0.0
         s.shifted = np.maximum(s.shifted, begun)
+        # where none are culled looks may become rare: what they cost grows with the logarithm of a rest
         nobody = not any(wanted.get(name, s.level[name]) for name in self.names)
         s.changed = now if wanted else s.changed
-        s.following = now + math.floor((ahead if unchanged or nobody else _SOON) / dt)
+        wait = min(max(0.5 * (now - s.changed) * dt, _LATE), _LONG) if nobody else _LATE if unchanged else _SOON
+        s.following = now + math.floor(wait / dt)
         return wanted
 
     def _meet(self, system: System, frettings: Mapping[str, Fretting]) -> None:
