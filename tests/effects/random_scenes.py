@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,35 +36,66 @@ def scene(seed: int, folder: Path) -> tuple[tw.Instrument, tw.Score, float]:
     q = np.exp(rng.uniform(np.log(20.0), np.log(3000.0), n_body))
     mass = np.exp(rng.uniform(np.log(0.02), np.log(0.3), n_body))
     shapes = rng.uniform(-1.0, 1.0, (n_body, n_strings)) if rng.random() < 0.7 else np.ones((n_body, n_strings))
-    rows = [",".join(["f_Hz", "Q", "modal_mass", *names])]
-    rows += [
-        ",".join(f"{x:.9g}" for x in (f, sharp, m, *s)) for f, sharp, m, s in zip(freq, q, mass, shapes, strict=True)
-    ]
-    (folder / "body.csv").write_text("\n".join(rows) + "\n")
+    quantity = str(rng.choice(QUANTITIES))
+    strings = {
+        name: (
+            note,
+            float(np.exp(rng.uniform(np.log(0.2), np.log(4.0)))),
+            float(np.exp(rng.uniform(np.log(5e-5), np.log(1e-3)))),
+        )
+        for name, note in zip(names, notes, strict=True)
+    }
+    place = float(rng.uniform(0.05, 0.4))
+    rows = [(f, sharp, m, *s) for f, sharp, m, s in zip(freq, q, mass, shapes, strict=True)]
+    instrument = instrument_of(folder, rows, strings, place, quantity, str(rng.choice(names)))
+    seconds = float(rng.uniform(4.0, 9.0))
+    played = []
+    for time in np.sort(rng.uniform(0.05, 0.7 * seconds, int(rng.integers(1, 4)))):
+        force = float(np.exp(rng.uniform(np.log(0.02), np.log(4.0))))
+        played.append(tw.Note(float(time), seconds, string=str(rng.choice(names)), stop=0, force=force))
+    return instrument, tw.Score(played), seconds
 
-    def string(name: str, note: float) -> dict[str, Any]:
+
+def instrument_of(
+    folder: Path,
+    rows: Sequence[Sequence[float]],
+    strings: Mapping[str, tuple[float, float, float]],
+    place: float,
+    quantity: str,
+    read: str,
+) -> tw.Instrument:
+    """Write a body's table and return the instrument.
+
+    Parameters
+    ----------
+    rows : of modes: Hz, Q, modal mass in kg, and the shape at each string.
+    strings : name -> MIDI note, sigma0 in 1/s, sigma1 in m^2/s; 58.8 N each.
+    place : of the pluck, share of the length from the bridge.
+    quantity, read : what is read at the bridge of which string.
+    """
+    lines = [",".join(["f_Hz", "Q", "modal_mass", *strings]), *(",".join(f"{x:.9g}" for x in row) for row in rows)]
+    (folder / "body.csv").write_text("\n".join(lines) + "\n")
+    base = min(note for note, *_ in strings.values())
+
+    def string(name: str, note: float, sigma0: float, sigma1: float) -> dict[str, Any]:
         length = 0.9 if note < base + 6 else 0.9 * 2 ** (-(note - base) / 12)
-        density = 58.8 / (2 * length * 440.0 * 2 ** ((note - 69.0) / 12)) ** 2
-        sigma0 = float(np.exp(rng.uniform(np.log(0.2), np.log(4.0))))
-        sigma1 = float(np.exp(rng.uniform(np.log(5e-5), np.log(1e-3))))
         return {
             "plugin": "stiff_string",
-            "note": float(note),
+            "note": note,
             "length": length,
             "tension": 58.8,
-            "linear_density": density,
+            "linear_density": 58.8 / (2 * length * 440.0 * 2 ** ((note - 69.0) / 12)) ** 2,
             "bending_stiffness": 2e-4,
             "freq_upper": 12000.0,
             "loss": {"law": "sigma", "sigma0": sigma0, "sigma1": sigma1},
             "end": f"body.{name}",
         }
 
-    quantity = str(rng.choice(QUANTITIES))
-    instrument = tw.Instrument.from_values(
+    return tw.Instrument.from_values(
         {
             "schema": "tonewood-instrument/1",
             "name": "random_scene",
-            "title": f"random scene {seed}",
+            "title": "random scene",
             "licence": "CC-BY-4.0",
             "sources": {},
             "provenance": {"*": {"kind": "authored"}},
@@ -71,30 +103,27 @@ def scene(seed: int, folder: Path) -> tuple[tw.Instrument, tw.Score, float]:
                 "plugin": "modal_table",
                 "table": "body.csv",
                 "shapes": "points",
-                "points": {name: {"direction": "z"} for name in names},
+                "points": {name: {"direction": "z"} for name in strings},
             },
-            "strings": {name: string(name, note) for name, note in zip(names, notes, strict=True)},
+            "strings": {name: string(name, *values) for name, values in strings.items()},
             "stops": {"kind": "none"},
-            "exciters": {"pluck": {"plugin": "pluck_ramp", "from_bridge": float(rng.uniform(0.05, 0.4))}},
-            "playing": {"velocity": {"parameter": "pluck.force", "low": 0.4, "high": 4.0}, "note_end": {"kind": "ring"}},
+            "exciters": {"pluck": {"plugin": "pluck_ramp", "from_bridge": place}},
+            "playing": {
+                "velocity": {"parameter": "pluck.force", "low": 0.4, "high": 4.0},
+                "note_end": {"kind": "ring"},
+            },
             "outputs": [
                 {
                     "name": "bridge",
                     "plugin": "point_pickup",
                     "quantity": quantity,
-                    "at": f"body.{rng.choice(names)}",
+                    "at": f"body.{read}",
                     "full_scale": 100.0,
                 }
             ],
         },
         folder,
     )
-    seconds = float(rng.uniform(4.0, 9.0))
-    played = []
-    for time in np.sort(rng.uniform(0.05, 0.7 * seconds, int(rng.integers(1, 4)))):
-        force = float(np.exp(rng.uniform(np.log(0.02), np.log(4.0))))
-        played.append(tw.Note(float(time), seconds, string=str(rng.choice(names)), stop=0, force=force))
-    return instrument, tw.Score(played), seconds
 
 
 def rendered(instrument: tw.Instrument, score: tw.Score, seconds: float, effects: str) -> tuple[Any, tw.Renderer]:

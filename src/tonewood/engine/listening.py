@@ -137,7 +137,7 @@ class Listening:
         size = np.abs(speed)
         size[self._few] = np.hypot(speed[self._few], self._freq_few * bent)
         weighted = self._weights * size
-        spectrum = np.bincount(self._bins, weighted[0], len(self.components) * self._n_bins)
+        spectrum: Floats = np.bincount(self._bins, weighted[0], len(self.components) * self._n_bins).astype(np.float64)
         np.cumsum(weighted, axis=1, out=self._total[1:, 1:])
         np.cumsum(self._square * size * size, out=self._total[0, 1:])
         at = self._total[:, self._ends]

@@ -137,7 +137,7 @@ class Part:
         return self.made[level]
 
     def turned(self, component: str, model: Model, level: int) -> Floats:
-        """(F,) ratio to its amplitude, at most, by which the part's own partials in a bin are off if it stays at a level.
+        """(F,) error of the part's own partials in a bin, at most, re their amplitude, if it stays at a level.
 
         Forces are held for a step: so stepped, the point's compliance differs from that in continuous time, a little
         less for the modes that are kept alone. At a held mode's frequency, where the point hardly moves, a difference
@@ -175,12 +175,12 @@ class Part:
         each = np.stack([held.force * amplitude, (w * amplitude) ** 2])
         total = np.concatenate([np.zeros((2, 1)), np.cumsum(each, axis=1)], axis=1)
         force, square = total[:, self.counts[:-1]] - total[:, self.counts[1:]]
-        spectrum = np.bincount(self.bins, each[0], self.gain.size)
+        spectrum: Floats = np.bincount(self.bins, each[0], self.gain.size).astype(np.float64)
         return force, spectrum, np.sqrt(np.maximum(square, 0.0))
 
 
 def _stepped_compliance(compiled: Compiled, freq_rad: Floats) -> Complexes:
-    """(n,) displacement of the bridge per force held for a step, without the residual compliance, at frequencies (n,)."""
+    """(n,) displacement of the bridge per force held for a step, residual compliance left out, at frequencies (n,)."""
     i = int(np.flatnonzero(compiled.ports == compiled.basis.index("bridge"))[0])
     E, C, W = compiled.E, compiled.form.C[compiled.ports[i]], compiled.W[i]
     z = np.exp(1j * freq_rad * compiled.dt)[:, None]

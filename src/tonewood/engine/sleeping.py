@@ -286,11 +286,13 @@ class Sleeper:
         """Enter that a string is at another level now."""
         mine = np.isin(np.arange(len(self.components)), np.flatnonzero(self._owner == self.names.index(name)))
         awake = mine[:, None] & (np.arange(BANDS) >= level)
+        if level < self.state.level[name]:
+            # what is in use moves as it would from now on, from where it is
+            self.state.earlier[:, mine] += self.state.shifted[:, mine]
+            self.state.shifted[:, mine] = 0.0
         self.state.level[name] = level
         self.state.own[awake] = self.state.driven[awake] = 0.0
         self.state.own_heard[:, awake] = 0.0
-        self.state.earlier[:, mine] += self.state.shifted[:, mine]
-        self.state.shifted[:, mine] = 0.0
 
     def heard(self, out: Floats) -> None:
         """Take note of what the readouts said, (n, R)."""
@@ -341,7 +343,6 @@ class Sleeper:
         lost = -np.expm1(-elapsed * decay)
         quiet = np.where(asleep, s.own + s.driven, 0.0)
         s.own, s.own_heard = s.own * (1.0 - lost), s.own_heard * (1.0 - lost)
-        levels = level[self._owner]
         ringing = s.ringing @ self._in_band
         came = (self._velocity(s.force, s.root, ~asleep, elapsed) + self._driving(quiet) + ringing) * gathers
         s.driven = np.where(asleep, s.driven * (1.0 - lost) + came * lost * lasting, 0.0)
@@ -361,7 +362,7 @@ class Sleeper:
 
         def moved(ahead: float) -> Floats:
             """(C, BANDS) m/s, bound on the velocities of the ends for so many seconds."""
-            return self._velocity(force, root, ~asleep, ahead) + self._driving(quiet) + ringing
+            return np.asarray(self._velocity(force, root, ~asleep, ahead) + self._driving(quiet) + ringing)
 
         def still(velocity: Floats, ahead: float) -> NDArray[np.bool_]:
             """(n_strings,) whether they reach nothing meanwhile."""
@@ -385,7 +386,7 @@ class Sleeper:
             left, velocity = np.exp(-ahead * decay), moved(ahead)
             soon = s.driven * left + velocity * (gathers * lasting * (1.0 - left) + apart)
             each = totals(s.own_heard + soon * loudest, np.where(asleep, s.own, 0.0) + soon)
-            allowed = (each <= self.budget) & (_LEVELS <= level[:, None])
+            allowed = (each <= self.budget) & (level[:, None] >= _LEVELS)
             going_on = np.where(free & still(velocity, ahead), BANDS - np.argmax(allowed[:, ::-1], axis=1), 0)
             done[:] = np.maximum(done, each[np.arange(len(going_on)), going_on])
             return going_on
@@ -426,9 +427,6 @@ class Sleeper:
             mine = np.flatnonzero(self._owner == k)
             if then > 0:
                 begun[:, mine] = late[:, mine, then]
-            if then < before:
-                s.earlier[:, mine] += s.shifted[:, mine]
-                s.shifted[:, mine] = 0.0
         s.shifted = np.maximum(s.shifted, begun)
         # where none are culled looks may become rare: what they cost grows with the logarithm of a rest
         nobody = not any(wanted.get(name, s.level[name]) for name in self.names)
@@ -458,7 +456,9 @@ class Sleeper:
         gap = np.maximum(0.5 * (limits[:, :BANDS, 1] - last), np.minimum.accumulate(strings.decay, axis=1))
         near = np.where(last > 0.0, strings.gathers[:, None] / gap, 0.0)
         np.add.at(
-            self._inertia, (np.arange(len(parts))[:, None], np.arange(1, BANDS), transfer.bin_of(last[:, 1:])), near[:, 1:]
+            self._inertia,
+            (np.arange(len(parts))[:, None], np.arange(1, BANDS), transfer.bin_of(last[:, 1:])),
+            near[:, 1:],
         )
         # what a force at an end does at the readouts, by itself and by way of the partials in tune with it
         tuned = (self._response * self._gain).transpose(2, 0, 1) @ self._mobility_bins
@@ -537,7 +537,7 @@ class Sleeper:
         peak = np.maximum(self.state.peak, SILENT)
         return np.asarray((heard / peak.reshape(-1, *(1,) * (heard.ndim - 1))).max(axis=0, initial=0.0))
 
-    def _turning(self, i: int, spectrum: Floats, level: int) -> Floats:
+    def _turning(self, i: int | np.intp, spectrum: Floats, level: int) -> Floats:
         """(R,) what is heard of the partials of component i being off at a level; see `Part.turned`."""
         rungs, c = self._rungs[self._owner[i]], self.components[i]
         assert rungs is not None

@@ -147,14 +147,14 @@ class Condensed:
 def condensed(basis: ModalBasis, held: HeldModes, n_held: int) -> Condensed:
     """Keep the n_held lowest held modes of a component and its static shape; with n_held < 0 nothing moves.
 
-    In the kept coordinates (static shape d, held modes) stiffness is diagonal and mass an arrow with M_dj = -g_j / W_j^2:
+    In the kept coordinates (static shape d, held modes) stiffness is diagonal and mass an arrow, M_dj = -g_j / W_j^2:
     the frequencies are the roots of
 
         K_dd + sum g_j^2 / W_j^2 - w^2 (M_dd - sum M_dj^2) - sum g_j^2 / (W_j^2 - w^2) = 0,
 
-    and a mode's amplitudes are p_j = w^2 M_dj d / (W_j^2 - w^2). Damping starts as the diagonal of the damping matrix that the
-    condensed modes see, and is turned by positive factors until the held modes decay as in the whole component: as it
-    stands, partials near the highest one would decay 2 % too quickly.
+    and a mode's amplitudes are p_j = w^2 M_dj d / (W_j^2 - w^2). Damping starts as the diagonal of the damping matrix
+    that the condensed modes see, and is turned by positive factors until the held modes decay as in the whole
+    component: as it stands, partials near the highest one would decay 2 % too quickly.
 
     Raises
     ------
