@@ -36,7 +36,8 @@ class EffectReport:
     seconds_active : of sound while it was stepped; of a contact or a finger, while it touched.
     seconds_saved : of computing, from what steps took in this render; from the declared costs where none were made.
     bound : on what leaving it out cost, in `unit`; None where it was left out without being watched. Nothing is lost by
-        leaving out contacts that touch nothing: there it is 0 as it is where nothing was left out.
+        leaving out contacts that touch nothing: there it is 0 as it is where nothing was left out. That of
+        ``high_modes`` and ``sympathetic_strings`` is an estimate that mostly lies far above what is missed, no bound.
     unit : dB re the loudest sample, or cents.
     """
 
