@@ -10,8 +10,13 @@ as if every partial met a mode exactly in tune; W, g are a held mode's frequency
 bridge, Y the body's largest mobility in the band. Strings are looked at now and then; between two looks the forces of
 those that are awake are bounded by what they were at the first, and by the energy that strings and body had in the band
 then: by themselves they only lose it, whatever they pass to each other. Where what has come in would pass the budget
-before the next look, the band is woken. It wakes at rest: the displacement and the velocity of the string are what they
-were, and so is its energy.
+before the next look, the band is woken.
+
+What stays in use moves differently without what sleeps, too: culled modes push at partials in tune with them, they no
+longer oppose the bridge's motion in lower bands with their inertia (`Part.inertia`), and steps turn partials of the
+condensed string (`Part.turned`). A partial of amplitude a that is turned by d rad/s is off by |a| d / (e sigma) at most,
+and by 2 |a|. All this is an estimate on the safe side, no bound: `tests/effects/random_scenes.py` measures it. A band
+wakes at rest: the displacement and the velocity of the string are what they were, and so is its energy.
 """
 
 from __future__ import annotations
