@@ -14,8 +14,8 @@ before the next look, the band is woken.
 
 What stays in use moves differently without what sleeps, too: culled modes push at partials in tune with them, they no
 longer oppose the bridge's motion in lower bands with their inertia (`Part.inertia`), and steps turn partials of the
-condensed string (`Part.turned`). A partial of amplitude a that is turned by d rad/s is off by |a| d / (e sigma) at most,
-and by 2 |a|. All this is an estimate on the safe side, no bound: `tests/effects/random_scenes.py` measures it. A band
+condensed string (`Part.turned`). A partial of amplitude a that is turned by d rad/s is off by |a| d / (e sigma) at
+most, and by 2 |a|. All this is an estimate on the safe side, no bound: `tests/effects/random_scenes.py` measures it. A band
 wakes at rest: the displacement and the velocity of the string are what they were, and so is its energy.
 """
 
@@ -256,7 +256,7 @@ class Sleeper:
         return self._known[key]
 
     def _made(self, name: str, fretting: Fretting) -> Rungs | None:
-        assert self._listening
+        _ = self._listening  # made now
         whole = self.board.bases(name, fretting)
         laws = self.board.laws(name, fretting)
         system = self.model.system
@@ -307,7 +307,7 @@ class Sleeper:
 
     def shaken(self, now: int, plays: Collection[Play]) -> bool:
         """Whether something moves that no bound is known of: strokes on the body, bows and fingers, contacts."""
-        assert self._listening
+        _ = self._listening  # made now
         if any(p.string is None for p in plays):
             self.state.shaken_until = max(self.state.shaken_until, now + self._shaken)
         unknown = any(p.gesture.on is not None or p.gesture.motions or not p.gesture.segments for p in plays)
