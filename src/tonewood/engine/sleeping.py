@@ -15,8 +15,8 @@ before the next look, the band is woken.
 What stays in use moves differently without what sleeps, too: culled modes push at partials in tune with them, they no
 longer oppose the bridge's motion in lower bands with their inertia (`Part.inertia`), and steps turn partials of the
 condensed string (`Part.turned`). A partial of amplitude a that is turned by d rad/s is off by |a| d / (e sigma) at
-most, and by 2 |a|. All this is an estimate on the safe side, no bound: `tests/effects/random_scenes.py` measures it. A band
-wakes at rest: the displacement and the velocity of the string are what they were, and so is its energy.
+most, and by 2 |a|. All this is an estimate on the safe side, no bound: `tests/effects/random_scenes.py` measures it.
+A band wakes at rest: the displacement and the velocity of the string are what they were, and so is its energy.
 """
 
 from __future__ import annotations
