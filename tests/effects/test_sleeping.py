@@ -209,7 +209,7 @@ def test_strings_that_trade_energy_between_looks_stay_within_their_bound() -> No
     step, steps = 4 * GRID / FS, 140
     forces, starts = [], []
     for _ in range(steps):
-        force, _, doubled, _ = sleeper._listening.look(engine.state)
+        force, _, _, doubled, _ = sleeper._listening.look(engine.state)
         forces.append(force)
         starts.append(
             (force, np.sqrt(doubled.sum(axis=0) + sleeper._doubled_body(engine.system, engine.state, doubled)))

@@ -183,7 +183,7 @@ class Engine:
 
     def _hear(self) -> None:
         """Tell the sleeper what has sounded since it was last told."""
-        if (self.sleeper.enabled or self.switch.enabled) and self._unheard:
+        if (self.sleeper.worthwhile or self.switch.enabled) and self._unheard:
             self.sleeper.heard(np.concatenate(self._unheard))
         self._unheard = []
 

@@ -36,7 +36,8 @@ class EffectReport:
     seconds_active : of sound while it was stepped; of a contact or a finger, while it touched.
     seconds_saved : of computing, from what steps took in this render; from the declared costs where none were made.
     bound : on what leaving it out cost, in `unit`; None where it never was left out, or was without being watched.
-        Nothing is lost by leaving out contacts that touch nothing: there it is 0.
+        Nothing is lost by leaving out contacts that touch nothing: there it is 0. That of ``high_modes`` and
+        ``sympathetic_strings`` is an estimate that mostly lies far above what is missed, no bound.
     unit : dB re the loudest sample, or cents.
     bound_db : of a tension, besides `bound`: what was missing at the outputs without its sidebands, dB re the loudest
         sample; None as there.

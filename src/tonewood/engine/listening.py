@@ -33,6 +33,7 @@ class Listening:
     ----------
     model : of the engine.
     components : of its strings, C of them.
+    n_bins : F, of `Transfer`.
 
     Attributes
     ----------
@@ -42,8 +43,8 @@ class Listening:
     reach, kick : (C, BANDS) of each part, see `Part`.
     """
 
-    def __init__(self, model: Model, components: Sequence[str]):
-        self.model, self.components = model, tuple(components)
+    def __init__(self, model: Model, components: Sequence[str], n_bins: int):
+        self.model, self.components, self._n_bins = model, tuple(components), n_bins
         system = model.system
         n, r = len(self.components), len(system.readouts)
         self._slots = [system.slot(c) for c in self.components]
@@ -57,6 +58,8 @@ class Listening:
         #: q = turn[0] x and q' = turn[1] x + turn[2] y, stiffness
         self._turn, self._stiffness = np.zeros((3, total)), np.zeros(total)
         self._speed, self._weights, self._freq = np.zeros(total), np.zeros((1 + r, total)), np.zeros(total)
+        #: components' bins, one after another
+        self._bins = np.zeros(total, dtype=np.intp)
         #: twice the energy of a held mode per square of its size
         self._square = np.zeros(total)
         self._total = np.zeros((2 + r, total + 1))
@@ -100,6 +103,7 @@ class Listening:
             # the square of a velocity is half of that of its amplitude, in the mean
             self._square[held] = np.where(few, 1.0, 2.0)
             self._freq[held] = part.held.freq_rad[:m]
+            self._bins[held] = i * self._n_bins + part.bins[:m]
             self._ends[i] += np.minimum(part.counts, m)
             places = start + np.flatnonzero(few)
             self._picks[i] = modes, pick, self._speed[held], places, np.ascontiguousarray(pick[few])
@@ -116,9 +120,9 @@ class Listening:
             self._reads.append((modes, pick, speed, bending, self._bent[at : at + len(few_here)]))
             at += len(few_here)
 
-    def look(self, state: State) -> tuple[Floats, Floats, Floats, Floats]:
-        """Forces of bands on the bridge (C, BANDS), N, what is heard of them (R, C, BANDS), twice their energies
-        (C, BANDS) and the energies of all modes (C,), J.
+    def look(self, state: State) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """Forces of bands on the bridge (C, BANDS) and of bins (C, F), N, what is heard of bands (R, C, BANDS), twice
+        their energies (C, BANDS) and the energies of all modes (C,), J.
 
         Sums of amplitudes. Where a band has many modes they are told by their velocities alone, in the mean over a
         period: slow motions of the bridge bend high modes, too, but hardly move them.
@@ -132,11 +136,13 @@ class Listening:
             np.dot(bending, q[modes], out=bends)
         size = np.abs(speed)
         size[self._few] = np.hypot(speed[self._few], self._freq_few * bent)
-        np.cumsum(self._weights * size, axis=1, out=self._total[1:, 1:])
+        weighted = self._weights * size
+        spectrum: Floats = np.bincount(self._bins, weighted[0], len(self.components) * self._n_bins).astype(np.float64)
+        np.cumsum(weighted, axis=1, out=self._total[1:, 1:])
         np.cumsum(self._square * size * size, out=self._total[0, 1:])
         at = self._total[:, self._ends]
         each = at[:, :, :-1] - at[:, :, 1:]
-        return each[1], each[2:], each[0], energy
+        return each[1], spectrum.reshape(len(self.components), -1), each[2:], each[0], energy
 
 
 def _turning(basis: ModalBasis) -> Floats:

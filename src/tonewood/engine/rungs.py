@@ -26,6 +26,7 @@ from tonewood.numerics.motion import from_motion, to_motion
 from tonewood.numerics.system import Compiled
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 
 #: bands, an octave each but for the last one, which holds all that is left
 BANDS = 6
@@ -56,7 +57,12 @@ class Part:
     compliance : largest g^2 / 2 W^2, N/m: N that a mode in tune gathers per metre of the bridge.
     decay : (BANDS,) 1/s, slowest of each band; infinite where it has no mode.
     loudest : (n_readouts, BANDS) of the readouts per N of a held mode.
-    spread : m^-1 s, that, times compliance: N per m/s of the bridge for all modes of a band out of tune.
+    spread : N per m/s of the bridge for all modes of a band out of tune with its motion.
+    inertia : (BANDS + 1, F) N per m/s, at most, of what the modes culled at a level would do besides their static force
+        when the bridge moves at frequencies of a bin below theirs; 0 elsewhere.
+    gain : (F,) s N/m, at most: N, after a long time, per m/s of the bridge in a bin, of the modes in and near it.
+    bins : (n_held,) bins of the modes.
+    edge : (BANDS + 1, 2) rad/s, last held mode kept at each level and first one culled.
     """
 
     compiled: Compiled
@@ -71,7 +77,12 @@ class Part:
     decay: Floats
     loudest: Floats
     spread: float
+    inertia: Floats
+    gain: Floats
+    bins: NDArray[np.intp]
+    edge: Floats
     made: dict[int, tuple[Condensed, Compiled]] = field(default_factory=dict)
+    _turned: dict[int, Floats] = field(default_factory=dict)
 
     @classmethod
     def of(cls, component: str, compiled: Compiled, model: Model, transfer: Transfer, edges: Floats) -> Part:
@@ -96,6 +107,7 @@ class Part:
         few = counts[:-1] - counts[1:] < _MANY
         gathered = float(np.max(g**2 / (2 * w**2), initial=0.0))
         apart = float(np.min(np.diff(w), initial=np.inf)) / 2
+        bounded = np.concatenate([[0.0], w, [np.inf]])
         return cls(
             compiled=compiled,
             held=held,
@@ -109,6 +121,10 @@ class Part:
             decay=np.array([held.damping_rate[band].min(initial=np.inf) for band in bands]),
             loudest=np.array([per_newton[:, band].max(axis=1, initial=0.0) for band in bands]).T,
             spread=gathered * math.log(held.n_modes + 2) / apart,
+            inertia=_inertia(push, w, counts, edges, transfer.bins),
+            gain=_gain(gathered, w, held.damping_rate, transfer.bins),
+            bins=transfer.bin_of(w),
+            edge=np.stack([bounded[counts], bounded[counts + 1]], axis=1),
         )
 
     def at(self, component: str, model: Model, level: int) -> tuple[Condensed | None, Compiled]:
@@ -120,6 +136,24 @@ class Part:
             self.made[level] = fewer, model.system.compile(component, fewer.basis)
         return self.made[level]
 
+    def turned(self, component: str, model: Model, level: int) -> Floats:
+        """(F,) error of the part's own partials in a bin, at most, re their amplitude, if it stays at a level.
+
+        Forces are held for a step: so stepped, the point's compliance differs from that in continuous time, a little
+        less for the modes that are kept alone. At a held mode's frequency, where the point hardly moves, a difference
+        D of compliance turns the partial by g^2 |D| / 2 W, and t exp(-s t) is 1 / (e s) at most.
+        """
+        if level not in self._turned:
+            ratio = np.zeros_like(self.gain)
+            w, g = self.held.freq_rad[: self.counts[level]], self.held.force[: self.counts[level]]
+            if level and w.size:
+                whole, fewer = (_stepped_compliance(c, w) for c in (self.compiled, self.at(component, model, level)[1]))
+                rate = g**2 / (2 * w) * np.abs(whole - fewer)
+                off = np.minimum(rate / (math.e * np.maximum(self.held.damping_rate[: w.size], 1e-9)), 2.0)
+                np.maximum.at(ratio, self.bins[: w.size], off)
+            self._turned[level] = ratio
+        return self._turned[level]
+
     @cached_property
     def _picks(self) -> Floats:
         """(n_held, n_modes) velocities of the held modes, as they add to the static shape's."""
@@ -130,8 +164,8 @@ class Part:
         fewer = self.at(component, model, level)[0]
         return self._picks if fewer is None else fewer.held
 
-    def plucked(self, shortest: float) -> tuple[Floats, Floats]:
-        """(BANDS,) forces on the bridge, and roots of twice the energies, per N that is let go within `shortest` s.
+    def plucked(self, shortest: float) -> tuple[Floats, Floats, Floats]:
+        """Forces on the bridge (BANDS,) and (F,), roots of twice the energies (BANDS,), per N let go in `shortest` s.
 
         It is let go at the point ``pluck``.
         """
@@ -141,7 +175,50 @@ class Part:
         each = np.stack([held.force * amplitude, (w * amplitude) ** 2])
         total = np.concatenate([np.zeros((2, 1)), np.cumsum(each, axis=1)], axis=1)
         force, square = total[:, self.counts[:-1]] - total[:, self.counts[1:]]
-        return force, np.sqrt(np.maximum(square, 0.0))
+        spectrum: Floats = np.bincount(self.bins, each[0], self.gain.size).astype(np.float64)
+        return force, spectrum, np.sqrt(np.maximum(square, 0.0))
+
+
+def _stepped_compliance(compiled: Compiled, freq_rad: Floats) -> Complexes:
+    """(n,) displacement of the bridge per force held for a step, residual compliance left out, at frequencies (n,)."""
+    i = int(np.flatnonzero(compiled.ports == compiled.basis.index("bridge"))[0])
+    E, C, W = compiled.E, compiled.form.C[compiled.ports[i]], compiled.W[i]
+    z = np.exp(1j * freq_rad * compiled.dt)[:, None]
+    a, b, c, d = z - E[:, 0, 0], E[:, 0, 1], E[:, 1, 0], z - E[:, 1, 1]
+    each = (C[:, 0] * (d * W[:, 0] + b * W[:, 1]) + C[:, 1] * (c * W[:, 0] + a * W[:, 1])) / (a * d - b * c)
+    return np.asarray(each.sum(axis=1))
+
+
+def _inertia(push: Floats, freq_rad: Floats, counts: NDArray[np.intp], edges: Floats, bins: Floats) -> Floats:
+    """(BANDS + 1, F) largest dynamic minus static force of the culled modes, N per m/s: see `Part.inertia`.
+
+    Under a motion of velocity v at frequency w below its own W a held mode pulls w^3 g^2 / (W^4 (W^2 - w^2)) v less
+    than its static compliance does; that grows with w, so that the upper edge of a bin bounds it. The component's own
+    partials come no nearer than its modes lie apart.
+    """
+    out = np.zeros((BANDS + 1, len(bins) - 1))
+    if not freq_rad.size:
+        return out
+    apart = float(np.min(np.diff(freq_rad), initial=freq_rad[0]))
+    low, top = bins[:-1, None], np.minimum(bins[1:, None], freq_rad)
+    each = push**2 * top**3 / (freq_rad**2 * np.maximum(freq_rad - top, apart) * (freq_rad + top))
+    upward = np.concatenate([np.cumsum(each[:, ::-1], axis=1)[:, ::-1], np.zeros((len(each), 1))], axis=1)
+    for level in range(1, BANDS):
+        out[level] = np.where(low[:, 0] < edges[level], upward[:, counts[level]], 0.0)
+    return out
+
+
+def _gain(gathered: float, freq_rad: Floats, damping_rate: Floats, bins: Floats) -> Floats:
+    """(F,) see `Part.gain`: in tune in a mode's own bin and in those beside it, else by the distance."""
+    wide = bins[1:] - bins[:-1]
+    distance, rate = np.full(len(wide), np.inf), np.full(len(wide), np.inf)
+    if freq_rad.size:
+        middle = 0.5 * (bins[1:] + bins[:-1])
+        above = np.clip(np.searchsorted(freq_rad, middle), 1, max(freq_rad.size - 1, 1))
+        for j in (above - 1, np.minimum(above, freq_rad.size - 1)):
+            distance = np.minimum(distance, np.maximum(np.abs(freq_rad[j] - middle) - 1.5 * wide, 0.0))
+            rate = np.minimum(rate, damping_rate[j])
+    return np.asarray(gathered / np.maximum(np.maximum(distance, rate), 1e-9))
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,7 +101,7 @@ class Effect:
 
 HIGH_MODES = Effect(
     "high_modes", "a string's partials up to the highest that the sampling rate allows", "additive",
-    "always, until they have decayed", "a bound on what they, and what the body puts into them, "
+    "always, until they have decayed", "an estimate of what they, and what the body puts into them, "
     "would add: octaves of them sleep while it is within the budget", basic=True,
 )  # fmt: skip
 SECOND_POLARIZATION = Effect(
@@ -110,7 +110,7 @@ SECOND_POLARIZATION = Effect(
 )  # fmt: skip
 SYMPATHETIC_STRINGS = Effect(
     "sympathetic_strings", "strings that ring with others, and what they do to others' pitch and decay", "additive",
-    "always, while anything is heard of them", "the bound of high modes: a string of which nothing is heard is left "
+    "always, while anything is heard of them", "the estimate of high modes: a string of which nothing is heard is left "
     "its static shape", basic=True,
 )  # fmt: skip
 TENSION_MODULATION = Effect(

@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.numerics.modes import ModalBasis
@@ -84,20 +83,28 @@ class HeldModes:
         return float(np.sum(self.shape**2 / self.stiffness))
 
 
-def _roots(poles: Floats, weights: Floats) -> Floats:
-    """(n - 1,) x_j in (poles_j, poles_j+1) with sum weights / (poles - x) = 0.
+def _roots(poles: Floats, weights: Floats, straight: tuple[float, float] | None = None) -> Floats:
+    """Roots x_j of sum weights / (poles - x) = 0, (n - 1,) between the poles; of a - b x - sum weights / (poles - x)
+    where `straight` = (a, b) is given, n + 1: one below the poles and one above them, too.
 
-    Newton's method on the sum times the distances to both ends, which has no poles there and is nearly straight;
-    bisection where it would leave the bracket.
+    Newton's method on the sum times the distances to both poles, which is nearly straight between them; bisection where
+    it would leave the bracket. `a` must exceed sum weights / poles, and b be positive.
     """
+    a, b = straight or (0.0, 0.0)
     low, high = poles[:-1].copy(), poles[1:].copy()
+    if straight:
+        # above the highest pole the sum is no larger than with all weights at that pole
+        total = float(weights.sum())
+        above = np.sqrt(total / b) + max(a / b - poles[-1], 0.0)
+        low, high = np.concatenate([[0.0], poles]), np.concatenate([poles, [poles[-1] + above]])
+    left, right = low.copy(), high.copy()
     x = 0.25 * (np.sqrt(low) + np.sqrt(high)) ** 2
-    for _ in range(60):
+    for _ in range(80):
         inverse = 1 / (poles[None, :] - x[:, None])
-        total, slope = inverse @ weights, inverse**2 @ weights
-        low, high = np.where(total < 0, x, low), np.where(total < 0, high, x)
-        width = (poles[1:] - x) * (x - poles[:-1])
-        step = -total * width / (slope * width + total * (poles[1:] + poles[:-1] - 2 * x))
+        total_at, slope = inverse @ weights - a + b * x, inverse**2 @ weights + b
+        low, high = np.where(total_at < 0, x, low), np.where(total_at < 0, high, x)
+        width = (right - x) * (x - left)
+        step = -total_at * width / (slope * width + total_at * (right + left - 2 * x))
         new = x + step
         inside = (new >= low) & (new <= high)
         new = np.where(inside, new, 0.5 * (low + high))
@@ -140,10 +147,14 @@ class Condensed:
 def condensed(basis: ModalBasis, held: HeldModes, n_held: int) -> Condensed:
     """Keep the n_held lowest held modes of a component and its static shape; with n_held < 0 nothing moves.
 
-    In the kept coordinates (static shape, held modes) stiffness is diagonal and mass an arrow; the eigenproblem is
-    solved for 1/w^2, so that low modes keep their digits. Damping starts as the diagonal of the damping matrix that the
-    condensed modes see, and is turned by positive factors until the held modes decay as in the whole component: as it
-    stands, partials near the highest one would decay 2 % too quickly.
+    In the kept coordinates (static shape d, held modes) stiffness is diagonal and mass an arrow, M_dj = -g_j / W_j^2:
+    the frequencies are the roots of
+
+        K_dd + sum g_j^2 / W_j^2 - w^2 (M_dd - sum M_dj^2) - sum g_j^2 / (W_j^2 - w^2) = 0,
+
+    and a mode's amplitudes are p_j = w^2 M_dj d / (W_j^2 - w^2). Damping starts as the diagonal of the damping matrix
+    that the condensed modes see, and is turned by positive factors until the held modes decay as in the whole
+    component: as it stands, partials near the highest one would decay 2 % too quickly.
 
     Raises
     ------
@@ -158,14 +169,18 @@ def condensed(basis: ModalBasis, held: HeldModes, n_held: int) -> Condensed:
         return Condensed(nothing, np.zeros((n, 0)), np.zeros((0, 0)), basis.stiffness)
     static = held.shape / held.stiffness / held.compliance
     kept = held.vectors[:n_held]
-    stiffness = np.concatenate([[1 / held.compliance], held.freq_rad[:n_held] ** 2])
-    mass = np.eye(n_held + 1)
-    mass[0, 0] = static @ static
-    mass[0, 1:] = mass[1:, 0] = kept @ static
-    scale = 1 / np.sqrt(stiffness)
-    inverse, vec = sla.eigh(scale[:, None] * mass * scale)
-    freq = 1 / np.sqrt(inverse[::-1])
-    coefficients = scale[:, None] * vec[:, ::-1] * freq
+    shared = -held.force[:n_held] / held.freq_rad[:n_held] ** 2
+    alone = float(static @ static - shared @ shared)
+    square = np.array([1 / (held.compliance * alone)])
+    if n_held:
+        a = 1 / held.compliance - float(held.force[:n_held] @ shared)
+        square = _roots(held.freq_rad[:n_held] ** 2, held.force[:n_held] ** 2, (a, alone))
+    freq = np.sqrt(square)
+    amplitude = shared[:, None] * square / (held.freq_rad[:n_held, None] ** 2 - square)
+    coefficients = np.concatenate([np.ones((1, n_held + 1)), amplitude])
+    # potential energy of unit mass; where modes are nearly uncoupled its terms have no cancellation
+    elastic = 1 / held.compliance + (held.freq_rad[:n_held] ** 2) @ amplitude**2
+    coefficients *= np.sqrt(square / elastic)
     vectors = np.column_stack([static, kept.T]) @ coefficients
     right = basis.right.real
     shapes = right @ vectors

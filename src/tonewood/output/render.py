@@ -183,6 +183,8 @@ class Renderer:
         self.model = assemble(chosen, engine_fs, freq_limit=limit, outputs=outputs)
         self.performance: Performance = perform(score, self.model, channel_per_string=channel_per_string)
         self.engine = Engine(self.model, self.performance.timeline, precision=precision, energy=energy)
+        if tail.level_db < self.model.choice.budget_db:
+            self.engine.sleeper.tail = max(self.expected_duration - self.performance.timeline.stop, 0.0)
         groups = self.model.outputs
         columns = [i for group in groups for i in group.readouts]
         whole = columns == list(range(len(self.model.system.readouts)))

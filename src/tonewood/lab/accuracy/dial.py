@@ -64,8 +64,8 @@ BUDGET_TEXT = f"""\
 ## Effects and their budgets
 
 The same comparison for `--effects`: a string of the steel-string guitar plucked with {FORCE:g} N, against all effects.
-Auto leaves out what stays within `--budget-cents` and `--budget-db`; these are bounds on each effect, so the
-differences measured here lie below them."""
+Auto leaves out what stays within `--budget-cents` and `--budget-db`; these are bounds on each effect (for high
+modes an estimate), so the differences measured here lie below them."""
 
 
 @dataclass(frozen=True, slots=True)
