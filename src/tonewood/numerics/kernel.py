@@ -30,11 +30,13 @@ from tonewood.numerics.laws import (
     SampledPotential,
     Scalar,
 )
-from tonewood.numerics.stepper import Statistics
+from tonewood.numerics.stepper import NumpyStepper, Statistics
 from tonewood.numerics.system import Compiled, Control, Injection, State, System
 
 Floats = NDArray[np.float64]
 _NONE = np.zeros(0, dtype=np.intp)
+#: samples, at multiples of which a run may be cut without changing a bit
+_CUT = 64
 #: nonlinear connection, component, port among its fixed or its guarded ones, whether it is guarded, factor
 Term = tuple[int, int, int, bool, float]
 #: slot of a component, whether laws other than contacts push it, and how connections use it
@@ -95,7 +97,8 @@ class KernelStepper:
         self._seen: tuple[Sequence[Compiled], Sequence[_Wires]] = (), ()
         self._loaded: list[tuple[Compiled, bytes, int] | None] = [None] * len(system.names)
         self._wirings: dict[tuple[bytes, bytes, bytes, frozenset[str]], tuple[list[_Wires], list[Term]]] = {}
-        self._guarded, self._steps = guarded, 0
+        self._guarded, self._steps, self._redone, self._failures = guarded, 0, 0, 0
+        self._slow: NumpyStepper | None = None
         self._law_forces, self._acted = np.zeros(0), list[int]()  # the former is kept at zero between runs
         self._nonlinear = self._active = _NONE
         self._laws: tuple[NonlinearLaw, ...] = ()
@@ -113,8 +116,10 @@ class KernelStepper:
     @property
     def statistics(self) -> Statistics:
         """What the nonlinear solves took, since this stepper was made."""
-        solves, iterations, most, failures, tension, most_tension, *_ = self._kernel.statistics()
-        return Statistics(self._steps, solves, iterations, most, tension, most_tension, failures)
+        solves, iterations, most, _, tension, most_tension, *_ = self._kernel.statistics()
+        return Statistics(
+            self._steps, solves, iterations, most, tension, most_tension, self._failures, self._redone
+        )
 
     @property
     def n_solves(self) -> int:
@@ -302,10 +307,63 @@ class KernelStepper:
     ) -> tuple[Floats, Floats, Floats]:
         """Step; returns the output, the forces of linear connections, and of nonlinear ones.
 
-        The latter are to be put back to zero where `_acted` says that they are not.
+        The latter are to be put back to zero where `_acted` says that they are not. A step whose forces the kernel does
+        not find is redone by `NumpyStepper`, which has a search of last resort (`robust`).
         """
         if state.modes.dtype != self.dtype:
             raise ValueError(f"a state of {state.modes.dtype} does not fit a kernel of {np.dtype(self.dtype)}")
+        s, on = self.system, self._nonlinear
+        may_fail = s.nonlinear is not None or s.tensions or s.geometric
+        before = state.copy() if may_fail else state
+        found = self._run(state, n, injections, controls)
+        if not isinstance(found, int):
+            return found
+        out, active_forces = np.empty((n, len(s.readouts))), np.empty((n, len(self._active)))
+        law_forces, acted = np.zeros((n, len(on))), set[int]()
+        done, end = 0, n
+        while True:
+            if isinstance(found, int):
+                state.__dict__.update(before.copy().__dict__)
+                if found:  # steps that it can make; cut where that changes nothing, wherever this run began
+                    aligned = (state.sample + found) // _CUT * _CUT - state.sample
+                    end = done + (aligned if aligned > 0 else found)
+                    found = self._run(state, end - done, injections, controls)
+                    continue
+                end = done + 1
+                found = self._redo(state, injections, controls)
+            out[done:end], active_forces[done:end], law_forces[done:end] = found
+            found[2][:, self._acted] = 0.0
+            acted.update(self._acted)
+            if end == n:
+                break
+            done, to_cut = end, -state.sample % _CUT
+            end = min(n, done + to_cut) if to_cut else n
+            before = state.copy()
+            found = self._run(state, end - done, injections, controls)
+        self._acted = sorted(acted)
+        return out, active_forces, law_forces
+
+    def _redo(
+        self, state: State, injections: Sequence[Injection], controls: Sequence[Control]
+    ) -> tuple[Floats, Floats, Floats]:
+        """Make one step the slow way; returns as `_step`."""
+        if self._slow is None or self._slow.system is not self.system:
+            self._slow = NumpyStepper(self.system)
+        self._redone += 1
+        try:
+            out, forces = self._slow.run(state, 1, injections, controls)
+        except NumericalError:
+            self._failures += 1
+            raise
+        self._steps += 1
+        laws = forces[:, self._nonlinear]
+        self._acted = np.flatnonzero(laws[0]).tolist()
+        return out, forces[:, self._active], laws
+
+    def _run(
+        self, state: State, n: int, injections: Sequence[Injection], controls: Sequence[Control]
+    ) -> tuple[Floats, Floats, Floats] | int:
+        """Step in C++; returns as `_step`, or the first step whose forces were not found, the state being lost."""
         m, on = len(self.system.connections), self._nonlinear
         if state.series.size != m or state.slip.size != m:
             state.series, state.slip = np.zeros(m), np.zeros(m)
@@ -338,10 +396,7 @@ class KernelStepper:
             t = (state.sample + sample) * self.system.dt
             if slot >= 0:
                 raise NumericalError(f"{self.system.names[slot]} is no longer finite at {t:.6f} s")
-            names = ", ".join(self.system.connections[on[j]].name for j in self._kernel.active())
-            strings = [t.name for t in self.system.tensions] + [g.name for g in self.system.geometric]
-            names = names or ", ".join(strings)
-            raise NumericalError(f"the forces of {names} were not found at {t:.6f} s")
+            return int(sample)
         solved = self.n_solves > solves
         self._acted = self._kernel.acted() if solved else []
         if n:

@@ -44,6 +44,7 @@ class Statistics:
     iterations, most_iterations : of Newton's method on the forces, in all, and in one step at most.
     tension_iterations, most_tension_iterations : of the solve for the tensions.
     failures : steps whose forces were not found; each of them raised a `NumericalError`.
+    redone : steps whose forces the ordinary iteration did not find, so that the search of last resort was asked.
     """
 
     steps: int = 0
@@ -53,6 +54,7 @@ class Statistics:
     tension_iterations: int = 0
     most_tension_iterations: int = 0
     failures: int = 0
+    redone: int = 0
 
 
 @dataclass(frozen=True, eq=False)
