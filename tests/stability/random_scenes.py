@@ -47,17 +47,17 @@ def some(rng: Rng, parts: dict[str, Any], chance: float = 0.4) -> dict[str, Any]
     return {name: part for name, part in parts.items() if rng.random() < chance}
 
 
-def scene(seed: int, folder: Path, *, samples: int = 1500) -> Scene:
+def scene(seed: int, folder: Path, *, samples: int = 600) -> Scene:
     """Scene `seed`, of about so many samples; its body's table goes into `folder`."""
     rng = np.random.default_rng(seed)
     fs = int(rng.choice(RATES))
     made = shipped(rng) if rng.random() < 0.25 else invented(rng, folder, fs)
-    duration = max(samples / fs, 0.01)
+    duration = samples / fs
     names = made.string_names
     exciters = [None, *made.resolved["exciters"]]
     plugins = {name: part["plugin"] for name, part in made.resolved["exciters"].items()}
     bodily = [name for name, plugin in plugins.items() if plugin == "force_pulse"]
-    pluck = plugins[made.resolved["playing"]["exciter"]] == "pluck_ramp"
+    pluck = plugins.get(made.resolved["playing"]["exciter"] or "") == "pluck_ramp"
     notes = []
     for _ in range(int(rng.integers(1, 7))):
         technique = exciters[int(rng.integers(len(exciters)))]

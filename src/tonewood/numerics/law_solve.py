@@ -84,6 +84,16 @@ class Grip:
                 self.velocity = self.held
         self.force = (self.velocity - free) / mobility if mobility > 0 else 0.0
 
+    def follows(self) -> float:
+        """Derivative of the velocity with that without friction."""
+        if self.branch not in ("ahead", "behind") or self.velocity == 0.0:
+            return 0.0
+        v, law = abs(self.velocity), self.law
+        if law.slide(abs(self.free) if self.free * self.velocity > 0 else -abs(self.free), self.load) is None:
+            return 0.0
+        falls = self.load * (law.static - law.dynamic) * law.speed / (law.speed + v) ** 2
+        return 1.0 / (1.0 - falls) if falls < 1.0 else 0.0
+
     def changes(self) -> bool:
         """Goes over to the branch that is its own under the motion found; False if it is there."""
         may_stick = abs(self.free) <= self.load * self.law.static
@@ -169,7 +179,7 @@ class Solution:
 
 def find_forces(
     laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, drives: Drives, guess: Floats,
-    grips: Mapping[int, Grip],
+    grips: Mapping[int, Grip], *, careful: bool = False,
 ) -> Solution:  # fmt: skip
     """Find the forces of all laws over one step.
 
@@ -180,11 +190,13 @@ def find_forces(
     free, gap : (k,) m, g_u and g.
     guess : (k,) N, where to start: the forces of the step before.
     grips : of the friction laws, by connection; what is open on them is decided.
+    careful : friction forces are found by Newton's method, damped, where going from law to law does not end.
     """
     stored = np.array([j for j, law in enumerate(laws) if not isinstance(law, Friction)], dtype=np.intp)
     potentials = [law for law in laws if not isinstance(law, Friction)]
     f, iterations, converged = guess.copy(), 0, True
     sliding = list(grips)
+    careful = careful and bool(sliding) and len(laws) > 1
     old = (drives.offset - gap)[stored]
     noise = ROUNDING * float(np.max(np.abs([free, gap, drives.offset_after]), initial=0.0))
     for _sweep in range(MAX_SWEEPS):
@@ -208,7 +220,69 @@ def find_forces(
             break
     else:
         converged = False
+    if careful and not converged:
+        return _find_friction(laws, Z, free, gap, dt, drives, f, grips, stored, noise)
     return Solution(f, iterations, converged)
+
+
+def _find_friction(
+    laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, drives: Drives, guess: Floats,
+    grips: Mapping[int, Grip], stored: NDArray[np.intp], noise: float,
+) -> Solution:  # fmt: skip
+    """The same by damped Newton's method on the friction forces, on their branches; contacts are found for each.
+
+    What is wrong with a friction force is what `Grip.meet` makes of the motion, less that force; it answers a change of
+    friction forces through the compliance that contacts leave, at their slopes.
+    """
+    import scipy.linalg as sla
+
+    potentials = [laws[j] for j in stored]
+    sliding = np.array(list(grips), dtype=np.intp)
+    own = Z[sliding, sliding] / dt
+    old, scale = (drives.offset - gap)[stored], drives.scale[stored]
+    iterations = 0
+
+    def wrong(f: Floats) -> tuple[Floats, Floats, bool]:
+        """Sets the forces of contacts in f; what is wrong with friction, m/s, and whether contacts were found."""
+        nonlocal iterations
+        found = True
+        if stored.size:
+            rest = (drives.offset_after - free - Z[:, sliding] @ f[sliding])[stored]
+            f[stored], count, found = newton(
+                potentials, Z[np.ix_(stored, stored)], rest, old, dt, scale, f[stored], noise
+            )  # fmt: skip
+            iterations += count
+        without = (free + Z @ f - gap)[sliding] / dt - own * f[sliding] - drives.velocity[sliding]
+        for grip, v, mobility in zip(grips.values(), without, own, strict=True):
+            grip.meet(float(v), float(mobility))
+        return own * (np.array([grip.force for grip in grips.values()]) - f[sliding]), without, found
+
+    f = guess.copy()
+    r, without, found = wrong(f)
+    for _ in range(MAX_ITERATIONS):
+        made = float(np.abs(Z @ f).max())
+        if found and float(np.abs(r).max()) * dt <= TOLERANCE * made + noise:
+            return Solution(f, iterations, True)
+        p = (drives.offset_after - free - Z @ f)[stored]
+        slope = np.array([law.force(float(a), float(b), dt)[1] for law, a, b in zip(potentials, p, old, strict=True)])
+        root = np.sqrt(slope * scale)
+        inner = np.eye(len(stored)) + root[:, None] * Z[np.ix_(stored, stored)] * root
+        across = root[:, None] * Z[np.ix_(stored, sliding)]
+        answers = (Z[np.ix_(sliding, sliding)] - across.T @ sla.solve(inner, across, assume_a="pos")) / dt
+        kept = np.array([1.0 - grip.follows() for grip in grips.values()])
+        jacobian = -kept[:, None] * (answers - np.diag(own)) - np.diag(own)
+        step, t, size = -sla.lstsq(jacobian, r)[0], 1.0, float(np.abs(r).max())
+        for _halved in range(50):
+            tried = f.copy()
+            tried[sliding] += t * step
+            r, without, found = wrong(tried)
+            if found and float(np.abs(r).max()) < (1 - 1e-3 * t) * size:
+                break
+            t *= 0.5
+        else:
+            return Solution(f, iterations, False)
+        f = tried
+    return Solution(f, iterations, False)
 
 
 def newton(

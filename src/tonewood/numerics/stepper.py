@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from tonewood.errors import NumericalError
 from tonewood.numerics.connections import LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
@@ -74,6 +75,7 @@ class NumpyStepper:
         self.system = system
         self.statistics = Statistics()
         self._geometric = GeometricSolve(system) if system.geometric else None
+        self._careful = False
 
     def run(
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
@@ -153,24 +155,36 @@ class NumpyStepper:
         drives: Drives, time: float,
     ) -> tuple[_Attempt, Floats]:  # fmt: skip
         """Find tensions and forces of one step; `tension` (n_tensions,) is where to start."""
-        grips = {}
-        if (nonlinear := self.system.nonlinear) is not None:
-            pairs = zip(nonlinear.laws, nonlinear.index, strict=True)
-            for i, (law, j) in enumerate(pairs):
-                if isinstance(law, Friction):
-                    grips[i] = Grip(law, float(drives.scale[i]), float(slip[j]))
-        start = [guess]  # of the forces: those tried last
 
-        def solve() -> tuple[_Attempt, Floats]:
-            done = self._tensions(x, free, start[0], series, slip, tension, drives, grips, time)
-            start[0] = done[0].forces
-            return done
+        def attempt() -> tuple[_Attempt, Floats]:
+            grips = {}
+            if (nonlinear := self.system.nonlinear) is not None:
+                pairs = zip(nonlinear.laws, nonlinear.index, strict=True)
+                for i, (law, j) in enumerate(pairs):
+                    if isinstance(law, Friction):
+                        grips[i] = Grip(law, float(drives.scale[i]), float(slip[j]))
+            start = [guess]  # of the forces: those tried last
+
+            def solve() -> tuple[_Attempt, Floats]:
+                done = self._tensions(x, free, start[0], series, slip, tension, drives, grips, time)
+                start[0] = done[0].forces
+                return done
+
+            return settle(list(grips.values()), solve)
 
         try:
-            return settle(list(grips.values()), solve)
+            return attempt()
+        except ValueError:
+            pass
+        self.statistics.redone += 1
+        self._careful = True
+        try:
+            return attempt()
         except ValueError as fault:
             self.statistics.failures += 1
             raise NumericalError(f"{fault} at {time:.6f} s") from None
+        finally:
+            self._careful = False
 
     def _tensions(
         self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, tension: Floats,
@@ -204,8 +218,50 @@ class NumpyStepper:
                 self.statistics.most_tension_iterations = most
                 return done, np.array([T.get(t, 0.0) for t in range(len(s.tensions))])
             guess = done.forces
-        self.statistics.failures += 1
-        raise NumericalError(f"the tensions of {', '.join(t.name for t in s.tensions)} were not found at {time:.6f} s")
+        if self._careful:
+            return self._bracketed(x, free, guess, series, slip, T, old, drives, grips, time)
+        raise ValueError(f"the tensions of {', '.join(t.name for t in s.tensions)} were not found")
+
+    def _bracketed(
+        self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, T: dict[int, float],
+        old: dict[int, float], drives: Drives, grips: dict[int, Grip], time: float,
+    ) -> tuple[_Attempt, Floats]:  # fmt: skip
+        """The same tension by tension, by brackets, until none changes any more; `old` are the stretches before.
+
+        With the other tensions held, what a tension exceeds kappa (S+ + S) by has one zero, and is negative below and
+        positive above it: the step is a monotone problem for each set of tensions held, whose solutions these zeros
+        are. No slope is asked for. From string to string tensions answer each other through the body alone, weakly.
+        """
+        s = self.system
+        slots = {t: [s.slot(name) for name in s.tensions[t].components] for t in T}
+        parts = {i: part for among in slots.values() for i in among if (part := s.compiled[i].tension) is not None}
+        done: list[_Attempt] = []
+
+        def excess(t: int, tension: float) -> float:
+            tried = {**T, t: tension}
+            start = done[0].forces if done else guess
+            found = self._attempt(
+                x, free, start, series, slip, {i: tried[q] for q in slots for i in slots[q]}, drives, grips, time
+            )
+            done[:] = [found]
+            return tension - parts[slots[t][0]].kappa * (sum(parts[i].stretch(found.x[i]) for i in slots[t]) + old[t])
+
+        for _ in range(MAX_TENSION_ITERATIONS):
+            still = True
+            for t in T:
+                least = parts[slots[t][0]].kappa * old[t]
+                if abs(excess(t, T[t])) <= TENSION_TOLERANCE * T[t]:
+                    continue
+                still, high = False, max(T[t], least, 1e-300)
+                while excess(t, high) < 0.0 and high < 1e300:
+                    high *= 2.0
+                if excess(t, least) < 0.0:
+                    T[t] = float(brentq(lambda tension, t=t: excess(t, tension), least, high, xtol=1e-300, rtol=1e-15))
+                else:
+                    T[t] = least
+            if still:
+                return done[0], np.array([T.get(t, 0.0) for t in range(len(s.tensions))])
+        raise ValueError(f"the tensions of {', '.join(t.name for t in s.tensions)} were not found")
 
     def _geometric_step(
         self, solve: GeometricSolve, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats,
@@ -221,9 +277,8 @@ class NumpyStepper:
 
         _, iterations, found = solve.find(x, free, attempt)
         if not found:
-            self.statistics.failures += 1
             names = ", ".join(g.name for g in self.system.geometric)
-            raise NumericalError(f"the forces of {names} were not found at {time:.6f} s")
+            raise ValueError(f"the forces of {names} were not found")
         self.statistics.tension_iterations += iterations
         self.statistics.most_tension_iterations = max(self.statistics.most_tension_iterations, iterations)
         return done[0], np.zeros(len(self.system.tensions))
@@ -256,15 +311,14 @@ class NumpyStepper:
             lag = (1 - nonlinear.theta) / nonlinear.theta * series[on]
             found = find_forces(
                 nonlinear.laws, nonlinear.Z, gap_free[on] + nonlinear.from_linear @ f - lag, gap[on] + series[on],
-                s.dt, drives, guess[on], grips,
+                s.dt, drives, guess[on], grips, careful=self._careful,
             )  # fmt: skip
             self.statistics.solves += 1
             self.statistics.iterations += found.iterations
             self.statistics.most_iterations = max(self.statistics.most_iterations, found.iterations)
             if not found.converged:
-                self.statistics.failures += 1
                 names = ", ".join(s.connections[j].name for j in on[found.forces != 0.0])
-                raise NumericalError(f"the forces of {names} were not found at {time:.6f} s")
+                raise ValueError(f"the forces of {names} were not found")
             f = f - nonlinear.answer @ found.forces
             f[on] = found.forces
             series[on] = nonlinear.residual @ found.forces / nonlinear.theta - lag
