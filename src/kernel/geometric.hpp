@@ -85,6 +85,12 @@ public:
                 evaluate(s, now);
                 const double left = norm(s, s.wrong), all = norm(s, s.F);
                 if (!std::isfinite(left)) return book(iteration, false);
+                if (iteration == 1 && left > all) {  // forces of the free motion are far too large: as before the step
+                    for (Part& part : s.parts) part.after = part.before;
+                    respond(s);
+                    s.F = s.made, s.fresh = true, found = false;
+                    continue;
+                }
                 const bool still = left >= 0.5 * s.left && left <= 1e3 * kGeometricTolerance * all;
                 // no nearer: what it remembers is not its own doing, other strings have moved it meanwhile
                 if (left > 0.9 * s.left) s.kept = 0, s.has_last = false;

@@ -75,7 +75,7 @@ def step_again(
         if along is not None:
             none = np.zeros((0, 2))
             earlier, later = ([p[spans[n]] if n in spans else none for n in system.names] for p in path[t : t + 2])
-            force, _, found = along.find(earlier, later, list, joined=False)
+            force, _, found = along.find(earlier, later, list)
             if not found:
                 raise NumericalError(f"the forces of a string were not found again at {(sample + t) * system.dt:.6f} s")
             for name, pull in along.by_component(force).items():

@@ -53,6 +53,8 @@ MORE_COSINES = 12
 #: of the norm of the forces of a step
 TOLERANCE = 1e-12
 MAX_ITERATIONS = 60
+#: of the potential, that it is raised by where the damped search fails
+SMALLEST_PART = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,8 +248,11 @@ class GeometricString:
 class GeometricSolve:
     """Finds the forces of one step of all such strings of a system, together with everything else.
 
-    Newton's method on the modal forces F; how the coordinates answer is known once for all: linear connections
-    included, contacts not, with which it converges more slowly.
+    Newton's method on the modal forces F, damped: it shortens its step until less is wrong. V + tension being convex
+    where no string is slack, that always ends at the one solution. Where a string is slack there may be several, and
+    the damped method may end where nothing near is better: then the potential is raised from nothing in small parts,
+    F = s Phi(y+(F)), s = 0 .. 1, each part starting from the one before. So the solution taken is the one next to the
+    forces before, or else the one that the string without a rise of tension leads to.
     """
 
     def __init__(self, system: System):
@@ -271,16 +276,36 @@ class GeometricSolve:
         return out
 
     @cached_property
-    def compliance(self) -> Floats:
-        """(n, n) coordinates after a step per modal force, linear connections included."""
+    def _reach(self) -> tuple[Floats, Floats]:
+        """(m, n) gaps per modal force, and (n, m) coordinates per force of a connection; of no connection's answer."""
         s, n = self.system, int(self.starts[-1])
-        own, gaps, answers = np.zeros((n, n)), np.zeros((len(s.connections), n)), np.zeros((n, len(s.connections)))
+        gaps, answers = np.zeros((len(s.connections), n)), np.zeros((n, len(s.connections)))
         for slot, part, at in self._all():
             c = s.compiled[slot]
-            own[at, at] = np.diag(part.reading * part.kick[:, 0])
             gaps[:, at] = s.incidence(slot) @ np.einsum("pmx,mx->pm", c.rows[: len(c.ports), : part.n], part.kick)
             answers[at] = (part.reading * c.W[:, : part.n, 0]).T @ s.incidence(slot).T
-        return own - answers @ s.solve.G @ gaps
+        return gaps, answers
+
+    @cached_property
+    def compliance(self) -> Floats:
+        """(n, n) coordinates after a step per modal force, linear connections included."""
+        gaps, answers = self._reach
+        return np.diag(self.yields) - answers @ self.system.solve.G @ gaps
+
+    @cached_property
+    def _nonlinear_reach(self) -> tuple[Floats, Floats]:
+        """The same as `_reach` of the nonlinear connections, linear ones answering: (k, n) and (n, k)."""
+        nonlinear, (gaps, answers) = self.system.nonlinear, self._reach
+        if nonlinear is None:
+            return gaps[:0], answers[:, :0]
+        on = nonlinear.index
+        moved = gaps[on] - nonlinear.from_linear @ (self.system.solve.G @ gaps)
+        return moved, answers[:, on] - answers @ nonlinear.answer
+
+    def answer(self, stiffness: Floats) -> Floats:
+        """(n, n) `compliance` with nonlinear connections too, whose forces gain `stiffness` (k, k), N/m, per gap."""
+        gaps, answers = self._nonlinear_reach
+        return np.asarray(self.compliance - answers @ stiffness @ gaps)
 
     @cached_property
     def yields(self) -> Floats:
@@ -321,8 +346,7 @@ class GeometricSolve:
         x: Sequence[Floats],
         free: Sequence[Floats],
         attempt: Callable[[list[Floats]], Sequence[Floats]],
-        *,
-        joined: bool = True,
+        answer: Callable[[], Floats] | None = None,
     ) -> tuple[Floats, int, bool]:
         """Find the modal forces of a step.
 
@@ -330,32 +354,59 @@ class GeometricSolve:
         ----------
         x, free : states before, and after a step without forces.
         attempt : states without connection forces -> states with them.
-        joined : whether `attempt` lets the connections answer.
+        answer : (n, n) coordinates per modal force at the last attempt; by default there are no connections.
 
         Returns
         -------
         forces (n,), iterations, and whether they were found.
         """
-        compliance = self.compliance if joined else np.diag(self.yields)
-        before = self.coordinates(x)
-        size = np.sqrt(self.yields)
-        F = self.force(before, self.coordinates(attempt(list(free))))
-        last = np.inf
-        for iteration in range(1, MAX_ITERATIONS + 1):
+        before, size, count = self.coordinates(x), np.sqrt(self.yields), 0
+
+        def wrong(F: Floats, share: float) -> tuple[Floats, Floats, float]:
+            """What is wrong with F, coordinates after it, and the norm of the former."""
+            nonlocal count
+            count += 1
             after = self.coordinates(attempt(self.pushed(free, F)))
-            wrong = self.force(before, after) - F
-            left, all_of_it = float(sla.norm(size * wrong)), float(sla.norm(size * F))
-            if not np.isfinite(left):
-                return F, iteration, False
-            # rounding of the two terms of the strain, which nearly cancel, ends the descent
-            if left <= TOLERANCE * all_of_it or (left >= 0.5 * last and left <= 1e3 * TOLERANCE * all_of_it):
-                return F, iteration, True
-            last = left
-            slope = sla.block_diag(
-                *(
-                    s.slope(before[a:b], after[a:b])
-                    for s, a, b in zip(self.strings, self.starts[:-1], self.starts[1:], strict=True)
+            off = share * self.force(before, after) - F
+            return off, after, float(sla.norm(size * off))
+
+        def descend(F: Floats, share: float) -> tuple[Floats, bool]:
+            off, after, left = wrong(F, share)
+            last = np.inf
+            for _ in range(MAX_ITERATIONS):
+                all_of_it = float(sla.norm(size * F))
+                if not np.isfinite(left):
+                    return F, False
+                # rounding of the two terms of the strain, which nearly cancel, ends the descent
+                if left <= TOLERANCE * all_of_it or (left >= 0.5 * last and left <= 1e3 * TOLERANCE * all_of_it):
+                    return F, True
+                slope = share * sla.block_diag(
+                    *(
+                        s.slope(before[a:b], after[a:b])
+                        for s, a, b in zip(self.strings, self.starts[:-1], self.starts[1:], strict=True)
+                    )
                 )
-            )
-            F = F + sla.solve(np.eye(len(F)) - slope @ compliance, wrong)
-        return F, MAX_ITERATIONS, False
+                compliance = np.diag(self.yields) if answer is None else answer()
+                step, t, last = sla.solve(np.eye(len(F)) - slope @ compliance, off), 1.0, left
+                while True:
+                    off, after, left = wrong(F + t * step, share)
+                    if left <= (1 - 1e-4 * t) * last or left <= 1e3 * TOLERANCE * all_of_it:
+                        break
+                    t *= 0.5
+                    if t < 1e-6:
+                        return F, False
+                F = F + t * step
+            return F, False
+
+        F, found = descend(self.force(before, before), 1.0)
+        if not found:
+            F, share, part = np.zeros_like(F), 0.0, 0.25
+            while share < 1.0 and part > SMALLEST_PART:
+                part = min(part, 1.0 - share)
+                tried, found = descend(F, share + part)
+                if found:
+                    F, share, part = tried, share + part, 2 * part
+                else:
+                    part *= 0.5
+            found = share == 1.0
+        return F, count, found

@@ -12,8 +12,9 @@ tension is found around all this (`tension`), and so are the modal forces of str
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from scipy.optimize import brentq
 from tonewood.errors import NumericalError
 from tonewood.numerics.connections import LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
 from tonewood.numerics.geometric import GeometricSolve
-from tonewood.numerics.law_solve import Drives, Grip, find_forces, settle
+from tonewood.numerics.law_solve import Drives, Grip, find_forces, settle, stiffness
 from tonewood.numerics.laws import Friction
 from tonewood.numerics.propagator import apply
 from tonewood.numerics.system import Control, Injection, State, System
@@ -66,6 +67,7 @@ class _Attempt:
     forces: Floats
     series: Floats
     slip: Floats
+    stiffness: Callable[[], Floats] | None  # of the nonlinear connections, until the next attempt
 
 
 class NumpyStepper:
@@ -275,7 +277,10 @@ class NumpyStepper:
             done[:] = [self._attempt(x, pushed, start, series, slip, {}, drives, grips, time)]
             return done[0].x
 
-        _, iterations, found = solve.find(x, free, attempt)
+        def answer() -> Floats:
+            return solve.compliance if done[0].stiffness is None else solve.answer(done[0].stiffness())
+
+        _, iterations, found = solve.find(x, free, attempt, answer)
         if not found:
             names = ", ".join(g.name for g in self.system.geometric)
             raise ValueError(f"the forces of {names} were not found")
@@ -305,14 +310,14 @@ class NumpyStepper:
 
         gap, gap_free = gaps(x), gaps(free)
         f = linear.constant - linear.G @ (gap_free + linear.gamma * gap)
-        series, slip = series.copy(), slip.copy()
+        series, slip, gives = series.copy(), slip.copy(), None
         if nonlinear is not None:
             on = nonlinear.index
             lag = (1 - nonlinear.theta) / nonlinear.theta * series[on]
+            here, before = gap_free[on] + nonlinear.from_linear @ f - lag, gap[on] + series[on]
             found = find_forces(
-                nonlinear.laws, nonlinear.Z, gap_free[on] + nonlinear.from_linear @ f - lag, gap[on] + series[on],
-                s.dt, drives, guess[on], grips, careful=self._careful,
-            )  # fmt: skip
+                nonlinear.laws, nonlinear.Z, here, before, s.dt, drives, guess[on], grips, careful=self._careful
+            )
             self.statistics.solves += 1
             self.statistics.iterations += found.iterations
             self.statistics.most_iterations = max(self.statistics.most_iterations, found.iterations)
@@ -324,10 +329,13 @@ class NumpyStepper:
             series[on] = nonlinear.residual @ found.forces / nonlinear.theta - lag
             for i, grip in grips.items():
                 slip[on[i]] = grip.velocity
+            gives = partial(
+                stiffness, nonlinear.laws, nonlinear.Z, here, before, s.dt, drives, found.forces, grips
+            )  # fmt: skip
         after = [
             free[i] + np.einsum("p,pmx->mx", s.incidence(i).T @ f, W[i]) for i in range(len(s.names))
         ]  # fmt: skip
-        return _Attempt(after, f, series, slip)
+        return _Attempt(after, f, series, slip, gives)
 
     def _solves(self, W: list[Floats], tension: dict[int, float]) -> tuple[LinearSolve, NonlinearSolve | None]:
         s = self.system
