@@ -97,11 +97,15 @@ def string(rng: Rng, kind: str, fs: int) -> dict[str, Any]:
         "tilt_deg": float(rng.uniform(-20, 20)), "end_compliance": float(rng.choice([0.0, 1e-6])),
         "freq_upper": float(rng.choice([2000.0, 8000.0, 20000.0])),
     }  # fmt: skip
+    # the octave above it keeps a mode below what the rate carries
+    values["tension"] = min(values["tension"], values["linear_density"] * (0.12 * fs * values["length"]) ** 2)
+    f0 = (values["tension"] / values["linear_density"]) ** 0.5 / (2 * values["length"])
+    values["freq_upper"] = max(values["freq_upper"], 5 * f0)
     if kind != "stiff_string":
         values["axial_stiffness"] = log(rng, 1e2, 1e6)
     if kind == "geometric_string":
-        # its first longitudinal mode must lie below what the rate carries
-        highest = values["linear_density"] * (0.7 * fs * values["length"]) ** 2
+        # so does its first longitudinal mode
+        highest = values["linear_density"] * (0.35 * fs * values["length"]) ** 2
         if highest > 1e3:
             values["axial_stiffness"] = log(rng, 1e2, min(highest, 1e6))
         else:

@@ -33,6 +33,8 @@ Found = TypeVar("Found")
 #: of the displacement that the forces make, and of the gaps themselves (rounding)
 TOLERANCE, ROUNDING = 1e-12, 4e-16
 MAX_ITERATIONS, MAX_SWEEPS = 100, 200
+#: before friction forces are found by Newton's method where going from law to law does not end
+FEW_SWEEPS = 10
 #: changes of each friction law's branch before its velocity is halved for
 PATIENCE = 4
 
@@ -199,7 +201,7 @@ def find_forces(
     careful = careful and bool(sliding) and len(laws) > 1
     old = (drives.offset - gap)[stored]
     noise = ROUNDING * float(np.max(np.abs([free, gap, drives.offset_after]), initial=0.0))
-    for _sweep in range(MAX_SWEEPS):
+    for _sweep in range(FEW_SWEEPS if careful else MAX_SWEEPS):
         before = f.copy()
         for j, grip in grips.items():
             without = (free[j] + Z[j] @ f - Z[j, j] * f[j] - gap[j]) / dt - drives.velocity[j]
