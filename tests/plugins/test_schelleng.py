@@ -70,7 +70,10 @@ def test_the_map(tmp_path: Path) -> None:
         string = model(tmp_path, beta)
         forces: NDArray[np.float64] = 10**-0.2 * greatest(beta) * 10**steps
         share = np.array(
-            [np.mean([is_helmholtz(string, beta, float(f) * 10**k) for k in np.linspace(-0.04, 0.04, 5)]) for f in forces]
+            [
+                np.mean([is_helmholtz(string, beta, float(f) * 10**k) for k in np.linspace(-0.04, 0.04, 5)])
+                for f in forces
+            ]
         )
         assert share[inside] == 1.0
         low = forces[inside] * 10 ** (-0.1 * (share[:inside].sum() + 0.5))

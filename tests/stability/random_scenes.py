@@ -118,16 +118,29 @@ def string(rng: Rng, kind: str, fs: int) -> dict[str, Any]:
 def invented(rng: Rng, folder: Path, fs: int) -> Instrument:
     """Strings of one kind on a body of a few modes, with contacts and all that can play them."""
     n_modes = int(rng.integers(1, 9))
-    freq, Q, mass = np.sort(10 ** rng.uniform(1.5, 3.9, n_modes)), 10 ** rng.uniform(0.7, 3.5, n_modes), 10 ** rng.uniform(-2, 1, n_modes)
+    freq, Q, mass = (
+        np.sort(10 ** rng.uniform(1.5, 3.9, n_modes)),
+        10 ** rng.uniform(0.7, 3.5, n_modes),
+        10 ** rng.uniform(-2, 1, n_modes),
+    )
     shape = rng.uniform(-1, 1, n_modes)
     rows = [f"{f:.6g},{q:.4g},{m:.4g},{s:.4g}" for f, q, m, s in zip(freq, Q, mass, shape, strict=True)]
     (folder / "body.csv").write_text("\n".join(["f_Hz,Q,modal_mass,bridge", *rows]))
     kind = KINDS[int(rng.choice(3, p=[0.2, 0.4, 0.4]))]
     strings = {f"S{i}": string(rng, kind, fs) for i in range(int(rng.integers(1, 4)))}
     shortest = min(s["length"] for s in strings.values())
-    contact = {"stiffness": log(rng, 1e5, 1e13), "exponent": float(rng.choice([1.0, 1.5, 2.3])), "loss": float(rng.choice([0.0, 0.3, 5.0]))}
+    contact = {
+        "stiffness": log(rng, 1e5, 1e13),
+        "exponent": float(rng.choice([1.0, 1.5, 2.3])),
+        "loss": float(rng.choice([0.0, 0.3, 5.0])),
+    }
     frets = rng.random() < 0.5
-    board: dict[str, Any] = {"plugin": "frets", "action_first": log(rng, 1e-5, 1e-3), "action_twelfth": log(rng, 1e-4, 3e-3), **contact}
+    board: dict[str, Any] = {
+        "plugin": "frets",
+        "action_first": log(rng, 1e-5, 1e-3),
+        "action_twelfth": log(rng, 1e-4, 3e-3),
+        **contact,
+    }
     if not frets:
         board = {
             "plugin": "fingerboard", "end_from_bridge": 0.3 * shortest, "action_nut": log(rng, 1e-5, 1e-3),

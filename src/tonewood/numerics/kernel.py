@@ -117,9 +117,7 @@ class KernelStepper:
     def statistics(self) -> Statistics:
         """What the nonlinear solves took, since this stepper was made."""
         solves, iterations, most, _, tension, most_tension, *_ = self._kernel.statistics()
-        return Statistics(
-            self._steps, solves, iterations, most, tension, most_tension, self._failures, self._redone
-        )
+        return Statistics(self._steps, solves, iterations, most, tension, most_tension, self._failures, self._redone)
 
     @property
     def n_solves(self) -> int:

@@ -91,7 +91,9 @@ def test_stiffness_is_the_slope_of_the_forces_found():
     A = rng.normal(size=(5, 5))
     Z, free = 1e-6 * (A @ A.T + np.eye(5)), -1e-4 * rng.uniform(0.2, 1.0, 5)
     gap, dt, none = np.zeros(5), 2e-5, np.zeros(5)
-    drives = Drives(none, none, np.array([law.velocity if isinstance(law, Friction) else 0.0 for law in laws]), none + 1)
+    drives = Drives(
+        none, none, np.array([law.velocity if isinstance(law, Friction) else 0.0 for law in laws]), none + 1
+    )
     grips = {j: Grip(law, 1.0, 0.0) for j, law in enumerate(laws) if isinstance(law, Friction)}
     f = find_forces(laws, Z, free, gap, dt, drives, none, grips).forces
     assert {grip.branch for grip in grips.values()} == {"stuck", "behind"}
