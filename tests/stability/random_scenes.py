@@ -92,7 +92,10 @@ def string(rng: Rng, kind: str, fs: int) -> dict[str, Any]:
         "plugin": kind, "note": str(rng.choice(["E1", "A1", "D3", "A4"])), "length": log(rng, 0.1, 1.5),
         "tension": log(rng, 5, 500), "linear_density": log(rng, 1e-4, 1e-2),
         "bending_stiffness": float(rng.choice([0.0, log(rng, 1e-7, 1e-2)])),
-        "loss": {"law": "woodhouse", "eta_a": log(rng, 1e-2, 3), "eta_f": log(rng, 1e-5, 1e-2), "eta_b": log(rng, 1e-4, 0.1)},
+        "loss": {
+            "law": "woodhouse", "eta_a": log(rng, 1e-2, 3), "eta_f": log(rng, 1e-5, 1e-2),
+            "eta_b": log(rng, 1e-4, 0.1),
+        },
         "end": "body.bridge", "polarizations": [["z"], ["z", "y"]][int(rng.integers(2))],
         "tilt_deg": float(rng.uniform(-20, 20)), "end_compliance": float(rng.choice([0.0, 1e-6])),
         "freq_upper": float(rng.choice([2000.0, 8000.0, 20000.0])),
@@ -175,8 +178,9 @@ def invented(rng: Rng, folder: Path, fs: int) -> Instrument:
                 "static": dynamic + float(rng.uniform(0, 1)), "dynamic": dynamic, "speed": log(rng, 1e-3, 0.5),
             },
             "plectrum": {
-                "plugin": "plectrum", "from_bridge": place(), "stiffness": log(rng, 1e2, 1e5), "mass": log(rng, 1e-5, 1e-3),
-                "speed": log(rng, 0.03, 3), "force": log(rng, 0.1, 100), "dynamic": float(rng.choice([0.0, 0.5, 1.0])),
+                "plugin": "plectrum", "from_bridge": place(), "stiffness": log(rng, 1e2, 1e5),
+                "mass": log(rng, 1e-5, 1e-3), "speed": log(rng, 0.03, 3), "force": log(rng, 0.1, 100),
+                "dynamic": float(rng.choice([0.0, 0.5, 1.0])),
             },
             "finger": {
                 "plugin": "stopping_finger", "touch": place(), "width": float(rng.choice([0.0, 0.02])),
@@ -186,6 +190,7 @@ def invented(rng: Rng, folder: Path, fs: int) -> Instrument:
             "hammer_on": {"plugin": "left_hand", "action": "hammer_on"},
         }, 0.6),
     }  # fmt: skip
+    model = str(rng.choice(["ideal", "finger"]))
     values = {
         "schema": "tonewood-instrument/1", "name": "random", "title": "Random", "licence": "CC0-1.0", "sources": {},
         "body": {
@@ -193,7 +198,7 @@ def invented(rng: Rng, folder: Path, fs: int) -> Instrument:
             "points": {"bridge": {"direction": [0.0, 0.6, 0.8]}},
         },
         "strings": strings, "connections": connections, "exciters": exciters,
-        "stops": {"kind": "frets" if frets else "continuous", "count": 15, "model": str(rng.choice(["ideal", "finger"]))},
+        "stops": {"kind": "frets" if frets else "continuous", "count": 15, "model": model},
         "playing": {"exciter": "pluck", "velocity": {"parameter": "pluck.force", "low": 0.1, "high": 10.0}},
         "tuning": {"compensate": "none"},
         "outputs": [

@@ -306,7 +306,7 @@ class KernelStepper:
         """Step; returns the output, the forces of linear connections, and of nonlinear ones.
 
         The latter are to be put back to zero where `_acted` says that they are not. A step whose forces the kernel does
-        not find is redone by `NumpyStepper`, which has a search of last resort (`robust`).
+        not find is redone by `NumpyStepper`, which has a search of last resort.
         """
         if state.modes.dtype != self.dtype:
             raise ValueError(f"a state of {state.modes.dtype} does not fit a kernel of {np.dtype(self.dtype)}")
@@ -321,7 +321,7 @@ class KernelStepper:
         done, end = 0, n
         while True:
             if isinstance(found, int):
-                state.__dict__.update(before.copy().__dict__)
+                state.restore(before)
                 if found:  # steps that it can make; cut where that changes nothing, wherever this run began
                     aligned = (state.sample + found) // _CUT * _CUT - state.sample
                     end = done + (aligned if aligned > 0 else found)

@@ -244,7 +244,7 @@ def _find_friction(
     old, scale = (drives.offset - gap)[stored], drives.scale[stored]
     iterations = 0
 
-    def wrong(f: Floats) -> tuple[Floats, Floats, bool]:
+    def wrong(f: Floats) -> tuple[Floats, bool]:
         """Sets the forces of contacts in f; what is wrong with friction, m/s, and whether contacts were found."""
         nonlocal iterations
         found = True
@@ -257,10 +257,10 @@ def _find_friction(
         without = (free + Z @ f - gap)[sliding] / dt - own * f[sliding] - drives.velocity[sliding]
         for grip, v, mobility in zip(grips.values(), without, own, strict=True):
             grip.meet(float(v), float(mobility))
-        return own * (np.array([grip.force for grip in grips.values()]) - f[sliding]), without, found
+        return own * (np.array([grip.force for grip in grips.values()]) - f[sliding]), found
 
     f = guess.copy()
-    r, without, found = wrong(f)
+    r, found = wrong(f)
     for _ in range(MAX_ITERATIONS):
         made = float(np.abs(Z @ f).max())
         if found and float(np.abs(r).max()) * dt <= TOLERANCE * made + noise:
@@ -277,7 +277,7 @@ def _find_friction(
         for _halved in range(50):
             tried = f.copy()
             tried[sliding] += t * step
-            r, without, found = wrong(tried)
+            r, found = wrong(tried)
             if found and float(np.abs(r).max()) < (1 - 1e-3 * t) * size:
                 break
             t *= 0.5
@@ -292,6 +292,8 @@ def stiffness(
     grips: Mapping[int, Grip],
 ) -> Floats:  # fmt: skip
     """(k, k) N/m: what the forces found gain per gap that closes without them; arguments as of `find_forces`."""
+    import scipy.linalg as sla
+
     p, old = drives.offset_after - free - Z @ forces, drives.offset - gap
     left, right = np.eye(len(laws)), np.zeros((len(laws),) * 2)
     for j, law in enumerate(laws):
@@ -307,7 +309,7 @@ def stiffness(
             slope = law.force(float(p[j]), float(old[j]), dt)[1] * drives.scale[j]
         left[j] += slope * Z[j]
         right[j, j] = slope
-    return np.asarray(np.linalg.lstsq(left, right, rcond=None)[0])
+    return np.asarray(sla.lstsq(left, right)[0])
 
 
 def newton(

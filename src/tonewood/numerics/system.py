@@ -149,6 +149,11 @@ class State:
             self.tension.copy(),
         )
 
+    def restore(self, other: State) -> None:
+        """Take over all of another state."""
+        self.modes[:], self.forces[:], self.sample = other.modes, other.forces, other.sample
+        self.series, self.slip, self.tension = other.series.copy(), other.slip.copy(), other.tension.copy()
+
 
 @dataclass(frozen=True, eq=False)
 class Injection:
