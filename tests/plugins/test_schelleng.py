@@ -62,7 +62,7 @@ def test_the_map(tmp_path: Path) -> None:
 
     Near a bound whether a stroke settles is chaotic: rounding decides. So a bound is where half of all strokes do: the
     share of five that differ by 20 % in force, each tenth of a decade, is summed from well inside outwards. Measured:
-    low bounds 3.9, 5.2 and 4.6 times Schelleng's, high ones 0.9 to 1.1 times; single strokes scatter by a factor of 1.6.
+    low bounds 3.9, 5.2 and 4.6 times Schelleng's, high ones 0.9 to 1.1; single strokes scatter by a factor of 1.6.
     """
     bounds, inside = [], 9
     steps = 0.1 * (np.arange(15.0) - inside)

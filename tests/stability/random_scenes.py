@@ -109,8 +109,8 @@ def string(rng: Rng, kind: str, fs: int) -> dict[str, Any]:
     if kind == "geometric_string":
         # so does its first longitudinal mode
         highest = values["linear_density"] * (0.35 * fs * values["length"]) ** 2
-        if highest > 1e3:
-            values["axial_stiffness"] = log(rng, 1e2, min(highest, 1e6))
+        if highest > max(1e3, 2 * values["tension"]):
+            values["axial_stiffness"] = log(rng, max(1e2, values["tension"]), min(highest, 1e6))
         else:
             values["plugin"] = "tension_modulated_string"
     if values["plugin"] == "geometric_string":
