@@ -322,7 +322,7 @@ class NumpyStepper:
             self.statistics.iterations += found.iterations
             self.statistics.most_iterations = max(self.statistics.most_iterations, found.iterations)
             if not found.converged:
-                strings = [law.name for law in (*s.tensions, *s.geometric)]
+                strings = [t.name for t in s.tensions] + [g.name for g in s.geometric]
                 acting = [s.connections[j].name for j in on[found.forces != 0.0]] or strings
                 names = ", ".join(acting or [s.connections[j].name for j in on])
                 raise ValueError(f"the forces of {names} were not found")
