@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from random_scenes import scene
+from hard_scenes import scene
 
 SHORT, LONG = 50, 1000
 
