@@ -371,6 +371,13 @@ def test_check_shows_strings_alone_and_mounted(tonewood: Run) -> None:
     assert "shared with A2 (4" in text
 
 
+def test_check_names_a_string_that_misses_its_loss_law(tonewood: Run) -> None:
+    bending_alone = "strings.A2.loss={law: woodhouse, eta_f: 0.0, eta_a: 0.0, eta_b: 0.02}"
+    steep = tonewood("check", "monochord", "--set", bending_alone, "--set", "strings.A2.bending_stiffness=5e-5")
+    assert "partial 1 decays at 1." in steep.out
+    assert "decays at" not in tonewood("check", "monochord").out
+
+
 def test_check_warns_of_a_table_that_is_another(tonewood: Run, tmp_path: Path) -> None:
     folder = tmp_path / "mine"
     shutil.copytree(tw.load_instrument("african_harp").folder, folder)

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from tonewood.instrument.inspection import Pitch
     from tonewood.instrument.mounted import MountedPitch
 
+#: of a partial's decay rate; strings that miss their loss law by more are named
+LOSS_TOLERANCE = 1e-3
+
 
 def check(
     instrument: Annotated[str, typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT")],
@@ -107,7 +110,20 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
         "held_note": given.line() if given.noticeable else None,
         "worst_cents": max((p.error_cents for p, _ in mine), key=abs),
         "worst_cents_mounted": max((m.error_cents for _, m in mine), key=abs),
+        "loss_error": _loss_error(model, name),
     }
+
+
+def _loss_error(model: Model, name: str) -> dict[str, Any] | None:
+    """Partial of the open string whose decay on a rigid end is farthest from its loss law; None if unknown."""
+    import numpy as np
+
+    basis = next(iter(model.strings[name].bases().values()))
+    error = basis.metadata.get("loss_error")
+    if not isinstance(error, np.ndarray) or not error.size:
+        return None
+    worst = int(np.argmax(np.abs(error)))
+    return {"partial": worst + 1, "relative": float(error[worst])}
 
 
 def _mounted_row(p: Pitch, mounted: MountedPitch) -> dict[str, Any]:
@@ -187,6 +203,12 @@ def _print(report: dict[str, Any]) -> None:
         )
         if row["held_note"]:
             print(f"    {row['held_note']}")
+        loss = row["loss_error"]
+        if loss and abs(loss["relative"]) > LOSS_TOLERANCE:
+            print(
+                f"    warning: partial {loss['partial']} decays at {1 + loss['relative']:.3g} times the rate of its loss "
+                "law on a rigid end: the law grows too steeply for real modes without loss to the air or of stretching"
+            )
     for row in report["off_pitch"]:
         print(f"  off pitch: {row['string']} stop {row['stop']} ({row['note']}): {row['error_cents']:+.1f} cents")
     for row in report["off_pitch_mounted"]:

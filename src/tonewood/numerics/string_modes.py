@@ -162,6 +162,7 @@ def _count_below(limit: float, length: float, tension: float, linear_density: fl
     n_sines = int(length / np.pi * wavenumber(limit, tension, linear_density, bending_stiffness))
     k = np.arange(1, n_sines + 1) * np.pi / length
     sines = length / 2 * (tension * k**2 + bending_stiffness * k**4 - limit**2 * linear_density)
+    k, sines = k[sines < 0], sines[sines < 0]  # rounding may put the highest at the limit itself
     ramp = tension / length - limit**2 * linear_density * length / 3
     eliminated = ramp - np.cumsum(np.concatenate([[0.0], (limit**2 * linear_density / k) ** 2 / sines]))
     # the sums only grow
