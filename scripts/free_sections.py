@@ -1,0 +1,46 @@
+"""Griffe extension: docstring sections whose items state units and shapes where numpydoc expects a type.
+
+The types stand in the signatures. ``omega : (n,) rad/s`` becomes an item without a type, described by ``(n,) rad/s``.
+"""
+
+from __future__ import annotations
+
+import re
+from textwrap import indent
+from typing import Any
+
+from griffe import Extension, Object
+
+import tonewood
+
+_HEADING = re.compile(r"^(Parameters|Attributes|Raises|Returns|Yields)\n-+\n", re.MULTILINE)
+_ITEM = re.compile(r"^(\S[^:\n]*?) : ", re.MULTILINE)
+_NAME = re.compile(r"(?<![`\[])`(?:tw\.(\w+)|([A-Z]\w+))`(?!`)")
+
+
+def standard(text: str) -> str:
+    """Return a docstring with descriptions below the items' names, and links from public names."""
+    text = _NAME.sub(_link, text)
+    before, *sections = _HEADING.split(text)
+    parts = [before]
+    for heading, body in zip(sections[::2], sections[1::2], strict=True):
+        if heading in ("Returns", "Yields"):
+            body = ":\n" + indent(_ITEM.sub(r"`\1`: ", body.strip()), "    ") + "\n"
+        else:
+            body = _ITEM.sub(r"\1\n    ", body)
+        parts.append(f"{heading}\n{'-' * len(heading)}\n{body}")
+    return "".join(parts)
+
+
+def _link(found: re.Match[str]) -> str:
+    name = found[1] or found[2]
+    return f"[`{name}`][tonewood.{name}]" if name in tonewood.__all__ else found[0]
+
+
+class FreeSections(Extension):
+    """Applies `standard` to every docstring."""
+
+    def on_instance(self, *, obj: Object, **kwargs: Any) -> None:
+        """Rewrite the docstring before it is parsed."""
+        if obj.docstring is not None:
+            obj.docstring.value = standard(obj.docstring.value)
