@@ -53,7 +53,10 @@ _VALUES: dict[Any, str] = {
     bool: "",
 }
 _FENCE = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
-_FETCHED = re.compile(r"<(?:script|img|audio|iframe|source)[^>]*\ssrc=\"?(?:https?:)?//|<link[^>]*stylesheet[^>]*\bhref=\"?(?:https?:)?//")
+_FETCHED = re.compile(
+    r"<(?:script|img|audio|source|iframe)[^>]*\ssrc=\"?(?:https?:)?//[^\s>]*"
+    r"|<link[^>]*stylesheet[^>]*\shref=\"?(?:https?:)?//[^\s>]*"
+)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -188,7 +191,9 @@ def _commands() -> str:
                 word = info.metavar or parameter.name.upper()
                 arguments.append((word if required else f"[{word}]", f"| `{word}` | {row}"))
             else:
-                spelled = info.param_decls or [f"--{parameter.name.replace('_', '-')}"]
+                # typer keeps the first spelling as the default
+                spelled = [s for s in (info.default, *(info.param_decls or ())) if isinstance(s, str)]
+                spelled = spelled or [f"--{parameter.name.replace('_', '-')}"]
                 options.append(f"| {', '.join(f'`{s} {value}`'.replace(' `', '`') for s in spelled)} | {row}")
         words = "".join(f" {word}" for word, _ in arguments)
         text = inspect.getdoc(command) or ""
@@ -204,12 +209,14 @@ def _schema() -> str:
     from tonewood.instrument.schema_table import bundle_tables, plugin_tables
 
     def headed(tables: str) -> str:
-        return re.sub(r"^\*{1,2}([^*\n]+)\*{1,2}(.*)$", r"### \1\n\n\2", tables, flags=re.MULTILINE)
+        tables = re.sub(r"^\*\*(.+)\*\*(?::? (.*))?$", r"### \1\n\n\2", tables, flags=re.MULTILINE)
+        return re.sub(r"^\*(.+)\*, (\w+): (.*)$", r"#### \1: \2\n\n\3", tables, flags=re.MULTILINE)
 
     return (
         "# Schema of instruments\n\n"
         "Which keys may a bundle have? [Make an instrument](../make_an_instrument.md) explains them. "
         "For editors: [tonewood-instrument.schema.json](tonewood-instrument.schema.json), printed by "
         "`tonewood schema`.\n\n"
-        f"## Keys of a bundle\n\n{headed(bundle_tables())}\n## Keys of the built-in plugins\n\n{headed(plugin_tables())}"
+        f"## Keys of a bundle\n\n{headed(bundle_tables())}\n"
+        f"## Keys of the built-in plugins\n\n{headed(plugin_tables())}"
     )

@@ -9,7 +9,7 @@ import re
 from textwrap import indent
 from typing import Any
 
-from griffe import Extension, Object
+from griffe import Attribute, Docstring, Extension, Object
 
 import tonewood
 
@@ -44,3 +44,15 @@ class FreeSections(Extension):
         """Rewrite the docstring before it is parsed."""
         if obj.docstring is not None:
             obj.docstring.value = standard(obj.docstring.value)
+
+    def on_attribute_instance(self, *, attr: Attribute, **kwargs: Any) -> None:
+        """Take the comment ``#: ...`` above an attribute as its docstring."""
+        lines = attr.lines_collection.get(attr.filepath)
+        if attr.docstring is None and lines is not None and attr.lineno is not None:
+            comment: list[str] = []
+            for line in reversed(lines[: attr.lineno - 1]):
+                if not line.strip().startswith("#:"):
+                    break
+                comment.insert(0, line.strip()[2:].strip())
+            if comment:
+                attr.docstring = Docstring(standard(" ".join(comment)), parent=attr)

@@ -110,9 +110,9 @@ def page() -> str:
     """The gallery in Markdown."""
     parts = [
         "# Gallery\n",
-        f"What do the shipped instruments sound like? The first {DURATION:g} s of a score on each of them, mixed to one "
-        "channel, brought to one level and compressed. Each command makes the sound again, from the score that is "
-        "linked. Which figures of an instrument are measured and which are stand-ins: `tonewood check INSTRUMENT`.\n",
+        f"What do the shipped instruments sound like? Here are the first {DURATION:g} s of a score on each of them, mixed "
+        "to one channel, scaled to one peak level and compressed. The command below a picture makes the sound again "
+        "from the score that is linked. `tonewood check INSTRUMENT` lists the sources of an instrument's data.\n",
     ]
     for name in PIECES:
         parts += [
