@@ -6,14 +6,15 @@ The types stand in the signatures. ``omega : (n,) rad/s`` becomes an item withou
 from __future__ import annotations
 
 import re
+from itertools import takewhile
 from textwrap import indent
 from typing import Any
 
-from griffe import Attribute, Docstring, Extension, Object
+from griffe import Attribute, Docstring, Extension, Object, Visitor
 
 import tonewood
 
-_HEADING = re.compile(r"^(Parameters|Attributes|Raises|Returns|Yields)\n-+\n", re.MULTILINE)
+_HEADING = re.compile(r"^([A-Z][A-Za-z ]+)\n-{3,}\n", re.MULTILINE)
 _ITEM = re.compile(r"^(\S[^:\n]*?) : ", re.MULTILINE)
 _NAME = re.compile(r"(?<![`\[])`(?:tw\.(\w+)|([A-Z]\w+))`(?!`)")
 
@@ -26,7 +27,7 @@ def standard(text: str) -> str:
     for heading, body in zip(sections[::2], sections[1::2], strict=True):
         if heading in ("Returns", "Yields"):
             body = ":\n" + indent(_ITEM.sub(r"`\1`: ", body.strip()), "    ") + "\n"
-        else:
+        elif heading in ("Parameters", "Attributes", "Raises"):
             body = _ITEM.sub(r"\1\n    ", body)
         parts.append(f"{heading}\n{'-' * len(heading)}\n{body}")
     return "".join(parts)
@@ -45,14 +46,10 @@ class FreeSections(Extension):
         if obj.docstring is not None:
             obj.docstring.value = standard(obj.docstring.value)
 
-    def on_attribute_instance(self, *, attr: Attribute, **kwargs: Any) -> None:
+    def on_attribute_instance(self, *, attr: Attribute, agent: Visitor, **kwargs: Any) -> None:
         """Take the comment ``#: ...`` above an attribute as its docstring."""
-        lines = attr.lines_collection.get(attr.filepath)
-        if attr.docstring is None and lines is not None and attr.lineno is not None:
-            comment: list[str] = []
-            for line in reversed(lines[: attr.lineno - 1]):
-                if not line.strip().startswith("#:"):
-                    break
-                comment.insert(0, line.strip()[2:].strip())
+        if attr.docstring is None and attr.lineno is not None:
+            above = reversed(agent.code.splitlines()[: attr.lineno - 1])
+            comment = [line.strip()[2:].strip() for line in takewhile(lambda s: s.strip().startswith("#:"), above)]
             if comment:
-                attr.docstring = Docstring(standard(" ".join(comment)), parent=attr)
+                attr.docstring = Docstring(standard(" ".join(reversed(comment))), parent=attr)

@@ -110,7 +110,7 @@ def page() -> str:
     """The gallery in Markdown."""
     parts = [
         "# Gallery\n",
-        f"What do the shipped instruments sound like? Here are the first {DURATION:g} s of a score on each of them, mixed "
+        f"What do the shipped instruments sound like? Here are the first {DURATION:g} s of a score on each, mixed "
         "to one channel, scaled to one peak level and compressed. The command below a picture makes the sound again "
         "from the score that is linked. `tonewood check INSTRUMENT` lists the sources of an instrument's data.\n",
     ]
