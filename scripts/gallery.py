@@ -5,7 +5,9 @@ python scripts/gallery.py FOLDER
 
 from __future__ import annotations
 
+import atexit
 import io
+import shutil
 import sys
 import tempfile
 from contextlib import redirect_stdout
@@ -70,11 +72,13 @@ def make(folder: Path, name: str) -> tuple[Path, Path, Path]:
     wav = folder / f"{name}.wav"
     given = [str(folder / word) if word in (midi.name, wav.name) else word for word in command(name)]
     try:
-        with redirect_stdout(io.StringIO()):
+        with redirect_stdout(io.StringIO()) as said:
             run(given)
     except SystemExit as ended:
         if ended.code:
             raise RuntimeError(f"tonewood {' '.join(given)} ended with exit code {ended.code}") from None
+    if " 0 dropped" not in said.getvalue():
+        raise RuntimeError(f"{name} cannot play all of its score: {said.getvalue()}")
     samples, fs = sf.read(str(wav), always_2d=True)
     wav.unlink()
     # one channel, at a level that is alike for all of them
@@ -103,6 +107,7 @@ def _draw(sound: np.ndarray, fs: int, path: Path) -> None:
 def files() -> list[Path]:
     """Everything of the gallery, made once for this process in a folder of its own."""
     folder = Path(tempfile.mkdtemp(prefix="tonewood-gallery-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return [path for name in PIECES for path in make(folder, name)]
 
 
