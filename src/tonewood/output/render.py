@@ -183,8 +183,6 @@ class Renderer:
         self.model = assemble(chosen, engine_fs, freq_limit=limit, outputs=outputs)
         self.performance: Performance = perform(score, self.model, channel_per_string=channel_per_string)
         self.engine = Engine(self.model, self.performance.timeline, precision=precision, energy=energy)
-        if tail.level_db < self.model.choice.budget_db:
-            self.engine.sleeper.tail = max(self.expected_duration - self.performance.timeline.stop, 0.0)
         groups = self.model.outputs
         columns = [i for group in groups for i in group.readouts]
         whole = columns == list(range(len(self.model.system.readouts)))
@@ -195,6 +193,9 @@ class Renderer:
         self._decimator = Decimator(finer, len(columns))
         earliest = self.performance.timeline.start
         self.zero_frame = math.ceil(-earliest * self.fs) if lead_in == "auto" else round(float(lead_in) * self.fs)
+        if tail.level_db < self.model.choice.budget_db:
+            end = self.expected_duration - self.zero_frame / self.fs  # in score time
+            self.engine.sleeper.tail = max(end - self.performance.timeline.stop, 0.0)
         # the first frame that comes out of the decimator, which looks ahead; silence where the lead-in is longer
         first = self.engine.state.sample // finer - self._decimator.lead
         self._pending = np.zeros((max(0, first + self.zero_frame), len(columns)))
