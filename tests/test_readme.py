@@ -1,4 +1,4 @@
-"""What the README says is so: its Python runs, its links lead somewhere, its commands are there."""
+"""What the README says is so: its commands and instruments are there."""
 
 from __future__ import annotations
 
@@ -6,30 +6,10 @@ import re
 import tomllib
 from pathlib import Path
 
-import pytest
-import soundfile as sf
-
 from tonewood.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-
-
-def test_the_python_in_it_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
-    (block,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    names: dict[str, object] = {}
-    exec(compile(block, "README.md", "exec"), names)
-    info = sf.info("two_notes.wav")
-    assert (info.frames, info.channels) == (96000, 2)
-    assert getattr(names["block"], "shape", (0, 0))[1] == 2
-
-
-@pytest.mark.parametrize("document", ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"])
-def test_links_lead_somewhere(document: str) -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", (ROOT / document).read_text(encoding="utf-8")):
-        assert target.startswith("https://") or (ROOT / target).exists(), target
 
 
 def test_every_command_is_named() -> None:

@@ -110,6 +110,7 @@ if TYPE_CHECKING:
     from tonewood.score.note import Note as Note
     from tonewood.score.note import Score as Score
 
+    #: version of the installed package
     __version__: str
 
 _MODULES = {

@@ -18,6 +18,7 @@ from tonewood.faults import first_fault
 
 #: a number as it stands in a file: no text, no true/false
 Number = Annotated[float, Field(strict=True)]
+#: three numbers: x from nut to bridge, y from bass to treble, z out of the soundboard
 Vector = tuple[Number, Number, Number]
 
 _MISSING: Any = object()

@@ -8,9 +8,11 @@ wait for each other there; sound files are the same either way.
 from __future__ import annotations
 
 import contextlib
+import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, TypeVar
 
 from tonewood.errors import TonewoodError
@@ -58,6 +60,8 @@ class Workers:
         from joblib import Parallel, delayed
         from joblib.externals.loky.process_executor import BrokenProcessPool
 
+        if self.cluster is None and self.backend == "processes":
+            function = partial(_in_folder, os.getcwd(), function)
         with self._backend() as options:
             try:
                 parallel = Parallel(return_as="generator_unordered", pre_dispatch="2*n_jobs", **options)
@@ -84,3 +88,9 @@ class Workers:
             raise TonewoodError(f"cluster {self.cluster} does not answer: {fault}") from None
         with client, parallel_config(backend="dask", wait_for_workers_timeout=60):
             yield {"n_jobs": -1}
+
+
+def _in_folder(folder: str, function: Callable[[T], R], item: T) -> R:
+    """Call a function in the caller's current folder: worker processes may be left from a call made in another one."""
+    os.chdir(folder)
+    return function(item)

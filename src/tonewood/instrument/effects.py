@@ -113,6 +113,7 @@ SYMPATHETIC_STRINGS = Effect(
     "always, while anything is heard of them", "the estimate of high modes: a string of which nothing is heard is left "
     "its static shape", basic=True,
 )  # fmt: skip
+#: rising tension of a string; for plugins whose strings have it
 TENSION_MODULATION = Effect(
     "tension_modulation", "tension that rises with amplitude: glides, turning planes", "detuning",
     "a gesture's force bends the string so far that its tension would rise by more than the budget; every gesture that "
@@ -120,11 +121,13 @@ TENSION_MODULATION = Effect(
     "the string's energy, which bounds the mean rise of its tension; its partials, which bound the sidebands",
     bound=rise_of_tension, cost=lambda n: 8.0 * n,
 )  # fmt: skip
+#: motion of a string along itself; for plugins whose strings have it
 LONGITUDINAL = Effect(
     "longitudinal", "motion along the string: partials at sums of transverse ones", "additive",
     "any gesture on the string", "a bound on the phantom partials that the string's partials would "
     "drive; without them it is linear", cost=lambda n: 60.0 * n,
 )  # fmt: skip
+#: a finger that quiets the string while it draws it; for exciters whose gestures have a `tw.Hold`
 DAMPERS = Effect(
     "dampers", "fingers that quiet a string while they draw it", "additive", "from touch to release of each pluck",
     "nothing: no finger is on the string otherwise", cost=nothing,

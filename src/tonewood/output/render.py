@@ -194,9 +194,8 @@ class Renderer:
         earliest = self.performance.timeline.start
         self.zero_frame = math.ceil(-earliest * self.fs) if lead_in == "auto" else round(float(lead_in) * self.fs)
         if tail.level_db < self.model.choice.budget_db:
-            self.engine.sleeper.tail = max(
-                self.expected_duration - self.zero_frame / self.fs - self.performance.timeline.stop, 0.0
-            )
+            end = self.expected_duration - self.zero_frame / self.fs  # in score time
+            self.engine.sleeper.tail = max(end - self.performance.timeline.stop, 0.0)
         # the first frame that comes out of the decimator, which looks ahead; silence where the lead-in is longer
         first = self.engine.state.sample // finer - self._decimator.lead
         self._pending = np.zeros((max(0, first + self.zero_frame), len(columns)))

@@ -127,6 +127,16 @@ def test_workers_do_not_change_a_byte(tmp_path: Path, workers: Workers) -> None:
     assert sounds(alone.folder) == sounds(tmp_path / "many")
 
 
+def test_worker_processes_follow_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes are kept from one batch to the next, relative paths are those of the caller."""
+    for name in ("first", "second"):
+        path = fakes.write(tmp_path / name, fakes.manifest(**SMALL))
+        monkeypatch.chdir(path.parent)
+        report = run_batch(Path(path.name), Path("out"), FakeRenderer(), Workers(2, "processes"))
+        assert report.ok, report.faults
+        assert sounds(tmp_path / name / "out")
+
+
 def test_finished_renders_are_used_again(tmp_path: Path) -> None:
     log = tmp_path / "log"
     path = fakes.write(tmp_path, fakes.manifest(**SMALL))

@@ -1,0 +1,180 @@
+"""Every page: its code runs, its commands run, and the API reference lists every public name.
+
+The blocks of a page run in order, in a folder of their own that holds ``tune.mid``, ``phrase.mid`` and ``examples``.
+
+- ``python`` blocks share their variables.
+- ``sh`` blocks: each command ``tonewood ...`` runs in this process, shortened unless ``--validate`` is given.
+- A comment before a block says more: ``<!-- not run: REASON -->``, ``<!-- run in part: REASON -->`` (only the commands
+  ``tonewood ...``), ``<!-- file: PATH -->`` (the block is written there before anything runs).
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import soundfile as sf
+import typer
+
+import tonewood as tw
+from tonewood.cli.app import application
+from tonewood.cli.main import run
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/*/README.md")],
+    key=lambda p: p.relative_to(ROOT).as_posix(),
+)
+NAMES = [p.relative_to(ROOT).as_posix() for p in PAGES]
+_MARKER = r"(?:^<!-- (not run|run in part|file): (.+?) -->\n)?"
+_BLOCK = re.compile(_MARKER + r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+#: what makes a command quick
+SHORT = {"render": ["--max-duration", "0.1"], "batch": ["--dry-run"]}
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block with the comment before it."""
+
+    marker: str
+    reason: str
+    language: str
+    text: str
+
+
+def blocks(page: Path) -> list[Block]:
+    return [Block(*found) for found in _BLOCK.findall(page.read_text(encoding="utf-8"))]
+
+
+def commands(block: Block) -> list[list[str]]:
+    """Words of each command of a shell block, comments left out."""
+    lines = block.text.replace("\\\n", " ").replace("&&", "\n").splitlines()
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def run_page(page: Path, folder: Path, whole: bool) -> dict[str, Any]:
+    """Run a page in an empty folder, which is the current one; returns the variables of its Python."""
+    if page.parent.parent == ROOT / "examples":
+        shutil.copytree(page.parent, folder, dirs_exist_ok=True)
+    (folder / "examples").symlink_to(ROOT / "examples")
+    shutil.copy(ROOT / "examples" / "scores" / "pentatonic.mid", folder / "phrase.mid")
+    tw.write_midi(tw.Score([tw.Note(0.3 * i, 0.3, note=n) for i, n in enumerate((45, 52, 57))]), folder / "tune.mid")
+    found = blocks(page)
+    for block in found:
+        if block.marker == "file":
+            (folder / block.reason).parent.mkdir(parents=True, exist_ok=True)
+            (folder / block.reason).write_text(block.text, encoding="utf-8")
+    scope: dict[str, Any] = {"__name__": page.stem}
+    for block in found:
+        if block.marker == "not run":
+            continue
+        if block.language == "python":
+            exec(compile(block.text, str(page), "exec"), scope)
+        elif block.language == "sh":
+            for words in commands(block):
+                if words[0] == "tonewood":
+                    run_command(words[1:], whole)
+    return scope
+
+
+def run_command(arguments: list[str], whole: bool) -> None:
+    short = [] if whole else SHORT.get(arguments[0], [])
+    with pytest.raises(SystemExit) as ended:
+        run(arguments + (short if not set(short) & set(arguments) else []))
+    assert ended.value.code == 0, shlex.join(arguments)
+
+
+RUN = [
+    name
+    for name, page in zip(NAMES, PAGES, strict=True)
+    if any(b.language in ("python", "sh") and b.marker != "not run" for b in blocks(page))
+]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", [n for n in RUN if n != "README.md"])
+def test_a_page_runs(name: str, folder: Path) -> None:
+    run_page(ROOT / name, folder, whole=False)
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize("name", RUN)
+def test_a_page_runs_in_full(name: str, folder: Path) -> None:
+    run_page(ROOT / name, folder, whole=True)
+
+
+def test_the_readme_runs(folder: Path) -> None:
+    scope = run_page(ROOT / "README.md", folder, whole=False)
+    info = sf.info("two_notes.wav")
+    assert (info.frames, info.channels) == (96000, 2)
+    assert scope["block"].shape[1] == 2
+    assert sf.info("greensleeves.wav").frames == 4800
+
+
+def test_pages_that_run_are_found() -> None:
+    """The pattern of a block misses none of these."""
+    assert set(RUN) >= {
+        "README.md",
+        "docs/effects.md",
+        "docs/listening_tests.md",
+        "docs/make_an_instrument.md",
+        "docs/strings_and_contact.md",
+        "docs/write_a_plugin.md",
+        "examples/listening_test/README.md",
+    }
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_escapes_being_run(name: str) -> None:
+    """Commands stand in ``sh`` blocks, and where one is not run the page says why."""
+    page = ROOT / name
+    text = page.read_text(encoding="utf-8")
+    assert text.count("\n```") % 2 == 0
+    assert len(blocks(page)) == text.count("\n```") // 2
+    for block in blocks(page):
+        assert block.language, f"a block without a language: {block.text[:60]}"
+        if block.language == "sh":
+            foreign = [words for words in commands(block) if words[0] != "tonewood"]
+            assert not foreign or block.marker in ("not run", "run in part"), foreign
+    outside = _BLOCK.sub("", text)
+    assert re.findall(r"^ {4,}(?:tonewood|python|pip|bash) .*$", outside, re.MULTILINE) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_commands_in_sentences_exist(name: str) -> None:
+    """Names of commands, options and scripts in the text."""
+    known = {
+        command: {option for parameter in made.params for option in parameter.opts} | {"--help"}
+        for command, made in typer.main.get_command(application(None)).commands.items()
+    }
+    text = _BLOCK.sub("", (ROOT / name).read_text(encoding="utf-8"))
+    for command, rest in re.findall(r"`tonewood ([a-z]\w*)([^`]*)`", text):
+        assert command in known
+        assert set(re.findall(r"(?<!\w)--?[a-z][a-z-]*", rest)) <= known[command], f"tonewood {command}{rest}"
+    for script in re.findall(r"`(?:[A-Z_]+=\w+ )?(?:python|bash) ([\w/.]+\.(?:py|sh))\b", text):
+        assert (ROOT / script).is_file(), script
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_links_lead_somewhere(name: str) -> None:
+    """To files of the repository, as they are followed where the code is hosted."""
+    page = ROOT / name
+    for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", _BLOCK.sub("", page.read_text(encoding="utf-8"))):
+        assert target.startswith("https://") or (page.parent / target).exists(), target
+
+
+def test_the_reference_lists_every_public_name_once() -> None:
+    text = "\n".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs" / "reference").glob("*.md"))
+    listed = Counter(re.findall(r"^::: tonewood\.(\w+)$", text, re.MULTILINE))
+    assert listed == Counter(tw.__all__)
