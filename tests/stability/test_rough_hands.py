@@ -194,13 +194,6 @@ def test_the_same_instrument_at_every_rate(monochord: tw.Instrument, fs: int) ->
         assert rate_here == pytest.approx(rate_there, rel=5e-3)
 
 
-def test_single_precision_sounds_as_double(guitar: tw.Instrument) -> None:
-    """To -70 dB of the peak over half a second of a chord."""
-    notes = [tw.Note(0.0, 1.0, note=n, force=3.0) for n in (40, 52, 59)]
-    double, single = (sound(notes, guitar, 0.5, precision=p) for p in ("f64", "f32"))
-    assert np.abs(single - double).max() < 3.2e-4 * np.abs(double).max()
-
-
 def test_a_struck_body_with_strings_on_it(monochord: tw.Instrument) -> None:
     """The tap's energy only falls once the tap is over, and no tone is left at Nyquist."""
     tap = [tw.Note(0.05 * i, 0.0, technique="tap", force=50.0) for i in range(4)]
