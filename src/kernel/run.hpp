@@ -159,7 +159,7 @@ Fault run(std::vector<Component>& components, const Layout& layout, const Solve&
                 to_weave[i] = (!components[i].guarded.n || laws.calm(i)) && may(i) && !components[i].stretched.on;
             std::fill(followed.begin(), followed.end(), 0);
             if (to_weave != woven) loom.set(woven = to_weave);
-            loom.template pass<Passage::in>(0);
+            loom.pass<Passage::in>(0);
             loom.unwind(lines.data(), driven_lines, 0);
         } else {
             lines.swap(next_lines);
@@ -285,7 +285,7 @@ Fault run(std::vector<Component>& components, const Layout& layout, const Solve&
         if (left) loom.set(woven);
         left = false;
         if (place + 1 == kWeave) {
-            loom.template pass<Passage::out>(force - forces.data());
+            loom.pass<Passage::out>(force - forces.data());
         } else {
             for (int i = 0; i < n_components; ++i) {
                 const Component& c = components[i];
@@ -295,7 +295,7 @@ Fault run(std::vector<Component>& components, const Layout& layout, const Solve&
                 const int step = c.driven ? kBlock + 1 : 1;
                 for (int r = 0; r < c.n_rows; ++r) rows[r * step] = last[r * step];
             }
-            loom.template pass<Passage::on>(force - forces.data());
+            loom.pass<Passage::on>(force - forces.data());
             loom.unwind(next_lines.data(), driven_lines, 1);
         }
 
