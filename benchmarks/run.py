@@ -67,9 +67,9 @@ def all_ringing(repeats: int) -> Iterator[Row]:
     """The whole guitar while every string rings, and what the kernel alone takes of it."""
     guitar = tw.load_instrument("classical_guitar")
 
-    def engine_factor(precision: str, effects: str = "all") -> float:
+    def engine_factor(effects: str = "all") -> float:
         renderer = chord(guitar, effects=effects)
-        engine = Engine(renderer.model, renderer.performance.timeline, precision=precision)
+        engine = Engine(renderer.model, renderer.performance.timeline)
         engine.advance(100)  # the plucks
         n_ticks = 3 * FS // GRID
         began = time.process_time()
@@ -85,14 +85,13 @@ def all_ringing(repeats: int) -> Iterator[Row]:
         return 3.0 / (time.process_time() - began)
 
     model = chord(guitar).model
-    for precision in ("f64", "f32"):
-        value, spread = repeated(lambda p=precision: engine_factor(p), repeats)  # type: ignore[misc]  # bound now
-        what = f"guitar, {model.n_modes} modes ringing, 2 microphones, 48 kHz, {precision}"
-        yield what, f"{value:.1f} x real time", spread
-    value, spread = repeated(lambda: engine_factor("f64", "auto"), repeats)
-    yield "  modes left out that nobody hears (effects `auto`), f64", f"{value:.1f} x real time", spread
+    value, spread = repeated(engine_factor, repeats)
+    what = f"guitar, {model.n_modes} modes ringing, 2 microphones, 48 kHz"
+    yield what, f"{value:.1f} x real time", spread
+    value, spread = repeated(lambda: engine_factor("auto"), repeats)
+    yield "  modes left out that nobody hears (effects `auto`)", f"{value:.1f} x real time", spread
     value, spread = repeated(render_factor, repeats)
-    yield "  the same rendered, plucks and blocks included, f64", f"{value:.1f} x real time", spread
+    yield "  the same rendered, plucks and blocks included", f"{value:.1f} x real time", spread
 
 
 def kernel_cost(repeats: int) -> Iterator[Row]:
@@ -117,7 +116,7 @@ def kernel_cost(repeats: int) -> Iterator[Row]:
 
     seconds()
     value, spread = repeated(lambda: 1e9 * seconds() / n_modes, 10 * repeats)
-    yield "kernel, linear step, f64", f"{value:.3f} ns per mode and sample", spread
+    yield "kernel, linear step", f"{value:.3f} ns per mode and sample", spread
     peak = max(_kernel.fma_peak(instruction_set(), 0.1) for _ in range(3 * repeats))
     yield f"this core's peak, {instruction_set()}", f"{peak / 1e9:.1f} G multiply-adds/s", f"best of {3 * repeats} runs"
     share = multiply_adds / (value * 1e-9 * n_modes) / peak

@@ -29,7 +29,7 @@ tests=("$@")
 if [ ${#tests[@]} -eq 0 ]; then
     # whatever of numerics runs the kernel: linear, nonlinear, culled and tension-modulated contacts, geometric strings
     mapfile -t tests < <(grep -lE 'KernelStepper|_kernel' tests/unit/numerics/test_*.py)
-    tests+=(tests/stability/test_kernel_door.py tests/stability/test_precision_and_tails.py
+    tests+=(tests/stability/test_kernel_door.py tests/stability/test_tails.py
         tests/unit/lab/test_compiled_methods.py)
 fi
 echo "== testing with $library"

@@ -34,14 +34,12 @@ namespace tonewood {
 namespace {
 
 // Room for rounding, and for how exactly modes and tensions are known, relative.
-template <class T>
-constexpr double kEnergyMargin = sizeof(T) == sizeof(double) ? 1e-6 : 1e-3;
+constexpr double kEnergyMargin = 1e-6;
 
-template <class T>
-double energy(const Component<T>& c, const T* x, const T* y) {
-    using S = Simd<T>;
-    const T *of_x = c.guarded.energy.data(), *of_y = of_x + c.n;
-    typename S::V sum{}, more{};
+double energy(const Component& c, const double* x, const double* y) {
+    using S = Simd;
+    const double *of_x = c.guarded.energy.data(), *of_y = of_x + c.n;
+    S::V sum{}, more{};
     for (int k = 0; k < c.n; k += S::width) {
         const auto a = S::load(x + k), b = S::load(y + k);
         sum += S::load(of_x + k) * a * a;
@@ -51,10 +49,9 @@ double energy(const Component<T>& c, const T* x, const T* y) {
 }
 
 // S of a string's polarization.
-template <class T>
-double stretched(const Component<T>& c, const T* x) {
-    using S = Simd<T>;
-    typename S::V sum{};
+double stretched(const Component& c, const double* x) {
+    using S = Simd;
+    S::V sum{};
     for (int k = 0; k < c.n; k += S::width) {
         const auto y = S::load(&c.stretched.reading[k]) * S::load(x + k);
         sum += S::load(&c.stretched.a[k]) * y * y;
@@ -62,41 +59,38 @@ double stretched(const Component<T>& c, const T* x) {
     return S::sum(sum);
 }
 
-template <class T>
-double read(const Component<T>& c, const T* row, const T* modes) {
-    using S = Simd<T>;
-    typename S::V sum{};
+double read(const Component& c, const double* row, const double* modes) {
+    using S = Simd;
+    S::V sum{};
     for (int k = 0; k < 2 * c.n; k += S::width) sum += S::load(row + k) * S::load(modes + k);
     return S::sum(sum);
 }
 
 // What an input does that stays as it is, per its value.
-template <class T>
 struct Held {
-    const T* vector;
-    Array<T> modes;      // (2, n): the state that it holds
+    const double* vector;
+    Array<double> modes;  // (2, n): the state that it holds
     Array<double> rows;  // (n_guarded) in that state
     double port, jump;   // the port in that state; by how far one step moves it
     double size;         // square root of the energy that one step gives
     bool whole = true;   // no mode drifts under it
 };
 
-template <class T>
-Held<T> hold(const Component<T>& c, const T* vector) {
+Held hold(const Component& c, const double* vector) {
     const std::size_t n = c.n;
     const double size = c.guarded.energy.empty() ? 0.0 : std::sqrt(energy(c, vector, vector + n));
-    Held<T> held{vector, Array<T>(2 * n), Array<double>(c.guarded.n), 0.0, 0.0, size};
-    using S = Simd<T>;
+    Held held{vector, Array<double>(2 * n), Array<double>(c.guarded.n), 0.0, 0.0, size};
+    using S = Simd;
     for (std::size_t k = 0; k < n; k += S::width) {
         const auto x = S::load(vector + k), y = S::load(vector + n + k), kappa = S::load(&c.kappa[k]);
-        const auto per = kappa > T(0) ? T(1) / kappa : typename S::V{};
+        const auto per = kappa > 0.0 ? 1.0 / kappa : S::V{};
         const auto e00 = S::load(&c.e[k]), e01 = S::load(&c.e[n + k]);
         const auto e10 = S::load(&c.e[2 * n + k]), e11 = S::load(&c.e[3 * n + k]);
-        S::store(&held.modes[k], per * ((T(1) - e11) * x + e01 * y));
-        S::store(&held.modes[n + k], per * (e10 * x + (T(1) - e00) * y));
+        S::store(&held.modes[k], per * ((1.0 - e11) * x + e01 * y));
+        S::store(&held.modes[n + k], per * (e10 * x + (1.0 - e00) * y));
     }
     for (std::size_t k = 0; k < n; ++k)
-        held.whole = held.whole && (c.kappa[k] > T(0) || (vector[k] == T(0) && vector[n + k] == T(0)));
+        held.whole = held.whole && (c.kappa[k] > 0.0 || (vector[k] == 0.0 && vector[n + k] == 0.0));
     for (std::size_t r = 0; r < held.rows.size(); ++r)
         held.rows[r] = read(c, &c.guarded.rows[2 * r * n], held.modes.data());
     if (c.n_ports > 0)
@@ -104,13 +98,12 @@ Held<T> hold(const Component<T>& c, const T* vector) {
     return held;
 }
 
-template <class T>
 class Calm {
-    using S = Simd<double>;
+    using S = Simd;
     enum : char { no, for_window, for_block };
 
 public:
-    Calm(const std::vector<Component<T>>& components, const Layout& layout, const Nonlinear& nl, const Tensions& tensions)
+    Calm(const std::vector<Component>& components, const Layout& layout, const Nonlinear& nl, const Tensions& tensions)
         : components_(components), layout_(layout), nl_(nl), calm_(nl.groups.size(), no), tense_(nl.groups.size(), 0) {
         if (!nl_.k) return;
         const std::size_t n = layout_.single_width;
@@ -144,7 +137,7 @@ public:
 
     // A window begins in the state of `job`. Group g may be calm if `may(g)`.
     template <class May>
-    void begin(const Job<T>& job, const May& may) {
+    void begin(const Job& job, const May& may) {
         for (int g = 0; g < int(calm_.size()); ++g) {
             release(g);
             if (!nl_.groups[g].calm || tense_[g] & kBarred || !may(g)) continue;
@@ -165,7 +158,7 @@ public:
     }
 
     // A block of nb samples begins, with known inputs on components of group g: whether it is calm in it.
-    bool begin_block(int g, const Job<T>& job, const std::vector<std::vector<Input<T>>>& known, int nb) {
+    bool begin_block(int g, const Job& job, const std::vector<std::vector<Input>>& known, int nb) {
         release(g);
         const Nonlinear::Group& group = nl_.groups[g];
         const std::size_t n_parts = group.components.size(), width = layout_.single_width;
@@ -173,8 +166,8 @@ public:
         for (Array<double>* a : {&added_, &strain_, &sway_of_}) a->assign(n_parts, 0.0);
         for (std::size_t q = 0; q < n_parts; ++q) {
             const int i = group.components[q], lane = layout_.port[i];
-            const Component<T>& c = components_[i];
-            const T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
+            const Component& c = components_[i];
+            const double *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             double* const rows = &at_rest_[nl_.first[i]];
             std::fill_n(rows, c.guarded.n, 0.0);
             shift_[lane] = held_force_[lane] = 0.0;
@@ -182,11 +175,11 @@ public:
             if (!known[i].empty()) {
                 moved_.resize(2 * c.n);
                 std::copy_n(x, c.n, moved_.data()), std::copy_n(y, c.n, moved_.data() + c.n);
-                for (const Input<T>& input : known[i]) {
+                for (const Input& input : known[i]) {
                     double values[kBlock] = {}, mean = 0.0, off = 0.0;
                     for (int b = 0; b < nb; ++b) mean += values[b] = input.values[b * input.stride];
                     mean /= nb;
-                    const Held<T>& held = held_by(c, input.vector);
+                    const Held& held = held_by(c, input.vector);
                     for (int b = 0; b < nb; ++b) {
                         values[b] -= mean;
                         off += std::abs(values[b]), jumps[b] += values[b] * held.jump;
@@ -195,7 +188,7 @@ public:
                     settle(mean, held, rows, port);
                 }
                 // and a force on the port that keeps it where it is
-                const Held<T>& kept = held_by(c, c.w.data());
+                const Held& kept = held_by(c, c.w.data());
                 held_force_[lane] = read(c, c.rows.data(), moved_.data()) / kept.port;
                 settle(held_force_[lane], kept, rows, port);
                 energy_[lane] = energy(c, moved_.data(), moved_.data() + c.n);
@@ -206,13 +199,13 @@ public:
             added_[q] = added, shift_[lane] = port;
         }
         for (const int j : group.contacts) {
-            double room = -nl_.laws[j].offset * (1 - kEnergyMargin<T>);
+            double room = -nl_.laws[j].offset * (1 - kEnergyMargin);
             for (const Nonlinear::Term& t : nl_.terms[j]) room += t.factor * at_rest_[nl_.first[t.component] + t.port];
             if (!(room > 0.0)) return release(g), false;
             const double over = 1.0 / room;
             for (const Nonlinear::Term& t : nl_.terms[j]) {
                 const int q = part_[t.component];
-                const Guarded<T>& guarded = components_[t.component].guarded;
+                const Guarded& guarded = components_[t.component].guarded;
                 const double per = std::abs(t.factor) * over, lean = per * guarded.lean[t.port];
                 strain_[q] = std::max(strain_[q], per * guarded.swing[t.port]);
                 sway_of_[q] = std::max(sway_of_[q], lean);
@@ -226,34 +219,34 @@ public:
     // The state of component i at a block's beginning, counted from where the means of its known inputs would hold it:
     // in `moved`, its guarded rows there in `held_at`. Returns the most that deviations from the means add to its size.
     template <class Size>
-    double settle_about(int i, const Job<T>& job, const std::vector<Input<T>>& known, int nb, const Size& size) {
-        const Component<T>& c = components_[i];
+    double settle_about(int i, const Job& job, const std::vector<Input>& known, int nb, const Size& size) {
+        const Component& c = components_[i];
         const std::size_t n = c.n;
         if (at_rest_.empty()) at_rest_.assign(nl_.n_guarded, 0.0);
         if (states_.empty()) states_.resize(components_.size());
-        Array<T>& state = states_[i];
+        Array<double>& state = states_[i];
         state.assign(job.modes[0] + c.offset, job.modes[0] + c.offset + n);
         state.insert(state.end(), job.modes[1] + c.offset, job.modes[1] + c.offset + n);
         double* const rows = &at_rest_[nl_.first[i]];
         std::fill_n(rows, c.guarded.n, 0.0);
         double added = 0.0;
-        for (const Input<T>& input : known) {
+        for (const Input& input : known) {
             double mean = 0.0, off = 0.0;
             for (int b = 0; b < nb; ++b) mean += input.values[b * input.stride];
             mean /= nb;
             for (int b = 0; b < nb; ++b) off += std::abs(input.values[b * input.stride] - mean);
-            const Held<T>& held = held_by(c, input.vector);
+            const Held& held = held_by(c, input.vector);
             if (!held.whole) {
                 for (int b = 0; b < nb; ++b) added += std::abs(input.values[b * input.stride]) * size(input.vector);
                 continue;
             }
-            for (std::size_t k = 0; k < 2 * n; ++k) state[k] -= held.modes[k] * T(mean);
+            for (std::size_t k = 0; k < 2 * n; ++k) state[k] -= held.modes[k] * mean;
             for (std::size_t r = 0; r < held.rows.size(); ++r) rows[r] += mean * held.rows[r];
             added += off * size(input.vector);
         }
         return added;
     }
-    const T* moved(int i) const { return states_[i].data(); }
+    const double* moved(int i) const { return states_[i].data(); }
     double held_at(int guarded) const { return at_rest_[guarded]; }
 
     // No group is calm.
@@ -343,10 +336,10 @@ private:
     }
 
     // The state in `moved_` is counted from where an input of this size holds it.
-    void settle(double size, const Held<T>& held, double* rows, double& port) {
-        using V = Simd<T>;
+    void settle(double size, const Held& held, double* rows, double& port) {
+        using V = Simd;
         for (std::size_t k = 0; k < held.modes.size(); k += V::width)
-            V::store(&moved_[k], V::load(&moved_[k]) - V::load(&held.modes[k]) * T(size));
+            V::store(&moved_[k], V::load(&moved_[k]) - V::load(&held.modes[k]) * size);
         for (std::size_t r = 0; r < held.rows.size(); ++r) rows[r] += size * held.rows[r];
         port += size * held.port;
     }
@@ -392,7 +385,7 @@ private:
                 if (leads(i)) sum += strain[part_[other]] * strain[part_[other]];
             return std::sqrt(sum);
         };
-        double spare = 1.0 - kEnergyMargin<T>;
+        double spare = 1.0 - kEnergyMargin;
         for (std::size_t q = 0; q < n; ++q) spare -= root(q) * strain_at(q);
         if (!(spare > 0.0)) return release(g), false;
         for (std::size_t q = 0; q < n; ++q) {
@@ -410,13 +403,13 @@ private:
         return true;
     }
 
-    const Held<T>& held_by(const Component<T>& c, const T* vector) {
-        for (const Held<T>& held : held_)
+    const Held& held_by(const Component& c, const double* vector) {
+        for (const Held& held : held_)
             if (held.vector == vector) return held;
         return held_.emplace_back(hold(c, vector));
     }
 
-    const std::vector<Component<T>>& components_;
+    const std::vector<Component>& components_;
     const Layout& layout_;
     const Nonlinear& nl_;
     std::vector<char> calm_;
@@ -429,10 +422,10 @@ private:
     // where inputs hold it, with which force on it (single_width), and how far they move it (kBlock, single_width)
     Array<double> shift_, held_force_, jumps_;
     Array<double> worth_;                         // (force_width)
-    std::vector<Held<T>> held_;                   // of this run
+    std::vector<Held> held_;                      // of this run
     Array<double> at_rest_, added_, strain_, sway_of_;
-    Array<T> moved_;
-    std::vector<Array<T>> states_;
+    Array<double> moved_;
+    std::vector<Array<double>> states_;
 };
 
 }  // namespace

@@ -19,13 +19,12 @@ constexpr double kBelowRounding = 1e-16;        // of the coordinates before the
 constexpr int kMaxGeometricIterations = 400;
 constexpr int kGeometricMemory = 14;           // differences kept; then they are forgotten at once
 
-template <class T>
 class GeometricStep {
-    using S = Simd<double>;
+    using S = Simd;
 
 public:
-    GeometricStep(const std::vector<Component<T>>& components, const Layout& layout, const Geometric& geometric,
-                  Statistics& statistics, const Job<T>& job)
+    GeometricStep(const std::vector<Component>& components, const Layout& layout, const Geometric& geometric,
+                  Statistics& statistics, const Job& job)
         : components_(components), layout_(layout), geometric_(geometric), statistics_(statistics), job_(job) {
         for (const auto& given : geometric_.strings) {
             String string;
@@ -33,11 +32,11 @@ public:
             for (const auto& g : given.parts) {
                 Part part;
                 part.given = &g, part.at = at;
-                const Component<T>& c = components_[g.component];
+                const Component& c = components_[g.component];
                 const int n = g.width, reach = g.cosines_width + 2 * given.order + kLane;
                 at += n;
                 for (Array<double>* a : {&part.before, &part.free, &part.after}) a->assign(n, 0.0);
-                part.fx.assign(c.n, T(0)), part.fy.assign(c.n, T(0));
+                part.fx.assign(c.n, 0.0), part.fy.assign(c.n, 0.0);
                 part.rest.assign(c.n_ports, 0.0);
                 part.slope.assign(2 * std::size_t(reach), 0.0);
                 part.force.assign(g.cosines_width, 0.0);
@@ -58,7 +57,7 @@ public:
     }
 
     // Free motion of the strings in sample b of a block.
-    void begin_sample(int b, double* lines, const std::vector<std::vector<Input<T>>>& known) {
+    void begin_sample(int b, double* lines, const std::vector<std::vector<Input>>& known) {
         for (String& s : strings_) begin(s, b, lines, known);
     }
 
@@ -121,7 +120,7 @@ private:
         const Geometric::Part* given = nullptr;
         int at = 0;                         // of its coordinates among the string's
         Array<double> before, free, after;  // coordinates
-        Array<T> fx, fy;                    // state without forces
+        Array<double> fx, fy;               // state without forces
         Array<double> rest;                 // ports without forces
         Array<double> slope;                // even continuation of the slope's cosines before and after
         Array<double> force;                // on the cosines
@@ -138,8 +137,8 @@ private:
         Array<double> q, p;                                   // (kGeometricMemory, n) differences of wrong, of made
     };
 
-    T* x(const Part& p) const { return job_.modes[0] + components_[p.given->component].offset; }
-    T* y(const Part& p) const { return job_.modes[1] + components_[p.given->component].offset; }
+    double* x(const Part& p) const { return job_.modes[0] + components_[p.given->component].offset; }
+    double* y(const Part& p) const { return job_.modes[1] + components_[p.given->component].offset; }
 
     bool book(int iterations, bool done) {
         statistics_.tension_iterations += iterations;
@@ -148,15 +147,15 @@ private:
         return done;
     }
 
-    void rows(const Part& part, int b, double* lines, const T* sx, const T* sy, int count) const {
-        const Component<T>& c = components_[part.given->component];
+    void rows(const Part& part, int b, double* lines, const double* sx, const double* sy, int count) const {
+        const Component& c = components_[part.given->component];
         double* line = lines + std::size_t(b) * layout_.width + layout_.row[part.given->component];
         for (int r = 0; r < count; ++r) line[r] = row(c, r, sx, sy);
     }
-    static double row(const Component<T>& c, int r, const T* sx, const T* sy) {
-        using V = Simd<T>;
-        const T *rx = &c.rows[2 * std::size_t(r) * c.n], *ry = rx + c.n;
-        typename V::V sum{}, more{};
+    static double row(const Component& c, int r, const double* sx, const double* sy) {
+        using V = Simd;
+        const double *rx = &c.rows[2 * std::size_t(r) * c.n], *ry = rx + c.n;
+        Simd::V sum{}, more{};
         for (int k = 0; k < c.n; k += V::width) {
             sum += V::load(rx + k) * V::load(sx + k);
             more += V::load(ry + k) * V::load(sy + k);
@@ -165,27 +164,27 @@ private:
     }
 
     // Free motion, and forces to start from.
-    void begin(String& s, int b, double* lines, const std::vector<std::vector<Input<T>>>& known) {
-        using V = Simd<T>;
+    void begin(String& s, int b, double* lines, const std::vector<std::vector<Input>>& known) {
+        using V = Simd;
         for (Part& part : s.parts) {
             const int i = part.given->component;
-            const Component<T>& c = components_[i];
-            const T *sx = x(part), *sy = y(part);
+            const Component& c = components_[i];
+            const double *sx = x(part), *sy = y(part);
             rows(part, b, lines, sx, sy, c.n_rows);
             for (int k = 0; k < c.n; k += V::width) {
                 const auto a = V::load(sx + k), d = V::load(sy + k);
                 auto nx = V::load(&c.e[k]) * a + V::load(&c.e[c.n + k]) * d;
                 auto ny = V::load(&c.e[2 * c.n + k]) * a + V::load(&c.e[3 * c.n + k]) * d;
-                for (const Input<T>& in : known[i]) {
-                    const T value = T(in.values[b * in.stride]);
+                for (const Input& in : known[i]) {
+                    const double value = in.values[b * in.stride];
                     nx += V::load(in.vector + k) * value, ny += V::load(in.vector + c.n + k) * value;
                 }
                 V::store(&part.fx[k], nx), V::store(&part.fy[k], ny);
             }
             for (int p = 0; p < c.n_ports; ++p) part.rest[p] = row(c, p, part.fx.data(), part.fy.data());
             for (int k = 0; k < part.given->n; ++k) {
-                part.before[k] = part.given->reading[k] * double(sx[k]);
-                part.free[k] = part.given->reading[k] * double(part.fx[k]);
+                part.before[k] = part.given->reading[k] * sx[k];
+                part.free[k] = part.given->reading[k] * part.fx[k];
             }
             part.after = part.free;
         }
@@ -379,19 +378,19 @@ private:
 
     // The step itself.
     void move(const String& s, const Part& part, const double* now) {
-        using V = Simd<T>;
+        using V = Simd;
         const auto& g = *part.given;
-        const Component<T>& c = components_[g.component];
+        const Component& c = components_[g.component];
         const double* forces = now + layout_.port[g.component];
-        T *sx = x(part), *sy = y(part);
+        double *sx = x(part), *sy = y(part);
         std::copy(part.fx.begin(), part.fx.end(), sx);
         std::copy(part.fy.begin(), part.fy.end(), sy);
         for (int k = 0; k < g.n; ++k) {
-            sx[k] = T(double(sx[k]) + g.kick[k] * s.F[part.at + k]);
-            sy[k] = T(double(sy[k]) + g.kick[g.width + k] * s.F[part.at + k]);
+            sx[k] += g.kick[k] * s.F[part.at + k];
+            sy[k] += g.kick[g.width + k] * s.F[part.at + k];
         }
         for (int p = 0; p < c.n_ports; ++p) {
-            const T f = T(forces[p]), *w = &c.w[2 * std::size_t(p) * c.n];
+            const double f = forces[p], *w = &c.w[2 * std::size_t(p) * c.n];
             for (int k = 0; k < c.n; k += V::width) {
                 V::store(sx + k, V::load(sx + k) + V::load(w + k) * f);
                 V::store(sy + k, V::load(sy + k) + V::load(w + c.n + k) * f);
@@ -399,11 +398,11 @@ private:
         }
     }
 
-    const std::vector<Component<T>>& components_;
+    const std::vector<Component>& components_;
     const Layout& layout_;
     const Geometric& geometric_;
     Statistics& statistics_;
-    const Job<T>& job_;
+    const Job& job_;
     std::vector<String> strings_;
 };
 

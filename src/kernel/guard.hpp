@@ -17,31 +17,28 @@ namespace tonewood {
 namespace {
 
 // Room for rounding in the bounds, relative to the motion.
-template <class T>
-constexpr double kMargin = sizeof(T) == sizeof(double) ? 1e-11 : 1e-4;
+constexpr double kMargin = 1e-11;
 
 // Square root of the weighted squares of all modes of a state or an input.
-template <class T>
-double norm(const Component<T>& c, const T* x, const T* y) {
-    using V = typename Simd<T>::V;
-    using S = Simd<T>;
+double norm(const Component& c, const double* x, const double* y) {
+    using V = Simd::V;
+    using S = Simd;
     V sum{}, more{};
     for (int k = 0; k < c.n; k += S::width) {
         const V a = S::load(x + k), b = S::load(y + k);
         sum += S::load(&c.guarded.norm[k]) * a * a;
         more += S::load(&c.guarded.norm[c.n + k]) * b * b;
     }
-    alignas(64) T lanes[S::width];
+    alignas(64) double lanes[S::width];
     S::store(lanes, sum + more);
     return std::sqrt(S::sum(lanes));
 }
 
 // Upper bounds of |Re z| of turning modes: max + (sqrt 2 - 1) min of the two numbers.
-template <class T>
-void sizes(const Component<T>& c, const T* x, const T* y, T* out) {
+void sizes(const Component& c, const double* x, const double* y, double* out) {
     for (int k = 0; k < c.n; ++k) {
-        const T a = std::abs(x[k]), b = c.guarded.size[k] * std::abs(y[k]);
-        out[k] = (a > b ? a : b) + T(0.41421357) * (a > b ? b : a);
+        const double a = std::abs(x[k]), b = c.guarded.size[k] * std::abs(y[k]);
+        out[k] = (a > b ? a : b) + 0.41421357 * (a > b ? b : a);
     }
 }
 
@@ -50,19 +47,18 @@ struct Surroundings {
 };
 
 // Where a guarded port is in the middle of the block, and how far from there it may be in it.
-template <class T>
-Surroundings surroundings(const Component<T>& c, int port, const T* x, const T* y, const T* size) {
-    using V = typename Simd<T>::V;
-    using S = Simd<T>;
+Surroundings surroundings(const Component& c, int port, const double* x, const double* y, const double* size) {
+    using V = Simd::V;
+    using S = Simd;
     const std::size_t n = c.n;
-    const T *row = &c.guarded.middle[2 * port * n], *far = &c.guarded.spread[port * n];
+    const double *row = &c.guarded.middle[2 * port * n], *far = &c.guarded.spread[port * n];
     V middle{}, more{}, spread{};
     for (std::size_t k = 0; k < n; k += S::width) {
         middle += S::load(row + k) * S::load(x + k);
         more += S::load(row + n + k) * S::load(y + k);
         spread += S::load(far + k) * S::load(size + k);
     }
-    alignas(64) T lanes[2][S::width];
+    alignas(64) double lanes[2][S::width];
     S::store(lanes[0], middle + more);
     S::store(lanes[1], spread);
     return {S::sum(lanes[0]), S::sum(lanes[1])};

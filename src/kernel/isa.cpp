@@ -7,7 +7,7 @@ namespace tonewood {
 namespace {
 
 double fma_peak(double seconds) {
-    using P = Pack<double, kPack>;
+    using P = Pack<kPack>;
     using Clock = std::chrono::steady_clock;
     double numbers[P::size];
     for (int i = 0; i < P::size; ++i) numbers[i] = 1.0 + 0.01 * i;
@@ -34,6 +34,6 @@ double fma_peak(double seconds) {
 }  // namespace
 
 extern const Table TONEWOOD_ISA_TABLE;
-const Table TONEWOOD_ISA_TABLE = {TONEWOOD_ISA_NAME, &run<double>, &run<float>, &fma_peak};
+const Table TONEWOOD_ISA_TABLE = {TONEWOOD_ISA_NAME, &run, &fma_peak};
 
 }  // namespace tonewood

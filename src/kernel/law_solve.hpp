@@ -33,7 +33,7 @@ inline void factorize(double* a, int n, double* upper, double* over) {
 
 // a x = b in place, a given by its factors
 inline void solve_definite(const double* lower, const double* upper, const double* over, int n, double* b) {
-    using S = Simd<double>;
+    using S = Simd;
     const std::size_t w = wide(n);
     const auto subtract = [&](const double* row, double x, std::size_t from, std::size_t to) {
         for (std::size_t i = from / S::width * S::width; i < to; i += S::width)

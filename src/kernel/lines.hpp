@@ -13,7 +13,7 @@ namespace {
 template <int N>
 inline void add_columns(const double* __restrict matrix, int width, const double* __restrict x, int n,
                         const double* start, double* sum) {
-    using S = Simd<double>;
+    using S = Simd;
     S::V part[4][N];
     for (int j = 0; j < N; ++j) part[0][j] = S::load(start + j * S::width), part[1][j] = part[2][j] = part[3][j] = S::V{};
     int i = 0;
@@ -29,7 +29,7 @@ inline void add_columns(const double* __restrict matrix, int width, const double
 // sum = start + matrix^T x over the rows of a (n, width) matrix, width a multiple of kLane
 inline void add_product(const double* __restrict matrix, int width, const double* __restrict x, int n,
                         const double* start, double* sum) {
-    constexpr int lanes = Simd<double>::width, most = kPack - 1;
+    constexpr int lanes = Simd::width, most = kPack - 1;
     static_assert(kLane % lanes == 0);
     int k = 0;
     for (; k + most * lanes <= width; k += most * lanes) add_columns<most>(matrix + k, width, x, n, start + k, sum + k);
@@ -41,7 +41,7 @@ inline void add_product(const double* __restrict matrix, int width, const double
 }
 
 inline double dot(const double* a, const double* b, int n) {
-    using S = Simd<double>;
+    using S = Simd;
     S::V sums{};
     int j = 0;
     for (; j + S::width <= n; j += S::width) sums += S::load(a + j) * S::load(b + j);
@@ -52,7 +52,7 @@ inline double dot(const double* a, const double* b, int n) {
 
 // Port forces of sample b from lines b and b + 1, where nothing but linear connections acts; see Layout::direct.
 class Direct {
-    using S = Simd<double>;
+    using S = Simd;
 
 public:
     explicit Direct(const Layout& layout)
@@ -80,7 +80,7 @@ private:
 // What port forces do to every row in the rest of a block: the next lines, within a span of kSpan samples, hear of each
 // force at once, the lines beyond of all forces of the span together when it ends.
 class Spread {
-    using S = Simd<double>;
+    using S = Simd;
 
 public:
     explicit Spread(const Layout& layout) : l_(layout) {}
@@ -192,7 +192,7 @@ private:
 // Rows (n_rows, kBlock + 1) of a driven component over a whole block under known port forces. A row's history has kBlock zeros before it,
 // so that its response to the force of sample b is read from it at one place for all samples.
 inline void respond(const double* history, int n_ports, int n_rows, const double* forces, int stride, double* rows) {
-    using S = Simd<double>;
+    using S = Simd;
     constexpr int n_vectors = kBlock / S::width;
     for (int r = 0; r < n_rows; ++r) {
         S::V sum[n_vectors] = {};

@@ -66,7 +66,7 @@ struct MethodTable {
 
 namespace {
 
-using MPack = Pack<double, 2>;
+using MPack = Pack<2>;
 static_assert(kPadding % MPack::size == 0);
 
 // x+ = E x + P f: the exact flow of a mode, forces entering through any vectors.
@@ -159,7 +159,7 @@ struct Newmark {
     static void rotate(double**) {}
 };
 
-inline double total(const MPack& p) { return Simd<double>::sum(p.folded()); }
+inline double total(const MPack& p) { return Simd::sum(p.folded()); }
 
 // One visit to a part's modes. `f` (n_links, lags) are its forces; rows of the new state go to `read` and `out`.
 // Links and Outs are their numbers where those are small and known, else -1.

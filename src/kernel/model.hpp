@@ -12,8 +12,7 @@ constexpr int kBlock = 16;    // samples stepped between two visits to a compone
 constexpr int kSpan = 8;      // samples of a block whose forces reach farther lines together
 constexpr int kPadding = 16;  // modes per component are a multiple of this
 
-template <class T>
-constexpr int kGranule = 256 / int(sizeof(T));  // modes that recur the same way
+constexpr int kGranule = 32;  // modes that recur the same way
 
 template <class T>
 struct AlignedAllocator {
@@ -31,34 +30,32 @@ template <class T>
 using Array = std::vector<T, AlignedAllocator<T>>;
 
 // One known input to a component's modes: `vector` (2, n) is added values[b * stride] times in sample b of the block.
-template <class T>
 struct Input {
-    const T* vector;
+    const double* vector;
     const double* values;
     int stride = 1;
 };
 
 // Ports that only contacts act on, kept apart: they are left out of a block while a bound says that nothing touches
 // there (guard.hpp).
-template <class T>
 struct Guarded {
     int n = 0;
-    Array<T> rows, slopes;       // (n, 2, n_modes), as in Component
-    Array<T> w, w_slope;         // (n, 2, n_modes)
+    Array<double> rows, slopes;  // (n, 2, n_modes), as in Component
+    Array<double> w, w_slope;    // (n, 2, n_modes)
     Array<double> from_fixed;    // (n_ports, n, kBlock): response of these rows k steps after a port force
     Array<double> from_guarded;  // (n, n, kBlock): the same after a force on one of these ports
     Array<double> on_rows;       // (n, kBlock, n_rows): response of the component's other rows to them
     // bounds throughout a block
-    Array<T> norm;               // (2, n_modes): weights of the squares of a mode's two numbers
-    Array<T> size;               // (n_modes): weight of the second number in the size of a mode
-    Array<T> middle;             // (n, 2, n_modes): rows in the middle of a block
-    Array<T> spread;             // (n, n_modes): how far the block may move a row from there, per size of a mode
+    Array<double> norm;          // (2, n_modes): weights of the squares of a mode's two numbers
+    Array<double> size;          // (n_modes): weight of the second number in the size of a mode
+    Array<double> middle;        // (n, 2, n_modes): rows in the middle of a block
+    Array<double> spread;        // (n, n_modes): how far the block may move a row from there, per size of a mode
     std::vector<double> peak;    // (n): |row| <= peak sqrt(norm)
     // (n), of a stretched string: |row| in the rest of the block <= pulled * T/2 sqrt(sum a (y+ + y)^2)
     std::vector<double> pulled;
     // of a woven string of one port, if its modes are passive there (calm.hpp): weights (2, n_modes) of the squares of a
     // mode's two numbers in its energy; |row| <= lean |port| + swing sqrt(energy), (n) each
-    Array<T> energy;
+    Array<double> energy;
     std::vector<double> swing, lean;
     Array<double> reach;         // (all ports, all ports), fixed ones first: |row| per sum |force| over a block
 };
@@ -67,37 +64,34 @@ struct Guarded {
 // kChunk modes: trace (or kappa), det, the two numbers that move, and two numbers per port.
 constexpr int kWeave = 4;  // blocks from going in to coming out
 
-template <class T>
-constexpr int kChunk = 64 / int(sizeof(T));
+constexpr int kChunk = 8;
 
-template <class T>
 struct Woven {
     struct Chunk {       // neighbouring modes of one row that recur the same way
         int first, count, row;
         bool slow;
     };
-    static constexpr std::size_t door_step = 8 * kChunk<T>;
+    static constexpr std::size_t door_step = 8 * kChunk;
     int n_ports = 0;
     std::size_t step = 0;       // numbers per chunk
     std::vector<Chunk> chunks;  // none where a mode cannot be told from what its row reads
-    Array<T> data, doors;       // doors: (2, 2) from the modes' numbers, (2, 2) back
+    Array<double> data, doors;  // doors: (2, 2) from the modes' numbers, (2, 2) back
 };
 
 // A string's polarization whose tension rises with amplitude, in mass-normalised coordinates y.
 constexpr int kMaxStretchedPorts = 32;
 constexpr int kTautNumbers = 4, kTautState = 3;  // by mode, and another one for each port
 
-template <class T>
 struct Stretched {
     bool on = false;
     double most_half = 0;    // largest of half
-    Array<T> a, half;        // (n): weights of S; w a / 2, w the displacement per modal force held over a step
-    Array<T> reading;        // (n): y = reading * first number
-    Array<T> kick;           // (2, n): state per modal force held over a step
+    Array<double> a, half;   // (n): weights of S; w a / 2, w the displacement per modal force held over a step
+    Array<double> reading;   // (n): y = reading * first number
+    Array<double> kick;      // (2, n): state per modal force held over a step
     Array<double> gain;      // (2, n): state per sum of row * port force, row that of the port's displacement
-    Array<T> taut, doors;    // taut.hpp
-    Array<T> phi, c;         // (n_ports, n): port displacement per y, y per port force
-    Array<T> guarded_phi, guarded_c;  // the same of guarded ports
+    Array<double> taut, doors;  // taut.hpp
+    Array<double> phi, c;    // (n_ports, n): port displacement per y, y per port force
+    Array<double> guarded_phi, guarded_c;  // the same of guarded ports
 };
 
 // A share of a port in a gap: port force += factor * force[connection], gap += factor * port displacement.
@@ -106,30 +100,29 @@ struct Share {
     double factor;
 };
 
-template <class T>
 struct Component {
     int n = 0;          // modes, padded
     int n_ports = 0;
     int n_rows = 0;          // displacement of the ports (not of a driven component), then readouts
     std::size_t offset = 0;  // of this component in the state
     bool driven = false;     // forces in, nothing back
-    Array<T> e;              // (4, n): e00, e01, e10, e11
-    Array<T> rows;           // (n_rows, 2, n)
-    Array<T> w;              // (n_ports, 2, n)
+    Array<double> e;         // (4, n): e00, e01, e10, e11
+    Array<double> rows;      // (n_rows, 2, n)
+    Array<double> w;         // (n_ports, 2, n)
     Array<double> history;   // (kBlock, n_ports, n_rows): response of each row k steps after a port force
-    // for the recurrences of sweep.hpp, derived from the above in double precision
-    Array<T> trace, det, kappa;  // (n): of E, and det(I - E)
+    // for the recurrences of sweep.hpp, derived from the above
+    Array<double> trace, det, kappa;  // (n): of E, and det(I - E)
     std::vector<char> slow;      // by granule of modes: recurs in differences
-    Array<T> slopes;         // (n_rows, 2, n): rows (E - I)
-    Array<T> w_slope;        // (n_ports, 2, n): (E - tr) w; of slow modes (I + E - tr) w
-    Array<T> e_block;        // (4, n): E^kBlock
+    Array<double> slopes;    // (n_rows, 2, n): rows (E - I)
+    Array<double> w_slope;   // (n_ports, 2, n): (E - tr) w; of slow modes (I + E - tr) w
+    Array<double> e_block;   // (4, n): E^kBlock
     std::vector<std::vector<Share>> shares;  // by port
     std::vector<int> channels;               // by readout row
     std::vector<char> difference;            // by readout row: (y+ - y) instead of y
-    Guarded<T> guarded;
-    Stretched<T> stretched;
+    Guarded guarded;
+    Stretched stretched;
     bool geometric = false;  // of a string whose longitudinal motion is stepped: sample by sample
-    Woven<T> woven;
+    Woven woven;
 };
 
 // f = constant - G (g_free + gamma g), the forces of the connections from their gaps.
@@ -269,7 +262,7 @@ struct Workspace {
     Array<double> norm, added;       // of the state at the block's beginning; of what known forces add in it
     Array<double> pull, pull_worth;  // (., kBlock) T/2 sqrt(sum a (y+ + y)^2) at most; share of the tightest slack per it
     std::vector<char> sized;
-    Array<char> sizes;               // of modes, as T
+    Array<double> sizes;             // of modes
     std::vector<std::vector<int>> awake_rows, loaded;  // guarded ports read, and pushed, in this block
     // by guarded port
     Array<double> value;             // (n_guarded, kStride): free motion, then the motion
@@ -354,7 +347,7 @@ struct TensePorts {
     Array<double> onto_linear;         // (ports, f_width): the same for forces of linear connections
     // sums of a visit, (kSharedSums, strings) and (kPortSums, width)
     std::vector<std::size_t> own;      // by component: the first one of its first port
-    Array<char> lanes;                 // of the sums, as T
+    Array<double> lanes;               // of the sums
     Array<double> sums;
     // of a sample
     Array<double> alone, moved, force, next, wrong, base, fixed;  // by port
@@ -376,8 +369,8 @@ struct TensePorts {
 };
 
 struct TensionSpace {
-    Array<char> u, y, yields;  // of modes, as T
-    Array<char> taut;        // of modes, as T: taut.hpp
+    Array<double> u, y, yields;  // of modes
+    Array<double> taut;      // of modes: taut.hpp
     TensePorts ports;
     // by string
     Array<double> stretch, past, tension, used, at, after, pushed, sharp, far, last_tension, last_excess;
@@ -390,7 +383,7 @@ struct TensionSpace {
         int index, port;  // among linear connections, then active ones; among the ports in use
         double factor;
     };
-    Array<char> moved;       // y after the step, of modes, as T
+    Array<double> moved;     // y after the step, of modes
     std::vector<std::vector<Wire>> wires;         // by component
     std::vector<std::vector<int>> active_ports;   // by component: guarded ports of active contacts
     Array<double> free, compliance;               // of one component's ports in use
@@ -422,24 +415,22 @@ struct Control {
 };
 
 // A known force on one component during a run.
-template <class T>
 struct Injection {
     int slot;
     std::int64_t first;  // step of the run it starts in (may be negative)
     std::int64_t length;
     int n_vectors;
-    const T* vectors;      // (n_vectors, 2, n)
+    const double* vectors;  // (n_vectors, 2, n)
     const double* values;  // (n_vectors, length)
 };
 
-template <class T>
 struct Job {
-    T* modes[2];  // the two numbers of every mode
+    double* modes[2];  // the two numbers of every mode
     std::int64_t n;
     double* out;     // (n, n_channels)
     double* forces;  // (n, m)
     int n_channels;
-    const Injection<T>* injections;
+    const Injection* injections;
     int n_injections;
     // of nonlinear connections
     double* law_forces;  // (n, k), zero beforehand
@@ -456,16 +447,14 @@ struct Fault {
     std::int64_t sample = 0;
 };
 
-template <class T>
-using Run = Fault (*)(std::vector<Component<T>>&, const Layout&, const Solve&, const Nonlinear&, const Tensions&,
-                      const Geometric&, Workspace&, TensionSpace&, Statistics&, const Job<T>&);
+using Run = Fault (*)(std::vector<Component>&, const Layout&, const Solve&, const Nonlinear&, const Tensions&,
+                      const Geometric&, Workspace&, TensionSpace&, Statistics&, const Job&);
 
 // Entry points of one instruction set's translation unit.
 struct Table {
     const char* name;
-    Run<double> run_f64;
-    Run<float> run_f32;
-    double (*fma_peak)(double seconds);  // measured multiply-adds per second, f64
+    Run run;
+    double (*fma_peak)(double seconds);  // measured multiply-adds per second
 };
 
 }  // namespace tonewood

@@ -47,8 +47,6 @@ const Table& find(const std::string& isa) {
 
 using In = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 using Out = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
-template <class T>
-using InT = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
 
 void expect(const char* what, const In& a, std::initializer_list<std::size_t> shape) {
     bool same = a.ndim() == shape.size();
@@ -96,11 +94,10 @@ constexpr std::size_t kAside = 4;  // components put aside for each one there is
 
 using GeometricArrays = std::tuple<int, In, In, In, In, In, In>;
 
-template <class T>
 class Kernel {
 public:
     Kernel(const std::string& isa, std::size_t n_components, std::size_t capacity, int n_channels)
-        : run_(pick(find(isa))), capacity_(capacity), n_channels_(n_channels), components_(n_components) {}
+        : run_(find(isa).run), capacity_(capacity), n_channels_(n_channels), components_(n_components) {}
 
     void set_component(std::size_t slot, std::size_t offset, bool driven, In e, In rows, In w, In history, In incidence,
                        const std::vector<int>& channels, const std::vector<int>& difference) {
@@ -121,7 +118,7 @@ public:
             if (channel < 0 || channel >= n_channels_) throw std::invalid_argument("no such channel");
         if (incidence.shape(1) != n_ports) throw std::invalid_argument("incidence does not fit the ports");
 
-        Component<T> c;
+        Component c;
         c.n = int(n), c.n_ports = int(n_ports), c.n_rows = int(n_rows), c.offset = offset, c.driven = driven;
         c.e.assign(e.data(), e.data() + e.size());
         c.rows.assign(rows.data(), rows.data() + rows.size());
@@ -162,7 +159,7 @@ public:
     // Ports that only contacts act on, of a component just set; histories are (kBlock, forced port, row).
     void set_guarded(std::size_t slot, In e, In rows, In w, In from_fixed, In from_guarded, In on_rows) {
         if (slot >= components_.size()) throw std::invalid_argument("no such component slot");
-        Component<T>& c = components_[slot];
+        Component& c = components_[slot];
         const std::size_t n = c.n, fixed = c.n_ports, count = rows.ndim() == 3 ? rows.shape(0) : 0;
         expect("e", e, {4, n});
         expect("guarded rows", rows, {count, 2, n});
@@ -171,7 +168,7 @@ public:
         expect("from_guarded", from_guarded, {kBlock, count, count});
         expect("on_rows", on_rows, {kBlock, count, std::size_t(c.n_rows)});
         if (c.driven) throw std::invalid_argument("a component driven one way has no guarded ports");
-        Guarded<T>& guarded = c.guarded;
+        Guarded& guarded = c.guarded;
         guarded.n = int(count);
         guarded.rows.assign(rows.data(), rows.data() + rows.size());
         guarded.w.assign(w.data(), w.data() + w.size());
@@ -267,7 +264,7 @@ public:
     // Weights and responses of a string's modes, of a component just set: a, half, reading (n), kick (2, n), E (4, n).
     void set_stretched(std::size_t slot, In a, In half, In reading, In kick, In e) {
         if (slot >= components_.size()) throw std::invalid_argument("no such component slot");
-        Component<T>& c = components_[slot];
+        Component& c = components_[slot];
         const std::size_t n = c.n, p = c.n_ports;
         expect("a", a, {n});
         expect("half", half, {n});
@@ -275,7 +272,7 @@ public:
         expect("kick", kick, {2, n});
         expect("e", e, {4, n});
         if (c.driven || n == 0 || p > kMaxStretchedPorts) throw std::invalid_argument("a stretched string has too many ports");
-        Stretched<T>& s = c.stretched;
+        Stretched& s = c.stretched;
         s.a.assign(a.data(), a.data() + n), s.half.assign(half.data(), half.data() + n);
         s.reading.assign(reading.data(), reading.data() + n), s.kick.assign(kick.data(), kick.data() + 2 * n);
         s.most_half = *std::max_element(half.data(), half.data() + n);
@@ -283,20 +280,20 @@ public:
         for (std::size_t k = 0; k < 2 * n; ++k)
             if (const double r = reading.data()[k % n]; r != 0.0) s.gain[k] = kick.data()[k] / r;
         derive_taut(c, e.data(), s.gain.data());
-        s.phi.assign(p * n, T(0)), s.c.assign(p * n, T(0));
+        s.phi.assign(p * n, 0.0), s.c.assign(p * n, 0.0);
         for (std::size_t q = 0; q < p; ++q)
             for (std::size_t k = 0; k < n; ++k) {
                 if (reading.data()[k] == 0.0) continue;
-                s.phi[q * n + k] = T(c.rows[2 * q * n + k] / reading.data()[k]);
-                s.c[q * n + k] = T(reading.data()[k] * c.w[2 * q * n + k]);
+                s.phi[q * n + k] = c.rows[2 * q * n + k] / reading.data()[k];
+                s.c[q * n + k] = reading.data()[k] * c.w[2 * q * n + k];
             }
-        const Guarded<T>& g = c.guarded;
-        s.guarded_phi.assign(g.n * n, T(0)), s.guarded_c.assign(g.n * n, T(0));
+        const Guarded& g = c.guarded;
+        s.guarded_phi.assign(g.n * n, 0.0), s.guarded_c.assign(g.n * n, 0.0);
         for (std::size_t q = 0; q < std::size_t(g.n); ++q)
             for (std::size_t k = 0; k < n; ++k) {
                 if (reading.data()[k] == 0.0) continue;
-                s.guarded_phi[q * n + k] = T(g.rows[2 * q * n + k] / reading.data()[k]);
-                s.guarded_c[q * n + k] = T(reading.data()[k] * g.w[2 * q * n + k]);
+                s.guarded_phi[q * n + k] = g.rows[2 * q * n + k] / reading.data()[k];
+                s.guarded_c[q * n + k] = reading.data()[k] * g.w[2 * q * n + k];
             }
         derive_pulled(c);
         laid_out_ = arranged_ = false;
@@ -340,9 +337,8 @@ public:
     // Advances `modes` (2, capacity) and `series`, `slip`, `last_force` (k) in place; fills out (n, n_channels), forces
     // (n, m) and law_forces (n, k), which must be zero. Controls are (connection, (4, n)).
     // Returns (slot, sample) of the first fault; slot -1 if there is none, -2 if forces were not found.
-    std::pair<int, std::int64_t> run(nb::ndarray<T, nb::c_contig, nb::device::cpu> modes,
-                                     Out out, Out forces,
-                                     const std::vector<std::tuple<int, std::int64_t, InT<T>, In>>& injections,
+    std::pair<int, std::int64_t> run(Out modes, Out out, Out forces,
+                                     const std::vector<std::tuple<int, std::int64_t, In, In>>& injections,
                                      Out law_forces, const std::vector<std::pair<int, In>>& controls, Out series,
                                      Out slip, Out last_force, Out tension) {
         for (const auto& c : components_)
@@ -375,7 +371,7 @@ public:
             if (connection < 0 || std::size_t(connection) >= k) throw std::invalid_argument("no such connection");
             moved.push_back({connection, values.data()});
         }
-        std::vector<Injection<T>> known;
+        std::vector<Injection> known;
         for (const auto& [slot, first, vectors, values] : injections) {
             if (slot < 0 || std::size_t(slot) >= components_.size() || vectors.ndim() != 3 || values.ndim() != 2 ||
                 vectors.shape(0) != values.shape(0) || vectors.shape(1) != 2 ||
@@ -384,7 +380,7 @@ public:
             known.push_back({slot, first, std::int64_t(values.shape(1)), int(values.shape(0)), vectors.data(),
                              values.data()});
         }
-        Job<T> job;
+        Job job;
         job.modes[0] = modes.data(), job.modes[1] = modes.data() + capacity_;
         job.n = std::int64_t(out.shape(0)), job.out = out.data(), job.forces = forces.data();
         job.n_channels = n_channels_, job.injections = known.data(), job.n_injections = int(known.size());
@@ -440,7 +436,7 @@ private:
         for (const auto& [slot, slopes, reading, yields, kick, to_port, from_port] : parts) {
             if (slot < 0 || std::size_t(slot) >= components_.size() || slopes.ndim() != 2)
                 throw std::invalid_argument("no such component slot");
-            Component<T>& c = components_[slot];
+            Component& c = components_[slot];
             const std::size_t n = slopes.shape(1), cosines = slopes.shape(0), p = c.n_ports, w = padded(n);
             expect("reading", reading, {n});
             expect("yields", yields, {n});
@@ -476,44 +472,36 @@ private:
         geometric_.strings.push_back(std::move(string));
     }
 
-    // What the recurrences need, computed in double whatever T is.
-    static void derive(Component<T>& c, const double* e, const double* rows, const double* w) {
+    // What the recurrences need.
+    static void derive(Component& c, const double* e, const double* rows, const double* w) {
         const std::size_t n = c.n;
         c.trace.resize(n), c.det.resize(n), c.kappa.resize(n), c.e_block.resize(4 * n);
-        c.slow.assign((n + kGranule<T> - 1) / kGranule<T>, 0);
+        c.slow.assign((n + kGranule - 1) / kGranule, 0);
         for (std::size_t k = 0; k < n; ++k) {
             const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
-            c.trace[k] = T(a + d), c.det[k] = T(a * d - b * g);
-            const double kappa = (1 - a) * (1 - d) - b * g;
-            c.kappa[k] = T(kappa);
-            // an angle below 0.22 per sample; in single precision all; padding does not count
-            if (kappa < 0.05 || sizeof(T) < sizeof(double)) c.slow[k / kGranule<T>] = 1;
+            c.trace[k] = a + d, c.det[k] = a * d - b * g;
+            const double kappa = c.kappa[k] = (1 - a) * (1 - d) - b * g;
+            // an angle below 0.22 per sample; padding does not count
+            if (kappa < 0.05) c.slow[k / kGranule] = 1;
             double p[4] = {a, b, g, d};
             for (int squared = 1; squared < kBlock; squared *= 2) {
                 const double q[4] = {p[0] * p[0] + p[1] * p[2], p[1] * (p[0] + p[3]), p[2] * (p[0] + p[3]),
                                      p[1] * p[2] + p[3] * p[3]};
                 for (int i = 0; i < 4; ++i) p[i] = q[i];
             }
-            T turn[4] = {T(p[0]), T(p[1]), T(p[2]), T(p[3])};
-            // rounded inwards, like E itself: a mode must not grow by the rounding of its propagator
-            if constexpr (sizeof(T) < sizeof(double)) {
-                const double exact = p[0] * p[3] - p[1] * p[2];
-                for (int tries = 0; tries < 4 && double(turn[0]) * turn[3] - double(turn[1]) * turn[2] > exact; ++tries)
-                    for (T& t : turn) t = std::nextafter(t, T(0));
-            }
-            for (int i = 0; i < 4; ++i) c.e_block[i * n + k] = turn[i];
+            for (int i = 0; i < 4; ++i) c.e_block[i * n + k] = p[i];
         }
         c.slopes = slopes_of(n, e, rows, c.n_rows), c.w_slope = w_slopes_of(c, e, w, c.n_ports);
         c.woven = {};
-        if constexpr (sizeof(T) == sizeof(double)) weave(c, e, rows, w);
+        weave(c, e, rows, w);
     }
 
     // See weave.hpp; nothing is woven where a mode has several rows or cannot be told from what its row reads.
-    static void weave(Component<T>& c, const double* e, const double* rows, const double* w) {
-        constexpr std::size_t chunk = kChunk<T>;
+    static void weave(Component& c, const double* e, const double* rows, const double* w) {
+        constexpr std::size_t chunk = kChunk;
         const std::size_t n = c.n;
         if (c.n_ports < 1 || c.n_ports > 2 || c.n_rows == 0) return;
-        Woven<T> woven;
+        Woven woven;
         woven.n_ports = c.n_ports, woven.step = (4 + 2 * c.n_ports) * chunk;
         std::vector<int> row(n, -1);
         for (std::size_t k = 0; k < n; ++k) {
@@ -533,14 +521,14 @@ private:
             }
             std::size_t end = k;
             bool is_slow = false;
-            for (; end < std::min(k + chunk, n) && row[end] == row[k]; ++end) is_slow = is_slow || c.kappa[end] < T(0.02);
+            for (; end < std::min(k + chunk, n) && row[end] == row[k]; ++end) is_slow = is_slow || c.kappa[end] < 0.02;
             const std::size_t first = k, at = woven.chunks.size();
             woven.chunks.push_back({int(k), int(end - k), row[k], is_slow});
-            woven.data.resize((at + 1) * woven.step, T(0));
-            woven.doors.resize((at + 1) * Woven<T>::door_step, T(0));
+            woven.data.resize((at + 1) * woven.step, 0.0);
+            woven.doors.resize((at + 1) * Woven::door_step, 0.0);
             for (; k < end; ++k) {
-                T* const data = &woven.data[at * woven.step + k - first];
-                T* const door = &woven.doors[at * Woven<T>::door_step + k - first];
+                double* const data = &woven.data[at * woven.step + k - first];
+                double* const door = &woven.doors[at * Woven::door_step + k - first];
                 const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
                 const double rx = rows[2 * row[k] * n + k], ry = rows[(2 * row[k] + 1) * n + k], one = is_slow;
                 const double tx = rx * (a - one) + ry * g, ty = rx * b + ry * (d - one);
@@ -549,44 +537,44 @@ private:
                 for (int p = 0; p < c.n_ports; ++p) {
                     const double wx = w[2 * p * n + k], wy = w[(2 * p + 1) * n + k];
                     first_only = first_only && wy == 0.0;
-                    data[(4 + 2 * p) * chunk] = T(rx * wx + ry * wy), data[(5 + 2 * p) * chunk] = T(tx * wx + ty * wy);
+                    data[(4 + 2 * p) * chunk] = rx * wx + ry * wy, data[(5 + 2 * p) * chunk] = tx * wx + ty * wy;
                 }
-                door[0] = T(rx), door[chunk] = T(ry), door[2 * chunk] = T(tx), door[3 * chunk] = T(ty);
+                door[0] = rx, door[chunk] = ry, door[2 * chunk] = tx, door[3 * chunk] = ty;
                 if (first_only) {  // a real mode, whose second number is none
-                    door[4 * chunk] = T(1 / rx);
+                    door[4 * chunk] = 1 / rx;
                     continue;
                 }
                 const double det = rx * ty - ry * tx;
                 if (std::abs(det) < 0.02 * (std::abs(rx * ty) + std::abs(ry * tx)) || det == 0.0) return;
-                door[4 * chunk] = T(ty / det), door[5 * chunk] = T(-ry / det);
-                door[6 * chunk] = T(-tx / det), door[7 * chunk] = T(rx / det);
+                door[4 * chunk] = ty / det, door[5 * chunk] = -ry / det;
+                door[6 * chunk] = -tx / det, door[7 * chunk] = rx / det;
             }
         }
         c.woven = std::move(woven);
     }
 
     // rows (E - I), of `count` rows of n modes
-    static Array<T> slopes_of(std::size_t n, const double* e, const double* rows, std::size_t count) {
-        Array<T> out(2 * count * n);
+    static Array<double> slopes_of(std::size_t n, const double* e, const double* rows, std::size_t count) {
+        Array<double> out(2 * count * n);
         for (std::size_t r = 0; r < count; ++r)
             for (std::size_t k = 0; k < n; ++k) {
                 const double rx = rows[2 * r * n + k], ry = rows[(2 * r + 1) * n + k];
-                out[2 * r * n + k] = T(rx * (e[k] - 1) + ry * e[2 * n + k]);
-                out[(2 * r + 1) * n + k] = T(rx * e[n + k] + ry * (e[3 * n + k] - 1));
+                out[2 * r * n + k] = rx * (e[k] - 1) + ry * e[2 * n + k];
+                out[(2 * r + 1) * n + k] = rx * e[n + k] + ry * (e[3 * n + k] - 1);
             }
         return out;
     }
 
     // (E - tr) w, or of slow modes (I + E - tr) w
-    static Array<T> w_slopes_of(const Component<T>& c, const double* e, const double* w, std::size_t count) {
+    static Array<double> w_slopes_of(const Component& c, const double* e, const double* w, std::size_t count) {
         const std::size_t n = c.n;
-        Array<T> out(2 * count * n);
+        Array<double> out(2 * count * n);
         for (std::size_t q = 0; q < count; ++q)
             for (std::size_t k = 0; k < n; ++k) {
                 const double wx = w[2 * q * n + k], wy = w[(2 * q + 1) * n + k];
-                const double one = c.slow[k / kGranule<T>];
-                out[2 * q * n + k] = T((one - e[3 * n + k]) * wx + e[n + k] * wy);
-                out[(2 * q + 1) * n + k] = T(e[2 * n + k] * wx + (one - e[k]) * wy);
+                const double one = c.slow[k / kGranule];
+                out[2 * q * n + k] = (one - e[3 * n + k]) * wx + e[n + k] * wy;
+                out[(2 * q + 1) * n + k] = e[2 * n + k] * wx + (one - e[k]) * wy;
             }
         return out;
     }
@@ -596,7 +584,7 @@ private:
         layout_ = Layout{};
         auto& l = layout_;
         const auto padded = [](int n) { return (n + kLane - 1) / kLane * kLane; };
-        const auto alone = [](const Component<T>& c) { return !c.driven && c.n_ports == 1 && c.n_rows == 1; };
+        const auto alone = [](const Component& c) { return !c.driven && c.n_ports == 1 && c.n_rows == 1; };
         const int m = solve_.m;
         l.row.assign(components_.size(), 0), l.port.assign(components_.size(), 0);
         l.driven_history.resize(components_.size());
@@ -688,17 +676,11 @@ private:
         laid_out_ = true;
     }
 
-    static Run<T> pick(const Table& table) {
-        if constexpr (sizeof(T) == sizeof(double))
-            return table.run_f64;
-        else
-            return table.run_f32;
-    }
-    Run<T> run_;
+    Run run_;
     std::size_t capacity_;
     int n_channels_;
-    std::vector<Component<T>> components_;
-    std::vector<std::pair<std::int64_t, Component<T>>> aside_;  // the one put there first is the first to go
+    std::vector<Component> components_;
+    std::vector<std::pair<std::int64_t, Component>> aside_;  // the one put there first is the first to go
     Layout layout_;
     bool laid_out_ = false;  // rows, ports and linear connections
     bool arranged_ = false;  // nonlinear connections
@@ -711,31 +693,6 @@ private:
     TensionSpace space_;
     Statistics statistics_;
 };
-
-template <class T>
-void bind(nb::module_& m, const char* name) {
-    using K = Kernel<T>;
-    nb::class_<K>(m, name)
-        .def(nb::init<const std::string&, std::size_t, std::size_t, int>())
-        .def("set_component", &K::set_component)
-        .def("set_solve", &K::set_solve)
-        .def("set_guarded", &K::set_guarded)
-        .def("set_stretched", &K::set_stretched)
-        .def("set_tensions", &K::set_tensions)
-        .def("set_geometric", &K::set_geometric)
-        .def("set_nonlinear", &K::set_nonlinear)
-        .def("set_laws", &K::set_laws)
-        .def("set_gaps", &K::set_gaps)
-        .def("set_aside", &K::set_aside)
-        .def("take_back", &K::take_back)
-        // what is written to must be the caller's own array, never a converted copy of it
-        .def("run", &K::run, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(),
-             nb::arg().noconvert(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(),
-             nb::arg().noconvert())
-        .def("active", &K::active)
-        .def("acted", &K::acted)
-        .def("statistics", &K::statistics);
-}
 
 }  // namespace
 
@@ -754,8 +711,26 @@ NB_MODULE(_kernel, m) {
         return names;
     });
     m.def("fma_peak", [](const std::string& isa, double seconds) { return find(isa).fma_peak(seconds); });
-    bind<double>(m, "KernelF64");
-    bind<float>(m, "KernelF32");
+    nb::class_<Kernel>(m, "Kernel")
+        .def(nb::init<const std::string&, std::size_t, std::size_t, int>())
+        .def("set_component", &Kernel::set_component)
+        .def("set_solve", &Kernel::set_solve)
+        .def("set_guarded", &Kernel::set_guarded)
+        .def("set_stretched", &Kernel::set_stretched)
+        .def("set_tensions", &Kernel::set_tensions)
+        .def("set_geometric", &Kernel::set_geometric)
+        .def("set_nonlinear", &Kernel::set_nonlinear)
+        .def("set_laws", &Kernel::set_laws)
+        .def("set_gaps", &Kernel::set_gaps)
+        .def("set_aside", &Kernel::set_aside)
+        .def("take_back", &Kernel::take_back)
+        // what is written to must be the caller's own array, never a converted copy of it
+        .def("run", &Kernel::run, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(),
+             nb::arg().noconvert(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(),
+             nb::arg().noconvert())
+        .def("active", &Kernel::active)
+        .def("acted", &Kernel::acted)
+        .def("statistics", &Kernel::statistics);
 }
 
 }  // namespace tonewood

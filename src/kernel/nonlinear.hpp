@@ -18,27 +18,25 @@
 namespace tonewood {
 namespace {
 
-template <class T>
 class TenseContacts;
 
 constexpr double kStillSeries = 1e-30;  // m: residual compliance below this is at rest
 
-template <class T>
 class NonlinearStep {
     using Term = Nonlinear::Term;
-    friend class TenseContacts<T>;
+    friend class TenseContacts;
 
 public:
-    NonlinearStep(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
+    NonlinearStep(const std::vector<Component>& components, const Layout& layout, const Solve& solve,
                   const Nonlinear& nonlinear, const Tensions& tensions, Workspace& workspace, Statistics& statistics,
-                  const Job<T>& job, const std::vector<std::vector<Input<T>>>& known, Taut<T>& taut)
+                  const Job& job, const std::vector<std::vector<Input>>& known, Taut& taut)
         : components_(components), layout_(layout), solve_(solve), m_(solve.m), nl_(nonlinear), ws_(workspace),
           statistics_(statistics), job_(job), known_(known), taut_(taut),
           calm_(components, layout, nonlinear, tensions) {
-        for (const Component<T>& c : components_) any_tense_ = any_tense_ || c.stretched.on;
+        for (const Component& c : components_) any_tense_ = any_tense_ || c.stretched.on;
         if (!nl_.k) return;
         int n_pressed = 0;
-        for (const Component<T>& c : components_)
+        for (const Component& c : components_)
             pressed_at_.push_back(n_pressed), n_pressed += c.n_ports + c.guarded.n + 1;
         pressed_.assign(n_pressed, 0.0);
         std::copy_n(job.series, nl_.k, ws_.series.data());
@@ -165,7 +163,7 @@ public:
     // Whether sample b is known to need nothing else than the port forces `now`, which are those without nonlinear ones.
     bool stays_still(int b, const double* now) {
         if (!still_) return false;
-        using S = Simd<double>;
+        using S = Simd;
         double* const taken = ws_.taken.data();
         bool below = !calm_.any() || calm_.meets(b, line_at(b), now);
         for (const int j : ws_.awake_list) below = below && clears(j, b, now, [](auto&&...) {});
@@ -248,8 +246,8 @@ public:
         if (!reads_ && !loads_) return;
         for (int i = 0; i < int(components_.size()); ++i) {
             if (tense(i)) continue;  // its rows are read anew each sample
-            const Component<T>& c = components_[i];
-            const Guarded<T>& g = c.guarded;
+            const Component& c = components_[i];
+            const Guarded& g = c.guarded;
             for (const int p : ws_.loaded[i]) {
                 const double force = ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b];
                 const double* h = &g.on_rows[std::size_t(p) * kBlock * c.n_rows];
@@ -267,19 +265,19 @@ public:
     }
 
     // Inputs of guarded ports for a component that is turned sample by sample.
-    void add_inputs(int i, std::vector<Input<T>>& inputs) const {
+    void add_inputs(int i, std::vector<Input>& inputs) const {
         if (!nl_.k) return;
-        const Component<T>& c = components_[i];
+        const Component& c = components_[i];
         for (const int p : ws_.loaded[i])
             inputs.push_back({&c.guarded.w[std::size_t(2 * p) * c.n],
                               &ws_.force[std::size_t(nl_.first[i] + p) * kBlock], 1});
     }
 
     // The same for one that recurs through a whole block.
-    void push_modes(int i, T* x, T* y) const {
+    void push_modes(int i, double* x, double* y) const {
         if (!nl_.k || ws_.loaded[i].empty()) return;
-        const Guarded<T>& g = components_[i].guarded;
-        recur_store<T, false>(components_[i], x, y,
+        const Guarded& g = components_[i].guarded;
+        recur_store<false>(components_[i], x, y,
                               {g.w.data(), g.w_slope.data(), int(ws_.loaded[i].size()), ws_.loaded[i].data(),
                                &ws_.force[std::size_t(nl_.first[i]) * kBlock], 1, kBlock});
     }
@@ -345,13 +343,13 @@ private:
                 tell(t, old, after, error);
                 continue;
             }
-            const Guarded<T>& g = components_[i].guarded;
+            const Guarded& g = components_[i].guarded;
             const double before = value(i, t.port)[b];
             double then = value(i, t.port)[b + 1];
             for (std::size_t p = 0; p < std::size_t(components_[i].n_ports); ++p)
                 then += now[layout_.port[i] + p] * g.from_fixed[(p * g.n + t.port) * kBlock];
             old -= t.factor * before, after -= t.factor * then;
-            error += kMargin<T> * (std::abs(before) + std::abs(then));
+            error += kMargin * (std::abs(before) + std::abs(then));
         }
         return old < -error && after < -error;
     }
@@ -359,13 +357,13 @@ private:
     bool tense(int i) const { return components_[i].stretched.on; }
     bool is_contact(int j) const { return nl_.laws[j].kind == Law::contact; }
     // A component's state, counted from where the means of known forces would hold it in this block, and a row there.
-    const T* x_from(int i) const { return known_[i].empty() ? x(i) : calm_.moved(i); }
-    const T* y_from(int i) const { return known_[i].empty() ? y(i) : calm_.moved(i) + components_[i].n; }
+    const double* x_from(int i) const { return known_[i].empty() ? x(i) : calm_.moved(i); }
+    const double* y_from(int i) const { return known_[i].empty() ? y(i) : calm_.moved(i) + components_[i].n; }
     double held_at(const Term& t) const {
         return known_[t.component].empty() ? 0.0 : calm_.held_at(nl_.first[t.component] + t.port);
     }
-    const T* x(int i) const { return job_.modes[0] + components_[i].offset; }
-    const T* y(int i) const { return job_.modes[1] + components_[i].offset; }
+    const double* x(int i) const { return job_.modes[0] + components_[i].offset; }
+    const double* y(int i) const { return job_.modes[1] + components_[i].offset; }
     double* value(int i, int port) const { return &ws_.value[std::size_t(nl_.first[i] + port) * kStride]; }
     const double* line_at(int b) const { return lines_ + std::size_t(b) * layout_.width; }
     const double* line_of(const Term& t) const { return lines_ + layout_.row[t.component] + t.port; }
@@ -378,16 +376,16 @@ private:
 
     // Free motion of guarded rows over the block.
     void read(int i, const int* list, int count) {
-        const Component<T>& c = components_[i];
-        const Guarded<T>& g = c.guarded;
+        const Component& c = components_[i];
+        const Guarded& g = c.guarded;
         statistics_.rows_read += count;
-        const Rows<T> rows{g.rows.data(), g.slopes.data(), count, list, value(i, 0), 1, kStride};
+        const Rows rows{g.rows.data(), g.slopes.data(), count, list, value(i, 0), 1, kStride};
         // neither reading moves the state
-        T *sx = job_.modes[0] + c.offset, *sy = job_.modes[1] + c.offset;
+        double *sx = job_.modes[0] + c.offset, *sy = job_.modes[1] + c.offset;
         if (known_[i].empty() && nb_ == kBlock && g.n <= 2)
             recur_read(c, sx, sy, rows);
         else
-            turn<T, true, false>(c, sx, sy, known_[i].data(), int(known_[i].size()), nb_, rows);
+            turn<true, false>(c, sx, sy, known_[i].data(), int(known_[i].size()), nb_, rows);
     }
 
     // No contact of a calm group need be looked at; without bounds all are, as a check on them.
@@ -447,11 +445,11 @@ private:
         const Nonlinear::Group& group = nl_.groups[index];
         bool held = false;
         for (const int i : group.components) {
-            const Component<T>& c = components_[i];
+            const Component& c = components_[i];
             if (!c.guarded.n) continue;
             ws_.added[i] = 0.0, ws_.sized[i] = 0;
             if (!known_[i].empty()) {
-                const auto size = [&](const T* by) { return norm(c, by, by + c.n); };
+                const auto size = [&](const double* by) { return norm(c, by, by + c.n); };
                 ws_.added[i] = calm_.settle_about(i, job_, known_[i], nb_, size);
                 held = true;
             }
@@ -464,7 +462,7 @@ private:
                 share += (ws_.norm[i] + ws_.added[i]) * group.tightest[q];
             }
         ws_.quiet[index] =
-            group.simple && nl_.asleep_allowed && !ws_.driven[index] && !held && share * (1 + kMargin<T>) < kQuiet;
+            group.simple && nl_.asleep_allowed && !ws_.driven[index] && !held && share * (1 + kMargin) < kQuiet;
         if (ws_.quiet[index]) {  // no contact need be looked at by itself
             for (const int j : group.contacts) ws_.awake[j] = 0, ws_.slack[j] = -(1 - kQuiet) * nl_.laws[j].offset;
             for (std::size_t q = 0; q < group.components.size(); ++q) {
@@ -500,7 +498,7 @@ private:
                     bound = std::max(bound, std::abs(line_of(t)[std::size_t(b) * layout_.width]));
             most += std::abs(t.factor) * bound;
         }
-        return -ws_.clearance[j] - most * (1 + kMargin<T>);
+        return -ws_.clearance[j] - most * (1 + kMargin);
     }
 
     // Clearance left by the gap's value in the middle of the block and what may happen around it.
@@ -524,12 +522,12 @@ private:
                 all += std::abs(least);
             }
         }
-        return low - ws_.clearance[j] - kMargin<T> * (all + std::abs(ws_.clearance[j]));
+        return low - ws_.clearance[j] - kMargin * (all + std::abs(ws_.clearance[j]));
     }
 
     // Sizes of a component's modes at the beginning of the block, made once.
-    const T* sizes_of(int i) {
-        T* buffer = reinterpret_cast<T*>(ws_.sizes.data()) + components_[i].offset;
+    const double* sizes_of(int i) {
+        double* buffer = ws_.sizes.data() + components_[i].offset;
         if (!ws_.sized[i]) sizes(components_[i], x_from(i), y_from(i), buffer);
         ws_.sized[i] = 1;
         return buffer;
@@ -562,7 +560,7 @@ private:
     }
 
     const double* reach_of(const Term& t) const {
-        const Component<T>& c = components_[t.component];
+        const Component& c = components_[t.component];
         const std::size_t port = t.guarded ? c.n_ports + t.port : t.port;
         return &c.guarded.reach[port * (c.n_ports + c.guarded.n)];
     }
@@ -603,13 +601,13 @@ private:
             ws_.level_after[index] = ws_.level[index] + share_taken(index, b);
             double yielding = 0.0;
             // one bound for all sleeping contacts first
-            if (ws_.any_alive && ws_.level_after[index] + farthest / ws_.least_slack[index] * (1 + kMargin<T>) >= 1.0)
+            if (ws_.any_alive && ws_.level_after[index] + farthest / ws_.least_slack[index] * (1 + kMargin) >= 1.0)
                 for (const int j : group.contacts)
                     if (!ws_.awake[j] && series_lives(j)) {
                         const double most = std::max(std::abs(ws_.series[j]), std::abs(ws_.series_after[j]));
                         if (most > yielding * ws_.slack[j]) yielding = most / ws_.slack[j];
                     }
-            if (ws_.level_after[index] + yielding * (1 + kMargin<T>) < 1.0) continue;
+            if (ws_.level_after[index] + yielding * (1 + kMargin) < 1.0) continue;
             bool woken = false;
             press(index, b);
             for (const int j : group.contacts) {
@@ -641,7 +639,7 @@ private:
     double used(int j) const {
         double total = 0.0;
         for (const Term& t : nl_.terms[j]) {
-            const Component<T>& c = components_[t.component];
+            const Component& c = components_[t.component];
             const double *reach = reach_of(t), *pressed = pressed_.data() + pressed_at_[t.component];
             double sum = 0.0;
             each_port(t.component, [&](int p) { sum += reach[p] * pressed[p]; });
@@ -649,7 +647,7 @@ private:
             total += std::abs(t.factor) * sum;
         }
         if (series_lives(j)) total += std::max(std::abs(ws_.series[j]), std::abs(ws_.series_after[j]));
-        return total * (1 + kMargin<T>);
+        return total * (1 + kMargin);
     }
 
     // Reads a contact's rows from the beginning of the block up to sample b, as if they had been awake all along.
@@ -675,11 +673,11 @@ private:
     }
 
     void respond_to_fixed(int i, int p, int row, double force, double* later) const {
-        const Guarded<T>& g = components_[i].guarded;
+        const Guarded& g = components_[i].guarded;
         add_response(&g.from_fixed[(std::size_t(p) * g.n + row) * kBlock], force, later);
     }
     void respond_to_guarded(int i, int p, int row, int b, double* later) const {
-        const Guarded<T>& g = components_[i].guarded;
+        const Guarded& g = components_[i].guarded;
         add_response(&g.from_guarded[(std::size_t(p) * g.n + row) * kBlock],
                      ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b], later);
     }
@@ -689,12 +687,12 @@ private:
 
     // A guarded port of a stretched string as it is now.
     double read_now(const Term& t) const {
-        using S = Simd<T>;
-        const Component<T>& c = components_[t.component];
-        const T* row = c.guarded.rows.data() + 2 * std::size_t(t.port) * c.n;
+        using S = Simd;
+        const Component& c = components_[t.component];
+        const double* row = c.guarded.rows.data() + 2 * std::size_t(t.port) * c.n;
         taut_.tell(t.component);
-        const T *sx = x(t.component), *sy = y(t.component);
-        typename S::V sum{}, more{};
+        const double *sx = x(t.component), *sy = y(t.component);
+        S::V sum{}, more{};
         for (int k = 0; k < c.n; k += S::width) {
             sum += S::load(row + k) * S::load(sx + k);
             more += S::load(row + c.n + k) * S::load(sy + k);
@@ -868,16 +866,16 @@ private:
         }
     }
 
-    const std::vector<Component<T>>& components_;
+    const std::vector<Component>& components_;
     const Layout& layout_;
     const Solve& solve_;
     const int m_;
     const Nonlinear& nl_;
     Workspace& ws_;
     Statistics& statistics_;
-    const Job<T>& job_;
-    const std::vector<std::vector<Input<T>>>& known_;
-    Taut<T>& taut_;
+    const Job& job_;
+    const std::vector<std::vector<Input>>& known_;
+    Taut& taut_;
     bool any_tense_ = false, kept_ = false, still_ = false, rested_ = false, bounded_ = false;
     // of the block: whether guarded rows are read throughout, and pushed at; whether all that is awake is_plain
     bool reads_ = false, loads_ = false, plain_ = false;
@@ -888,7 +886,7 @@ private:
     int nb_ = 0, sample_ = 0;
     double* lines_ = nullptr;
     const double* fixed_forces_ = nullptr;
-    Calm<T> calm_;
+    Calm calm_;
 };
 
 }  // namespace

@@ -13,19 +13,18 @@ namespace {
 
 // Bounds on the rows of guarded ports throughout a block. A mode's numbers (u, v) are measured by its size
 // hypot(u, s v); s makes the size of a turning mode stand still, and that of a drifting one the way it drifts.
-template <class T>
-void derive_bounds(Component<T>& c, const double* e, const double* rows) {
-    Guarded<T>& guarded = c.guarded;
+void derive_bounds(Component& c, const double* e, const double* rows) {
+    Guarded& guarded = c.guarded;
     const std::size_t n = c.n, n_guarded = guarded.n;
-    guarded.norm.assign(2 * n, T(0)), guarded.size.assign(n, T(0));
-    guarded.middle.assign(2 * n_guarded * n, T(0)), guarded.spread.assign(n_guarded * n, T(0));
+    guarded.norm.assign(2 * n, 0.0), guarded.size.assign(n, 0.0);
+    guarded.middle.assign(2 * n_guarded * n, 0.0), guarded.spread.assign(n_guarded * n, 0.0);
     guarded.peak.assign(n_guarded, 0.0);
     for (std::size_t k = 0; k < n; ++k) {
         const double e00 = e[k], e01 = e[n + k], e10 = e[2 * n + k], e11 = e[3 * n + k];
         const double still = std::abs(e10) > 0.0 ? std::sqrt(std::abs(e01 / e10)) : 1.0;
         const double s = std::abs(e01) > 0.0 ? std::min(still, kBlock * std::abs(e01)) : 1.0;
         const double stiffness = std::max((1 - e00) * (1 - e11) - e01 * e10, 1e-8);
-        guarded.size[k] = T(s), guarded.norm[k] = T(stiffness), guarded.norm[n + k] = T(stiffness * s * s);
+        guarded.size[k] = s, guarded.norm[k] = stiffness, guarded.norm[n + k] = stiffness * s * s;
         for (std::size_t g = 0; g < n_guarded; ++g) {
             double a[kBlock + 1], b[kBlock + 1], all = 0.0, far = 0.0;
             a[0] = rows[2 * g * n + k], b[0] = rows[(2 * g + 1) * n + k];
@@ -41,10 +40,10 @@ void derive_bounds(Component<T>& c, const double* e, const double* rows) {
             }
             guarded.peak[g] += all / stiffness;
             if (far < all) {
-                guarded.middle[2 * g * n + k] = T(a_mid);
-                guarded.middle[(2 * g + 1) * n + k] = T(b_mid);
+                guarded.middle[2 * g * n + k] = a_mid;
+                guarded.middle[(2 * g + 1) * n + k] = b_mid;
             }
-            guarded.spread[g * n + k] = T(std::sqrt(std::min(far, all)));
+            guarded.spread[g * n + k] = std::sqrt(std::min(far, all));
         }
     }
     for (double& peak : guarded.peak) peak = std::sqrt(peak);
@@ -52,9 +51,8 @@ void derive_bounds(Component<T>& c, const double* e, const double* rows) {
 
 // The energy of a woven string of one port, if all its modes oscillate, none grows, and shapes are real: a force at the
 // port changes u' but not u. Nothing is set otherwise.
-template <class T>
-void derive_energy(Component<T>& c) {
-    Guarded<T>& g = c.guarded;
+void derive_energy(Component& c) {
+    Guarded& g = c.guarded;
     const std::size_t n = c.n, count = g.n;
     g.energy.clear(), g.swing.assign(count, 0.0), g.lean.assign(count, 0.0);
     if (c.woven.chunks.empty() || c.n_ports != 1 || c.n_rows != 1) return;
@@ -65,7 +63,7 @@ void derive_energy(Component<T>& c) {
         double b(double x, double y) const { return (rx * y - ry * x) / area; }
     };
     std::vector<Mode> modes(n);
-    Array<T> weights(2 * n, T(0));
+    Array<double> weights(2 * n, 0.0);
     double whole = 0.0;
     for (const auto& chunk : c.woven.chunks)
         for (std::size_t k = chunk.first; k < std::size_t(chunk.first + chunk.count); ++k) {
@@ -91,17 +89,17 @@ void derive_energy(Component<T>& c) {
             // 2 |x y| <= r x^2 + y^2 / r instead of the product: of modes of little damping it is next to nothing
             const double xx = rx * rx + mode.vx * mode.vx, yy = ry * ry + mode.vy * mode.vy;
             const double both = std::abs(rx * ry + mode.vx * mode.vy), r = std::sqrt(xx / yy);
-            weights[k] = T(half * (xx + both * r)), weights[n + k] = T(half * (yy + both / r));
+            weights[k] = half * (xx + both * r), weights[n + k] = half * (yy + both / r);
             whole += mode.compliance;
         }
     if (!(whole > 0.0)) return;
     for (std::size_t r = 0; r < count; ++r) {
-        const T *x = &g.rows[2 * r * n], *y = x + n;
+        const double *x = &g.rows[2 * r * n], *y = x + n;
         double along = 0.0, swing = 0.0;
         for (std::size_t k = 0; k < n; ++k) {
             if (modes[k].compliance > 0.0)
                 along += modes[k].compliance * modes[k].a(x[k], y[k]);
-            else if (x[k] != T(0) || y[k] != T(0))
+            else if (x[k] != 0.0 || y[k] != 0.0)
                 return;
         }
         const double lean = along / whole;
@@ -117,10 +115,9 @@ void derive_energy(Component<T>& c) {
 
 // Farthest that the forces of a rising tension move guarded rows of a string in the rest of a block, per
 // T/2 sqrt(sum a (y+ + y)^2): they are -T/2 a (y+ + y) on each mode.
-template <class T>
-void derive_pulled(Component<T>& c) {
-    Guarded<T>& g = c.guarded;
-    const Stretched<T>& s = c.stretched;
+void derive_pulled(Component& c) {
+    Guarded& g = c.guarded;
+    const Stretched& s = c.stretched;
     const std::size_t n = c.n;
     g.pulled.assign(g.n, 0.0);
     for (std::size_t r = 0; r < std::size_t(g.n); ++r) {
@@ -131,7 +128,7 @@ void derive_pulled(Component<T>& c) {
             double u = s.kick[k], v = s.kick[n + k];
             for (int j = 0; j < kBlock; ++j) {
                 const double moved = rx * u + ry * v, next = e00 * u + e01 * v;
-                most[j] += moved * moved * double(s.a[k]);
+                most[j] += moved * moved * s.a[k];
                 v = e10 * u + e11 * v, u = next;
             }
         }
@@ -141,33 +138,30 @@ void derive_pulled(Component<T>& c) {
 
 
 // Makes what Taut reads of a component, from its matrices e (4, n) and its gain (2, n).
-template <class T>
-void derive_taut(Component<T>& c, const double* e, const double* gain) {
-    Stretched<T>& s = c.stretched;
+void derive_taut(Component& c, const double* e, const double* gain) {
+    Stretched& s = c.stretched;
     const std::size_t n = c.n, p = c.n_ports, step = kTautNumbers + p;
-    s.taut.assign(n * step, T(0)), s.doors.assign(8 * n, T(0));
+    s.taut.assign(n * step, 0.0), s.doors.assign(8 * n, 0.0);
     for (std::size_t k = 0; k < n; ++k) {
         const double g = gain[k], e00 = e[k], e01 = e[n + k], e10 = e[2 * n + k], e11 = e[3 * n + k];
         if (g == 0.0 && e00 == 0.0) continue;  // padding
         if (!(g > 0.0) || e01 == 0.0) throw std::invalid_argument("a mode of a stretched string does not yield to force");
         const double root = std::sqrt(g), det = e00 * e11 - e01 * e10, tilt = gain[n + k] / g;
-        T* const to = &s.taut[k / kPadding * kPadding * step + k % kPadding];
-        const double numbers[kTautNumbers] = {double(s.half[k]), det, (1 - e00) * (1 - e11) - e01 * e10,
+        double* const to = &s.taut[k / kPadding * kPadding * step + k % kPadding];
+        const double numbers[kTautNumbers] = {s.half[k], det, (1 - e00) * (1 - e11) - e01 * e10,
                                               e01 * tilt - e11 + det};
-        for (int i = 0; i < kTautNumbers; ++i) to[i * kPadding] = T(numbers[i]);
-        if (double(to[kPadding]) > det) to[kPadding] = std::nextafter(to[kPadding], T(0));  // rounded, it must not grow
-        for (std::size_t q = 0; q < p; ++q) to[(kTautNumbers + q) * kPadding] = T(double(c.rows[2 * q * n + k]) * root);
+        for (int i = 0; i < kTautNumbers; ++i) to[i * kPadding] = numbers[i];
+        for (std::size_t q = 0; q < p; ++q) to[(kTautNumbers + q) * kPadding] = c.rows[2 * q * n + k] * root;
         const double doors[8] = {1 / root, (e00 - 1) / root, e01 / root,                 // in
                                  root, (1 - e00) * root / e01, root / e01,               // out
                                  (det - e11) / root, e01 / root};                        // of known inputs to v
-        for (int i = 0; i < 8; ++i) s.doors[i * n + k] = T(doors[i]);
+        for (int i = 0; i < 8; ++i) s.doors[i * n + k] = doors[i];
     }
 }
 
 // (all ports, all ports), fixed ones first: the farthest a port moves in a block per force on each.
-template <class T>
-Array<double> reach_of(const Component<T>& c) {
-    const Guarded<T>& g = c.guarded;
+Array<double> reach_of(const Component& c) {
+    const Guarded& g = c.guarded;
     const std::size_t all = c.n_ports + g.n, fixed = c.n_ports, n_rows = c.n_rows, n = g.n;
     Array<double> reach(all * all, 0.0);
     const auto take = [&](std::size_t row, std::size_t port, double h) {
@@ -188,8 +182,7 @@ Array<double> reach_of(const Component<T>& c) {
 
 // Sorts terms by connection, and joins the components of guarded contacts to groups: within one, forces use up one
 // another's slack.
-template <class T>
-void arrange(std::vector<Component<T>>& components, const Layout& layout, Nonlinear& nl) {
+void arrange(std::vector<Component>& components, const Layout& layout, Nonlinear& nl) {
     const int n = int(components.size());
     nl.terms.assign(nl.k, {}), nl.driven.assign(nl.k, {}), nl.guarded.assign(nl.k, 0);
     nl.groups.clear(), nl.group_of.assign(n, -1), nl.first.clear();
@@ -198,9 +191,9 @@ void arrange(std::vector<Component<T>>& components, const Layout& layout, Nonlin
     for (int j = 0; j < nl.k; ++j)
         if (nl.series[j] >= 0) nl.in_series[nl.series[j]].push_back(j);
     nl.n_guarded = 0;
-    for (const Component<T>& c : components) nl.first.push_back(nl.n_guarded), nl.n_guarded += c.guarded.n;
+    for (const Component& c : components) nl.first.push_back(nl.n_guarded), nl.n_guarded += c.guarded.n;
     for (const Nonlinear::Term& t : nl.all_terms) {
-        const Component<T>& c = components[t.component];
+        const Component& c = components[t.component];
         if (t.port >= (t.guarded ? c.guarded.n : c.n_ports) || (t.guarded && nl.laws[t.connection].kind != Law::contact))
             throw std::invalid_argument("a nonlinear connection does not fit the ports");
         (c.driven ? nl.driven : nl.terms)[t.connection].push_back(t);
@@ -262,7 +255,7 @@ void arrange(std::vector<Component<T>>& components, const Layout& layout, Nonlin
                 if (!group.simple) break;
                 const auto& parts = group.components;
                 const std::size_t q = std::find(parts.begin(), parts.end(), t.component) - parts.begin();
-                const Component<T>& c = components[t.component];
+                const Component& c = components[t.component];
                 const double size = std::abs(t.factor), of_slack = size / ((1 - kQuiet) * room);
                 group.tightest[q] = std::max(group.tightest[q], size * c.guarded.peak[t.port] / room);
                 const double* reach =
@@ -282,7 +275,7 @@ void arrange(std::vector<Component<T>>& components, const Layout& layout, Nonlin
                 for (const Nonlinear::Term& t : nl.terms[j]) {
                     const auto& parts = group.components;
                     const std::size_t q = std::find(parts.begin(), parts.end(), t.component) - parts.begin();
-                    const Guarded<T>& g = components[t.component].guarded;
+                    const Guarded& g = components[t.component].guarded;
                     const double per = std::abs(t.factor) / -nl.laws[j].offset;
                     group.strain[q] = std::max(group.strain[q], per * g.swing[t.port] / (1 - kSway));
                     if (per * g.lean[t.port] > 0.0)
@@ -297,8 +290,7 @@ void arrange(std::vector<Component<T>>& components, const Layout& layout, Nonlin
 }
 
 // The fixed ports of stretched components, and what a displacement of one calls up in the linear connections.
-template <class T>
-void arrange_ports(const std::vector<Component<T>>& components, const Layout& l, const Tensions& tensions,
+void arrange_ports(const std::vector<Component>& components, const Layout& l, const Tensions& tensions,
                    TensePorts& to) {
     const auto padded = [](std::size_t n) { return (n + kLane - 1) / kLane * kLane; };
     to = TensePorts{};
@@ -335,7 +327,7 @@ void arrange_ports(const std::vector<Component<T>>& components, const Layout& l,
             std::size_t port = c * to.most_ports * strings + s;
             to.first[i] = int(port), to.string_of[i] = int(s);
             to.own[i] = kSharedSums * strings + port;
-            to.most[s] = std::max(to.most[s], double(components[i].stretched.most_half));
+            to.most[s] = std::max(to.most[s], components[i].stretched.most_half);
             for (int p = 0; p < components[i].n_ports; ++p, port += strings) {
                 to.ports[port] = {i, p, int(s), l.row[i] + p, l.port[i] + p, place[i] + p};
                 to.real.push_back(int(port));
@@ -375,12 +367,11 @@ inline void arrange_laws(std::size_t k, const Layout& l, TensePorts& to) {
 }
 
 // Which linear connections see stretched strings, and how.
-template <class T>
-void arrange(std::vector<Component<T>>& components, const Solve& solve, const Layout& layout, Tensions& tensions,
+void arrange(std::vector<Component>& components, const Solve& solve, const Layout& layout, Tensions& tensions,
              std::size_t capacity, const Nonlinear& nl, TensionSpace& ws) {
     const std::size_t m = solve.m, n = components.size();
     tensions.components.clear(), tensions.terms.clear(), tensions.pairs.clear();
-    for (Component<T>& c : components) c.stretched.on = false;
+    for (Component& c : components) c.stretched.on = false;
     for (const auto& string : tensions.strings)
         for (const int i : string.components) {
             if (components[i].stretched.a.empty()) throw std::invalid_argument("a string has no weights for its tension");
@@ -391,7 +382,7 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, const La
     if (tensions.matrix.size() != m * m || tensions.offset.size() != m)
         throw std::invalid_argument("the matrix of the connections has the wrong shape");
     for (std::size_t i = 0; i < n; ++i) {
-        const Component<T>& c = components[i];
+        const Component& c = components[i];
         if (c.driven) continue;
         const std::size_t first = tensions.terms.size();
         for (int p = 0; p < c.n_ports; ++p)
@@ -406,8 +397,8 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, const La
                                           c.history[std::size_t(q) * c.n_rows + p]});
             }
     }
-    for (Array<char>* a : {&ws.u, &ws.y, &ws.yields}) a->assign(capacity * sizeof(T), 0);
-    ws.taut.assign(kTautState * capacity * sizeof(T), 0);
+    for (Array<double>* a : {&ws.u, &ws.y, &ws.yields}) a->assign(capacity, 0.0);
+    ws.taut.assign(kTautState * capacity, 0.0);
     arrange_ports(components, layout, tensions, ws.ports);
     for (Array<double>* a : {&ws.stretch, &ws.past, &ws.tension, &ws.used, &ws.at, &ws.after, &ws.pushed, &ws.sharp, &ws.far,
                              &ws.last_tension, &ws.last_excess, &ws.means[0], &ws.means[1], &ws.means[2]})
@@ -417,7 +408,7 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, const La
     if (!nl.k) return;
     const std::size_t k = nl.k;
     arrange_laws(k, layout, ws.ports);
-    ws.moved.assign(capacity * sizeof(T), 0);
+    ws.moved.assign(capacity, 0.0);
     ws.wires.resize(n), ws.active_ports.resize(n);
     std::size_t most = 0;
     for (const int i : tensions.components) {
@@ -430,8 +421,7 @@ void arrange(std::vector<Component<T>>& components, const Solve& solve, const La
 }
 
 // Makes the buffers of a run.
-template <class T>
-void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, std::size_t capacity, Workspace& ws) {
+void prepare(const std::vector<Component>& components, const Nonlinear& nl, std::size_t capacity, Workspace& ws) {
     const std::size_t k = nl.k, n = components.size(), n_guarded = nl.n_guarded;
     for (Array<double>* a :
          {&ws.old_p, &ws.free_p, &ws.law_force, &ws.last_force, &ws.series, &ws.series_after, &ws.slip, &ws.slip_after,
@@ -445,7 +435,7 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, s
     ws.series_alive.assign(nl.n_series, 0);
     ws.pull.assign(n * kBlock, 0.0), ws.pull_worth.assign(n, 0.0);
     ws.norm.assign(n, 0.0), ws.added.assign(n, 0.0), ws.sized.assign(n, 0);
-    ws.sizes.assign(nl.groups.empty() ? 0 : capacity * sizeof(T), 0);
+    ws.sizes.assign(nl.groups.empty() ? 0 : capacity, 0.0);
     ws.value.assign(n_guarded * kStride, 0.0), ws.force.assign(n_guarded * kBlock, 0.0);
     ws.row_awake.assign(n_guarded, 0), ws.is_loaded.assign(n_guarded, 0);
     ws.quiet.assign(nl.groups.size(), 0), ws.driven = ws.quiet;
@@ -453,7 +443,7 @@ void prepare(const std::vector<Component<T>>& components, const Nonlinear& nl, s
     ws.asleep.assign(nl.groups.size(), 0), ws.least_slack.assign(nl.groups.size(), 0.0);
     ws.awake_rows.resize(n), ws.loaded.resize(n), ws.worth.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
-        const Component<T>& c = components[i];
+        const Component& c = components[i];
         ws.awake_rows[i].clear(), ws.awake_rows[i].reserve(c.guarded.n);
         ws.loaded[i].clear(), ws.loaded[i].reserve(c.guarded.n);
         ws.worth[i].assign(nl.group_of[i] < 0 ? 0 : c.n_ports + c.guarded.n, 0.0);

@@ -32,11 +32,10 @@ struct FlushDenormals {
 };
 
 // The known forces that act in the block of nb samples from `start`, for each component.
-template <class T>
-void gather(const Job<T>& job, const std::vector<Component<T>>& components, std::int64_t start, int nb,
-            std::vector<std::vector<Input<T>>>& known, std::vector<Array<double>>& values) {
+void gather(const Job& job, const std::vector<Component>& components, std::int64_t start, int nb,
+            std::vector<std::vector<Input>>& known, std::vector<Array<double>>& values) {
     for (int q = 0; q < job.n_injections; ++q) {
-        const Injection<T>& in = job.injections[q];
+        const Injection& in = job.injections[q];
         if (start + nb <= in.first || start >= in.first + in.length) continue;
         values[q].assign(std::size_t(in.n_vectors) * kBlock, 0.0);
         const std::size_t size = 2 * std::size_t(components[in.slot].n);
@@ -51,10 +50,9 @@ void gather(const Job<T>& job, const std::vector<Component<T>>& components, std:
 }
 
 // Whether a known force acts on a component in the n samples from `start`.
-template <class T>
-bool touched(const Job<T>& job, int slot, std::int64_t start, std::int64_t n) {
+bool touched(const Job& job, int slot, std::int64_t start, std::int64_t n) {
     for (int q = 0; q < job.n_injections; ++q) {
-        const Injection<T>& in = job.injections[q];
+        const Injection& in = job.injections[q];
         if (in.slot == slot && start + n > in.first && start < in.first + in.length) return true;
     }
     return false;
@@ -67,9 +65,8 @@ inline bool finite(const double* x, int n, int step = 1) {
 }
 
 // Adds a component's readouts to the output.
-template <class T>
-void emit(const Component<T>& c, const double* rows, int stride, int row_stride, std::int64_t start, int nb,
-          const Job<T>& job) {
+void emit(const Component& c, const double* rows, int stride, int row_stride, std::int64_t start, int nb,
+          const Job& job) {
     const int first = c.driven ? 0 : c.n_ports;
     for (int r = first; r < c.n_rows; ++r) {
         double* out = job.out + start * job.n_channels + c.channels[r - first];
@@ -81,10 +78,9 @@ void emit(const Component<T>& c, const double* rows, int stride, int row_stride,
     }
 }
 
-template <class T>
-Fault run(std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
+Fault run(std::vector<Component>& components, const Layout& layout, const Solve& solve,
           const Nonlinear& nonlinear, const Tensions& tensions, const Geometric& geometric, Workspace& workspace,
-          TensionSpace& space, Statistics& statistics, const Job<T>& job) {
+          TensionSpace& space, Statistics& statistics, const Job& job) {
     const FlushDenormals guard;
     const int n_components = int(components.size()), m = solve.m, width = layout.width;
     const int force_width = layout.force_width, n_ports = int(layout.port_rows.size());
@@ -99,13 +95,13 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     Spread spread(layout);
     Direct at_once(layout);
     Array<double> y(2 * n_ports);  // port displacements at the step's beginning, then free at its end
-    std::vector<std::vector<Input<T>>> known(n_components);
+    std::vector<std::vector<Input>> known(n_components);
     std::vector<Array<double>> known_values(job.n_injections);
-    Taut<T> taut(components, space, job);
-    NonlinearStep<T> laws(components, layout, solve, nonlinear, tensions, workspace, statistics, job, known, taut);
-    TensionStep<T> stretched(components, layout, solve, tensions, space, statistics, job, known, taut);
-    TenseContacts<T> both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
-    GeometricStep<T> along(components, layout, geometric, statistics, job);
+    Taut taut(components, space, job);
+    NonlinearStep laws(components, layout, solve, nonlinear, tensions, workspace, statistics, job, known, taut);
+    TensionStep stretched(components, layout, solve, tensions, space, statistics, job, known, taut);
+    TenseContacts both(components, layout, solve, nonlinear, tensions, workspace, space, statistics, laws, stretched);
+    GeometricStep along(components, layout, geometric, statistics, job);
     const bool tense = !tensions.strings.empty(), longitudinal = !geometric.strings.empty();
     const bool direct = !tense && !longitudinal && int(layout.own_port.size()) == m;
 
@@ -125,7 +121,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     };
 
     std::vector<char> woven(n_components, 0), to_weave = woven;
-    Loom<T> loom(components, layout, forces.data(), job);
+    Loom loom(components, layout, forces.data(), job);
     for (int i = 0; i < n_components; ++i)
         if (components[i].driven) driven_lines[i].assign(std::size_t(kBlock + 1) * components[i].n_rows, 0.0);
 
@@ -135,11 +131,11 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     bool left = false;
     std::vector<int> followed(n_components, 0);
     laws.follow = [&](int i) {
-        const Component<T>& c = components[i];
+        const Component& c = components[i];
         if (!woven[i]) return;
         for (int& q = followed[i]; q < place; ++q) {
             const double* then = forces.data() + std::size_t(q) * kBlock * force_width + layout.port[i];
-            recur_store<T, true>(c, job.modes[0] + c.offset, job.modes[1] + c.offset,
+            recur_store<true>(c, job.modes[0] + c.offset, job.modes[1] + c.offset,
                                  {c.w.data(), c.w_slope.data(), c.n_ports, nullptr, then, force_width, 1});
         }
     };
@@ -155,7 +151,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
         if (place == 0) {
             const bool whole = start + kWeave * kBlock <= job.n;
             const auto may = [&](int i) {
-                const Component<T>& c = components[i];
+                const Component& c = components[i];
                 return whole && !c.woven.chunks.empty() && !c.geometric && !touched(job, i, start, kWeave * kBlock);
             };
             laws.begin_window(whole, !longitudinal, may);
@@ -163,7 +159,7 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
                 to_weave[i] = (!components[i].guarded.n || laws.calm(i)) && may(i) && !components[i].stretched.on;
             std::fill(followed.begin(), followed.end(), 0);
             if (to_weave != woven) loom.set(woven = to_weave);
-            loom.template pass<Passage::in>(0);
+            loom.pass<Passage::in>(0);
             loom.unwind(lines.data(), driven_lines, 0);
         } else {
             lines.swap(next_lines);
@@ -173,15 +169,15 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
         gather(job, components, start, nb, known, known_values);
 
         for (int i = 0; i < n_components; ++i) {
-            Component<T>& c = components[i];
+            Component& c = components[i];
             if (c.driven || c.stretched.on || c.geometric) continue;
-            T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
-            const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, lines.data() + layout.row[i], width, 1};
+            double *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
+            const Rows rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, lines.data() + layout.row[i], width, 1};
             if (!woven[i]) {
                 if (known[i].empty() && nb == kBlock)
                     recur_read(c, x, y, rows);
                 else
-                    turn<T, true, false>(c, x, y, known[i].data(), int(known[i].size()), nb, rows);
+                    turn<true, false>(c, x, y, known[i].data(), int(known[i].size()), nb, rows);
             }
             // looked at here too, before connections spread a fault to other components
             if (!finite(lines.data() + std::size_t(nb) * width + layout.row[i], c.n_rows)) return {i, start};
@@ -249,13 +245,13 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
 
         // the correction: inputs known by now move the state; what is driven one way is read on the way
         for (int i = 0; i < n_components; ++i) {
-            Component<T>& c = components[i];
+            Component& c = components[i];
             if (c.stretched.on || c.geometric) continue;
-            T *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
+            double *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
             auto& inputs = known[i];
             const double* pushes = force + layout.port[i];
             const bool recurs = inputs.empty() && nb == kBlock;
-            const Ports<T> ports{c.w.data(), c.w_slope.data(), c.n_ports, nullptr, pushes, force_width, 1};
+            const Ports ports{c.w.data(), c.w_slope.data(), c.n_ports, nullptr, pushes, force_width, 1};
             const auto answer = [&](double* to) {
                 respond(layout.driven_history[i].data(), c.n_ports, c.n_rows, pushes, force_width, to);
             };
@@ -266,22 +262,22 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
             if (nb < kBlock) laws.add_inputs(i, inputs);
             if (!c.driven) {
                 if (recurs)
-                    recur_store<T, true>(c, x, y, ports);
+                    recur_store<true>(c, x, y, ports);
                 else
-                    turn<T, false, true>(c, x, y, inputs.data(), int(inputs.size()), nb, {});
+                    turn<false, true>(c, x, y, inputs.data(), int(inputs.size()), nb, {});
                 if (nb == kBlock) laws.push_modes(i, x, y);
                 continue;
             }
             double* const driven = driven_lines[i].data();
-            const Rows<T> rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, driven, 1, kBlock + 1};
+            const Rows rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, driven, 1, kBlock + 1};
             if (woven[i]) {
                 answer(driven);
             } else if (recurs) {
                 recur_read(c, x, y, rows);
                 answer(driven);
-                recur_store<T, true>(c, x, y, ports);
+                recur_store<true>(c, x, y, ports);
             } else {
-                turn<T, true, true>(c, x, y, inputs.data(), int(inputs.size()), nb, rows);
+                turn<true, true>(c, x, y, inputs.data(), int(inputs.size()), nb, rows);
             }
             if (!finite(driven + nb, c.n_rows, kBlock + 1)) return {i, start};
             emit(c, driven, 1, kBlock + 1, start, nb, job);
@@ -289,22 +285,22 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
         if (left) loom.set(woven);
         left = false;
         if (place + 1 == kWeave) {
-            loom.template pass<Passage::out>(force - forces.data());
+            loom.pass<Passage::out>(force - forces.data());
         } else {
             for (int i = 0; i < n_components; ++i) {
-                const Component<T>& c = components[i];
+                const Component& c = components[i];
                 if (!woven[i]) continue;
                 double* const rows = c.driven ? driven_lines[i].data() : next_lines.data() + layout.row[i];
                 const double* const last = c.driven ? rows + kBlock : lines.data() + kBlock * width + layout.row[i];
                 const int step = c.driven ? kBlock + 1 : 1;
                 for (int r = 0; r < c.n_rows; ++r) rows[r * step] = last[r * step];
             }
-            loom.template pass<Passage::on>(force - forces.data());
+            loom.pass<Passage::on>(force - forces.data());
             loom.unwind(next_lines.data(), driven_lines, 1);
         }
 
         for (int i = 0; i < n_components; ++i) {
-            const Component<T>& c = components[i];
+            const Component& c = components[i];
             if (c.driven) continue;
             const double* rows = lines.data() + layout.row[i];
             emit(c, rows, width, 1, start, nb, job);
@@ -314,9 +310,9 @@ Fault run(std::vector<Component<T>>& components, const Layout& layout, const Sol
     laws.finish();
     // a component that nothing reads is looked at once per run
     for (int i = 0; i < n_components; ++i) {
-        const Component<T>& c = components[i];
+        const Component& c = components[i];
         double check = 0.0;
-        for (int k = 0; k < c.n; ++k) check += double(job.modes[0][c.offset + k]) + double(job.modes[1][c.offset + k]);
+        for (int k = 0; k < c.n; ++k) check += job.modes[0][c.offset + k] + job.modes[1][c.offset + k];
         if (!std::isfinite(check)) return {i, job.n};
     }
     return {};

@@ -19,18 +19,17 @@ constexpr int kVectorBytes = 16;
 constexpr int kPack = 2;
 #endif
 
-template <class T>
 struct Simd {
-    static constexpr int width = kVectorBytes / int(sizeof(T));
-    typedef T V __attribute__((vector_size(kVectorBytes)));
+    static constexpr int width = kVectorBytes / int(sizeof(double));
+    typedef double V __attribute__((vector_size(kVectorBytes)));
     // arrays that come from Python need not be aligned to the vector
-    typedef T Loose __attribute__((vector_size(kVectorBytes), aligned(alignof(T)), may_alias));
-    static V load(const T* p) { return V(*reinterpret_cast<const Loose*>(p)); }
-    static void store(T* p, V v) { *reinterpret_cast<Loose*>(p) = v; }
+    typedef double Loose __attribute__((vector_size(kVectorBytes), aligned(alignof(double)), may_alias));
+    static V load(const double* p) { return V(*reinterpret_cast<const Loose*>(p)); }
+    static void store(double* p, V v) { *reinterpret_cast<Loose*>(p) = v; }
     // Sum of the lanes: halves are added until one is left.
-    static double sum(V v) { return double(folded<width / 2>(v, std::make_index_sequence<width>{})[0]); }
-    static double sum(const T* p) { return sum(load(p)); }
-    static T largest(V v) { return peak<width / 2>(v, std::make_index_sequence<width>{})[0]; }
+    static double sum(V v) { return folded<width / 2>(v, std::make_index_sequence<width>{})[0]; }
+    static double sum(const double* p) { return sum(load(p)); }
+    static double largest(V v) { return peak<width / 2>(v, std::make_index_sequence<width>{})[0]; }
     template <int Half, std::size_t... I>
     static V peak(V v, std::index_sequence<I...> lanes) {
         if constexpr (Half == 0) {
@@ -84,112 +83,112 @@ struct Lanes<4> {
 };
 
 // N vectors side by side; named members, because compilers keep those in registers.
-template <class T, int N>
+template <int N>
 struct Pack;
 
-template <class T>
-struct Pack<T, 1> {
-    static constexpr int size = Simd<T>::width;
-    typename Simd<T>::V a;
-    static Pack load(const T* p) { return {Simd<T>::load(p)}; }
+template <>
+struct Pack<1> {
+    static constexpr int size = Simd::width;
+    Simd::V a;
+    static Pack load(const double* p) { return {Simd::load(p)}; }
     // vector i from make(i); use(i, vector i)
     template <int first = 0, class Make>
     static Pack made(const Make& make) { return {make(first)}; }
     template <int first = 0, class Use>
     void each(const Use& use) const { use(first, a); }
-    void store(T* p) const { Simd<T>::store(p, a); }
-    typename Simd<T>::V folded() const { return a; }
+    void store(double* p) const { Simd::store(p, a); }
+    Simd::V folded() const { return a; }
 };
 
-template <class T, int N>
+template <int N>
 struct Pack {
-    static constexpr int size = N * Simd<T>::width;
+    static constexpr int size = N * Simd::width;
     static constexpr int half = N - N / 2;
-    Pack<T, half> a;
-    Pack<T, N / 2> b;
-    static Pack load(const T* p) {
-        return {Pack<T, half>::load(p), Pack<T, N / 2>::load(p + half * Simd<T>::width)};
+    Pack<half> a;
+    Pack<N / 2> b;
+    static Pack load(const double* p) {
+        return {Pack<half>::load(p), Pack<N / 2>::load(p + half * Simd::width)};
     }
     template <int first = 0, class Make>
     static Pack made(const Make& make) {
-        return {Pack<T, half>::template made<first>(make), Pack<T, N / 2>::template made<first + half>(make)};
+        return {Pack<half>::template made<first>(make), Pack<N / 2>::template made<first + half>(make)};
     }
     template <int first = 0, class Use>
     void each(const Use& use) const { a.template each<first>(use), b.template each<first + half>(use); }
-    void store(T* p) const { a.store(p), b.store(p + half * Simd<T>::width); }
-    typename Simd<T>::V folded() const { return a.folded() + b.folded(); }
+    void store(double* p) const { a.store(p), b.store(p + half * Simd::width); }
+    Simd::V folded() const { return a.folded() + b.folded(); }
 };
 
 // x * y + z and z - x * y; the compiler fuses them where the instruction set can
-template <class T, int N>
-inline Pack<T, N> mul_add(const Pack<T, N>& x, const Pack<T, N>& y, const Pack<T, N>& z) {
+template <int N>
+inline Pack<N> mul_add(const Pack<N>& x, const Pack<N>& y, const Pack<N>& z) {
     if constexpr (N == 1) return {x.a * y.a + z.a};
     else return {mul_add(x.a, y.a, z.a), mul_add(x.b, y.b, z.b)};
 }
-template <class T, int N>
-inline Pack<T, N> neg_mul_add(const Pack<T, N>& x, const Pack<T, N>& y, const Pack<T, N>& z) {
+template <int N>
+inline Pack<N> neg_mul_add(const Pack<N>& x, const Pack<N>& y, const Pack<N>& z) {
     if constexpr (N == 1) return {z.a - x.a * y.a};
     else return {neg_mul_add(x.a, y.a, z.a), neg_mul_add(x.b, y.b, z.b)};
 }
 // a b - c d, where only the first product is fused: b waits, the second one is there by then
-template <class T, int N>
-inline Pack<T, N> turned(const Pack<T, N>& a, const Pack<T, N>& b, const Pack<T, N>& c, const Pack<T, N>& d) {
+template <int N>
+inline Pack<N> turned(const Pack<N>& a, const Pack<N>& b, const Pack<N>& c, const Pack<N>& d) {
     if constexpr (N == 1) {
-        const typename Simd<T>::V first = a.a * b.a;
+        const Simd::V first = a.a * b.a;
         return {first - c.a * d.a};
     } else {
         return {turned(a.a, b.a, c.a, d.a), turned(a.b, b.b, c.b, d.b)};
     }
 }
-template <class T, int N>
-inline Pack<T, N> mul_add(const Pack<T, N>& x, T y, const Pack<T, N>& z) {
+template <int N>
+inline Pack<N> mul_add(const Pack<N>& x, double y, const Pack<N>& z) {
     if constexpr (N == 1) return {x.a * y + z.a};
     else return {mul_add(x.a, y, z.a), mul_add(x.b, y, z.b)};
 }
 // sum += x * y, all vectors into one
-template <class T, int N>
-inline void add_products(typename Simd<T>::V& sum, const Pack<T, N>& x, const Pack<T, N>& y) {
+template <int N>
+inline void add_products(Simd::V& sum, const Pack<N>& x, const Pack<N>& y) {
     if constexpr (N == 1) sum += x.a * y.a;
     else add_products(sum, x.a, y.a), add_products(sum, x.b, y.b);
 }
 // x * y + s and s - x * y for a scalar s
-template <class T, int N>
-inline Pack<T, N> mul_plus(const Pack<T, N>& x, const Pack<T, N>& y, T s) {
+template <int N>
+inline Pack<N> mul_plus(const Pack<N>& x, const Pack<N>& y, double s) {
     if constexpr (N == 1) return {x.a * y.a + s};
     else return {mul_plus(x.a, y.a, s), mul_plus(x.b, y.b, s)};
 }
-template <class T, int N>
-inline Pack<T, N> neg_mul_plus(const Pack<T, N>& x, const Pack<T, N>& y, T s) {
+template <int N>
+inline Pack<N> neg_mul_plus(const Pack<N>& x, const Pack<N>& y, double s) {
     if constexpr (N == 1) return {s - x.a * y.a};
     else return {neg_mul_plus(x.a, y.a, s), neg_mul_plus(x.b, y.b, s)};
 }
-template <class T, int N>
-inline Pack<T, N> operator*(const Pack<T, N>& x, const Pack<T, N>& y) {
+template <int N>
+inline Pack<N> operator*(const Pack<N>& x, const Pack<N>& y) {
     if constexpr (N == 1) return {x.a * y.a};
     else return {x.a * y.a, x.b * y.b};
 }
-template <class T, int N>
-inline Pack<T, N> operator*(const Pack<T, N>& x, T y) {
+template <int N>
+inline Pack<N> operator*(const Pack<N>& x, double y) {
     if constexpr (N == 1) return {x.a * y};
     else return {x.a * y, x.b * y};
 }
-template <class T, int N>
-inline Pack<T, N> operator+(const Pack<T, N>& x, T y) {
+template <int N>
+inline Pack<N> operator+(const Pack<N>& x, double y) {
     if constexpr (N == 1) return {x.a + y};
     else return {x.a + y, x.b + y};
 }
-template <class T, int N>
-inline Pack<T, N> operator-(T x, const Pack<T, N>& y) {
+template <int N>
+inline Pack<N> operator-(double x, const Pack<N>& y) {
     if constexpr (N == 1) return {x - y.a};
     else return {x - y.a, x - y.b};
 }
-template <class T, int N>
-inline Pack<T, N> operator+(const Pack<T, N>& x, const Pack<T, N>& y) {
+template <int N>
+inline Pack<N> operator+(const Pack<N>& x, const Pack<N>& y) {
     if constexpr (N == 1) return {x.a + y.a};
     else return {x.a + y.a, x.b + y.b};
 }
-template <class T, int N>
-inline Pack<T, N> operator-(const Pack<T, N>& x, const Pack<T, N>& y) {
+template <int N>
+inline Pack<N> operator-(const Pack<N>& x, const Pack<N>& y) {
     if constexpr (N == 1) return {x.a - y.a};
     else return {x.a - y.a, x.b - y.b};
 }

@@ -19,9 +19,8 @@ namespace tonewood {
 namespace {
 
 // Rows to read, and where to: the value of row i at a sample goes to value[sample * sample_stride + i * row_stride].
-template <class T>
 struct Rows {
-    const T *rows, *slopes;     // (all, 2, n)
+    const double *rows, *slopes;  // (all, 2, n)
     int count;                  // the first ones,
     const int* list;            // or those of a list
     double* value;
@@ -30,9 +29,8 @@ struct Rows {
 };
 
 // Ports to push, with the force forces[sample * sample_stride + i * port_stride] on port i.
-template <class T>
 struct Ports {
-    const T *w, *w_slope;       // (all, 2, n)
+    const double *w, *w_slope;  // (all, 2, n)
     int count;
     const int* list;
     const double* forces;
@@ -41,23 +39,22 @@ struct Ports {
 };
 
 // Accumulators of rows, one vector per row and sample.
-template <class T>
-T* accumulators(int n_rows) {
-    thread_local Array<T> memory;
-    const std::size_t need = std::size_t(n_rows) * (kBlock + 1) * Simd<T>::width;
+double* accumulators(int n_rows) {
+    thread_local Array<double> memory;
+    const std::size_t need = std::size_t(n_rows) * (kBlock + 1) * Simd::width;
     if (memory.size() < need) memory.resize(need);
-    for (std::size_t i = 0; i < need; ++i) memory[i] = T(0);
+    for (std::size_t i = 0; i < need; ++i) memory[i] = 0.0;
     return memory.data();
 }
 
 // Sums of lanes, of vectors `step` numbers apart: they are folded in pairs until one vector holds them all.
-template <class T, int Count>
-typename Simd<T>::V sums(const T* acc, std::size_t step = Simd<T>::width) {
-    constexpr int width = Simd<T>::width, first = width / Count;  // lanes of a vector that belong to one sum
+template <int Count>
+Simd::V sums(const double* acc, std::size_t step = Simd::width) {
+    constexpr int width = Simd::width, first = width / Count;  // lanes of a vector that belong to one sum
     if constexpr (Count == 1) {
-        return Simd<T>::load(acc);
+        return Simd::load(acc);
     } else {
-        const auto a = sums<T, Count / 2>(acc, step), b = sums<T, Count / 2>(acc + Count / 2 * step, step);
+        const auto a = sums<Count / 2>(acc, step), b = sums<Count / 2>(acc + Count / 2 * step, step);
         return [&]<std::size_t... I>(std::index_sequence<I...>) {
             // the sums of a, then those of b, each in half as many lanes as it had
             constexpr auto from = [](int i, int half) {
@@ -69,46 +66,39 @@ typename Simd<T>::V sums(const T* acc, std::size_t step = Simd<T>::width) {
     }
 }
 
-inline void put_double(typename Simd<double>::V v, double* to) { Simd<double>::store(to, v); }
-inline void put_double(typename Simd<float>::V v, double* to) {
-    for (int i = 0; i < Simd<float>::width; ++i) to[i] = double(v[i]);
-}
-
-template <class T>
-void reduce(const T* acc, const Rows<T>& rows, int nb, int first = 0) {
-    constexpr int width = Simd<T>::width;
+void reduce(const double* acc, const Rows& rows, int nb, int first = 0) {
+    constexpr int width = Simd::width;
     for (int r = 0; r < rows.count; ++r) {
         double* to = rows.value + std::ptrdiff_t(rows[r]) * rows.row_stride;
         int s = first;
         acc += first * width;
         for (; s + width <= nb + 1; s += width, acc += width * width) {
-            const auto all = sums<T, width>(acc);
+            const auto all = sums<width>(acc);
             if (rows.sample_stride == 1)
-                put_double(all, to + s);
+                Simd::store(to + s, all);
             else
-                for (int i = 0; i < width; ++i) to[std::ptrdiff_t(s + i) * rows.sample_stride] = double(all[i]);
+                for (int i = 0; i < width; ++i) to[std::ptrdiff_t(s + i) * rows.sample_stride] = all[i];
         }
-        for (; s <= nb; ++s, acc += width) to[std::ptrdiff_t(s) * rows.sample_stride] = Simd<T>::sum(acc);
+        for (; s <= nb; ++s, acc += width) to[std::ptrdiff_t(s) * rows.sample_stride] = Simd::sum(acc);
     }
 }
 
 // Goes through n modes in the widest packs first, then in smaller ones: calls visit(pack size tag, first mode).
-template <class T, int N, class Visit>
+template <int N, class Visit>
 void in_packs(std::size_t n, const Visit& visit, std::size_t k = 0) {
-    for (; k + Pack<T, N>::size <= n; k += Pack<T, N>::size) visit.template operator()<N>(k);
-    if constexpr (N > 1) in_packs<T, N / 2>(n, visit, k);
+    for (; k + Pack<N>::size <= n; k += Pack<N>::size) visit.template operator()<N>(k);
+    if constexpr (N > 1) in_packs<N / 2>(n, visit, k);
 }
 
 // Turning. Read: row values at samples 0 .. nb. Store: the state moves on to sample nb.
-template <class T, bool Read, bool Store>
-void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inputs, int nb, const Rows<T>& rows) {
-    constexpr int N = kPadding / Simd<T>::width < 2 ? 1 : 2;
-    using P = Pack<T, N>;
-    constexpr int width = Simd<T>::width;
+template <bool Read, bool Store>
+void turn(const Component& c, double* sx, double* sy, const Input* inputs, int n_inputs, int nb, const Rows& rows) {
+    using P = Pack<2>;
+    constexpr int width = Simd::width;
     static_assert(kPadding % P::size == 0);
     const std::size_t n = c.n;
-    T* const acc = Read ? accumulators<T>(rows.count) : nullptr;
-    alignas(64) T path_x[(kBlock + 1) * P::size], path_y[(kBlock + 1) * P::size];
+    double* const acc = Read ? accumulators(rows.count) : nullptr;
+    alignas(64) double path_x[(kBlock + 1) * P::size], path_y[(kBlock + 1) * P::size];
 
     for (std::size_t k = 0; k < n; k += P::size) {
         P x = P::load(sx + k), y = P::load(sy + k);
@@ -120,7 +110,7 @@ void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inp
             y = mul_add(e11, y, e10 * x);
             x = turned;
             for (int j = 0; j < n_inputs; ++j) {
-                const T f = T(inputs[j].values[s * inputs[j].stride]);
+                const double f = inputs[j].values[s * inputs[j].stride];
                 x = mul_add(P::load(inputs[j].vector + k), f, x);
                 y = mul_add(P::load(inputs[j].vector + n + k), f, y);
             }
@@ -128,12 +118,12 @@ void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inp
         if constexpr (Read) {
             x.store(path_x + nb * P::size), y.store(path_y + nb * P::size);
             for (int r = 0; r < rows.count; ++r) {
-                const T* row = rows.rows + 2 * std::size_t(rows[r]) * n + k;
+                const double* row = rows.rows + 2 * std::size_t(rows[r]) * n + k;
                 const P rx = P::load(row), ry = P::load(row + n);
-                T* to = acc + std::size_t(r) * (nb + 1) * width;
+                double* to = acc + std::size_t(r) * (nb + 1) * width;
                 for (int s = 0; s <= nb; ++s, to += width) {
                     const P share = mul_add(rx, P::load(path_x + s * P::size), ry * P::load(path_y + s * P::size));
-                    Simd<T>::store(to, Simd<T>::load(to) + share.folded());
+                    Simd::store(to, Simd::load(to) + share.folded());
                 }
             }
         }
@@ -143,26 +133,25 @@ void turn(const Component<T>& c, T* sx, T* sy, const Input<T>* inputs, int n_inp
 }
 
 // Recurring, a whole block: values of rows, without inputs. The state stays.
-template <class T>
-void recur_read(const Component<T>& c, const T* sx, const T* sy, const Rows<T>& rows) {
-    constexpr int width = Simd<T>::width;
+void recur_read(const Component& c, const double* sx, const double* sy, const Rows& rows) {
+    constexpr int width = Simd::width;
     static_assert(kBlock % 2 == 0);
     const std::size_t n = c.n;
-    T* const acc = accumulators<T>(rows.count);
+    double* const acc = accumulators(rows.count);
     for (int r = 0; r < rows.count; ++r) {
-        const T* row = rows.rows + 2 * std::size_t(rows[r]) * n;
-        const T* slope = rows.slopes + 2 * std::size_t(rows[r]) * n;
-        T* const to = acc + std::size_t(r) * (kBlock + 1) * width;
+        const double* row = rows.rows + 2 * std::size_t(rows[r]) * n;
+        const double* slope = rows.slopes + 2 * std::size_t(rows[r]) * n;
+        double* const to = acc + std::size_t(r) * (kBlock + 1) * width;
         const auto add = [to](int b, const auto& share) {
-            Simd<T>::store(to + b * width, Simd<T>::load(to + b * width) + share.folded());
+            Simd::store(to + b * width, Simd::load(to + b * width) + share.folded());
         };
-        in_packs<T, kPack>(n, [&]<int N>(std::size_t k) {
-            using P = Pack<T, N>;
+        in_packs<kPack>(n, [&]<int N>(std::size_t k) {
+            using P = Pack<N>;
             const P x = P::load(sx + k), y = P::load(sy + k), det = P::load(&c.det[k]);
             P s = mul_add(P::load(row + k), x, P::load(row + n + k) * y);
             P d = mul_add(P::load(slope + k), x, P::load(slope + n + k) * y);
             add(0, s);
-            if (c.slow[k / kGranule<T>]) {
+            if (c.slow[k / kGranule]) {
                 const P kappa = P::load(&c.kappa[k]);
                 for (int b = 1; b <= kBlock; ++b) {
                     s = s + d;
@@ -185,19 +174,19 @@ void recur_read(const Component<T>& c, const T* sx, const T* sy, const Rows<T>& 
 }
 
 // Recurring, a whole block: the state moves on under port forces; Advance: and by itself.
-template <class T, bool Advance>
-void recur_store(const Component<T>& c, T* sx, T* sy, const Ports<T>& ports) {
+template <bool Advance>
+void recur_store(const Component& c, double* sx, double* sy, const Ports& ports) {
     const std::size_t n = c.n;
-    in_packs<T, kPack>(n, [&]<int N>(std::size_t k) {
-        using P = Pack<T, N>;
+    in_packs<kPack>(n, [&]<int N>(std::size_t k) {
+        using P = Pack<N>;
         const P x = P::load(sx + k), y = P::load(sy + k);
         P nx = x, ny = y;
         if constexpr (Advance) {
             nx = mul_add(P::load(&c.e_block[k]), x, P::load(&c.e_block[n + k]) * y);
             ny = mul_add(P::load(&c.e_block[3 * n + k]), y, P::load(&c.e_block[2 * n + k]) * x);
         }
-        static_assert(kGranule<T> % P::size == 0);
-        const bool slow = c.slow[k / kGranule<T>] != 0;
+        static_assert(kGranule % P::size == 0);
+        const bool slow = c.slow[k / kGranule] != 0;
         const P det = P::load(&c.det[k]), other = P::load(slow ? &c.kappa[k] : &c.trace[k]);
         for (int i = 0; i < ports.count; ++i) {
             const std::size_t p = ports[i];
@@ -206,15 +195,15 @@ void recur_store(const Component<T>& c, T* sx, T* sy, const Ports<T>& ports) {
             if (slow) {
                 for (int b = 0; b < kBlock; ++b) {
                     u = u + d;
-                    d = neg_mul_add(other, u, mul_plus(det, d, T(f[b * ports.sample_stride])));
+                    d = neg_mul_add(other, u, mul_plus(det, d, f[b * ports.sample_stride]));
                 }
             } else {
                 for (int b = 0; b < kBlock; b += 2) {
-                    u = mul_add(other, d, neg_mul_plus(det, u, T(f[b * ports.sample_stride])));
-                    d = mul_add(other, u, neg_mul_plus(det, d, T(f[(b + 1) * ports.sample_stride])));
+                    u = mul_add(other, d, neg_mul_plus(det, u, f[b * ports.sample_stride]));
+                    d = mul_add(other, u, neg_mul_plus(det, d, f[(b + 1) * ports.sample_stride]));
                 }
             }
-            const T *w = ports.w + 2 * p * n + k, *v = ports.w_slope + 2 * p * n + k;
+            const double *w = ports.w + 2 * p * n + k, *v = ports.w_slope + 2 * p * n + k;
             nx = mul_add(P::load(w), d, mul_add(P::load(v), u, nx));
             ny = mul_add(P::load(w + n), d, mul_add(P::load(v + n), u, ny));
         }

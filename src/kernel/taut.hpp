@@ -14,22 +14,21 @@
 namespace tonewood {
 namespace {
 
-template <class T>
 class Taut {
 public:
-    Taut(const std::vector<Component<T>>& components, TensionSpace& space, const Job<T>& job)
+    Taut(const std::vector<Component>& components, TensionSpace& space, const Job& job)
         : components_(components), ws_(space), job_(job), is_told_(components.size(), 0) {}
 
     // (n / 16, 3, 16)
-    T* state(int i) const { return reinterpret_cast<T*>(ws_.taut.data()) + kTautState * components_[i].offset; }
+    double* state(int i) const { return ws_.taut.data() + kTautState * components_[i].offset; }
 
     // From the state of the run.
     void enter(int i) {
-        const Component<T>& c = components_[i];
+        const Component& c = components_[i];
         const std::size_t n = c.n;
-        const T *const door = c.stretched.doors.data(), *const x = job_.modes[0] + c.offset,
+        const double *const door = c.stretched.doors.data(), *const x = job_.modes[0] + c.offset,
                 *const y = job_.modes[1] + c.offset;
-        T* to = state(i);
+        double* to = state(i);
         for (std::size_t k = 0; k < n; k += kPadding, to += kTautState * kPadding)
             for (int j = 0; j < kPadding; j += S::width) {
                 const V first = S::load(x + k + j);
@@ -44,10 +43,10 @@ public:
     void tell(int i) {
         if (is_told_[i]) return;
         is_told_[i] = 1;
-        const Component<T>& c = components_[i];
+        const Component& c = components_[i];
         const std::size_t n = c.n;
-        const T *const door = c.stretched.doors.data() + 3 * n, *from = state(i);
-        T *const x = job_.modes[0] + c.offset, *const y = job_.modes[1] + c.offset;
+        const double *const door = c.stretched.doors.data() + 3 * n, *from = state(i);
+        double *const x = job_.modes[0] + c.offset, *const y = job_.modes[1] + c.offset;
         for (std::size_t k = 0; k < n; k += kPadding, from += kTautState * kPadding)
             for (int j = 0; j < kPadding; j += S::width) {
                 const V xi = S::load(from + j), v = S::load(from + kPadding + j);
@@ -59,20 +58,20 @@ public:
     // s at a tension, divided.
     void yield(int i, double tension) {
         const std::size_t step = std::size_t(kTautNumbers + components_[i].n_ports) * kPadding;
-        const T *half = components_[i].stretched.taut.data(), one = 1;
-        T* to = state(i) + (kTautState - 1) * kPadding;
+        const double *half = components_[i].stretched.taut.data(), one = 1;
+        double* to = state(i) + (kTautState - 1) * kPadding;
         for (int k = 0; k < components_[i].n; k += kPadding, half += step, to += kTautState * kPadding)
-            for (int j = 0; j < kPadding; j += S::width) S::store(to + j, one / (one + S::load(half + j) * T(tension)));
+            for (int j = 0; j < kPadding; j += S::width) S::store(to + j, one / (one + S::load(half + j) * tension));
     }
 
     void has_moved(int i) { is_told_[i] = 0; }
 
 private:
-    using S = Simd<T>;
-    using V = typename S::V;
-    const std::vector<Component<T>>& components_;
+    using S = Simd;
+    using V = S::V;
+    const std::vector<Component>& components_;
     TensionSpace& ws_;
-    const Job<T>& job_;
+    const Job& job_;
     std::vector<char> is_told_;
 };
 

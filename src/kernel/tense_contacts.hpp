@@ -15,17 +15,15 @@
 namespace tonewood {
 namespace {
 
-template <class T>
-constexpr double kLawTolerance = sizeof(T) == sizeof(double) ? 3e-12 : 1e-6;  // of the largest force
+constexpr double kLawTolerance = 3e-12;  // of the largest force
 
-template <class T>
 class TenseContacts {
     using Term = Nonlinear::Term;
 
 public:
-    TenseContacts(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
+    TenseContacts(const std::vector<Component>& components, const Layout& layout, const Solve& solve,
                   const Nonlinear& nonlinear, const Tensions& tensions, Workspace& workspace, TensionSpace& space,
-                  Statistics& statistics, NonlinearStep<T>& laws, TensionStep<T>& stretched)
+                  Statistics& statistics, NonlinearStep& laws, TensionStep& stretched)
         : components_(components), layout_(layout), m_(solve.m), nl_(nonlinear), tensions_(tensions), ws_(workspace),
           ts_(space), statistics_(statistics), laws_(laws), stretched_(stretched) {
         for (const int p : ts_.ports.real)
@@ -93,40 +91,41 @@ private:
     // A guarded port before and after the step, less its factor, as the last visit to the modes tells: s of the tension
     // visited stands for that of the tension found.
     void glance(const Term& t, int b, const double* now, double& old, double& after, double& error) {
-        using S = Simd<T>;
-        using V = typename S::V;
+        using S = Simd;
+        using V = S::V;
         const int i = t.component;
-        const Component<T>& c = components_[i];
+        const Component& c = components_[i];
         const std::size_t n = c.n;
         const int string = ts_.ports.string_of[i];
-        T *const before = stretched_.buffer(ts_.y, i), *const then = stretched_.buffer(ts_.moved, i);
+        double *const before = stretched_.buffer(ts_.y, i), *const then = stretched_.buffer(ts_.moved, i);
         if (!is_moved_[i]) {
             is_moved_[i] = 1;
             const std::size_t step = std::size_t(kTautNumbers + c.n_ports) * kPadding;
-            const T *state = stretched_.taut_.state(i), *numbers = c.stretched.taut.data() + kTautNumbers * kPadding;
-            const T *const in = c.stretched.doors.data(), *const root = in + 3 * n;
+            const double* state = stretched_.taut_.state(i);
+            const double* numbers = c.stretched.taut.data() + kTautNumbers * kPadding;
+            const double *const in = c.stretched.doors.data(), *const root = in + 3 * n;
             for (std::size_t k = 0; k < n; k += kPadding, state += kTautState * kPadding, numbers += step)
                 for (int q = 0; q < kPadding; q += S::width) {
                     const V xi = S::load(state + q), out = S::load(root + k + q);
                     V both = xi + xi + S::load(state + kPadding + q);
-                    for (const Input<T>& input : stretched_.known_[i])
-                        both += S::load(in + k + q) * S::load(input.vector + k + q) * T(input.values[b * input.stride]);
+                    for (const Input& input : stretched_.known_[i])
+                        both += S::load(in + k + q) * S::load(input.vector + k + q) * input.values[b * input.stride];
                     for (int p = 0; p < c.n_ports; ++p)
-                        both += S::load(numbers + p * kPadding + q) * T(now[layout_.port[i] + p]);
+                        both += S::load(numbers + p * kPadding + q) * now[layout_.port[i] + p];
                     S::store(before + k + q, out * xi);
                     S::store(then + k + q, out * (both * S::load(state + 2 * kPadding + q) - xi));
                 }
         }
-        const T* const row = &c.guarded.rows[2 * std::size_t(t.port) * n];
+        const double* const row = &c.guarded.rows[2 * std::size_t(t.port) * n];
         V first{}, second{}, sizes{};
         for (std::size_t k = 0; k < n; k += S::width) {
             const V r = S::load(row + k), a = r * S::load(before + k), z = r * S::load(then + k);
             first += a, second += z;
-            sizes += (a < T(0) ? -a : a) + (z < T(0) ? -z : z);
+            sizes += (a < 0.0 ? -a : a) + (z < 0.0 ? -z : z);
         }
         const double change = std::abs(ts_.used[string] - ts_.at[string]) * c.stretched.most_half;
-        old -= t.factor * double(S::sum(first)), after -= t.factor * double(S::sum(second));
-        error += std::abs(t.factor) * double(S::sum(sizes)) * (2 * change + kMargin<T>);
+        old -= t.factor * S::sum(first), after -= t.factor * S::sum(second);
+        error += std::abs(t.factor) * S::sum(sizes) * (2 * change + kMargin);
     }
 
     // Where fixed ports of the strings come to, for energies.
@@ -166,7 +165,7 @@ private:
         const int a = int(ws_.active.size()), w = int(wide(a));
         int iterations = 0;
         const bool foldable = all_linear();
-        const bool done = foldable ? folded(iterations) : stretched_.find(kLawTolerance<T>, [&](double* force) {
+        const bool done = foldable ? folded(iterations) : stretched_.find(kLawTolerance, [&](double* force) {
             for (int p = 0; p < n; ++p) ports.sum[p] = ports.alone[p] + ports.moved[p];
             std::fill_n(ports.active_free.data(), w, 0.0);
             add_product(ports.active_meets.data(), w, ports.sum.data(), n, ports.active_free.data());
@@ -343,22 +342,22 @@ private:
     }
 
     // Ports in use of component i: fixed ones, then guarded ones.
-    const T* phi(int i, int p) const {
-        const Component<T>& c = components_[i];
+    const double* phi(int i, int p) const {
+        const Component& c = components_[i];
         const std::size_t n = c.n;
         return p < c.n_ports ? &c.stretched.phi[p * n]
                              : &c.stretched.guarded_phi[ts_.active_ports[i][p - c.n_ports] * n];
     }
-    const T* per_force(int i, int p) const {
-        const Component<T>& c = components_[i];
+    const double* per_force(int i, int p) const {
+        const Component& c = components_[i];
         const std::size_t n = c.n;
         return p < c.n_ports ? &c.stretched.c[p * n] : &c.stretched.guarded_c[ts_.active_ports[i][p - c.n_ports] * n];
     }
 
     // Compliance between two ports in use without additional tension, p <= q.
     double rest(int i, int p, int q) const {
-        const Component<T>& c = components_[i];
-        const Guarded<T>& g = c.guarded;
+        const Component& c = components_[i];
+        const Guarded& g = c.guarded;
         if (q < c.n_ports) return c.history[std::size_t(q) * c.n_rows + p];
         const std::size_t to = ts_.active_ports[i][q - c.n_ports];
         if (p < c.n_ports) return g.from_fixed[(std::size_t(p) * g.n + to) * kBlock];
@@ -367,21 +366,21 @@ private:
 
     // Where the ports in use would be without forces, and their compliances, at a tension: ts.free and ts.compliance.
     int port_pass(int i, double tension) {
-        using S = Simd<T>;
-        using V = typename S::V;
-        const Component<T>& c = components_[i];
-        const T* u = stretched_.buffer(ts_.u, i);
-        T* const kept = stretched_.buffer(ts_.yields, i);
-        const T *const half = c.stretched.half.data(), one = 1;
-        for (int k = 0; k < c.n; k += S::width) S::store(kept + k, one / (one + S::load(half + k) * T(tension)));
+        using S = Simd;
+        using V = S::V;
+        const Component& c = components_[i];
+        const double* u = stretched_.buffer(ts_.u, i);
+        double* const kept = stretched_.buffer(ts_.yields, i);
+        const double *const half = c.stretched.half.data(), one = 1;
+        for (int k = 0; k < c.n; k += S::width) S::store(kept + k, one / (one + S::load(half + k) * tension));
         const int count = c.n_ports + int(ts_.active_ports[i].size());
         for (int p = 0; p < count; ++p) {
-            const T* at = phi(i, p);
+            const double* at = phi(i, p);
             V sum{};
             for (int k = 0; k < c.n; k += S::width) sum += S::load(at + k) * S::load(u + k) * S::load(kept + k);
             ts_.free[p] = S::sum(sum);
             for (int q = p; q < count; ++q) {
-                const T* from = per_force(i, q);
+                const double* from = per_force(i, q);
                 V moved{};
                 for (int k = 0; k < c.n; k += S::width) moved += S::load(at + k) * S::load(from + k) * S::load(kept + k);
                 ts_.compliance[std::size_t(p) * count + q] = ts_.compliance[std::size_t(q) * count + p] = S::sum(moved);
@@ -462,9 +461,9 @@ private:
     // Displacement of a port in use before the step.
     double old(int i, int p) const { return product(phi(i, p), stretched_.buffer(ts_.y, i), components_[i].n); }
 
-    static double product(const T* a, const T* b, int n) {
-        using S = Simd<T>;
-        typename S::V sum{};
+    static double product(const double* a, const double* b, int n) {
+        using S = Simd;
+        S::V sum{};
         for (int k = 0; k < n; k += S::width) sum += S::load(a + k) * S::load(b + k);
         return S::sum(sum);
     }
@@ -472,12 +471,12 @@ private:
     // Forces of sample b on guarded ports of a stretched string, for its motion.
     void push(int i, int b) {
         auto& list = stretched_.pushed_[i];
-        const Component<T>& c = components_[i];
+        const Component& c = components_[i];
         const std::size_t n = c.n;
         list.clear();
         for (const int p : ws_.loaded[i]) {
             const double force = ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b];
-            if (force != 0.0) list.push_back({&c.guarded.rows[2 * p * n], T(force)});
+            if (force != 0.0) list.push_back({&c.guarded.rows[2 * p * n], force});
         }
     }
 
@@ -489,20 +488,20 @@ private:
 
     // Coordinates after the step in ts.moved, under port forces f and those on guarded ports; what the stretch gains.
     void move_stretch(int i, int b, double tension, const double* f, double& after, double& slope, double& size) {
-        using S = Simd<T>;
-        using V = typename S::V;
-        const Component<T>& c = components_[i];
-        const Stretched<T>& s = c.stretched;
+        using S = Simd;
+        using V = S::V;
+        const Component& c = components_[i];
+        const Stretched& s = c.stretched;
         const std::size_t n = c.n;
-        const T *u = stretched_.buffer(ts_.u, i), *here = stretched_.buffer(ts_.y, i);
-        T* to = stretched_.buffer(ts_.moved, i);
+        const double *u = stretched_.buffer(ts_.u, i), *here = stretched_.buffer(ts_.y, i);
+        double* to = stretched_.buffer(ts_.moved, i);
         V gained{}, slopes{}, sizes{};
         for (std::size_t k = 0; k < n; k += S::width) {
             V D = S::load(u + k);
-            for (int p = 0; p < c.n_ports; ++p) D += S::load(&s.c[p * n + k]) * T(f[p]);
+            for (int p = 0; p < c.n_ports; ++p) D += S::load(&s.c[p * n + k]) * f[p];
             for (const int p : ws_.loaded[i])
-                D += S::load(&s.guarded_c[p * n + k]) * T(ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b]);
-            const V yield = T(1) / (T(1) + S::load(&s.half[k]) * T(tension)), a = S::load(&s.a[k]), y = S::load(here + k);
+                D += S::load(&s.guarded_c[p * n + k]) * ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b];
+            const V yield = 1.0 / (1.0 + S::load(&s.half[k]) * tension), a = S::load(&s.a[k]), y = S::load(here + k);
             D *= yield;
             S::store(to + k, D - y);
             const V aD = a * D;
@@ -535,8 +534,8 @@ private:
     // Displacement of a port after the step.
     double after(const Term& t, int b, const double* now) {
         const int i = t.component;
-        const Component<T>& c = components_[i];
-        const Guarded<T>& g = c.guarded;
+        const Component& c = components_[i];
+        const Guarded& g = c.guarded;
         const std::size_t n = c.n, port = t.port;
         if (c.stretched.on) {
             if (!is_moved_[i]) {
@@ -558,7 +557,7 @@ private:
         return y;
     }
 
-    const std::vector<Component<T>>& components_;
+    const std::vector<Component>& components_;
     const Layout& layout_;
     const int m_;
     const Nonlinear& nl_;
@@ -566,8 +565,8 @@ private:
     Workspace& ws_;
     TensionSpace& ts_;
     Statistics& statistics_;
-    NonlinearStep<T>& laws_;
-    TensionStep<T>& stretched_;
+    NonlinearStep& laws_;
+    TensionStep& stretched_;
     struct Alone {
         int lane, port;
     };

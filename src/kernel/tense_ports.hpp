@@ -20,63 +20,58 @@ namespace tonewood {
 namespace {
 
 // A force on modes for a sample: of a port by its row.
-template <class T>
 struct Load {
-    const T* row;
-    T force;
+    const double* row;
+    double force;
 };
 
-template <class T>
 struct Visit {
     double made = 0;      // tension of the step to make
-    const T* forces = nullptr;            // on the ports in it
-    const Load<T>* loads = nullptr;       // other ports pushed in it
+    const double* forces = nullptr;       // on the ports in it
+    const Load* loads = nullptr;          // other ports pushed in it
     int n_loads = 0;
     double tried = 0;     // tension that sums are taken at
-    const Input<T>* inputs = nullptr;     // known inputs, those of sample `made_in` and those of sample `begun`
+    const Input* inputs = nullptr;        // known inputs, those of sample `made_in` and those of sample `begun`
     int n_inputs = 0, made_in = 0, begun = 0;
     // where sums go, a vector each, and from one to the next of the same string or port; `first`: the shared ones begin
-    T *shared = nullptr, *own = nullptr;
+    double *shared = nullptr, *own = nullptr;
     std::size_t next_shared = 0, next_own = 0, next_port = 0;
     bool first = false;
 };
 
 // The tension of a step to make is near the one that s is of, by kTold; that of sums by kNear.
 constexpr int kNewtons = 2;  // corrections of a reciprocal for these: its error is squared in each
-template <class T>
-constexpr double kNear = sizeof(T) == sizeof(double) ? 2e-4 : 2e-2;
+constexpr double kNear = 2e-4;
 
 // relative change of a mode's stiffness up to which a step may be told by three terms, its cube being lost
-template <class T>
-constexpr double kTold = sizeof(T) == sizeof(double) ? 3e-5 : 5e-3;
+constexpr double kTold = 3e-5;
 
 // `state` (Taut) holds s of the last tension that a visit ended with, which must be near.
 // Sums as vectors: h xi^2, h after^2, h m U after, h m^2 U^2, h m^2 U after, and for each port r xi, r after, r m U,
 // r m after, r m^2 U, r m^2 after.
-template <class T, int P, bool Make, bool Begin, bool Plain>
-void visit(const Component<T>& c, T* state, const Visit<T>& v) {
-    constexpr int N = kPadding / Simd<T>::width < 2 ? 1 : 2;  // vectors at a time: their latencies overlap
-    using V = Pack<T, N>;
-    using S = Simd<T>;
+template <int P, bool Make, bool Begin, bool Plain>
+void visit(const Component& c, double* state, const Visit& v) {
+    using V = Pack<2>;  // two vectors at a time: their latencies overlap
+    using S = Simd;
     constexpr int kMost = P < 0 ? kMaxStretchedPorts : (P > 0 ? P : 1);
     const int n_ports = P < 0 ? c.n_ports : P;
     const std::size_t n = c.n, step = std::size_t(kTautNumbers + n_ports) * kPadding;
-    const T *const numbers = c.stretched.taut.data(), *const doors = c.stretched.doors.data();
-    const T made = T(v.made), tried = T(v.tried);
-    T force[kMost] = {};
+    const double *const numbers = c.stretched.taut.data(), *const doors = c.stretched.doors.data();
+    const double made = v.made, tried = v.tried;
+    double force[kMost] = {};
     if constexpr (Make)
         for (int p = 0; p < n_ports; ++p) force[p] = v.forces[p];
-    typename S::V all[kSharedSums] = {}, each[kMost][kPortSums] = {};
+    S::V all[kSharedSums] = {}, each[kMost][kPortSums] = {};
     // of known inputs (x, y) in a sample: what they add to xi, and to v beyond what follows from that
     const auto input = [&](std::size_t k, int sample, V& to_xi, V& to_v) {
         for (int j = 0; j < v.n_inputs; ++j) {
-            const T value = T(v.inputs[j].values[sample * v.inputs[j].stride]);
+            const double value = v.inputs[j].values[sample * v.inputs[j].stride];
             const V x = V::load(v.inputs[j].vector + k) * value, y = V::load(v.inputs[j].vector + n + k) * value;
             to_xi = to_xi + V::load(doors + k) * x;
             to_v = to_v + V::load(doors + 6 * n + k) * x + V::load(doors + 7 * n + k) * y;
         }
     };
-    const auto make_step = [&](std::size_t k, const T* at, T* to) {
+    const auto make_step = [&](std::size_t k, const double* at, double* to) {
         const V h = V::load(at);
         V xi = V::load(to), up = V::load(to + kPadding), s = V::load(to + 2 * kPadding);
         V u = xi + up, push{}, given{};
@@ -87,7 +82,7 @@ void visit(const Component<T>& c, T* state, const Visit<T>& v) {
             for (int l = 0; l < v.n_loads; ++l) pushed = pushed + V::load(v.loads[l].row + k) * v.loads[l].force;
             push = push + V::load(doors + 3 * n + k) * pushed;
         }
-        const V rise = h * made, off = (T(1) - s) - rise * s;
+        const V rise = h * made, off = (1.0 - s) - rise * s;
         s = s + s * (off + off * off);
         push = push - rise * ((xi + u + push) * s);
         xi = u + push;
@@ -95,15 +90,15 @@ void visit(const Component<T>& c, T* state, const Visit<T>& v) {
         if constexpr (!Plain) up = up + given;
         xi.store(to), up.store(to + kPadding), s.store(to + 2 * kPadding);
     };
-    const auto begin_step = [&](std::size_t k, const T* at, T* to) {
+    const auto begin_step = [&](std::size_t k, const double* at, double* to) {
         const V h = V::load(at), xi = V::load(to);
-        V both = xi * T(2) + V::load(to + kPadding), s = V::load(to + 2 * kPadding);
+        V both = xi * 2.0 + V::load(to + kPadding), s = V::load(to + 2 * kPadding);
         if constexpr (!Plain) {
             V unused{};
             input(k, v.begun, both, unused);
         }
-        const V stiff = h * tried + T(1);
-        for (int i = 0; i < kNewtons; ++i) s = s + s * (T(1) - stiff * s);
+        const V stiff = h * tried + 1.0;
+        for (int i = 0; i < kNewtons; ++i) s = s + s * (1.0 - stiff * s);
         s.store(to + 2 * kPadding);
         const V U = both * s, after = U - xi, m = h * s, mU = m * U, mz = m * after, hq = h * mU;
         add_products(all[0], h * xi, xi);
@@ -137,7 +132,7 @@ void visit(const Component<T>& c, T* state, const Visit<T>& v) {
     }
     if constexpr (Begin) {
         for (int i = 0; i < kSharedSums; ++i) {
-            T* const to = v.shared + i * v.next_shared;
+            double* const to = v.shared + i * v.next_shared;
             S::store(to, v.first ? all[i] : S::load(to) + all[i]);
         }
         for (int p = 0; p < n_ports; ++p)
@@ -145,27 +140,26 @@ void visit(const Component<T>& c, T* state, const Visit<T>& v) {
     }
 }
 
-template <class T, bool Make, bool Begin, bool Plain>
-void visit(const Component<T>& c, T* state, const Visit<T>& v) {
+template <bool Make, bool Begin, bool Plain>
+void visit(const Component& c, double* state, const Visit& v) {
     switch (c.n_ports) {
-        case 0: return visit<T, 0, Make, Begin, Plain>(c, state, v);
-        case 1: return visit<T, 1, Make, Begin, Plain>(c, state, v);
-        case 2: return visit<T, 2, Make, Begin, Plain>(c, state, v);
-        default: return visit<T, -1, Make, Begin, Plain>(c, state, v);
+        case 0: return visit<0, Make, Begin, Plain>(c, state, v);
+        case 1: return visit<1, Make, Begin, Plain>(c, state, v);
+        case 2: return visit<2, Make, Begin, Plain>(c, state, v);
+        default: return visit<-1, Make, Begin, Plain>(c, state, v);
     }
 }
 
 // How the compliances between a component's ports change with its tension, about `at`: coefficients of Taylor's
 // polynomial, the first one less what it is at rest.
-template <class T>
-void compliances(const Component<T>& c, double at, int p, int q, double* out) {
+void compliances(const Component& c, double at, int p, int q, double* out) {
     const std::size_t n = c.n;
-    const T *to = &c.rows[2 * std::size_t(p) * n], *from = &c.rows[2 * std::size_t(q) * n];
+    const double *to = &c.rows[2 * std::size_t(p) * n], *from = &c.rows[2 * std::size_t(q) * n];
     std::fill_n(out, kTaylor, 0.0);
     for (std::size_t k = 0; k < n; ++k) {
-        const double gain = c.stretched.gain[k], half = double(c.stretched.half[k]);
+        const double gain = c.stretched.gain[k], half = c.stretched.half[k];
         const double s = 1.0 / (1.0 + half * at);
-        double term = double(to[k]) * double(from[k]) * gain * s;
+        double term = to[k] * from[k] * gain * s;
         out[0] -= term * half * at;
         for (int j = 1; j < kTaylor; ++j) out[j] += term *= -half * s;
     }

@@ -10,12 +10,9 @@
 namespace tonewood {
 namespace {
 
-template <class T>
-constexpr double kTensionTolerance = sizeof(T) == sizeof(double) ? 1e-11 : 1e-5;  // of the tension
-template <class T>
-constexpr double kForceTolerance = sizeof(T) == sizeof(double) ? 1e-14 : 1e-7;  // of the largest force
-template <class T>
-constexpr double kSettled = sizeof(T) == sizeof(double) ? 1e-15 : 1e-8;  // of a mode's stiffness, between two turns
+constexpr double kTensionTolerance = 1e-11;  // of the tension
+constexpr double kForceTolerance = 1e-14;  // of the largest force
+constexpr double kSettled = 1e-15;  // of a mode's stiffness, between two turns
 constexpr double kFar = 0.1;  // relative change of a mode's stiffness that may be tried with the sums of one visit
 constexpr int kMaxTurns = 100;
 // at most left of what is wrong with forces and tensions after each turn, per relative rise of stiffness
@@ -29,12 +26,12 @@ template <class Number>
 Number size(Number a) { return a < 0.0 ? -a : a; }
 
 // Step of a tension that need not be told from none.
-template <class T, class Number>
+template <class Number>
 Number still(Number tension, Number over_most) {
-    return most(kSettled<T> * most(over_most, 20.0 * tension), 0.2 * kTensionTolerance<T> * tension);
+    return most(kSettled * most(over_most, 20.0 * tension), 0.2 * kTensionTolerance * tension);
 }
 
-template <class T, class S, int C, int P>
+template <class S, int C, int P>
 class SoftTurns {
     using V = typename S::V;
     static constexpr int n = C * P, n_pairs = C * P * (P + 1) / 2;
@@ -60,7 +57,7 @@ public:
             for (int p = 0; p < n; ++p) before[p] = force_[p];
             answer();
             for (int p = 0; p < n; ++p) sizes = most(sizes, most(size(force_[p]), size(fixed_[p])));
-            const double enough = kForceTolerance<T> * S::largest(sizes);
+            const double enough = kForceTolerance * S::largest(sizes);
             for (int p = 0; p < n; ++p)
                 unsettled += left * left * size(force_[p] - before[p]) <= enough ? V{} : V{} + 1.0;
             done = S::sum(unsettled + raise(tension_left)) == 0.0;
@@ -150,7 +147,7 @@ private:
         const V next = most(most(least(tension_ - excess / steepness, at_ + reach), at_ - reach), least_tension);
         const V step = size(next - tension_);
         tension_ = next;
-        return left * step <= still<T>(next, over_most) ? V{} : V{} + 1.0;
+        return left * step <= still(next, over_most) ? V{} : V{} + 1.0;
     }
 
     TensePorts& ports_;

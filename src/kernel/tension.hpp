@@ -25,14 +25,13 @@ constexpr double kCell = 0.01;    // over a cell of compliances
 constexpr double kStrong = 0.05;  // beyond which forces are found by an inverse
 constexpr double kSoft = 0.01;    // up to which forces and tensions are found side by side
 
-template <class T>
 class TensionStep {
-    friend class TenseContacts<T>;
+    friend class TenseContacts;
 
 public:
-    TensionStep(const std::vector<Component<T>>& components, const Layout& layout, const Solve& solve,
-                const Tensions& tensions, TensionSpace& space, Statistics& statistics, const Job<T>& job,
-                const std::vector<std::vector<Input<T>>>& known, Taut<T>& taut)
+    TensionStep(const std::vector<Component>& components, const Layout& layout, const Solve& solve,
+                const Tensions& tensions, TensionSpace& space, Statistics& statistics, const Job& job,
+                const std::vector<std::vector<Input>>& known, Taut& taut)
         : components_(components), layout_(layout), solve_(solve), tensions_(tensions), ws_(space), ports_(space.ports),
           statistics_(statistics), job_(job), known_(known), at_once_(layout), taut_(taut), pushed_(components.size()),
           forces_(space.ports.ports.size()) {
@@ -82,28 +81,27 @@ public:
     }
 
 private:
-    using V = typename Simd<T>::V;
-    static constexpr int kWidth = Simd<T>::width;
+    using V = Simd::V;
+    static constexpr int kWidth = Simd::width;
 
     // use.operator()<S>(), S the lanes that strings stand side by side in
     template <class Use>
     auto in_lanes(const Use& use) {
-        constexpr int widest = Simd<double>::width;
         if (ports_.strings == 1) return use.template operator()<Lanes<1>>();
-        if constexpr (widest > 2)
+        if constexpr (kWidth > 2)
             if (ports_.strings == 2) return use.template operator()<Lanes<2>>();
-        if constexpr (widest > 4)
+        if constexpr (kWidth > 4)
             if (ports_.strings == 4) return use.template operator()<Lanes<4>>();
-        return use.template operator()<Simd<double>>();
+        return use.template operator()<Simd>();
     }
 
-    T* lanes(std::size_t sum) const { return reinterpret_cast<T*>(ports_.lanes.data()) + sum * kWidth; }
+    double* lanes(std::size_t sum) const { return ports_.lanes.data() + sum * kWidth; }
 
     struct Part {  // a stretched component
-        const Component<T>* c;
-        const std::vector<Input<T>>* known;
-        std::vector<Load<T>>* pushed;
-        T *state, *sums, *forces;
+        const Component* c;
+        const std::vector<Input>* known;
+        std::vector<Load>* pushed;
+        double *state, *sums, *forces;
         int port, slot, string;  // its first port among all forces
         bool pending = false;    // its last step is still to be made
         double kept_at = 0.0;    // tension that its s are of
@@ -167,28 +165,28 @@ private:
     // Visits a string's modes at the tension ws.at, which may make the step that is due.
     void look(int s) {
         const double at = ws_.at[s];
-        Visit<T> v;
+        Visit v;
         v.tried = at, v.begun = sample_, v.first = true;
         v.shared = lanes(s), v.next_shared = std::size_t(ports_.strings) * kWidth;
         v.next_own = std::size_t(n_ports()) * kWidth, v.next_port = v.next_shared;
         v.made = ws_.used[s];
         for (const int i : tensions_.strings[s].components) {
             Part& part = parts_[part_of_[i]];
-            const Component<T>& c = *part.c;
+            const Component& c = *part.c;
             v.inputs = part.known->data(), v.n_inputs = int(part.known->size());
             v.own = part.sums, v.forces = part.forces;
-            if (part.pending && std::abs(v.made - part.kept_at) * c.stretched.most_half < kTold<T> &&
-                std::abs(at - v.made) * c.stretched.most_half < kNear<T>) {
-                visit<T, true, true, true>(c, part.state, v);
+            if (part.pending && std::abs(v.made - part.kept_at) * c.stretched.most_half < kTold &&
+                std::abs(at - v.made) * c.stretched.most_half < kNear) {
+                visit<true, true, true>(c, part.state, v);
                 taut_.has_moved(i);
                 part.pending = false;
             } else {
                 make(part);
-                bring_near(part, at, kNear<T>);
+                bring_near(part, at, kNear);
                 if (v.n_inputs)
-                    visit<T, false, true, false>(c, part.state, v);
+                    visit<false, true, false>(c, part.state, v);
                 else
-                    visit<T, false, true, true>(c, part.state, v);
+                    visit<false, true, true>(c, part.state, v);
             }
             part.kept_at = at;
             v.first = false;
@@ -198,10 +196,10 @@ private:
     // Makes the step that is due.
     void make(Part& part) {
         if (!part.pending) return;
-        Visit<T> v;
+        Visit v;
         v.made = ws_.used[part.string], v.forces = part.forces;
-        bring_near(part, v.made, kTold<T>);
-        visit<T, true, false, true>(*part.c, part.state, v);
+        bring_near(part, v.made, kTold);
+        visit<true, false, true>(*part.c, part.state, v);
         taut_.has_moved(part.slot);
         part.kept_at = v.made, part.pending = false;
     }
@@ -218,13 +216,7 @@ private:
     void fold() {
         double* to = ports_.sums.data();
         const std::size_t n = kSharedSums * std::size_t(ports_.strings) + kPortSums * ports_.ports.size();
-        for (std::size_t k = 0; k < n; k += kWidth) {
-            const V sum = sums<T, kWidth>(lanes(k));
-            if constexpr (sizeof(T) == sizeof(double))
-                Simd<T>::store(to + k, sum);
-            else
-                for (int i = 0; i < kWidth; ++i) to[k + i] = double(sum[i]);
-        }
+        for (std::size_t k = 0; k < n; k += kWidth) Simd::store(to + k, sums<kWidth>(lanes(k)));
         for (int s = 0; s < ports_.strings * kSharedSums; s += S::width) S::store(to + s, 2.0 * S::load(to + s));
         std::copy_n(shared_sum(0), ports_.strings, ws_.stretch.begin());
     }
@@ -326,14 +318,14 @@ private:
                     change = std::max(change, std::abs(force[p] - next[p]));
                     size = std::max(size, std::abs(force[p]));
                 }
-                if (change * largest_ <= kForceTolerance<T> * size) break;
+                if (change * largest_ <= kForceTolerance * size) break;
             }
             answer(next);
             V sizes{}, unsettled{};
             // they are differences, of the fixed part and what displacements call up: rounded as these are
             for (int p = 0; p < n; p += S::width)
                 sizes = most(sizes, most(size(S::load(next + p)), size(S::load(fixed_ + p))));
-            const double enough = kForceTolerance<T> * (strong_ ? 4 : 1) * S::largest(sizes);
+            const double enough = kForceTolerance * (strong_ ? 4 : 1) * S::largest(sizes);
             const double shrinks = strong_ ? 1.0 : std::min(1.0, kForceLeft * largest_);
             for (int p = 0; p < n; p += S::width) {
                 const V now = S::load(next + p), wrong = now - S::load(force + p);
@@ -359,8 +351,8 @@ private:
     bool soft_turns(bool& told) {
         if (ports_.strings != S::width || ports_.most_components != 2) return false;
         if (ports_.most_ports != 1 && ports_.most_ports != 2) return false;
-        told = ports_.most_ports == 1 ? SoftTurns<T, S, 2, 1>(ports_, ws_, onto_, fixed_)(largest_)
-                                      : SoftTurns<T, S, 2, 2>(ports_, ws_, onto_, fixed_)(largest_);
+        told = ports_.most_ports == 1 ? SoftTurns<S, 2, 1>(ports_, ws_, onto_, fixed_)(largest_)
+                                      : SoftTurns<S, 2, 2>(ports_, ws_, onto_, fixed_)(largest_);
         return true;
     }
 
@@ -451,7 +443,7 @@ private:
         const auto& components = tensions_.strings[s].components;
         for (const auto& pair : ports_.pairs) {
             if (pair.component >= int(components.size())) continue;
-            const Component<T>& c = components_[components[pair.component]];
+            const Component& c = components_[components[pair.component]];
             if (pair.from >= c.n_ports) continue;
             double terms[kTaylor];
             compliances(c, ports_.low[s], pair.to, pair.from, terms);
@@ -579,7 +571,7 @@ private:
             const V near = within(tension - excess / steepness);
             // that was at constant forces; a secant knows how they answer, and goes less far where it is steeper
             const V next = by_secant ? (secant > steepness ? within(tension - excess / secant) : near) : near;
-            const V none = still<T>(near, over_most);
+            const V none = still(near, over_most);
             const auto stays = size(near - tension) <= none;
             S::store(&ws_.tension[s], stays ? tension : next);
             changed += stays ? V{} : V{} + 1.0;
@@ -599,12 +591,12 @@ private:
             const V near = by / (of<S>(ports_.over_most, s) + least(tension, at)), stretch = of<S>(ws_.stretch, s);
             const V after = of<S>(ws_.after, s), all = stretch + after + size(of<S>(ws_.pushed, s));
             const V crossed = shared_sums<S>(3, s) * of<S>(ws_.sharp, s);  // of which the root is meant
-            const V enough = 0.5 * kTensionTolerance<T> * (tension + 1e-2 * kappa * all);
+            const V enough = 0.5 * kTensionTolerance * (tension + 1e-2 * kappa * all);
             const V left = enough - 36.0 * kappa * near * near * near * (shared_sums<S>(1, s) + stretch);
             const V lost = 12.0 * kappa * by * by;
             const V is_far = lost * lost * crossed <= left * left ? V{} : V{} + 1.0;
             const V marks = left >= 0.0 ? is_far : V{} + 1.0;
-            const V mark = near <= kTold<T> ? marks : V{} + 1.0;
+            const V mark = near <= kTold ? marks : V{} + 1.0;
             S::store(&ws_.far[s], mark);
             far += mark;
         }
@@ -621,7 +613,7 @@ private:
             for (const int i : string.components) gain_of(i, after, slope, size);
             const double excess = ws_.tension[s] - string.kappa * (after + ws_.stretch[s]);
             ws_.used[s] = ws_.tension[s];
-            if (!(std::abs(excess) <= kTensionTolerance<T> * (ws_.tension[s] + 1e-2 * string.kappa * size))) found = false;
+            if (!(std::abs(excess) <= kTensionTolerance * (ws_.tension[s] + 1e-2 * string.kappa * size))) found = false;
             // the slope at constant forces first, then the secant, which knows how the forces answer
             double steepness = 1 - string.kappa * slope;
             if (iteration > 1) {
@@ -639,15 +631,15 @@ private:
         std::swap(ws_.means[2], ws_.means[1]), std::swap(ws_.means[1], ws_.means[0]);
         std::copy(ws_.used.begin(), ws_.used.end(), ws_.means[0].begin());
         for (Part& part : parts_) {
-            for (int p = 0; p < part.c->n_ports; ++p) part.forces[p] = T(now[part.port + p]);
+            for (int p = 0; p < part.c->n_ports; ++p) part.forces[p] = now[part.port + p];
             part.pending = true;
             if (part.known->empty() && part.pushed->empty()) continue;
-            Visit<T> v;
+            Visit v;
             v.made = ws_.used[part.string], v.forces = part.forces, v.made_in = sample_;
             v.inputs = part.known->data(), v.n_inputs = int(part.known->size());
             v.loads = part.pushed->data(), v.n_loads = int(part.pushed->size());
-            bring_near(part, v.made, kTold<T>);
-            visit<T, true, false, false>(*part.c, part.state, v);
+            bring_near(part, v.made, kTold);
+            visit<true, false, false>(*part.c, part.state, v);
             taut_.has_moved(part.slot);
             part.kept_at = v.made, part.pending = false;
         }
@@ -655,12 +647,12 @@ private:
 
     // Rows of a component from the first-th on.
     void rows(int i, int first, int b, double* lines) {
-        using S = Simd<T>;
-        const Component<T>& c = components_[i];
+        using S = Simd;
+        const Component& c = components_[i];
         double* line = lines + std::size_t(b) * layout_.width + layout_.row[i];
-        const T *const sx = job_.modes[0] + c.offset, *const sy = job_.modes[1] + c.offset;
+        const double *const sx = job_.modes[0] + c.offset, *const sy = job_.modes[1] + c.offset;
         for (int r = first; r < c.n_rows; ++r) {
-            const T *rx = &c.rows[2 * std::size_t(r) * c.n], *ry = rx + c.n;
+            const double *rx = &c.rows[2 * std::size_t(r) * c.n], *ry = rx + c.n;
             V sum{}, more{};
             for (int k = 0; k < c.n; k += kWidth) {
                 sum += S::load(rx + k) * S::load(sx + k);
@@ -672,17 +664,18 @@ private:
 
     // Coordinates before the step in ws.y, and in ws.u their sum with those after it without forces.
     void coordinates(int i) {
-        using S = Simd<T>;
+        using S = Simd;
         taut_.tell(i);
-        const Component<T>& c = components_[i];
+        const Component& c = components_[i];
         const int n = c.n;
-        const T *const sx = job_.modes[0] + c.offset, *const sy = job_.modes[1] + c.offset, *const readings = c.stretched.reading.data();
-        const T *const e00 = c.e.data(), *const e01 = e00 + n;
-        T *const here = buffer(ws_.y, i), *const both = buffer(ws_.u, i);
+        const double *const sx = job_.modes[0] + c.offset, *const sy = job_.modes[1] + c.offset;
+        const double* const readings = c.stretched.reading.data();
+        const double *const e00 = c.e.data(), *const e01 = e00 + n;
+        double *const here = buffer(ws_.y, i), *const both = buffer(ws_.u, i);
         for (int k = 0; k < n; k += kWidth) {
             const V a = S::load(sx + k), reading = S::load(readings + k);
             V free = S::load(e00 + k) * a + S::load(e01 + k) * S::load(sy + k);
-            for (const Input<T>& in : known_[i]) free += S::load(in.vector + k) * T(in.values[sample_ * in.stride]);
+            for (const Input& in : known_[i]) free += S::load(in.vector + k) * in.values[sample_ * in.stride];
             S::store(here + k, reading * a);
             S::store(both + k, reading * (a + free));
         }
@@ -721,7 +714,7 @@ private:
                     change = std::max(change, std::abs(sum) * ws_.scale[i]);
                     size = std::max(size, std::abs(now[i]) * ws_.scale[i]);
                 }
-                if (change <= kForceTolerance<T> * size) {
+                if (change <= kForceTolerance * size) {
                     std::copy_n(now, m, f);
                     return true;
                 }
@@ -766,28 +759,28 @@ private:
                 a[i * m + j] = ws_.done[i] && ws_.done[j] ? a[i * m + j] / (d[i] * d[j]) : 0.0;
     }
 
-    T* buffer(Array<char>& bytes, int i) const { return reinterpret_cast<T*>(bytes.data()) + components_[i].offset; }
+    double* buffer(Array<double>& all, int i) const { return all.data() + components_[i].offset; }
 
-    const std::vector<Component<T>>& components_;
+    const std::vector<Component>& components_;
     const Layout& layout_;
     const Solve& solve_;
     const Tensions& tensions_;
     TensionSpace& ws_;
     TensePorts& ports_;
     Statistics& statistics_;
-    const Job<T>& job_;
-    const std::vector<std::vector<Input<T>>>& known_;
+    const Job& job_;
+    const std::vector<std::vector<Input>>& known_;
     int sample_ = 0;
     bool strong_ = false, linear_known_ = false, goes_on_ = false;
     double largest_ = 0.0;  // rise of a mode's stiffness
     const double* line_ = nullptr;
     const double *onto_ = ports_.onto_ports.data(), *fixed_ = ports_.fixed.data();
     Direct at_once_;
-    Taut<T>& taut_;
-    std::vector<std::vector<Load<T>>> pushed_;  // forces on guarded ports, by component
+    Taut& taut_;
+    std::vector<std::vector<Load>> pushed_;  // forces on guarded ports, by component
     std::vector<Part> parts_;  // string by string
     std::vector<int> part_of_ = std::vector<int>(components_.size(), -1);  // by component
-    Array<T> forces_;                           // on fixed ports, of the step found last
+    Array<double> forces_;                      // on fixed ports, of the step found last
 };
 
 }  // namespace

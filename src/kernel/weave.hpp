@@ -25,76 +25,73 @@
 namespace tonewood {
 namespace {
 
-template <class T>
-constexpr int kChunkVectors = kChunk<T> / Simd<T>::width;
-template <class T>
-constexpr int kBeam = std::max(1, kPack / kChunkVectors<T>);  // chunks side by side
+constexpr int kChunkVectors = kChunk / Simd::width;
+constexpr int kBeam = std::max(1, kPack / kChunkVectors);  // chunks side by side
 
 // A chunk at work: its numbers, its modes, the forces on its component and the sums that its row is read into.
-template <class T>
 struct Warp {
-    T* data;
-    const T* doors;
-    T *x, *y, *sum;
+    double* data;
+    const double* doors;
+    double *x, *y, *sum;
     const double* forces;
     int count;   // of modes; the rest is padding
 };
 
 // N chunks that recur alike, a pack of all their vectors.
-template <class T, int N>
+template <int N>
 struct Beam {
-    static constexpr int vectors = N * kChunkVectors<T>, width = Simd<T>::width;
-    using P = Pack<T, vectors>;
-    using V = typename Simd<T>::V;
-    const Warp<T>* warps;
+    static constexpr int vectors = N * kChunkVectors, width = Simd::width;
+    using P = Pack<vectors>;
+    using V = Simd::V;
+    const Warp* warps;
 
     // vector i of a pack is vector i % kChunkVectors of chunk i / kChunkVectors
-    static constexpr int chunk(int i) { return i / kChunkVectors<T>; }
-    static constexpr int lane(int i) { return i % kChunkVectors<T> * width; }
+    static constexpr int chunk(int i) { return i / kChunkVectors; }
+    static constexpr int lane(int i) { return i % kChunkVectors * width; }
 
     P operator[](int field) const {
-        return P::made([&](int i) { return Simd<T>::load(warps[chunk(i)].data + field * kChunk<T> + lane(i)); });
+        return P::made([&](int i) { return Simd::load(warps[chunk(i)].data + field * kChunk + lane(i)); });
     }
     P at_door(int field) const {
-        return P::made([&](int i) { return Simd<T>::load(warps[chunk(i)].doors + field * kChunk<T> + lane(i)); });
+        return P::made([&](int i) { return Simd::load(warps[chunk(i)].doors + field * kChunk + lane(i)); });
     }
     void set(int field, const P& x) const {
-        x.each([&](int i, V v) { Simd<T>::store(warps[chunk(i)].data + field * kChunk<T> + lane(i), v); });
+        x.each([&](int i, V v) { Simd::store(warps[chunk(i)].data + field * kChunk + lane(i), v); });
     }
     // one component's force is loaded once
     template <bool one_row>
     P force(std::ptrdiff_t at) const {
-        const V first = T(warps->forces[at]) - V{};
-        return P::made([&](int i) { return one_row ? first : T(warps[chunk(i)].forces[at]) - V{}; });
+        const V first = warps->forces[at] - V{};
+        return P::made([&](int i) { return one_row ? first : warps[chunk(i)].forces[at] - V{}; });
     }
-    P modes(T* Warp<T>::*of) const {
+    P modes(double* Warp::*of) const {
         return P::made([&](int i) {
-            const Warp<T>& warp = warps[chunk(i)];
-            if (warp.count == kChunk<T>) return Simd<T>::load(warp.*of + lane(i));
-            alignas(64) T part[width] = {};
+            const Warp& warp = warps[chunk(i)];
+            if (warp.count == kChunk) return Simd::load(warp.*of + lane(i));
+            alignas(64) double part[width] = {};
             for (int k = 0; k < width && lane(i) + k < warp.count; ++k) part[k] = (warp.*of)[lane(i) + k];
-            return Simd<T>::load(part);
+            return Simd::load(part);
         });
     }
-    void set_modes(T* Warp<T>::*of, const P& x) const {
+    void set_modes(double* Warp::*of, const P& x) const {
         x.each([&](int i, V v) {
-            const Warp<T>& warp = warps[chunk(i)];
-            if (warp.count == kChunk<T>) return Simd<T>::store(warp.*of + lane(i), v);
+            const Warp& warp = warps[chunk(i)];
+            if (warp.count == kChunk) return Simd::store(warp.*of + lane(i), v);
             for (int k = 0; k < width && lane(i) + k < warp.count; ++k) (warp.*of)[lane(i) + k] = v[k];
         });
     }
 };
 
 // What moves freely in a beam, and what the forces of a block come to at its end.
-template <class T, int N, bool slow, bool one_row>
+template <int N, bool slow, bool one_row>
 struct Threads {
-    using B = Beam<T, N>;
+    using B = Beam<N>;
     using P = typename B::P;
     const B beam;
     const P other, det;  // trace or kappa, determinant
     P bent, s, t;
 
-    explicit Threads(const Warp<T>* warps) : beam{warps}, other(beam[0]), det(beam[1]) {
+    explicit Threads(const Warp* warps) : beam{warps}, other(beam[0]), det(beam[1]) {
         // d+ = det d - kappa s+ as (det - kappa) d - kappa s, which does not wait for s+
         if constexpr (slow) bent = det - other;
     }
@@ -131,8 +128,8 @@ struct Threads {
 
     void add(int b, const P& share) const {
         const auto onto = [&](int i, typename B::V v) {
-            T* const at = beam.warps[B::chunk(i)].sum + b * B::width;
-            Simd<T>::store(at, Simd<T>::load(at) + v);
+            double* const at = beam.warps[B::chunk(i)].sum + b * B::width;
+            Simd::store(at, Simd::load(at) + v);
         };
         if constexpr (one_row) onto(0, share.folded());
         else share.each(onto);
@@ -161,12 +158,12 @@ enum class Passage { in, on, out };
 
 // In: from the modes' numbers, reading samples 0 .. kBlock. On: under the forces of the block that ends, reading samples
 // 1 .. kBlock of the next one. Out: the same without reading, to the modes' numbers.
-template <class T, Passage kind, int N, bool slow, bool one_row>
-void pass_beam(const Warp<T>* warps, int n_ports, std::ptrdiff_t first, std::ptrdiff_t stride) {
-    Threads<T, N, slow, one_row> threads(warps);
+template <Passage kind, int N, bool slow, bool one_row>
+void pass_beam(const Warp* warps, int n_ports, std::ptrdiff_t first, std::ptrdiff_t stride) {
+    Threads<N, slow, one_row> threads(warps);
     const auto& beam = threads.beam;
     if constexpr (kind == Passage::in) {
-        const auto x = beam.modes(&Warp<T>::x), y = beam.modes(&Warp<T>::y);
+        const auto x = beam.modes(&Warp::x), y = beam.modes(&Warp::y);
         threads.s = mul_add(beam.at_door(0), x, beam.at_door(1) * y);
         threads.t = mul_add(beam.at_door(2), x, beam.at_door(3) * y);
         threads.add(0, threads.s);
@@ -175,8 +172,8 @@ void pass_beam(const Warp<T>* warps, int n_ports, std::ptrdiff_t first, std::ptr
         threads.push(n_ports, first, stride);
     }
     if constexpr (kind == Passage::out) {
-        beam.set_modes(&Warp<T>::x, mul_add(beam.at_door(4), threads.s, beam.at_door(5) * threads.t));
-        beam.set_modes(&Warp<T>::y, mul_add(beam.at_door(6), threads.s, beam.at_door(7) * threads.t));
+        beam.set_modes(&Warp::x, mul_add(beam.at_door(4), threads.s, beam.at_door(5) * threads.t));
+        beam.set_modes(&Warp::y, mul_add(beam.at_door(6), threads.s, beam.at_door(7) * threads.t));
     } else {
         threads.read();
         beam.set(2, threads.s), beam.set(3, threads.t);
@@ -184,17 +181,16 @@ void pass_beam(const Warp<T>* warps, int n_ports, std::ptrdiff_t first, std::ptr
 }
 
 // n <= N chunks.
-template <class T, Passage kind, bool slow, bool one_row, int N = kBeam<T>>
-void pass(const Warp<T>* warps, int n, int n_ports, std::ptrdiff_t first, std::ptrdiff_t stride) {
-    for (; n >= N; n -= N, warps += N) pass_beam<T, kind, N, slow, one_row || N == 1>(warps, n_ports, first, stride);
-    if constexpr (N > 1) pass<T, kind, slow, one_row, N / 2>(warps, n, n_ports, first, stride);
+template <Passage kind, bool slow, bool one_row, int N = kBeam>
+void pass(const Warp* warps, int n, int n_ports, std::ptrdiff_t first, std::ptrdiff_t stride) {
+    for (; n >= N; n -= N, warps += N) pass_beam<kind, N, slow, one_row || N == 1>(warps, n_ports, first, stride);
+    if constexpr (N > 1) pass<kind, slow, one_row, N / 2>(warps, n, n_ports, first, stride);
 }
 
 // The chunks of all components that are woven, in beams.
-template <class T>
 class Loom {
 public:
-    Loom(std::vector<Component<T>>& components, const Layout& layout, const double* force, const Job<T>& job)
+    Loom(std::vector<Component>& components, const Layout& layout, const double* force, const Job& job)
         : components_(components), layout_(layout), force_(force), job_(job), sums_of_(components.size()) {}
 
     // Takes these components up, instead of what it had.
@@ -204,7 +200,7 @@ public:
         for (std::size_t i = 0; i < components_.size(); ++i) {
             sums_of_[i] = n_sums;
             if (!woven[i]) continue;
-            const Component<T>& c = components_[i];
+            const Component& c = components_[i];
             Strip* const last = strips_.empty() ? nullptr : &strips_.back();
             if (last && !c.driven && !components_[last->component].driven &&
                 layout_.row[i] == layout_.row[last->component] + last->n_rows)
@@ -213,7 +209,7 @@ public:
                 strips_.push_back({int(i), c.n_rows, n_sums});
             n_sums += std::size_t(c.n_rows) * kRow;
         }
-        sums_.assign(n_sums, T(0));
+        sums_.assign(n_sums, 0.0);
         for (const int n_ports : {1, 2})
             for (const bool slow : {false, true}) {
                 left_.clear();
@@ -226,15 +222,15 @@ public:
     // `first`: of the block's forces among those that the loom was told of.
     template <Passage kind>
     void pass(std::ptrdiff_t first) {
-        if (kind != Passage::out) std::fill(sums_.begin(), sums_.end(), T(0));
+        if (kind != Passage::out) std::fill(sums_.begin(), sums_.end(), 0.0);
         for (const Beams& b : beams_) {
             const auto go = [&]<bool slow, bool one_row>() {
-                tonewood::pass<T, kind, slow, one_row>(&warps_[b.first], b.n, b.n_ports, first, layout_.force_width);
+                tonewood::pass<kind, slow, one_row>(&warps_[b.first], b.n, b.n_ports, first, layout_.force_width);
             };
             if (b.one_row) {
                 if (b.slow) go.template operator()<true, true>();
                 else go.template operator()<false, true>();
-            } else if constexpr (kBeam<T> > 1) {
+            } else if constexpr (kBeam > 1) {
                 if (b.slow) go.template operator()<true, false>();
                 else go.template operator()<false, false>();
             }
@@ -243,10 +239,10 @@ public:
 
     // What the last pass read, from sample `first`: into the lines of two-way components, the rows of driven ones.
     void unwind(double* lines, std::vector<Array<double>>& driven, int first) const {
-        constexpr int lanes = Simd<T>::width;
+        constexpr int lanes = Simd::width;
         for (const Strip& strip : strips_) {
-            const Component<T>& c = components_[strip.component];
-            const T* const acc = &sums_[strip.sums];
+            const Component& c = components_[strip.component];
+            const double* const acc = &sums_[strip.sums];
             double* const to = c.driven ? driven[strip.component].data() : lines + layout_.row[strip.component];
             if (c.driven || strip.n_rows < lanes) {
                 const int samples = c.driven ? 1 : layout_.width, rows = c.driven ? kBlock + 1 : 1;
@@ -257,13 +253,13 @@ public:
             for (int r = 0; r < strip.n_rows; r += lanes) {
                 const int row = std::min(r, strip.n_rows - lanes);
                 for (int s = first; s <= kBlock; ++s)
-                    put_double(sums<T, lanes>(acc + row * kRow + s * lanes, kRow), to + s * layout_.width + row);
+                    Simd::store(to + s * layout_.width + row, sums<lanes>(acc + row * kRow + s * lanes, kRow));
             }
         }
     }
 
 private:
-    static constexpr std::size_t kRow = std::size_t(kBlock + 1) * Simd<T>::width;
+    static constexpr std::size_t kRow = std::size_t(kBlock + 1) * Simd::width;
     struct Strip {  // rows side by side in a line, of a component and those after it
         int component, n_rows;
         std::size_t sums;
@@ -276,27 +272,27 @@ private:
 
     // The chunks of a component that recur this way: whole beams of one row at once, what is left over later.
     void take(std::size_t i, bool slow) {
-        Component<T>& c = components_[i];
-        Woven<T>& woven = c.woven;
+        Component& c = components_[i];
+        Woven& woven = c.woven;
         for (int row = 0; row < c.n_rows; ++row) {
             const std::size_t before = left_.size();
             for (std::size_t k = 0; k < woven.chunks.size(); ++k) {
                 const auto& chunk = woven.chunks[k];
                 if (chunk.row != row || chunk.slow != slow) continue;
-                T* const modes = job_.modes[0] + c.offset + chunk.first;
-                T* const others = job_.modes[1] + c.offset + chunk.first;
-                left_.push_back({&woven.data[k * woven.step], &woven.doors[k * Woven<T>::door_step],
+                double* const modes = job_.modes[0] + c.offset + chunk.first;
+                double* const others = job_.modes[1] + c.offset + chunk.first;
+                left_.push_back({&woven.data[k * woven.step], &woven.doors[k * Woven::door_step],
                                  modes, others, &sums_[sums_of_[i] + row * kRow], force_ + layout_.port[i], chunk.count});
             }
-            const std::size_t whole = (left_.size() - before) / kBeam<T> * kBeam<T>;
+            const std::size_t whole = (left_.size() - before) / kBeam * kBeam;
             put(left_.data() + before, whole, woven.n_ports, slow);
             left_.erase(left_.begin() + before, left_.begin() + before + whole);
         }
     }
 
-    void put(const Warp<T>* warps, std::size_t n, int n_ports, bool slow) {
-        for (std::size_t k = 0; k < n; k += kBeam<T>) {
-            const std::size_t end = std::min(k + kBeam<T>, n);
+    void put(const Warp* warps, std::size_t n, int n_ports, bool slow) {
+        for (std::size_t k = 0; k < n; k += kBeam) {
+            const std::size_t end = std::min(k + kBeam, n);
             bool one_row = true;
             for (std::size_t i = k; i < end; ++i) one_row = one_row && warps[i].sum == warps[k].sum;
             beams_.push_back({int(warps_.size()), int(end - k), n_ports, slow, one_row});
@@ -304,13 +300,13 @@ private:
         }
     }
 
-    std::vector<Component<T>>& components_;
+    std::vector<Component>& components_;
     const Layout& layout_;
     const double* force_;
-    const Job<T>& job_;
+    const Job& job_;
     std::vector<std::size_t> sums_of_;
-    Array<T> sums_;
-    std::vector<Warp<T>> warps_, left_;
+    Array<double> sums_;
+    std::vector<Warp> warps_, left_;
     std::vector<Beams> beams_;
     std::vector<Strip> strips_;
 };

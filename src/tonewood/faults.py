@@ -20,7 +20,8 @@ def first_fault(error: ValidationError, model: type[BaseModel]) -> tuple[str, st
     """Dotted key and reason of the first fault of a validation against `model`.
 
     Parts of a location that are not keys of the file (the tags pydantic puts in for members of a union) are left
-    out. An unknown key is answered with the keys allowed beside it.
+    out. An unknown key is answered with the keys allowed beside it; a key of earlier versions with what the model's
+    mapping `removed` says of it.
     """
     faults = error.errors(include_url=False)
     fault = faults[0]
@@ -84,6 +85,9 @@ def _members(annotation: Any) -> list[Any]:
 
 
 def _unknown(key: str, owners: list[type[BaseModel]]) -> str:
+    for m in owners:
+        if key in (removed := getattr(m, "removed", {})):
+            return str(removed[key])
     allowed = list(dict.fromkeys(str(k) for m in owners for k in _fields(m)))
     close = difflib.get_close_matches(key, allowed, n=1)
     hint = f"did you mean {close[0]}? " if close else ""

@@ -124,6 +124,5 @@ def test_render_takes_a_setting_by_name(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_batches_take_a_setting_by_name() -> None:
     assert RenderSettings().accuracy == "standard"
-    assert RenderSettings(accuracy="reference").precision is None
     with pytest.raises(ValidationError, match="draft"):
         RenderSettings.model_validate({"accuracy": "best"})

@@ -141,7 +141,6 @@ def test_settings_and_outputs_reach_the_instrument(tonewood: Run, score: Path, t
         (["--fs", "0"], ["fs", "8000"]),
         (["--fs", "fast"], ["--fs", "integer"]),
         (["--block", "0"], ["--block"]),
-        (["--precision", "f16"], ["f64 or f32"]),
         (["--subtype", "PCM_12"], ["PCM_12", "PCM_24"]),
         (["--tail", "-1"], ["--tail"]),
         (["--tail", "nan"], ["--tail"]),

@@ -220,16 +220,6 @@ def test_every_bundle_takes_every_kind_of_string(name: str, kind: str) -> None:
     assert 0.25 * peaks[0] < peaks[1] < 4 * peaks[0]
 
 
-def test_single_precision_follows_both_kinds() -> None:
-    _, system = two()
-    state = drawn(system, {"rising1": 4e-3, "rising2": 1e-3, "along1": -4e-3})
-    single = state.copy()
-    single.modes = single.modes.astype(np.float32)
-    _, forces = KernelStepper(system).run(state, 300)
-    _, rough = KernelStepper(system, precision="f32").run(single, 300)
-    assert np.abs(rough - forces).max() < 2e-3 * np.abs(forces).max()
-
-
 def test_quiet_strings_beside_a_loud_one() -> None:
     """Strings that hardly move are found in few iterations while a loud one next to them still looks for its forces."""
     guitar = tw.load_instrument("steel_guitar").replace({"strings.E4.plugin": "geometric_string"})

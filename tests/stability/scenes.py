@@ -76,14 +76,9 @@ def displaced(system, size=1e-3, velocities=False, seed=1):
     return state
 
 
-def energy(system, state):
-    """Stored energy of a state, J."""
-    return sum(EnergyAccount(system, state).stored(state).values())
-
-
-def energies(system, state, chunks, steps, **options):
+def energies(system, state, chunks, steps):
     """(chunks + 1,) stored energy every so many steps of the kernel; moves the state."""
-    stepper = KernelStepper(system, **options)
+    stepper = KernelStepper(system)
     account = EnergyAccount(system, state)
     out = [sum(account.stored(state).values())]
     for _ in range(chunks):

@@ -70,7 +70,7 @@ NONLINEAR, LAWS, GAPS, RUN = 4, 5, 6, 7  # among these
 
 
 def make() -> Any:
-    return _kernel.KernelF64(_kernel.instruction_sets()[0], 3, CAPACITY, CHANNELS)
+    return _kernel.Kernel(_kernel.instruction_sets()[0], 3, CAPACITY, CHANNELS)
 
 
 def through(made: list[tuple[str, list[Any]]]) -> list[Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import PydanticCustomError
@@ -106,8 +106,12 @@ class Tail(_Part):
 class RenderSettings(_Part):
     """Settings given to the renderer; any of them may be a factor under ``render.``."""
 
+    #: keys of earlier versions, and what is said of them (`faults.first_fault`)
+    removed: ClassVar[dict[str, str]] = {
+        "precision": "precision was removed in 0.2; samples are always computed in double precision"
+    }
+
     fs: int = Field(default=48000, ge=8000, le=768000, description="Hz")
-    precision: Literal["f64", "f32"] | None = Field(default=None, description="that of accuracy if not given")
     accuracy: Literal["draft", "standard", "reference"] = "standard"
     effects: Literal["auto", "all", "none"] | list[str] | None = Field(
         default=None, description="the bundle's own choice if not given"

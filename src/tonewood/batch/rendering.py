@@ -28,7 +28,7 @@ from tonewood.score.note import Note, Score
 
 _PIECE = 0.25  # s, rendered to predict the time of the rest
 # s to set up, s per second of sound
-_COSTS: dict[tuple[str, int, str, str | None, str, bool], tuple[float, float]] = {}
+_COSTS: dict[tuple[str, int, str, str, bool], tuple[float, float]] = {}
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class EngineRenderer:
         The length is that of the score with half its longest tail.
         """
         settings = condition.render
-        how = (settings.accuracy, settings.precision, str(settings.effects), settings.energy)
+        how = (settings.accuracy, str(settings.effects), settings.energy)
         kind = (condition.bundle, settings.fs, *how)
         if kind not in _COSTS:
             began = time.perf_counter()
@@ -100,7 +100,6 @@ def _renderer(condition: Condition, max_duration: float | None = None) -> Render
         instrument,
         settings.fs,
         accuracy=settings.accuracy,
-        precision=settings.precision,
         outputs=None if settings.output is None else [settings.output],
         tail=Tail(level_db=settings.tail.energy_db, cap=settings.tail.cap),
         max_duration=max_duration,

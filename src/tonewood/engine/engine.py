@@ -70,11 +70,10 @@ class Engine:
     ----------
     model : assembled instrument.
     timeline : what happens.
-    precision : ``f64`` or ``f32``.
     energy : keep an account of energy, in `books`; slower by far, with the same samples.
     """
 
-    def __init__(self, model: Model, timeline: Timeline, *, precision: str = "f64", energy: bool = False):
+    def __init__(self, model: Model, timeline: Timeline, *, energy: bool = False):
         self.model, self.timeline = model, timeline
         self.switch = TensionSwitch(model)
         #: strings whose tension rises now, and those that are to as soon as they can afford it
@@ -82,7 +81,7 @@ class Engine:
         self.awaited: frozenset[str] = frozenset()
         self.system: System = model.system.with_tensions(self.tense)
         self.dt = self.system.dt
-        self.stepper = KernelStepper(self.system, precision=precision)
+        self.stepper = KernelStepper(self.system)
         self.state = self.stepper.start()
         self.fingerboard, self.surroundings = Fingerboard(model), Surroundings(model)
         self.sleeper = Sleeper(model, self.fingerboard, timeline)

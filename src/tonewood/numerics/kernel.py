@@ -80,18 +80,14 @@ class KernelStepper:
     Parameters
     ----------
     system : what to step.
-    precision : ``f64`` or ``f32`` (states and coefficients; forces are solved for in double).
     isa : instruction set, by default `instruction_set()`.
     guarded : leave contacts out while a bound says that they touch nothing; the results are the same bit for bit.
     """
 
-    def __init__(self, system: System, *, precision: str = "f64", isa: str | None = None, guarded: bool = True):
-        if precision not in ("f64", "f32"):
-            raise ValueError(f"precision is f64 or f32, not {precision!r}")
-        make = _kernel.KernelF64 if precision == "f64" else _kernel.KernelF32
-        self.dtype: type[np.floating] = np.float64 if precision == "f64" else np.float32
-        self._kernel = make(isa or instruction_set(), len(system.names), sum(system.capacities), len(system.readouts))
-        self._packed: dict[int, tuple[Injection, NDArray[np.floating], Floats]] = {}
+    def __init__(self, system: System, *, isa: str | None = None, guarded: bool = True):
+        n_components, capacity = len(system.names), sum(system.capacities)
+        self._kernel = _kernel.Kernel(isa or instruction_set(), n_components, capacity, len(system.readouts))
+        self._packed: dict[int, tuple[Injection, Floats, Floats]] = {}
         self._ready: WeakKeyDictionary[Compiled, dict[_Key, tuple[int, tuple[Any, ...], tuple[Floats, ...]]]]
         self._ready, self._numbers = WeakKeyDictionary(), count()
         self._seen: tuple[Sequence[Compiled], Sequence[_Wires]] = (), ()
@@ -222,7 +218,7 @@ class KernelStepper:
         if not (one_way or pushed or wires.coupled):
             fixed, incidence = _independent(compiled, fixed, incidence)
         rows = readouts if one_way else np.concatenate([fixed, readouts])
-        E = _pack((compiled.E if self.dtype is np.float64 else _rounded_inward(compiled.E)).reshape(-1, 4)[None])[0]
+        E = _pack(compiled.E.reshape(-1, 4)[None])[0]
         history = compiled.history
         component = (
             E,
@@ -308,8 +304,8 @@ class KernelStepper:
         The latter are to be put back to zero where `_acted` says that they are not. A step whose forces the kernel does
         not find is redone by `NumpyStepper`, which has a search of last resort.
         """
-        if state.modes.dtype != self.dtype:
-            raise ValueError(f"a state of {state.modes.dtype} does not fit a kernel of {np.dtype(self.dtype)}")
+        if state.modes.dtype != np.float64:
+            raise ValueError(f"a state of {state.modes.dtype}; float64 is needed")
         s, on = self.system, self._nonlinear
         may_fail = s.nonlinear is not None or s.tensions or s.geometric
         before = state.copy() if may_fail else state
@@ -407,18 +403,15 @@ class KernelStepper:
         return out, active_forces, law_forces
 
     def start(self) -> State:
-        """Return the state of rest in this kernel's precision."""
-        rest = self.system.start()
-        rest.modes = rest.modes.astype(self.dtype)
-        return rest
+        """Return the state of rest."""
+        return self.system.start()
 
-    def _pack_injection(self, injection: Injection, state: State) -> tuple[int, int, NDArray[np.floating], Floats]:
+    def _pack_injection(self, injection: Injection, state: State) -> tuple[int, int, Floats, Floats]:
         known = self._packed.get(id(injection))
         if known is None or known[0] is not injection:
             for key in [k for k, v in self._packed.items() if v[0].stop <= state.sample]:
                 del self._packed[key]
-            vectors = _pack(injection.vectors).astype(self.dtype)
-            known = (injection, vectors, np.ascontiguousarray(injection.values))
+            known = (injection, _pack(injection.vectors), np.ascontiguousarray(injection.values))
             self._packed[id(injection)] = known
         return self.system.slot(injection.component), injection.start - state.sample, known[1], known[2]
 
@@ -492,19 +485,3 @@ def _pack(a: Floats) -> Floats:
     out = np.zeros((k, c, width))
     out[:, :, :n] = a.transpose(0, 2, 1)
     return out
-
-
-def _rounded_inward(E: Floats) -> Floats:
-    """Propagators whose single-precision rounding never turns faster than it should decay: |E32| <= |E|.
-
-    Rounded to nearest, |E| of an undamped mode can come out above 1 and the mode would grow.
-    """
-    E32 = E.astype(np.float32).astype(np.float64)
-    exact = E[:, 0, 0] * E[:, 1, 1] - E[:, 0, 1] * E[:, 1, 0]
-    for _ in range(4):
-        rounded = E32[:, 0, 0] * E32[:, 1, 1] - E32[:, 0, 1] * E32[:, 1, 0]
-        high = rounded > exact
-        if not high.any():
-            break
-        E32[high] = np.nextafter(E32[high].astype(np.float32), np.float32(0)).astype(np.float64)
-    return E32

@@ -25,14 +25,12 @@ class Accuracy:
     name : of the setting.
     oversampling : the engine runs at so many times the rate of the sound.
     as_asked : times as often as the bundle asks for, besides.
-    precision : of states and coefficients, f64 or f32.
     freq_limit : Hz, no mode is stepped above it; None is 0.45 of the engine's rate.
     """
 
     name: str
     oversampling: int = 1
     as_asked: bool = True
-    precision: str = "f64"
     freq_limit: float | None = None
 
 
@@ -40,7 +38,7 @@ class Accuracy:
 LEVELS: Mapping[str, Accuracy] = {
     level.name: level
     for level in (
-        Accuracy("draft", as_asked=False, precision="f32", freq_limit=10e3),
+        Accuracy("draft", as_asked=False, freq_limit=10e3),
         Accuracy("standard"),
         Accuracy("reference", 4),
     )

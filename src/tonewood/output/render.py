@@ -125,7 +125,6 @@ class Renderer:
     instrument : a loaded instrument.
     fs : sampling rate, Hz.
     accuracy : ``draft``, ``standard`` or ``reference``: settings of the engine's dials, see `output.accuracy`.
-    precision : ``f64`` or ``f32`` (of states and coefficients); that of `accuracy` where left out.
     outputs : names of output groups; by default the instrument's first.
     tail : when to end after the last event.
     max_duration : s of score time, hard end.
@@ -135,7 +134,7 @@ class Renderer:
     effects : ``auto``, ``all``, ``none`` or names of effects that run; the bundle's choice where left out.
     budget_db, budget_cents : what leaving an effect out may cost; the bundle's where left out.
     energy : keep an account of energy, in `energy`; many times slower, with the same samples. Balances close to
-        rounding in ``f64``.
+        rounding.
 
     Raises
     ------
@@ -151,7 +150,6 @@ class Renderer:
         fs: int = 48000,
         *,
         accuracy: str = "standard",
-        precision: str | None = None,
         outputs: Sequence[str] | None = None,
         tail: Tail = DEFAULT_TAIL,
         max_duration: float | None = None,
@@ -167,9 +165,6 @@ class Renderer:
         if not low <= fs <= high:
             raise TonewoodError(f"is {fs} Hz; {low} to {high} are allowed", key="fs")
         level = accuracy_level(accuracy)
-        precision = level.precision if precision is None else precision
-        if precision not in ("f64", "f32"):
-            raise TonewoodError(f"is {precision!r}; f64 or f32 are allowed", key="precision")
         if max_duration is not None and not max_duration > 0:
             raise TonewoodError(f"is {max_duration} s; more than 0 is allowed", key="max_duration")
         if lead_in != "auto" and not (isinstance(lead_in, (int, float)) and 0 <= lead_in <= LONGEST_LEAD_IN):
@@ -182,7 +177,7 @@ class Renderer:
         chosen = with_effects(instrument, effects, budget_db, budget_cents)
         self.model = assemble(chosen, engine_fs, freq_limit=limit, outputs=outputs)
         self.performance: Performance = perform(score, self.model, channel_per_string=channel_per_string)
-        self.engine = Engine(self.model, self.performance.timeline, precision=precision, energy=energy)
+        self.engine = Engine(self.model, self.performance.timeline, energy=energy)
         groups = self.model.outputs
         columns = [i for group in groups for i in group.readouts]
         whole = columns == list(range(len(self.model.system.readouts)))
@@ -385,7 +380,6 @@ def render(
     fs: int = 48000,
     *,
     accuracy: str = "standard",
-    precision: str | None = None,
     outputs: Sequence[str] | None = None,
     tail: Tail = DEFAULT_TAIL,
     max_duration: float | None = None,
@@ -413,7 +407,6 @@ def render(
         instrument,
         fs,
         accuracy=accuracy,
-        precision=precision,
         outputs=outputs,
         tail=tail,
         max_duration=max_duration,

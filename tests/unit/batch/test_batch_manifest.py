@@ -164,6 +164,14 @@ def test_a_folder_beside_the_manifest_needs_no_dot(tmp_path: Path) -> None:
         ({"schema": "tonewood-batch/2"}, "m.yaml: schema: Input should be 'tonewood-batch/1', not"),
         ({"name": "../x"}, "m.yaml: name: String should match pattern"),
         ({"stimuly": {}}, "m.yaml: stimuly: is not a known key; did you mean stimuli? allowed: schema, name,"),
+        (
+            {"render": {"precision": "f64"}},
+            "m.yaml: render.precision: precision was removed in 0.2; samples are always computed in double precision",
+        ),
+        (
+            {"factors": fakes.BASE["factors"] | {"f": {"path": "render.precision", "levels": {"x": "f32"}}}},
+            "m.yaml: factors.f.levels.x: precision was removed in 0.2",
+        ),
         ({"stimuli": {"fade": {"inn": 1.0}}}, "m.yaml: stimuli.fade.inn: is not a known key; did you mean in?"),
         ({"stimuli": {"duration": -1.0}}, "m.yaml: stimuli.duration: Input should be 'page_max'; or"),
         ({"stimuli": {"subtype": "PCM_8"}}, "m.yaml: stimuli.subtype: Input should be 'PCM_16' or 'PCM_24'"),

@@ -110,7 +110,7 @@ POINTS = (
     point("tonewood", 24e3, 0.5, 1e-1),
     point("tonewood", 48e3, 1.0, 1e-2),
     point("tonewood", 96e3, 2.0, 1e-3),
-    point("tonewood", 48e3, 0.1, 1e-9, dial="precision"),
+    point("tonewood", 48e3, 0.1, 1e-9, dial="modes"),
     point("ab3", 200e3, 5.0, 1e-1),
     point("ab3", 800e3, 20.0, 1e-3),
     point("verlet", 100e3, 3.0, 1e-1),

@@ -245,16 +245,6 @@ def test_blocks_of_any_size_give_the_same_samples() -> None:
     assert np.array_equal(parts, out)
 
 
-def test_single_precision_follows() -> None:
-    system = held_string(48000.0)
-    state = plucked(system, 3e-3)
-    single = state.copy()
-    single.modes = single.modes.astype(np.float32)
-    out, _ = KernelStepper(system).run(state, 400)
-    rough, _ = KernelStepper(system, precision="f32").run(single, 400)
-    assert np.abs(rough[:, 0] - out[:, 0]).max() < 1e-4 * np.abs(out[:, 0]).max()
-
-
 def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ValueError, match="EA"):
         GeometricStretch("string", ("y",), "x", 0.0)

@@ -57,7 +57,7 @@ def sound(instrument: tw.Instrument, block: int = 4096, **options: object) -> np
 
 
 def test_standard_is_the_default(monochord: tw.Instrument) -> None:
-    np.testing.assert_array_equal(sound(monochord), sound(monochord, accuracy="standard", precision="f64"))
+    np.testing.assert_array_equal(sound(monochord), sound(monochord, accuracy="standard"))
 
 
 def test_reference_is_the_engine_at_four_times_the_rate(monochord: tw.Instrument) -> None:
@@ -92,11 +92,6 @@ def test_draft_steps_fewer_modes_and_is_near(monochord: tw.Instrument) -> None:
     assert draft.model.n_modes < 0.7 * full.model.n_modes
     highest = max(float(c.basis.natural_freq.max()) for c in draft.model.system.compiled)
     assert highest <= LEVELS["draft"].freq_limit
-    assert draft.engine.stepper.dtype == np.float32
-
-
-def test_precision_stands_above_the_setting(monochord: tw.Instrument) -> None:
-    assert tw.Renderer(SCORE, monochord, accuracy="draft", precision="f64").engine.stepper.dtype == np.float64
 
 
 def test_unknown_setting_is_told_in_one_line(monochord: tw.Instrument) -> None:

@@ -38,11 +38,11 @@ NUDGED, OTHERS = "reference, force +0.1 %", "reference, other strokes"
 TEXT = f"""\
 ## The user's dial: `--accuracy`
 
-| `tonewood render --accuracy` | engine runs at | modes up to | arithmetic |
-| --- | --- | --- | --- |
-| `draft` | the rate of the sound | 10 kHz | 32 bit |
-| `standard`, the default | that rate, or twice or four times it where a bundle asks for it | 0.45 of it | 64 bit |
-| `reference` | four times that of `standard`, brought down by a linear-phase filter | 0.45 of that | 64 bit |
+| `tonewood render --accuracy` | engine runs at | modes up to |
+| --- | --- | --- |
+| `draft` | the rate of the sound | 10 kHz |
+| `standard`, the default | that rate, or twice or four times it where a bundle asks for it | 0.45 of it |
+| `reference` | four times that of `standard`, brought down by a linear-phase filter | 0.45 of that |
 
 The middle string of every instrument, one open note of MIDI velocity {VELOCITY_MIDI} at 48 kHz, heard for
 {DURATION:g} s. Median / worst over the partials, of the first twenty, that lie within 40 dB of the loudest, against

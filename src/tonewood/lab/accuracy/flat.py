@@ -102,15 +102,15 @@ class Flat:
         f = -scaled_pinv(product(self.C, yields) + self.problem.residual) @ np.einsum("mnx,nx->m", self.C, loose)
         return np.asarray(loose + np.einsum("m,mnx->nx", f, yields))
 
-    def state_of(self, x: Floats, system: System, dtype: type[np.floating] = np.float64) -> NDArray[np.floating]:
+    def state_of(self, x: Floats, system: System) -> Floats:
         """(2, capacity) the same state as a kernel holds it."""
-        out = np.zeros((2, sum(system.capacities)), dtype=dtype)
+        out = np.zeros((2, sum(system.capacities)))
         for name, offset in zip(system.names, system.offsets, strict=True):
             part = x[self.starts[name]]
             out[:, offset : offset + len(part)] = part.T
         return out
 
-    def x_of(self, state: NDArray[np.floating], system: System) -> Floats:
+    def x_of(self, state: Floats, system: System) -> Floats:
         """(n, 2) from a kernel's state."""
         parts = {
             name: state[:, offset : offset + basis.n_modes].T
@@ -118,7 +118,7 @@ class Flat:
                 system.names, system.offsets, (c.basis for c in system.compiled), strict=True
             )
         }
-        return np.concatenate([parts[name] for name in self.problem.components]).astype(np.float64)
+        return np.concatenate([parts[name] for name in self.problem.components])
 
     @cached_property
     def energy_weights(self) -> Floats:

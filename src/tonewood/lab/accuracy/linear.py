@@ -118,9 +118,6 @@ def _dials(subject: Subject, quick: bool) -> Iterator[Make]:
             basis = sliding_string(subject.case.string, FREQ_UPPER, residual=fold).with_places(pluck)
             value = f"sliding cosines, {named} residual compliance"
             yield partial(own, flat=exchanged(flat, "string", basis), dial="basis", value=value)
-    for fs in (48e3,) if quick else (48e3, 96e3):
-        value = f"f32, {fs / 1e3:.4g} kHz"
-        yield partial(own_point, subject, fs, precision="f32", dial="precision", value=value)
 
 
 def exchanged(flat: Flat, name: str, basis: ModalBasis) -> Flat:

@@ -39,7 +39,7 @@ approximation, whose own true poles such a method is held against.
 
 Dials of tonewood, turned one at a time at 48 kHz: the frequency up to which strings are solved; modes of the solved
 basis dropped, with and without their compliance; modes of a string that slides at the bridge (cosines) instead of
-fixed-base modes and a ramp; 32 bit. Contacts are solved to rounding, in as many Newton steps as the points' notes in
+fixed-base modes and a ramp. Contacts are solved to rounding, in as many Newton steps as the points' notes in
 the JSON file tell (1 to 3 on average): that is no dial, for a solution left early is not one that cannot gain energy.
 
 A time ratio at equal error is read from the Pareto line of each method, straight in the logarithms of time and error

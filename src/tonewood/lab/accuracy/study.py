@@ -209,17 +209,16 @@ class KernelRun:
 
     flat: Flat
     fs: float
-    precision: str = "f64"
 
     def __post_init__(self) -> None:
         self.system: System = self.flat.problem.system(1 / self.fs)
-        self.stepper = KernelStepper(self.system, precision=self.precision)
+        self.stepper = KernelStepper(self.system)
         self.state = self.stepper.start()
 
     def start(self, x: Floats) -> None:
         """Put a state (n, 2) in."""
         self.state = self.stepper.start()
-        self.state.modes[:] = self.flat.state_of(x, self.system, self.stepper.dtype)
+        self.state.modes[:] = self.flat.state_of(x, self.system)
 
     def run(self, n: int, every: int = 1) -> tuple[Floats, int]:
         """As `schemes.Runner.run`; the sample after the last is not there."""
@@ -302,14 +301,14 @@ def scheme_point(subject: Subject, method: str, fs: float, *, label: str | None 
 
 
 def own_point(
-    subject: Subject, fs: float, *, flat: Flat | None = None, precision: str = "f64", dial: str = "fs",
+    subject: Subject, fs: float, *, flat: Flat | None = None, dial: str = "fs",
     value: str | None = None, note: str = "",
 ) -> Attempt:  # fmt: skip
     """The stepper of this project; modes up to 0.45 fs unless a basis is given."""
     given = flat or subject.flat(min(FREQ_UPPER, FREQ_LIMIT * fs))
 
     def make(some: Flat) -> KernelRun:
-        return KernelRun(some, fs, precision)
+        return KernelRun(some, fs)
 
     point = Point(subject.case.name, "tonewood", dial, value or f"{fs / 1e3:.4g} kHz", fs, given.n_modes, "", note=note)
     got = attempt(
