@@ -206,8 +206,8 @@ def _print(report: dict[str, Any]) -> None:
         loss = row["loss_error"]
         if loss and abs(loss["relative"]) > LOSS_TOLERANCE:
             print(
-                f"    warning: partial {loss['partial']} decays at {1 + loss['relative']:.3g} times the rate of its loss "
-                "law on a rigid end: the law grows too steeply for real modes without loss to the air or of stretching"
+                f"    warning: partial {loss['partial']} decays at {1 + loss['relative']:.3g} times the rate of its "
+                "loss law on a rigid end: the law grows too steeply without loss to the air or of stretching"
             )
     for row in report["off_pitch"]:
         print(f"  off pitch: {row['string']} stop {row['stop']} ({row['note']}): {row['error_cents']:+.1f} cents")
