@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tonewood.batch import rendering
 from tonewood.batch.conditions import Condition, Draw, expand
 from tonewood.batch.manifest import check_manifest
 from tonewood.batch.rendering import EngineRenderer, instrument_of
@@ -130,3 +134,42 @@ def test_another_instruction_set_is_refused() -> None:
     (asked, _) = conditions(render={"isa": other})
     with pytest.raises(TonewoodError, match=rf"render\.isa: {other} is asked for, this process runs {here}"):
         ENGINE.identity(asked)
+
+
+def computed(**changes: Any) -> Any:
+    """In place of `rendering.computed_with`: as here, but for `changes`."""
+    here = rendering.computed_with()
+    return lambda: here | changes
+
+
+@pytest.mark.parametrize("what", ["kernel", "blas", "numpy", "scipy", "simd", "libc"])
+def test_the_key_follows_what_computes(monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+    (condition, _) = conditions()
+    before = ENGINE.identity(condition)
+    assert what in before["computed_with"]
+    monkeypatch.setattr(rendering, "computed_with", computed(**{what: "another"}))
+    assert content_key(ENGINE.identity(condition)) != content_key(before)
+
+
+def test_another_core_of_blas_is_another_key() -> None:
+    code = "from tonewood.batch.rendering import computed_with; print(computed_with()['blas'])"
+    told = [
+        subprocess.run([sys.executable, "-c", code], env=os.environ | {"OPENBLAS_CORETYPE": core}, capture_output=True,
+                       text=True, check=True).stdout
+        for core in ("Prescott", "Prescott", "Nehalem")
+    ]  # fmt: skip
+    if "openblas" not in told[0]:
+        pytest.skip(f"OPENBLAS_CORETYPE is for OpenBLAS, here is {told[0]}")
+    assert told[0] == told[1] != told[2]
+
+
+def test_renders_of_another_library_are_told_and_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "batch.yaml"
+    short = {"output": "bridge", "tail": {"energy_db": -40, "cap": 0.1}, "fs": 16000}
+    path.write_text(json.dumps(manifest(render=short, pages=[{"type": "html"}], output={"formats": ["json"]})))
+    first = run_batch(path, tmp_path / "out", ENGINE)
+    assert not any("are not used" in note for note in first.notes)
+    monkeypatch.setattr(rendering, "computed_with", computed(scipy="another"))
+    again = run_batch(path, tmp_path / "out", ENGINE)
+    assert any(note.startswith("2 renders in ") and "are not used" in note for note in again.notes)
+    assert again.rendered == 2
