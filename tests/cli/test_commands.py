@@ -373,8 +373,8 @@ def test_check_shows_strings_alone_and_mounted(tonewood: Run) -> None:
 def test_check_names_a_string_that_misses_its_loss_law(tonewood: Run) -> None:
     bending_alone = "strings.A2.loss={law: woodhouse, eta_f: 0.0, eta_a: 0.0, eta_b: 0.02}"
     steep = tonewood("check", "monochord", "--set", bending_alone, "--set", "strings.A2.bending_stiffness=5e-5")
-    assert "partial 1 decays at 1." in steep.out
-    assert "decays at" not in tonewood("check", "monochord").out
+    assert "partial 1 decays at 1." in steep[1]
+    assert "decays at" not in tonewood("check", "monochord")[1]
 
 
 def test_check_warns_of_a_table_that_is_another(tonewood: Run, tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from tonewood.errors import NumericalError
 from tonewood.numerics.connections import LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
@@ -234,6 +233,8 @@ class NumpyStepper:
         positive above it: the step is a monotone problem for each set of tensions held, whose solutions these zeros
         are. No slope is asked for. From string to string tensions answer each other through the body alone, weakly.
         """
+        from scipy.optimize import brentq  # heavy, and seldom needed
+
         s = self.system
         slots = {t: [s.slot(name) for name in s.tensions[t].components] for t in T}
         parts = {i: part for among in slots.values() for i in among if (part := s.compiled[i].tension) is not None}
