@@ -49,5 +49,8 @@ for isa in avx512 avx2 baseline; do
         under "TONEWOOD_ISA=$isa"
     fi
 done
+if [ $# -eq 0 ]; then # threads change sums in numerics; lab only reads them
+    tests=(-n 2 tests/unit/numerics)
+fi
 under -u OMP_NUM_THREADS -u OPENBLAS_NUM_THREADS
 echo "not run, as this processor lacks it: ${lacking[*]:-nothing}"
