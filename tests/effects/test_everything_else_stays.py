@@ -9,6 +9,7 @@ import pytest
 from effect_scenes import compared, detuned, sound
 
 import tonewood as tw
+from tonewood.errors import NothingPlayedError
 from tonewood.instrument.registry import list_instruments
 from tonewood.score.midi import read_midi
 
@@ -54,16 +55,30 @@ def check(score: tw.Score, name: str, seconds: float | None, fs: int, moments: b
             assert abs(cents).max(initial=0.0) < auto.model.choice.budget_cents
 
 
+def playable(score: tw.Score, name: str) -> bool:
+    """Whether any note of the score can be played."""
+    try:
+        tw.Renderer(score, tw.load_instrument(name), 16000)
+    except NothingPlayedError:
+        return False
+    return True
+
+
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_a_short_excerpt(name: str) -> None:
-    check(read_midi(SCORES[INSTRUMENTS.index(name) % len(SCORES)]), name, 0.6, 16000, moments=True)
+    first = INSTRUMENTS.index(name) % len(SCORES)
+    scores = (read_midi(path) for path in SCORES[first:] + SCORES[:first])
+    check(next(s for s in scores if playable(s, name)), name, 0.6, 16000, moments=True)
 
 
 @pytest.mark.validate
 @pytest.mark.parametrize("name", INSTRUMENTS)
 @pytest.mark.parametrize("score", SCORES, ids=lambda p: p.stem)
 def test_whole_pieces(name: str, score: Path) -> None:
-    check(read_midi(score), name, None, 24000, moments=False)
+    try:
+        check(read_midi(score), name, None, 24000, moments=False)
+    except NothingPlayedError as fault:
+        pytest.skip(str(fault))
 
 
 def test_a_slow_swell_into_fret_buzz() -> None:
