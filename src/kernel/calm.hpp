@@ -53,8 +53,8 @@ double stretched(const Component& c, const double* x) {
     using S = Simd;
     S::V sum{};
     for (int k = 0; k < c.n; k += S::width) {
-        const auto y = S::load(&c.stretched.reading[k]) * S::load(x + k);
-        sum += S::load(&c.stretched.a[k]) * y * y;
+        const auto y = S::load(c.stretched.reading.data() + k) * S::load(x + k);
+        sum += S::load(c.stretched.a.data() + k) * y * y;
     }
     return S::sum(sum);
 }
@@ -82,17 +82,17 @@ Held hold(const Component& c, const double* vector) {
     Held held{vector, Array<double>(2 * n), Array<double>(c.guarded.n), 0.0, 0.0, size};
     using S = Simd;
     for (std::size_t k = 0; k < n; k += S::width) {
-        const auto x = S::load(vector + k), y = S::load(vector + n + k), kappa = S::load(&c.kappa[k]);
+        const auto x = S::load(vector + k), y = S::load(vector + n + k), kappa = S::load(c.kappa.data() + k);
         const auto per = kappa > 0.0 ? 1.0 / kappa : S::V{};
-        const auto e00 = S::load(&c.e[k]), e01 = S::load(&c.e[n + k]);
-        const auto e10 = S::load(&c.e[2 * n + k]), e11 = S::load(&c.e[3 * n + k]);
-        S::store(&held.modes[k], per * ((1.0 - e11) * x + e01 * y));
-        S::store(&held.modes[n + k], per * (e10 * x + (1.0 - e00) * y));
+        const auto e00 = S::load(c.e.data() + k), e01 = S::load(c.e.data() + n + k);
+        const auto e10 = S::load(c.e.data() + 2 * n + k), e11 = S::load(c.e.data() + 3 * n + k);
+        S::store(held.modes.data() + k, per * ((1.0 - e11) * x + e01 * y));
+        S::store(held.modes.data() + n + k, per * (e10 * x + (1.0 - e00) * y));
     }
     for (std::size_t k = 0; k < n; ++k)
         held.whole = held.whole && (c.kappa[k] > 0.0 || (vector[k] == 0.0 && vector[n + k] == 0.0));
     for (std::size_t r = 0; r < held.rows.size(); ++r)
-        held.rows[r] = read(c, &c.guarded.rows[2 * r * n], held.modes.data());
+        held.rows[r] = read(c, c.guarded.rows.data() + 2 * r * n, held.modes.data());
     if (c.n_ports > 0)
         held.port = read(c, c.rows.data(), held.modes.data()), held.jump = read(c, c.rows.data(), vector);
     return held;
@@ -168,7 +168,7 @@ public:
             const int i = group.components[q], lane = layout_.port[i];
             const Component& c = components_[i];
             const double *x = job.modes[0] + c.offset, *y = job.modes[1] + c.offset;
-            double* const rows = &at_rest_[nl_.first[i]];
+            double* const rows = at_rest_.data() + (nl_.first[i]);
             std::fill_n(rows, c.guarded.n, 0.0);
             shift_[lane] = held_force_[lane] = 0.0;
             double jumps[kBlock] = {}, added = 0.0, port = 0.0;
@@ -227,7 +227,7 @@ public:
         Array<double>& state = states_[i];
         state.assign(job.modes[0] + c.offset, job.modes[0] + c.offset + n);
         state.insert(state.end(), job.modes[1] + c.offset, job.modes[1] + c.offset + n);
-        double* const rows = &at_rest_[nl_.first[i]];
+        double* const rows = at_rest_.data() + (nl_.first[i]);
         std::fill_n(rows, c.guarded.n, 0.0);
         double added = 0.0;
         for (const Input& input : known) {
@@ -284,8 +284,8 @@ public:
     bool stays(const double* lines, const double* force) {
         S::V least{};
         for (int p = 0; p < layout_.single_width; p += S::width) {
-            const S::V most = S::load(&most_[p]), sway = S::load(&sway_[p]);
-            S::V sum = S::load(&energy_[p]), u = S::load(lines + p), highest = sum, farthest{};
+            const S::V most = S::load(most_.data() + p), sway = S::load(sway_.data() + p);
+            S::V sum = S::load(energy_.data() + p), u = S::load(lines + p), highest = sum, farthest{};
             for (int b = 0; b < kBlock; ++b) {
                 const S::V next = S::load(lines + std::size_t(b + 1) * layout_.width + p);
                 const S::V size = next < 0.0 ? -next : next;
@@ -293,7 +293,7 @@ public:
                 highest = highest < sum ? sum : highest, farthest = farthest < size ? size : farthest;
                 u = next;
             }
-            S::store(&after_[p], sum);
+            S::store(after_.data() + p, sum);
             const S::V left = most - highest, room = sway - farthest;
             least = left < least ? left : least;
             least = room < least ? room : least;
@@ -339,7 +339,7 @@ private:
     void settle(double size, const Held& held, double* rows, double& port) {
         using V = Simd;
         for (std::size_t k = 0; k < held.modes.size(); k += V::width)
-            V::store(&moved_[k], V::load(&moved_[k]) - V::load(&held.modes[k]) * size);
+            V::store(moved_.data() + k, V::load(moved_.data() + k) - V::load(held.modes.data() + k) * size);
         for (std::size_t r = 0; r < held.rows.size(); ++r) rows[r] += size * held.rows[r];
         port += size * held.port;
     }
@@ -349,17 +349,17 @@ private:
         S::V least{};
         for (int p = 0; p < layout_.single_width; p += S::width) {
             S::V force = S::load(now + p);
-            S::V u = S::load(line + layout_.width + p) + S::load(&own_[p]) + S::load(&layout_.single_history[p]) * force;
+            S::V u = S::load(line + layout_.width + p) + S::load(own_.data() + p) + S::load(layout_.single_history.data() + p) * force;
             S::V way = u - S::load(line + p);
             if constexpr (pushed) {
-                way -= S::load(&jumps_[std::size_t(b) * layout_.single_width + p]);
-                u -= S::load(&shift_[p]);
-                force -= S::load(&held_force_[p]);
+                way -= S::load(jumps_.data() + (std::size_t(b) * layout_.single_width + p));
+                u -= S::load(shift_.data() + p);
+                force -= S::load(held_force_.data() + p);
             }
-            const S::V next = S::load(&energy_[p]) + force * way;
-            S::store(&after_[p], next);
+            const S::V next = S::load(energy_.data() + p) + force * way;
+            S::store(after_.data() + p, next);
             const S::V size = u < 0.0 ? -u : u;
-            const S::V left = S::load(&most_[p]) - next, room = S::load(&sway_[p]) - size;
+            const S::V left = S::load(most_.data() + p) - next, room = S::load(sway_.data() + p) - size;
             least = left < least ? left : least;
             least = room < least ? room : least;
         }

@@ -60,8 +60,8 @@ void visit_explicit(const ExplicitPart& p, double* const* state, double h, doubl
         const MPack weight = MPack::load(k2 + k);
         if constexpr (Move) {
             a = mul_add(weight * q, -pull, a);
-            for (int i = 0; i < p.n_rigid; ++i) a = mul_add(MPack::load(&p.rigid[i * n + k]), rigid_force[i], a);
-            for (int i = 0; i < p.n_laws; ++i) a = mul_add(MPack::load(&p.law[i * n + k]), law_force[i], a);
+            for (int i = 0; i < p.n_rigid; ++i) a = mul_add(MPack::load(p.rigid.data() + i * n + k), rigid_force[i], a);
+            for (int i = 0; i < p.n_laws; ++i) a = mul_add(MPack::load(p.law.data() + i * n + k), law_force[i], a);
             w = mul_add(a, h, w);
             q = mul_add(w, h, q);
             v = mul_add(a, 0.5 * h, w);
@@ -71,14 +71,14 @@ void visit_explicit(const ExplicitPart& p, double* const* state, double h, doubl
         MPack* s = acc;
         const MPack stretched = weight * q;
         for (int i = 0; i < p.n_rigid; ++i, s += 2) {
-            const MPack phi = MPack::load(&p.rigid[i * n + k]);
+            const MPack phi = MPack::load(p.rigid.data() + i * n + k);
             s[0] = mul_add(phi, g, s[0]), s[1] = mul_add(phi, stretched, s[1]);
         }
         for (int i = 0; i < p.n_laws; ++i, s += 2) {
-            const MPack phi = MPack::load(&p.law[i * n + k]);
+            const MPack phi = MPack::load(p.law.data() + i * n + k);
             s[0] = mul_add(phi, q, s[0]), s[1] = mul_add(phi, v, s[1]);
         }
-        for (int i = 0; i < p.n_outs; ++i, ++s) *s = mul_add(MPack::load(&p.outs[i * n + k]), q, *s);
+        for (int i = 0; i < p.n_outs; ++i, ++s) *s = mul_add(MPack::load(p.outs.data() + i * n + k), q, *s);
         *s = mul_add(stretched, q, *s);
     }
     const MPack* s = acc;
@@ -100,7 +100,7 @@ inline std::int64_t run_explicit(const ExplicitPlan& plan, double* const* state,
     Array<double> sums(std::size_t(n_parts) * 5 * widest), gap(l), rate(l), acceleration(r), f_law(l), f_rigid(r);
     Array<double> S(tensions), here_rigid(widest), here_law(widest);
     const auto sums_of = [&](int i) {
-        double* at = &sums[std::size_t(i) * 5 * widest];
+        double* at = sums.data() + std::size_t(i) * 5 * widest;
         return ExplicitSums{at, at + widest, at + 2 * widest, at + 3 * widest, at + 4 * widest, at + 5 * widest - 1};
     };
     const auto emit = [&](double* to) {

@@ -154,7 +154,7 @@ private:
     }
     static double row(const Component& c, int r, const double* sx, const double* sy) {
         using V = Simd;
-        const double *rx = &c.rows[2 * std::size_t(r) * c.n], *ry = rx + c.n;
+        const double *rx = c.rows.data() + 2 * std::size_t(r) * c.n, *ry = rx + c.n;
         Simd::V sum{}, more{};
         for (int k = 0; k < c.n; k += V::width) {
             sum += V::load(rx + k) * V::load(sx + k);
@@ -173,13 +173,13 @@ private:
             rows(part, b, lines, sx, sy, c.n_rows);
             for (int k = 0; k < c.n; k += V::width) {
                 const auto a = V::load(sx + k), d = V::load(sy + k);
-                auto nx = V::load(&c.e[k]) * a + V::load(&c.e[c.n + k]) * d;
-                auto ny = V::load(&c.e[2 * c.n + k]) * a + V::load(&c.e[3 * c.n + k]) * d;
+                auto nx = V::load(c.e.data() + k) * a + V::load(c.e.data() + c.n + k) * d;
+                auto ny = V::load(c.e.data() + 2 * c.n + k) * a + V::load(c.e.data() + 3 * c.n + k) * d;
                 for (const Input& in : known[i]) {
                     const double value = in.values[b * in.stride];
                     nx += V::load(in.vector + k) * value, ny += V::load(in.vector + c.n + k) * value;
                 }
-                V::store(&part.fx[k], nx), V::store(&part.fy[k], ny);
+                V::store(part.fx.data() + k, nx), V::store(part.fy.data() + k, ny);
             }
             for (int p = 0; p < c.n_ports; ++p) part.rest[p] = row(c, p, part.fx.data(), part.fy.data());
             for (int k = 0; k < part.given->n; ++k) {
@@ -213,7 +213,7 @@ private:
             const int i = part.given->component;
             double* line = lines + std::size_t(b + 1) * layout_.width + layout_.row[i];
             for (int p = 0; p < components_[i].n_ports; ++p)
-                line[p] = part.rest[p] + dot(&part.given->to_port[std::size_t(p) * part.given->width], &s.F[part.at],
+                line[p] = part.rest[p] + dot(part.given->to_port.data() + std::size_t(p) * part.given->width, s.F.data() + part.at,
                                              part.given->width);
         }
     }
@@ -223,9 +223,9 @@ private:
         for (Part& part : s.parts) {
             const auto& g = *part.given;
             const double* forces = now + layout_.port[g.component];
-            const double* F = &s.F[part.at];
+            const double* F = s.F.data() + part.at;
             for (int k = 0; k < g.width; k += S::width)
-                S::store(&part.after[k], S::load(&part.free[k]) + S::load(&g.yields[k]) * S::load(F + k));
+                S::store(part.after.data() + k, S::load(part.free.data() + k) + S::load(g.yields.data() + k) * S::load(F + k));
             add_product(g.from_port.data(), g.width, forces, components_[g.component].n_ports, part.after.data());
         }
         respond(s);
@@ -256,7 +256,7 @@ private:
         }
         std::fill(s.made.begin(), s.made.end(), 0.0);
         const auto& g = *along.given;
-        add_product(g.back.data(), g.width, along.force.data(), order + 1, &s.made[along.at]);
+        add_product(g.back.data(), g.width, along.force.data(), order + 1, s.made.data() + along.at);
         for (std::size_t q = 0; q + 1 < s.parts.size(); ++q) {
             Part& part = s.parts[q];
             const auto& h = *part.given;
@@ -267,9 +267,9 @@ private:
                 for (int n = 1; n <= order; ++n)
                     sum -= (S::load(old + i - n) + S::load(old + i + n) + S::load(now + i - n) + S::load(now + i + n)) *
                            (0.5 * s.pull[n]);
-                S::store(&part.force[i], sum);
+                S::store(part.force.data() + i, sum);
             }
-            add_product(h.back.data(), h.width, part.force.data(), h.cosines, &s.made[part.at]);
+            add_product(h.back.data(), h.width, part.force.data(), h.cosines, s.made.data() + part.at);
         }
     }
 
@@ -280,16 +280,16 @@ private:
         s.pull[0] = 0.5 * s.given->scale * (s.old_sums[0] + s.sums[0]);
         for (const Part& part : s.parts)
             for (int k = 0; k < part.given->width; k += S::width)
-                S::store(&s.made[part.at + k], (S::load(&part.before[k]) + S::load(&part.after[k])) *
-                                                   S::load(&part.given->stretch[k]) * (-0.5 * s.pull[0]));
+                S::store(s.made.data() + part.at + k, (S::load(part.before.data() + k) + S::load(part.after.data() + k)) *
+                                                   S::load(part.given->stretch.data() + k) * (-0.5 * s.pull[0]));
     }
 
     // Its s_0.
     static double stretched(const Part& part, const Array<double>& coordinates) {
         S::V sum{};
         for (int k = 0; k < part.given->width; k += S::width) {
-            const S::V y = S::load(&coordinates[k]);
-            sum += S::load(&part.given->stretch[k]) * y * y;
+            const S::V y = S::load(coordinates.data() + k);
+            sum += S::load(part.given->stretch.data() + k) * y * y;
         }
         return 0.5 * S::sum(sum);
     }
@@ -335,7 +335,7 @@ private:
     }
     static double inner(const String& s, const double* a, const double* b) {
         S::V sum{};
-        for (int k = 0; k < s.n; k += S::width) sum += S::load(&s.weight[k]) * S::load(a + k) * S::load(b + k);
+        for (int k = 0; k < s.n; k += S::width) sum += S::load(s.weight.data() + k) * S::load(a + k) * S::load(b + k);
         return S::sum(sum);
     }
     static double norm(const String& s, const Array<double>& a) { return std::sqrt(inner(s, a.data(), a.data())); }
@@ -354,12 +354,12 @@ private:
         if (s.kept == kGeometricMemory) {
             s.kept = 0;
         } else if (s.has_last) {
-            double *q = &s.q[std::size_t(s.kept) * n], *p = &s.p[std::size_t(s.kept) * n];
+            double *q = s.q.data() + (std::size_t(s.kept) * n), *p = s.p.data() + (std::size_t(s.kept) * n);
             for (int k = 0; k < n; ++k) q[k] = s.wrong[k] - s.last_wrong[k], p[k] = s.made[k] - s.last_made[k];
             const double whole = std::sqrt(inner(s, q, q));
             for (int j = 0; j < s.kept; ++j) {
-                const double share = inner(s, &s.q[std::size_t(j) * n], q);
-                subtract(q, share, &s.q[std::size_t(j) * n], n), subtract(p, share, &s.p[std::size_t(j) * n], n);
+                const double share = inner(s, s.q.data() + std::size_t(j) * n, q);
+                subtract(q, share, s.q.data() + std::size_t(j) * n, n), subtract(p, share, s.p.data() + std::size_t(j) * n, n);
             }
             const double left = std::sqrt(inner(s, q, q));
             if (left > 1e-8 * whole) {
@@ -370,9 +370,9 @@ private:
         s.last_wrong = s.wrong, s.last_made = s.made, s.has_last = true;
         s.F = s.made;
         for (int j = 0; j < s.kept; ++j) {
-            const double share = inner(s, &s.q[std::size_t(j) * n], s.wrong.data());
-            subtract(s.wrong.data(), share, &s.q[std::size_t(j) * n], n);
-            subtract(s.F.data(), share, &s.p[std::size_t(j) * n], n);
+            const double share = inner(s, s.q.data() + std::size_t(j) * n, s.wrong.data());
+            subtract(s.wrong.data(), share, s.q.data() + std::size_t(j) * n, n);
+            subtract(s.F.data(), share, s.p.data() + std::size_t(j) * n, n);
         }
     }
 
@@ -390,7 +390,7 @@ private:
             sy[k] += g.kick[g.width + k] * s.F[part.at + k];
         }
         for (int p = 0; p < c.n_ports; ++p) {
-            const double f = forces[p], *w = &c.w[2 * std::size_t(p) * c.n];
+            const double f = forces[p], *w = c.w.data() + 2 * std::size_t(p) * c.n;
             for (int k = 0; k < c.n; k += V::width) {
                 V::store(sx + k, V::load(sx + k) + V::load(w + k) * f);
                 V::store(sy + k, V::load(sy + k) + V::load(w + c.n + k) * f);

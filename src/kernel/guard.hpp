@@ -26,8 +26,8 @@ double norm(const Component& c, const double* x, const double* y) {
     V sum{}, more{};
     for (int k = 0; k < c.n; k += S::width) {
         const V a = S::load(x + k), b = S::load(y + k);
-        sum += S::load(&c.guarded.norm[k]) * a * a;
-        more += S::load(&c.guarded.norm[c.n + k]) * b * b;
+        sum += S::load(c.guarded.norm.data() + k) * a * a;
+        more += S::load(c.guarded.norm.data() + c.n + k) * b * b;
     }
     alignas(64) double lanes[S::width];
     S::store(lanes, sum + more);
@@ -51,7 +51,7 @@ Surroundings surroundings(const Component& c, int port, const double* x, const d
     using V = Simd::V;
     using S = Simd;
     const std::size_t n = c.n;
-    const double *row = &c.guarded.middle[2 * port * n], *far = &c.guarded.spread[port * n];
+    const double *row = c.guarded.middle.data() + 2 * port * n, *far = c.guarded.spread.data() + port * n;
     V middle{}, more{}, spread{};
     for (std::size_t k = 0; k < n; k += S::width) {
         middle += S::load(row + k) * S::load(x + k);

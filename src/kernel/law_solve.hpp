@@ -60,7 +60,7 @@ inline void invert_laws(Workspace& ws, const double* z, const double* slope, int
         for (int j = 0; j <= i; ++j) lower[i * w + j] = root[i] * z[i * w + j] * root[j] + (i == j ? 1.0 : 0.0);
     factorize(lower, n, ws.upper.data(), ws.over.data());
     for (int i = 0; i < n; ++i) {
-        double* row = &ws.inverse[i * w];
+        double* row = ws.inverse.data() + i * w;
         std::fill_n(row, w, 0.0);
         row[i] = root[i];
         solve_definite(lower, ws.upper.data(), ws.over.data(), n, row);

@@ -58,7 +58,7 @@ inline int cell(const Law& law, double d) {
 }
 
 inline Bend sampled_at(const Law& law, double d) {
-    const double* c = &law.coefficients[4 * std::size_t(cell(law, d))];
+    const double* c = law.coefficients.data() + (4 * std::size_t(cell(law, d)));
     const double inside = std::clamp(d, law.knots.front(), law.knots.back());
     const double u = inside - law.knots[cell(law, d)], bend = 2 * c[2] + 6 * c[3] * u;
     return {c[1] + u * (2 * c[2] + 3 * c[3] * u) + bend * (d - inside), bend};
@@ -77,7 +77,7 @@ inline double gained(const Law& law, double a, double b) {
     beyond(std::max(a, last), b, last);
     a = std::max(a, first), b = std::min(b, last);
     for (int i = cell(law, a); a < b; ++i) {
-        const double* c = &law.coefficients[4 * std::size_t(i)];
+        const double* c = law.coefficients.data() + 4 * std::size_t(i);
         const double end = std::min(b, law.knots[i + 1]), u = a - law.knots[i], v = end - law.knots[i];
         total += (end - a) * (c[1] + c[2] * (u + v) + c[3] * (u * u + u * v + v * v));
         a = end;

@@ -64,8 +64,8 @@ public:
         for (const Layout::Segment& segment : l_.segments)
             for (int i = 0; i < segment.n; i += S::width) {
                 const double* at = line + segment.row + i;
-                S::store(&now_[segment.port + i], S::load(at + l_.width) + S::load(at) * l_.mix);
-                if (!before_.empty()) S::store(&before_[segment.port + i], S::load(at));
+                S::store(now_.data() + segment.port + i, S::load(at + l_.width) + S::load(at) * l_.mix);
+                if (!before_.empty()) S::store(before_.data() + segment.port + i, S::load(at));
             }
         const int n = int(l_.port_rows.size());
         add_product(l_.direct.data(), l_.force_width, now_.data(), n, l_.direct_constant.data(), force);

@@ -180,8 +180,8 @@ void visit(const MethodPart& p, double* const* s, const double* f, int lags, int
         const double* v = push;
         for (int i = 0; i < links * lags; ++i, v += Rule::n_in * n) rule.push(v, n, k, f[i]);
         rule.finish(state, k, c);
-        for (int i = 0; i < links; ++i) acc[i] = acc[i] + rule.read(&p.reads[i * Rule::n_row * n], n, k);
-        for (int i = 0; i < outs; ++i) acc[links + i] = acc[links + i] + rule.out(&p.outs[i * Rule::n_out * n], n, k);
+        for (int i = 0; i < links; ++i) acc[i] = acc[i] + rule.read(p.reads.data() + (i * Rule::n_row * n), n, k);
+        for (int i = 0; i < outs; ++i) acc[links + i] = acc[links + i] + rule.out(p.outs.data() + (i * Rule::n_out * n), n, k);
     }
     for (int i = 0; i < links; ++i) read[i] = total(acc[i]);
     for (int i = 0; i < outs; ++i) out[i] = total(acc[links + i]);
@@ -284,7 +284,7 @@ std::int64_t run_method(const MethodPlan& plan, MethodJob& job) {
                 for (int o = 0; o < p.n_outs; ++o) to[p.channels[o]] += outs[o];
         }
         if (write && !plan.out_memory.empty()) {
-            const double* w = &plan.out_memory[std::size_t(phase) * channels * m];
+            const double* w = plan.out_memory.data() + std::size_t(phase) * channels * m;
             for (int o = 0; o < channels; ++o)
                 for (int j = 0; j < m; ++j) to[o] += w[std::size_t(o) * m + j] * force[j];
         }

@@ -187,7 +187,7 @@ public:
         for (std::size_t k = 0; k < kBlock; ++k)
             for (std::size_t p = 0; p < count; ++p)
                 std::copy_n(on_rows.data() + (k * count + p) * n_rows, n_rows,
-                            &guarded.on_rows[(p * kBlock + k) * n_rows]);
+                            guarded.on_rows.data() + ((p * kBlock + k) * n_rows));
         derive_bounds(c, e.data(), rows.data());
         derive_energy(c);
         laid_out_ = arranged_ = false;
@@ -459,7 +459,7 @@ private:
                 }
             const auto rows = [&](const In& a, std::size_t count) {
                 Array<double> out(count * w, 0.0);
-                for (std::size_t q = 0; q < count; ++q) std::copy_n(a.data() + q * n, n, &out[q * w]);
+                for (std::size_t q = 0; q < count; ++q) std::copy_n(a.data() + q * n, n, out.data() + q * w);
                 return out;
             };
             part.reading = rows(reading, 1), part.yields = rows(yields, 1), part.kick = rows(kick, 2);
@@ -527,8 +527,8 @@ private:
             woven.data.resize((at + 1) * woven.step, 0.0);
             woven.doors.resize((at + 1) * Woven::door_step, 0.0);
             for (; k < end; ++k) {
-                double* const data = &woven.data[at * woven.step + k - first];
-                double* const door = &woven.doors[at * Woven::door_step + k - first];
+                double* const data = woven.data.data() + at * woven.step + k - first;
+                double* const door = woven.doors.data() + (at * Woven::door_step + k - first);
                 const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
                 const double rx = rows[2 * row[k] * n + k], ry = rows[(2 * row[k] + 1) * n + k], one = is_slow;
                 const double tx = rx * (a - one) + ry * g, ty = rx * b + ry * (d - one);
@@ -662,11 +662,11 @@ private:
         l.direct.assign(n_rows * l.force_width, 0.0), l.direct_old.assign(n_rows * l.force_width, 0.0);
         bool mixed_alike = true;
         for (std::size_t p = 0; p < n_rows; ++p) {
-            Array<double> old(&l.pull[p * l.f_width], &l.pull[(p + 1) * l.f_width]);
+            Array<double> old(l.pull.data() + p * l.f_width, l.pull.data() + ((p + 1) * l.f_width));
             for (int j = 0; j < m; ++j) old[j] -= l.mix * l.pull[(n_rows + p) * l.f_width + j];
             for (const double x : old) mixed_alike = mixed_alike && x == 0.0;
-            pushed(&l.pull[(n_rows + p) * l.f_width], &l.direct[p * l.force_width]);
-            pushed(old.data(), &l.direct_old[p * l.force_width]);
+            pushed(l.pull.data() + ((n_rows + p) * l.f_width), l.direct.data() + p * l.force_width);
+            pushed(old.data(), l.direct_old.data() + p * l.force_width);
             if (p && l.port_rows[p] == l.port_rows[p - 1] + 1 && l.port_rows[p] == l.segments.back().row + l.segments.back().n)
                 ++l.segments.back().n;
             else

@@ -250,7 +250,7 @@ public:
             const Guarded& g = c.guarded;
             for (const int p : ws_.loaded[i]) {
                 const double force = ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b];
-                const double* h = &g.on_rows[std::size_t(p) * kBlock * c.n_rows];
+                const double* h = g.on_rows.data() + std::size_t(p) * kBlock * c.n_rows;
                 for (int k = 0; k < nb_ - b; ++k, h += c.n_rows) {
                     double* line = lines_ + std::size_t(b + 1 + k) * layout_.width + layout_.row[i];
                     for (int r = 0; r < c.n_rows; ++r) line[r] += h[r] * force;
@@ -269,8 +269,8 @@ public:
         if (!nl_.k) return;
         const Component& c = components_[i];
         for (const int p : ws_.loaded[i])
-            inputs.push_back({&c.guarded.w[std::size_t(2 * p) * c.n],
-                              &ws_.force[std::size_t(nl_.first[i] + p) * kBlock], 1});
+            inputs.push_back({c.guarded.w.data() + std::size_t(2 * p) * c.n,
+                              ws_.force.data() + (std::size_t(nl_.first[i] + p) * kBlock), 1});
     }
 
     // The same for one that recurs through a whole block.
@@ -279,7 +279,7 @@ public:
         const Guarded& g = components_[i].guarded;
         recur_store<false>(components_[i], x, y,
                               {g.w.data(), g.w_slope.data(), int(ws_.loaded[i].size()), ws_.loaded[i].data(),
-                               &ws_.force[std::size_t(nl_.first[i]) * kBlock], 1, kBlock});
+                               ws_.force.data() + (std::size_t(nl_.first[i]) * kBlock), 1, kBlock});
     }
 
     // Adds the nonlinear forces that readouts hear.
@@ -364,7 +364,7 @@ private:
     }
     const double* x(int i) const { return job_.modes[0] + components_[i].offset; }
     const double* y(int i) const { return job_.modes[1] + components_[i].offset; }
-    double* value(int i, int port) const { return &ws_.value[std::size_t(nl_.first[i] + port) * kStride]; }
+    double* value(int i, int port) const { return ws_.value.data() + (std::size_t(nl_.first[i] + port) * kStride); }
     const double* line_at(int b) const { return lines_ + std::size_t(b) * layout_.width; }
     const double* line_of(const Term& t) const { return lines_ + layout_.row[t.component] + t.port; }
 
@@ -562,7 +562,7 @@ private:
     const double* reach_of(const Term& t) const {
         const Component& c = components_[t.component];
         const std::size_t port = t.guarded ? c.n_ports + t.port : t.port;
-        return &c.guarded.reach[port * (c.n_ports + c.guarded.n)];
+        return c.guarded.reach.data() + (port * (c.n_ports + c.guarded.n));
     }
 
     // Calls visit(port among all of the component) for every port that takes part in this block.
@@ -674,11 +674,11 @@ private:
 
     void respond_to_fixed(int i, int p, int row, double force, double* later) const {
         const Guarded& g = components_[i].guarded;
-        add_response(&g.from_fixed[(std::size_t(p) * g.n + row) * kBlock], force, later);
+        add_response(g.from_fixed.data() + ((std::size_t(p) * g.n + row) * kBlock), force, later);
     }
     void respond_to_guarded(int i, int p, int row, int b, double* later) const {
         const Guarded& g = components_[i].guarded;
-        add_response(&g.from_guarded[(std::size_t(p) * g.n + row) * kBlock],
+        add_response(g.from_guarded.data() + ((std::size_t(p) * g.n + row) * kBlock),
                      ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b], later);
     }
     static void add_response(const double* h, double force, double* later) {
@@ -712,7 +712,7 @@ private:
             const double* at = t.guarded ? value(t.component, t.port) + b : line_of(t) + std::size_t(b) * layout_.width;
             gap += t.factor * at[0], free += t.factor * at[t.guarded ? 1 : layout_.width];
         }
-        const double* row = &nl_.from_linear[std::size_t(j) * m_];
+        const double* row = nl_.from_linear.data() + std::size_t(j) * m_;
         if (!any_tense_) free += dot(row, ws_.f0.data(), m_);
         if (nl_.series[j] >= 0) {
             gap += ws_.series[j];
@@ -732,11 +732,11 @@ private:
     // What connection j calls up in the linear ones, and what it moves with them: few of all contacts ever act.
     void know(int j) {
         const std::size_t width = layout_.f_width, k = nl_.k;
-        double* const answer = &ws_.answer[j * width];
-        const double* const moved = &nl_.to_linear[j * width];
-        for (int i = 0; i < m_; ++i) answer[i] = dot(&solve_.g[std::size_t(i) * m_], moved, m_);
+        double* const answer = ws_.answer.data() + j * width;
+        const double* const moved = nl_.to_linear.data() + j * width;
+        for (int i = 0; i < m_; ++i) answer[i] = dot(solve_.g.data() + std::size_t(i) * m_, moved, m_);
         for (std::size_t i = 0; i < k; ++i)
-            ws_.z[i * k + j] = nl_.compliance[i * k + j] - dot(&nl_.from_linear[i * m_], answer, m_);
+            ws_.z[i * k + j] = nl_.compliance[i * k + j] - dot(nl_.from_linear.data() + i * m_, answer, m_);
         ws_.known[j] = 1;
     }
 
@@ -787,7 +787,7 @@ private:
     void combine(int b, double* f, double* now) {
         std::copy_n(ws_.f0.data(), layout_.f_width, f);
         for (const int j : ws_.active) {
-            const double force = ws_.law_force[j], *answer = &ws_.answer[std::size_t(j) * layout_.f_width];
+            const double force = ws_.law_force[j], *answer = ws_.answer.data() + std::size_t(j) * layout_.f_width;
             for (int k = 0; k < layout_.f_width; ++k) f[k] -= answer[k] * force;
         }
         distribute(b, f, now);
@@ -824,7 +824,7 @@ private:
         const int port = nl_.first[t.component] + t.port;
         if (ws_.is_loaded[port]) return;
         ws_.is_loaded[port] = 1, loads_ = true;
-        std::fill_n(&ws_.force[std::size_t(port) * kBlock], kBlock, 0.0);
+        std::fill_n(ws_.force.data() + std::size_t(port) * kBlock, kBlock, 0.0);
         auto& list = ws_.loaded[t.component];
         list.insert(std::upper_bound(list.begin(), list.end(), t.port), t.port);
         if (const int group = nl_.group_of[t.component]; group >= 0) {
@@ -843,7 +843,7 @@ private:
         for (const int q : ws_.active) {  // a force moves its own group and nothing else
             if (!series_lives(q)) continue;
             const double push = per * ws_.law_force[q];
-            const double* const __restrict row = &nl_.residual[std::size_t(q) * k];
+            const double* const __restrict row = nl_.residual.data() + std::size_t(q) * k;
             for (int j = 0; j < k; ++j) after[j] += row[j] * push;
         }
         double farthest = 0.0;

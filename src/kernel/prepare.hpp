@@ -94,7 +94,7 @@ void derive_energy(Component& c) {
         }
     if (!(whole > 0.0)) return;
     for (std::size_t r = 0; r < count; ++r) {
-        const double *x = &g.rows[2 * r * n], *y = x + n;
+        const double *x = g.rows.data() + 2 * r * n, *y = x + n;
         double along = 0.0, swing = 0.0;
         for (std::size_t k = 0; k < n; ++k) {
             if (modes[k].compliance > 0.0)
@@ -147,7 +147,7 @@ void derive_taut(Component& c, const double* e, const double* gain) {
         if (g == 0.0 && e00 == 0.0) continue;  // padding
         if (!(g > 0.0) || e01 == 0.0) throw std::invalid_argument("a mode of a stretched string does not yield to force");
         const double root = std::sqrt(g), det = e00 * e11 - e01 * e10, tilt = gain[n + k] / g;
-        double* const to = &s.taut[k / kPadding * kPadding * step + k % kPadding];
+        double* const to = s.taut.data() + (k / kPadding * kPadding * step + k % kPadding);
         const double numbers[kTautNumbers] = {s.half[k], det, (1 - e00) * (1 - e11) - e01 * e10,
                                               e01 * tilt - e11 + det};
         for (int i = 0; i < kTautNumbers; ++i) to[i * kPadding] = numbers[i];
@@ -259,7 +259,7 @@ void arrange(std::vector<Component>& components, const Layout& layout, Nonlinear
                 const double size = std::abs(t.factor), of_slack = size / ((1 - kQuiet) * room);
                 group.tightest[q] = std::max(group.tightest[q], size * c.guarded.peak[t.port] / room);
                 const double* reach =
-                    &c.guarded.reach[std::size_t(c.n_ports + t.port) * (c.n_ports + c.guarded.n)];
+                    c.guarded.reach.data() + (std::size_t(c.n_ports + t.port) * (c.n_ports + c.guarded.n));
                 for (int p = 0; p < c.n_ports; ++p)
                     group.worth[q][p] = std::max(group.worth[q][p], of_slack * reach[p]);
                 if (c.stretched.on)
@@ -347,9 +347,9 @@ void arrange_ports(const std::vector<Component>& components, const Layout& l, co
     to.onto_linear.assign(n * l.f_width, 0.0), to.onto_forces.assign(n * l.force_width, 0.0);
     for (const int p : to.real) {
         const std::size_t from = to.ports[p].place;
-        const double *linear = &l.pull[(n_places + from) * l.f_width], *forces = &l.direct[from * l.force_width];
-        std::copy_n(linear, l.f_width, &to.onto_linear[std::size_t(p) * l.f_width]);
-        std::copy_n(forces, l.force_width, &to.onto_forces[std::size_t(p) * l.force_width]);
+        const double *linear = l.pull.data() + ((n_places + from) * l.f_width), *forces = l.direct.data() + from * l.force_width;
+        std::copy_n(linear, l.f_width, to.onto_linear.data() + std::size_t(p) * l.f_width);
+        std::copy_n(forces, l.force_width, to.onto_forces.data() + std::size_t(p) * l.force_width);
         for (const int q : to.real) to.onto_ports[std::size_t(p) * width + q] = forces[to.ports[q].force];
     }
 }

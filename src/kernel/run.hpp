@@ -258,7 +258,7 @@ Fault run(std::vector<Component>& components, const Layout& layout, const Solve&
             if (!c.driven && woven[i]) continue;
             if (!(recurs && woven[i]))
                 for (int p = 0; p < c.n_ports; ++p)
-                    inputs.push_back({&c.w[std::size_t(2 * p) * c.n], pushes + p, force_width});
+                    inputs.push_back({c.w.data() + std::size_t(2 * p) * c.n, pushes + p, force_width});
             if (nb < kBlock) laws.add_inputs(i, inputs);
             if (!c.driven) {
                 if (recurs)

@@ -102,8 +102,8 @@ void turn(const Component& c, double* sx, double* sy, const Input* inputs, int n
 
     for (std::size_t k = 0; k < n; k += P::size) {
         P x = P::load(sx + k), y = P::load(sy + k);
-        const P e00 = P::load(&c.e[k]), e01 = P::load(&c.e[n + k]);
-        const P e10 = P::load(&c.e[2 * n + k]), e11 = P::load(&c.e[3 * n + k]);
+        const P e00 = P::load(c.e.data() + k), e01 = P::load(c.e.data() + n + k);
+        const P e10 = P::load(c.e.data() + 2 * n + k), e11 = P::load(c.e.data() + 3 * n + k);
         for (int s = 0; s < nb; ++s) {
             if constexpr (Read) x.store(path_x + s * P::size), y.store(path_y + s * P::size);
             const P turned = mul_add(e00, x, e01 * y);
@@ -147,19 +147,19 @@ void recur_read(const Component& c, const double* sx, const double* sy, const Ro
         };
         in_packs<kPack>(n, [&]<int N>(std::size_t k) {
             using P = Pack<N>;
-            const P x = P::load(sx + k), y = P::load(sy + k), det = P::load(&c.det[k]);
+            const P x = P::load(sx + k), y = P::load(sy + k), det = P::load(c.det.data() + k);
             P s = mul_add(P::load(row + k), x, P::load(row + n + k) * y);
             P d = mul_add(P::load(slope + k), x, P::load(slope + n + k) * y);
             add(0, s);
             if (c.slow[k / kGranule]) {
-                const P kappa = P::load(&c.kappa[k]);
+                const P kappa = P::load(c.kappa.data() + k);
                 for (int b = 1; b <= kBlock; ++b) {
                     s = s + d;
                     d = neg_mul_add(kappa, s, det * d);
                     add(b, s);
                 }
             } else {
-                const P trace = P::load(&c.trace[k]);
+                const P trace = P::load(c.trace.data() + k);
                 P t = s + d;
                 for (int b = 1; b < kBlock; b += 2) {
                     add(b, t);
@@ -182,12 +182,12 @@ void recur_store(const Component& c, double* sx, double* sy, const Ports& ports)
         const P x = P::load(sx + k), y = P::load(sy + k);
         P nx = x, ny = y;
         if constexpr (Advance) {
-            nx = mul_add(P::load(&c.e_block[k]), x, P::load(&c.e_block[n + k]) * y);
-            ny = mul_add(P::load(&c.e_block[3 * n + k]), y, P::load(&c.e_block[2 * n + k]) * x);
+            nx = mul_add(P::load(c.e_block.data() + k), x, P::load(c.e_block.data() + n + k) * y);
+            ny = mul_add(P::load(c.e_block.data() + 3 * n + k), y, P::load(c.e_block.data() + 2 * n + k) * x);
         }
         static_assert(kGranule % P::size == 0);
         const bool slow = c.slow[k / kGranule] != 0;
-        const P det = P::load(&c.det[k]), other = P::load(slow ? &c.kappa[k] : &c.trace[k]);
+        const P det = P::load(c.det.data() + k), other = P::load(slow ? c.kappa.data() + k : c.trace.data() + k);
         for (int i = 0; i < ports.count; ++i) {
             const std::size_t p = ports[i];
             const double* f = ports.forces + std::ptrdiff_t(p) * ports.port_stride;

@@ -116,7 +116,7 @@ private:
                     S::store(then + k + q, out * (both * S::load(state + 2 * kPadding + q) - xi));
                 }
         }
-        const double* const row = &c.guarded.rows[2 * std::size_t(t.port) * n];
+        const double* const row = c.guarded.rows.data() + (2 * std::size_t(t.port) * n);
         V first{}, second{}, sizes{};
         for (std::size_t k = 0; k < n; k += S::width) {
             const V r = S::load(row + k), a = r * S::load(before + k), z = r * S::load(then + k);
@@ -157,7 +157,7 @@ private:
         const int n = int(ports.ports.size());
         const double* linear = stretched_.linear_part();
         for (const int j : ws_.active) {
-            const double free = dot(&nl_.from_linear[std::size_t(j) * m_], linear, m_);
+            const double free = dot(nl_.from_linear.data() + std::size_t(j) * m_, linear, m_);
             ports.law_free[j] = ws_.rest_p[j] - free;
             ws_.size[j] = std::max(ws_.size[j], std::abs(free));
         }
@@ -182,7 +182,7 @@ private:
         stretched_.add_moved();
         stretched_.linear_forces(f);
         for (const int j : ws_.active) {
-            const double* answer = &ws_.answer[std::size_t(j) * layout_.f_width];
+            const double* answer = ws_.answer.data() + std::size_t(j) * layout_.f_width;
             for (int q = 0; q < layout_.f_width; ++q) f[q] -= answer[q] * ws_.law_force[j];
         }
         laws_.distribute(b, f, now);
@@ -240,14 +240,14 @@ private:
             add_product(ws_.inverse.data(), int(w), z + i * w, a, answers + i * w);
         }
         for (int p = 0; p < n; ++p) {
-            const double* meets = &ports.active_meets[p * w];
-            double *const caught = &ports.caught[p * w], *const onto = &ports.onto_with_laws[std::size_t(p) * width];
+            const double* meets = ports.active_meets.data() + p * w;
+            double *const caught = ports.caught.data() + p * w, *const onto = ports.onto_with_laws.data() + std::size_t(p) * width;
             for (int i = 0; i < a; ++i) ports.active_free[i] = ports.law_slope[i] * meets[i];
             std::fill_n(caught, w, 0.0);
             add_product(answers, int(w), ports.active_free.data(), a, caught);
             for (int i = 0; i < a; ++i) ports.active_free[i] = -caught[i];
             add_product(ports.active_ports.data(), width, ports.active_free.data(), a,
-                        &ports.onto_ports[std::size_t(p) * width], onto);
+                        ports.onto_ports.data() + std::size_t(p) * width, onto);
         }
         ports.folded = true;
     }
@@ -256,7 +256,7 @@ private:
     void know(int j) {
         TensePorts& ports = ts_.ports;
         const std::size_t n = ports.ports.size(), m = m_;
-        double *const meets = &ports.meets[std::size_t(j) * ports.width], *const forces = ports.law_forces.data();
+        double *const meets = ports.meets.data() + std::size_t(j) * ports.width, *const forces = ports.law_forces.data();
         std::fill_n(forces, layout_.force_width, 0.0);
         const auto takes = [&](const Term& t) {
             if (t.guarded) return;
@@ -266,8 +266,8 @@ private:
         std::fill_n(meets, ports.width, 0.0);
         for (const Term& t : nl_.terms[j]) takes(t);
         for (const Term& t : nl_.driven[j]) takes(t);
-        const double *from_linear = &nl_.from_linear[j * m], *answer = &ws_.answer[std::size_t(j) * layout_.f_width];
-        for (std::size_t t = 0; t < n; ++t) meets[t] += dot(from_linear, &ports.onto_linear[t * layout_.f_width], m_);
+        const double *from_linear = nl_.from_linear.data() + j * m, *answer = ws_.answer.data() + std::size_t(j) * layout_.f_width;
+        for (std::size_t t = 0; t < n; ++t) meets[t] += dot(from_linear, ports.onto_linear.data() + t * layout_.f_width, m_);
         for (std::size_t q = 0; q < m; ++q)
             for (int p = 0; p < layout_.force_width; ++p)
                 forces[p] -= answer[q] * layout_.push[q * layout_.force_width + p];
@@ -287,7 +287,7 @@ private:
             const std::size_t j = ws_.active[i];
             if (!ports.known[j]) know(int(j));
             for (std::size_t p = 0; p < n; ++p) ports.active_meets[p * w + i] = ports.meets[j * width + p];
-            std::copy_n(&ports.law_ports[j * width], width, &ports.active_ports[i * width]);
+            std::copy_n(ports.law_ports.data() + j * width, width, ports.active_ports.data() + i * width);
         }
     }
 
@@ -345,13 +345,13 @@ private:
     const double* phi(int i, int p) const {
         const Component& c = components_[i];
         const std::size_t n = c.n;
-        return p < c.n_ports ? &c.stretched.phi[p * n]
-                             : &c.stretched.guarded_phi[ts_.active_ports[i][p - c.n_ports] * n];
+        return p < c.n_ports ? c.stretched.phi.data() + p * n
+                             : c.stretched.guarded_phi.data() + (ts_.active_ports[i][p - c.n_ports] * n);
     }
     const double* per_force(int i, int p) const {
         const Component& c = components_[i];
         const std::size_t n = c.n;
-        return p < c.n_ports ? &c.stretched.c[p * n] : &c.stretched.guarded_c[ts_.active_ports[i][p - c.n_ports] * n];
+        return p < c.n_ports ? c.stretched.c.data() + p * n : c.stretched.guarded_c.data() + (ts_.active_ports[i][p - c.n_ports] * n);
     }
 
     // Compliance between two ports in use without additional tension, p <= q.
@@ -394,7 +394,7 @@ private:
         const int m = m_, a = int(ws_.active.size()), k = nl_.k;
         const std::size_t w = m + a;
         double *all = ts_.all.data(), *v = ts_.right.data(), *M = ts_.matrix.data();
-        for (int i = 0; i < m; ++i) std::copy_n(&tensions_.matrix[std::size_t(i) * m], m, all + i * w);
+        for (int i = 0; i < m; ++i) std::copy_n(tensions_.matrix.data() + std::size_t(i) * m, m, all + i * w);
         for (int s = 0; s < a; ++s) {
             const std::size_t j = ws_.active[s];
             for (int q = 0; q < m; ++q)
@@ -426,7 +426,7 @@ private:
         std::fill_n(f, layout_.f_width, 0.0);
         if (!stretched_.solve_linear(M, v, f)) return false;
         for (int s = 0; s < a; ++s) {
-            double* x = &ts_.called[std::size_t(s) * m];
+            double* x = ts_.called.data() + std::size_t(s) * m;
             for (int q = 0; q < m; ++q) v[q] = all[q * w + m + s];
             if (!stretched_.solve_linear(M, v, x)) return false;
         }
@@ -437,7 +437,7 @@ private:
             ws_.size[j] = std::max(ws_.size[j], std::abs(ws_.offset_after[j] - ws_.free_p[j]));
             for (int t = 0; t < a; ++t) {
                 double z = row[m + t];
-                const double* x = &ts_.called[std::size_t(t) * m];
+                const double* x = ts_.called.data() + std::size_t(t) * m;
                 for (int q = 0; q < m; ++q) z += row[q] * x[q];
                 ts_.z[std::size_t(j) * k + ws_.active[t]] = z;
             }
@@ -452,7 +452,7 @@ private:
         const bool done = find_forces(nl_, ws_, ts_.z.data(), iterations);
         if (!laws_.found(done, iterations)) return false;
         for (int s = 0; s < a; ++s) {
-            const double force = ws_.law_force[ws_.active[s]], *x = &ts_.called[std::size_t(s) * m];
+            const double force = ws_.law_force[ws_.active[s]], *x = ts_.called.data() + std::size_t(s) * m;
             for (int q = 0; q < m; ++q) f[q] += x[q] * force;
         }
         return true;
@@ -476,7 +476,7 @@ private:
         list.clear();
         for (const int p : ws_.loaded[i]) {
             const double force = ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b];
-            if (force != 0.0) list.push_back({&c.guarded.rows[2 * p * n], force});
+            if (force != 0.0) list.push_back({c.guarded.rows.data() + 2 * p * n, force});
         }
     }
 
@@ -498,15 +498,15 @@ private:
         V gained{}, slopes{}, sizes{};
         for (std::size_t k = 0; k < n; k += S::width) {
             V D = S::load(u + k);
-            for (int p = 0; p < c.n_ports; ++p) D += S::load(&s.c[p * n + k]) * f[p];
+            for (int p = 0; p < c.n_ports; ++p) D += S::load(s.c.data() + p * n + k) * f[p];
             for (const int p : ws_.loaded[i])
-                D += S::load(&s.guarded_c[p * n + k]) * ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b];
-            const V yield = 1.0 / (1.0 + S::load(&s.half[k]) * tension), a = S::load(&s.a[k]), y = S::load(here + k);
+                D += S::load(s.guarded_c.data() + p * n + k) * ws_.force[std::size_t(nl_.first[i] + p) * kBlock + b];
+            const V yield = 1.0 / (1.0 + S::load(s.half.data() + k) * tension), a = S::load(s.a.data() + k), y = S::load(here + k);
             D *= yield;
             S::store(to + k, D - y);
             const V aD = a * D;
             gained += aD * (D - y - y);
-            slopes += aD * S::load(&s.half[k]) * yield * (D - y);
+            slopes += aD * S::load(s.half.data() + k) * yield * (D - y);
             sizes += aD * D;
         }
         after += S::sum(gained), slope -= 2 * S::sum(slopes), size += S::sum(sizes);
@@ -544,7 +544,7 @@ private:
                 move_stretch(i, b, ts_.used[ts_.ports.string_of[i]], now + layout_.port[i], unused[0], unused[1], unused[2]);
                 is_moved_[i] = 1;
             }
-            return product(t.guarded ? &c.stretched.guarded_phi[port * n] : &c.stretched.phi[port * n],
+            return product(t.guarded ? c.stretched.guarded_phi.data() + port * n : c.stretched.phi.data() + port * n,
                            stretched_.buffer(ts_.moved, i), c.n);
         }
         double y = t.guarded ? laws_.value(i, t.port)[b + 1] : laws_.line_of(t)[std::size_t(b + 1) * layout_.width];

@@ -154,7 +154,7 @@ void visit(const Component& c, double* state, const Visit& v) {
 // polynomial, the first one less what it is at rest.
 void compliances(const Component& c, double at, int p, int q, double* out) {
     const std::size_t n = c.n;
-    const double *to = &c.rows[2 * std::size_t(p) * n], *from = &c.rows[2 * std::size_t(q) * n];
+    const double *to = c.rows.data() + 2 * std::size_t(p) * n, *from = c.rows.data() + 2 * std::size_t(q) * n;
     std::fill_n(out, kTaylor, 0.0);
     for (std::size_t k = 0; k < n; ++k) {
         const double gain = c.stretched.gain[k], half = c.stretched.half[k];

@@ -39,10 +39,10 @@ class SoftTurns {
 
 public:
     SoftTurns(TensePorts& ports, TensionSpace& ws, const double* onto, const double* fixed)
-        : ports_(ports), ws_(ws), onto_(onto), at_(S::load(&ws.at[0])), tension_(S::load(&ws.tension[0])) {
+        : ports_(ports), ws_(ws), onto_(onto), at_(S::load(ws.at.data() + 0)), tension_(S::load(ws.tension.data() + 0)) {
         for (int p = 0; p < n; ++p) {
             fixed_[p] = S::load(fixed + p * S::width);
-            force_[p] = S::load(&ports.force[p * S::width]);
+            force_[p] = S::load(ports.force.data() + (p * S::width));
         }
     }
 
@@ -64,18 +64,18 @@ public:
         }
         move();
         answer();
-        S::store(&ws_.tension[0], tension_), S::store(&ws_.after[0], gained_), S::store(&ws_.pushed[0], push_);
+        S::store(ws_.tension.data() + 0, tension_), S::store(ws_.after.data() + 0, gained_), S::store(ws_.pushed.data() + 0, push_);
         V sharp{};
         each_pair([&](int pair, int to, int from) {
-            const V third = S::load(&ports_.changes[3 * std::size_t(ports_.pair_width) + pair * S::width]);
+            const V third = S::load(ports_.changes.data() + (3 * std::size_t(ports_.pair_width) + pair * S::width));
             sharp += size(force_[to] * force_[from] * third) * (to == from ? 1.0 : 2.0);
         });
-        S::store(&ws_.sharp[0], sharp);
+        S::store(ws_.sharp.data() + 0, sharp);
         V moved[n];
         follow(moved);
         for (int p = 0; p < n; ++p) {
-            S::store(&ports_.alone[p * S::width], alone_[p]), S::store(&ports_.moved[p * S::width], moved[p]);
-            S::store(&ports_.force[p * S::width], force_[p]);
+            S::store(ports_.alone.data() + (p * S::width), alone_[p]), S::store(ports_.moved.data() + (p * S::width), moved[p]);
+            S::store(ports_.force.data() + (p * S::width), force_[p]);
         }
         return done;
     }
@@ -89,17 +89,17 @@ private:
             for (int c = 0; c < C; ++c) use(n + c, 2 * c, 2 * c + 1);
     }
     V sum(int kind, int p) const {
-        return S::load(&ports_.sums[kSharedSums * S::width + (std::size_t(kind) * n + p) * S::width]);
+        return S::load(ports_.sums.data() + (kSharedSums * S::width + (std::size_t(kind) * n + p) * S::width));
     }
-    V shared(int kind) const { return S::load(&ports_.sums[std::size_t(kind) * S::width]); }
+    V shared(int kind) const { return S::load(ports_.sums.data() + (std::size_t(kind) * S::width)); }
 
     // To the tensions tried.
     void move() {
         const V by = tension_ - at_;
         for (int p = 0; p < n; ++p) alone_[p] = sum(1, p) - by * (sum(2, p) - by * sum(4, p));
         for (int q = 0; q < n_pairs; ++q) {
-            const V slope = S::load(&ports_.slope_at[q * S::width]), bend = by * S::load(&ports_.bend_at[q * S::width]);
-            change_[q] = S::load(&ports_.change_at[q * S::width]) + by * (slope + bend);
+            const V slope = S::load(ports_.slope_at.data() + (q * S::width)), bend = by * S::load(ports_.bend_at.data() + (q * S::width));
+            change_[q] = S::load(ports_.change_at.data() + (q * S::width)) + by * (slope + bend);
             slope_[q] = slope + 2.0 * bend;
         }
     }
@@ -131,8 +131,8 @@ private:
 
     // Newton's step of every tension; marks those that another one may still change by more than nothing.
     V raise(double left) {
-        const V by = tension_ - at_, kappa = S::load(&ports_.kappa[0]), over_most = S::load(&ports_.over_most[0]);
-        const V bent = shared(3) + 2.0 * shared(4), stretch = S::load(&ws_.stretch[0]);
+        const V by = tension_ - at_, kappa = S::load(ports_.kappa.data() + 0), over_most = S::load(ports_.over_most.data() + 0);
+        const V bent = shared(3) + 2.0 * shared(4), stretch = S::load(ws_.stretch.data() + 0);
         V gained = shared(1) - by * (2.0 * shared(2) - by * bent), falls = 2.0 * (shared(2) - by * bent), push{};
         for (int p = 0; p < n; ++p) {
             const V crossed = 4.0 * force_[p], turns = sum(4, p) + sum(5, p);

@@ -40,7 +40,7 @@ public:
             for (const int i : tensions_.strings[s].components) {
                 pushed_[i].reserve(components[i].guarded.n);
                 part_of_[i] = int(parts_.size());
-                parts_.push_back({&components[i], &known_[i], &pushed_[i], taut_.state(i), lanes(ports_.own[i]),
+                parts_.push_back({components.data() + i, known_.data() + i, pushed_.data() + i, taut_.state(i), lanes(ports_.own[i]),
                                   forces_.data() + n_forces, layout_.port[i], i, s});
                 n_forces += components[i].n_ports;
             }
@@ -142,9 +142,9 @@ private:
                 const V stretch = last * of<S>(ports_.over_kappa, s) - old;
                 const V gone_on = kappa * (stretch + 3 * (stretch - old) + of<S>(ws_.past, s));
                 foreseen = kappa > 0.0 ? gone_on : foreseen;
-                S::store(&ws_.past[s], old);
+                S::store(ws_.past.data() + s, old);
             }
-            S::store(&ws_.at[s], foreseen > 0.0 ? foreseen : V{});
+            S::store(ws_.at.data() + s, foreseen > 0.0 ? foreseen : V{});
         }
     }
 
@@ -284,7 +284,7 @@ private:
         for (int s = 0; s < ports_.strings; s += S::width) {
             const V at = of<S>(ws_.at, s), least_tension = of<S>(ports_.kappa, s) * of<S>(ws_.stretch, s);
             const V mark = least_tension > at + kFar * (at + of<S>(ports_.over_most, s)) ? V{} + 1.0 : V{};
-            S::store(&ws_.far[s], mark), S::store(&ws_.tension[s], most(of<S>(ws_.tension, s), least_tension));
+            S::store(ws_.far.data() + s, mark), S::store(ws_.tension.data() + s, most(of<S>(ws_.tension, s), least_tension));
             beyond += mark;
         }
         return S::sum(beyond) != 0.0;
@@ -406,10 +406,10 @@ private:
                 for (int j = kTaylor - 1; j >= 0; --j) {
                     bend = bend * by + rise;
                     rise = rise * by + value;
-                    value = value * by + S::load(&ports_.changes[std::size_t(j) * ports_.pair_width + q]);
+                    value = value * by + S::load(ports_.changes.data() + (std::size_t(j) * ports_.pair_width + q));
                 }
-                S::store(&ports_.change_at[q], value), S::store(&ports_.slope_at[q], rise);
-                S::store(&ports_.bend_at[q], bend);
+                S::store(ports_.change_at.data() + q, value), S::store(ports_.slope_at.data() + q, rise);
+                S::store(ports_.bend_at.data() + q, bend);
             }
         }
         return true;
@@ -422,11 +422,11 @@ private:
         for (int s = 0; s < ports_.strings; s += S::width) {
             const V by = of<S>(ws_.tension, s) - of<S>(ws_.at, s);
             for (int p = s; p < n_ports(); p += ports_.strings)
-                S::store(&ports_.alone[p], port_sum<S>(1, p) - by * (port_sum<S>(2, p) - by * port_sum<S>(4, p)));
+                S::store(ports_.alone.data() + p, port_sum<S>(1, p) - by * (port_sum<S>(2, p) - by * port_sum<S>(4, p)));
             for (int q = s; q < ports_.pair_width; q += ports_.strings) {
                 const V slope = of<S>(ports_.slope_at, q), bend = by * of<S>(ports_.bend_at, q);
-                S::store(&ports_.change[q], of<S>(ports_.change_at, q) + by * (slope + bend));
-                S::store(&ports_.slope[q], slope + 2.0 * bend);
+                S::store(ports_.change.data() + q, of<S>(ports_.change_at, q) + by * (slope + bend));
+                S::store(ports_.slope.data() + q, slope + 2.0 * bend);
             }
         }
     }
@@ -530,10 +530,10 @@ private:
     }
 
     template <class S>
-    static auto of(const Array<double>& a, int p) { return S::load(&a[p]); }
-    const double* shared_sum(int kind) const { return &ports_.sums[std::size_t(kind) * ports_.strings]; }
+    static auto of(const Array<double>& a, int p) { return S::load(a.data() + p); }
+    const double* shared_sum(int kind) const { return ports_.sums.data() + std::size_t(kind) * ports_.strings; }
     const double* port_sum(int kind) const {
-        return &ports_.sums[std::size_t(kSharedSums) * ports_.strings + std::size_t(kind) * ports_.ports.size()];
+        return ports_.sums.data() + (std::size_t(kSharedSums) * ports_.strings + std::size_t(kind) * ports_.ports.size());
     }
     template <class S>
     auto shared_sums(int kind, int s) const { return S::load(shared_sum(kind) + s); }
@@ -545,7 +545,7 @@ private:
     auto raise_tensions(bool by_secant) {
         using V = typename S::V;
         V changed{};
-        const double* const third = &ports_.changes[3 * std::size_t(ports_.pair_width)];
+        const double* const third = ports_.changes.data() + (3 * std::size_t(ports_.pair_width));
         for (int s = 0; s < ports_.strings; s += S::width) {
             const V tension = of<S>(ws_.tension, s), at = of<S>(ws_.at, s), by = tension - at;
             const V bent = shared_sums<S>(3, s) + 2.0 * shared_sums<S>(4, s), kappa = of<S>(ports_.kappa, s);
@@ -561,19 +561,19 @@ private:
                                   (pair.to == pair.from ? 2.0 : 4.0);
                 push -= both * of<S>(ports_.slope, pair.pair + s), bends += size(both * S::load(third + pair.pair + s));
             }
-            S::store(&ws_.after[s], gained), S::store(&ws_.pushed[s], push), S::store(&ws_.sharp[s], 0.5 * bends);
+            S::store(ws_.after.data() + s, gained), S::store(ws_.pushed.data() + s, push), S::store(ws_.sharp.data() + s, 0.5 * bends);
             const V least_tension = kappa * of<S>(ws_.stretch, s), over_most = of<S>(ports_.over_most, s);
             const V excess = tension - least_tension - kappa * (gained + push);
             const V reach = kFar * (at + over_most), steepness = most(1.0 + kappa * falls, V{} + 0.5);
             const V secant = (excess - of<S>(ws_.last_excess, s)) / (tension - of<S>(ws_.last_tension, s));
-            S::store(&ws_.last_excess[s], excess), S::store(&ws_.last_tension[s], tension);
+            S::store(ws_.last_excess.data() + s, excess), S::store(ws_.last_tension.data() + s, tension);
             const auto within = [&](V next) { return most(most(least(next, at + reach), at - reach), least_tension); };
             const V near = within(tension - excess / steepness);
             // that was at constant forces; a secant knows how they answer, and goes less far where it is steeper
             const V next = by_secant ? (secant > steepness ? within(tension - excess / secant) : near) : near;
             const V none = still(near, over_most);
             const auto stays = size(near - tension) <= none;
-            S::store(&ws_.tension[s], stays ? tension : next);
+            S::store(ws_.tension.data() + s, stays ? tension : next);
             changed += stays ? V{} : V{} + 1.0;
         }
         return changed;
@@ -597,7 +597,7 @@ private:
             const V is_far = lost * lost * crossed <= left * left ? V{} : V{} + 1.0;
             const V marks = left >= 0.0 ? is_far : V{} + 1.0;
             const V mark = near <= kTold ? marks : V{} + 1.0;
-            S::store(&ws_.far[s], mark);
+            S::store(ws_.far.data() + s, mark);
             far += mark;
         }
         return S::sum(far) == 0.0;
@@ -652,7 +652,7 @@ private:
         double* line = lines + std::size_t(b) * layout_.width + layout_.row[i];
         const double *const sx = job_.modes[0] + c.offset, *const sy = job_.modes[1] + c.offset;
         for (int r = first; r < c.n_rows; ++r) {
-            const double *rx = &c.rows[2 * std::size_t(r) * c.n], *ry = rx + c.n;
+            const double *rx = c.rows.data() + 2 * std::size_t(r) * c.n, *ry = rx + c.n;
             V sum{}, more{};
             for (int k = 0; k < c.n; k += kWidth) {
                 sum += S::load(rx + k) * S::load(sx + k);
@@ -709,7 +709,7 @@ private:
                 double change = 0.0, size = 0.0;
                 for (int i = 0; i < m; ++i) wrong[i] = -v[i] - dot(M + std::size_t(i) * m, now, m);
                 for (int i = 0; i < m; ++i) {
-                    const double sum = dot(&ws_.inverse[std::size_t(i) * m], wrong, m);
+                    const double sum = dot(ws_.inverse.data() + std::size_t(i) * m, wrong, m);
                     now[i] += sum;
                     change = std::max(change, std::abs(sum) * ws_.scale[i]);
                     size = std::max(size, std::abs(now[i]) * ws_.scale[i]);

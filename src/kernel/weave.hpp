@@ -225,7 +225,7 @@ public:
         if (kind != Passage::out) std::fill(sums_.begin(), sums_.end(), 0.0);
         for (const Beams& b : beams_) {
             const auto go = [&]<bool slow, bool one_row>() {
-                tonewood::pass<kind, slow, one_row>(&warps_[b.first], b.n, b.n_ports, first, layout_.force_width);
+                tonewood::pass<kind, slow, one_row>(warps_.data() + b.first, b.n, b.n_ports, first, layout_.force_width);
             };
             if (b.one_row) {
                 if (b.slow) go.template operator()<true, true>();
@@ -242,7 +242,7 @@ public:
         constexpr int lanes = Simd::width;
         for (const Strip& strip : strips_) {
             const Component& c = components_[strip.component];
-            const double* const acc = &sums_[strip.sums];
+            const double* const acc = sums_.data() + strip.sums;
             double* const to = c.driven ? driven[strip.component].data() : lines + layout_.row[strip.component];
             if (c.driven || strip.n_rows < lanes) {
                 const int samples = c.driven ? 1 : layout_.width, rows = c.driven ? kBlock + 1 : 1;
@@ -281,8 +281,8 @@ private:
                 if (chunk.row != row || chunk.slow != slow) continue;
                 double* const modes = job_.modes[0] + c.offset + chunk.first;
                 double* const others = job_.modes[1] + c.offset + chunk.first;
-                left_.push_back({&woven.data[k * woven.step], &woven.doors[k * Woven::door_step],
-                                 modes, others, &sums_[sums_of_[i] + row * kRow], force_ + layout_.port[i], chunk.count});
+                left_.push_back({woven.data.data() + k * woven.step, woven.doors.data() + (k * Woven::door_step),
+                                 modes, others, sums_.data() + (sums_of_[i] + row * kRow), force_ + layout_.port[i], chunk.count});
             }
             const std::size_t whole = (left_.size() - before) / kBeam * kBeam;
             put(left_.data() + before, whole, woven.n_ports, slow);
