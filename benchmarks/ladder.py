@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 import tonewood as tw
 from tonewood.instrument.assembly import Model, assemble
-from tonewood.numerics.forcing import compile_force
-from tonewood.numerics.kernel import KernelStepper, instruction_set
+from tonewood.stepping.forcing import compile_force
+from tonewood.stepping.kernel import KernelStepper, instruction_set
 
 BLOCK = 256
 #: clearances at which no fret is reached by this pluck, and at which the strings buzz

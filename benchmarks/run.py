@@ -24,13 +24,13 @@ import numpy as np
 
 import tonewood as tw
 from tonewood import _kernel
+from tonewood.coupling.connections import Connection, Rigid, Term
+from tonewood.coupling.system import Probe, Readout, System
+from tonewood.energy.account import EnergyAccount
 from tonewood.engine.engine import GRID, Engine
-from tonewood.numerics.connections import Connection, Rigid, Term
-from tonewood.numerics.energy import EnergyAccount
-from tonewood.numerics.forcing import Segment, compile_force
-from tonewood.numerics.kernel import KernelStepper, instruction_set
-from tonewood.numerics.stepper import NumpyStepper
-from tonewood.numerics.system import Probe, Readout, System
+from tonewood.stepping.forcing import Segment, compile_force
+from tonewood.stepping.kernel import KernelStepper, instruction_set
+from tonewood.stepping.stepper import NumpyStepper
 
 ROOT = Path(__file__).parents[1]
 FS = 48000

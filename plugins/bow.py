@@ -8,7 +8,7 @@ hyperbola of Smith & Woodhouse (2000, J. Mech. Phys. Solids 48, 1633). Between S
 
 the string moves as Helmholtz saw it: one slip in each period. Z = sqrt(T mu), beta the bow's place as a share of the
 length, r the resistance of the bridge. The bow's work is f v_b h in each step, what it heats is |f v| h
-(`tonewood.numerics.laws.Friction`). The hair itself is stiff and light here.
+(`tonewood.coupling.laws.Friction`). The hair itself is stiff and light here.
 
 The hair pushes on the string's surface, and the string rolls under it (McIntyre, Schumacher & Woodhouse 1983, J.
 Acoust. Soc. Am. 74, 1325): besides its centre the surface moves by y with
@@ -24,13 +24,13 @@ from __future__ import annotations
 
 import math
 
+from tonewood.coupling.connections import Connection, Term
+from tonewood.coupling.laws import Friction
 from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
 from tonewood.instrument.directions import Direction, unit_vector
 from tonewood.instrument.effects import contact_effect
 from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.numerics.connections import Connection, Term
-from tonewood.numerics.laws import Friction
 from tonewood.params import Parameters, described, quantity
 
 

@@ -12,12 +12,12 @@ from typing import Annotated
 
 from pydantic import Field
 
+from tonewood.coupling.connections import Connection
+from tonewood.coupling.laws import Contact
 from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment
 from tonewood.instrument.directions import Direction, unit_vector
 from tonewood.instrument.effects import contact_effect
-from tonewood.numerics.connections import Connection
-from tonewood.numerics.laws import Contact
 from tonewood.params import Number, Parameters, described, quantity
 
 FretNumber = Annotated[str, Field(pattern=r"^[1-9][0-9]?$")]

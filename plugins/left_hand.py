@@ -7,7 +7,7 @@ F / (2 Z), Z = sqrt(T mu), and the waves that this sends out are the note. ``pul
 lower stop, and drags the string along for `time` as the finger leaves: a small pluck where the stop was.
 
 What the hand does to a stop is exchanged on the engine's control grid: displacement and velocity of the string are
-projected to its new length, which cannot raise their energy (`tonewood.numerics.string_transfer`), or with
+projected to its new length, which cannot raise their energy (`tonewood.modal.string_transfer`), or with
 ``stops: {model: finger}`` a soft finger moves along the string. All work of the hand is that of the pushes.
 """
 

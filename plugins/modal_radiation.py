@@ -24,9 +24,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.system import Drive, Probe, Readout
 from tonewood.instrument.contract import Pickup, PickupRows, Scene
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.system import Drive, Probe, Readout
+from tonewood.modal.modes import ModalBasis
 from tonewood.params import Parameters, described, quantity
 
 

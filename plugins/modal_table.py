@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from tonewood.errors import PassivityError
 from tonewood.instrument.contract import Body, BodyPoint
 from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.numerics.damping import with_damping_case
-from tonewood.numerics.modes import ModalBasis
+from tonewood.modal.damping import with_damping_case
+from tonewood.modal.modes import ModalBasis
 from tonewood.params import Number, Parameters, described, quantity
 
 Floats = NDArray[np.float64]
@@ -229,7 +229,7 @@ class ModalTable(Body[ModalTableParameters]):
         return out
 
     def _passive(self, basis: ModalBasis) -> ModalBasis:
-        from tonewood.numerics.basis_passivity import check_basis, repair_basis
+        from tonewood.passivity.basis import check_basis, repair_basis
 
         p = self.parameters
         driven = [name for name, point in p.points.items() if point.driven]

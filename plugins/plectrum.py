@@ -1,7 +1,7 @@
 """A plectrum: a tip on a spring, drawn across the string until the string slips off.
 
 The driver moves at `speed`; between it and the tip is a spring of `stiffness`, and the tip, of `mass`, drags the string
-along by dry friction (`tonewood.numerics.laws.Friction`). While they stick, the force on the string follows from
+along by dry friction (`tonewood.coupling.laws.Friction`). While they stick, the force on the string follows from
 
     F = (X(t) - u) k,    u = C F,      so that F = X(t) / (1 / k + C),
 
@@ -19,13 +19,13 @@ from __future__ import annotations
 
 import math
 
+from tonewood.coupling.connections import Connection, Term
+from tonewood.coupling.laws import Friction
 from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
 from tonewood.instrument.directions import Direction, unit_vector
 from tonewood.instrument.effects import contact_effect
 from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.numerics.connections import Connection, Term
-from tonewood.numerics.laws import Friction
 from tonewood.params import Parameters, described, quantity
 
 

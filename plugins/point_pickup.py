@@ -11,9 +11,9 @@ from typing import Literal
 
 from pydantic import model_validator
 
+from tonewood.coupling.system import Probe, Readout
 from tonewood.instrument.contract import Pickup, PickupRows, Scene, dot
 from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.numerics.system import Probe, Readout
 from tonewood.params import Parameters, described
 
 UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}

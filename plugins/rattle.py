@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 
+from tonewood.coupling.connections import Connection, Term
+from tonewood.coupling.laws import Contact
 from tonewood.instrument.attached import Attached, Site, loose_mass
 from tonewood.instrument.contract import Attachment
 from tonewood.instrument.directions import Direction, unit_vector
 from tonewood.instrument.effects import contact_effect
-from tonewood.numerics.connections import Connection, Term
-from tonewood.numerics.laws import Contact
 from tonewood.params import Parameters, described, quantity
 
 

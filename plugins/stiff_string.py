@@ -2,7 +2,7 @@
 
     mu u_tt + loss = T u_xx - EI u_xxxx + f(x, t),    no moment at either end
 
-Modes and their derivation: `tonewood.numerics.string_modes`; loss laws: `tonewood.instrument.losses`. Valid for small
+Modes and their derivation: `tonewood.modal.string_modes`; loss laws: `tonewood.instrument.losses`. Valid for small
 slopes (no change of tension with amplitude) and for wavelengths long against the diameter.
 """
 
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.contract import Resonator
 from tonewood.instrument.losses import LossLaw
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.string_modes import string_basis, wavenumber
-from tonewood.numerics.string_transfer import retuned, string_carry, string_transfer
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.string_modes import string_basis, wavenumber
+from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.params import Parameters, described, quantity
 
 Floats = NDArray[np.float64]
@@ -89,7 +89,7 @@ class StiffString(Resonator[StiffStringParameters]):
         return retuned(basis, freq_rad, sigma, {"tension": tension})
 
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
-        """Projections of displacement and velocity; see `tonewood.numerics.string_transfer`."""
+        """Projections of displacement and velocity; see `tonewood.modal.string_transfer`."""
         return string_transfer(old, new)
 
     def carried(self, old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import math
 
+from tonewood.coupling.connections import Connection, Term
+from tonewood.coupling.laws import HardeningSpring
 from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
 from tonewood.instrument.contract import Event, Exciter, Gesture, Hold, Place, Segment
 from tonewood.instrument.effects import DAMPERS, contact_effect
 from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
-from tonewood.numerics.connections import Connection, Term
-from tonewood.numerics.laws import HardeningSpring
 from tonewood.params import Parameters, described, quantity
 
 #: of the string that something broad touches

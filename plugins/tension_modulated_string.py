@@ -3,7 +3,7 @@
     T = T0 + EA/(2 L) int_0^L u_x^2 dx,    both polarizations together,
 
 so that a hard pluck begins sharp and glides down, and its plane of motion turns. Over a step the tension is the exact
-discrete gradient of EA/(8 L) S^2 (`tonewood.numerics.tension`): energy cannot rise. Valid while longitudinal waves
+discrete gradient of EA/(8 L) S^2 (`tonewood.coupling.tension`): energy cannot rise. Valid while longitudinal waves
 are quick against the partials of interest: the tension is one number for the whole speaking length. The part of the
 string behind a stop or the nut, which would share the stretch, is left out.
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
 from tonewood.instrument.effects import TENSION_MODULATION
-from tonewood.numerics.modes import ModalBasis
+from tonewood.modal.modes import ModalBasis
 from tonewood.params import quantity
 
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Builds tonewood into a throwaway environment with the oldest version of every dependency that pyproject.toml allows,
-# and runs commands and tests of numerics, files and scores there. Takes two to four minutes, most of it downloads.
+# and runs commands and tests of arrays, files and scores there. Takes two to four minutes, most of it downloads.
 # Arguments go to pytest, in place of the default choice of tests.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -12,7 +12,7 @@ export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PIP_DISABLE_PIP_VERSION_CHECK=1 
 
 tests=("$@")
 if [ ${#tests[@]} -eq 0 ]; then
-    tests=(tests/unit/numerics/test_kernel.py tests/unit/numerics/test_synthesis.py tests/unit/numerics/test_blas.py
+    tests=(tests/unit/stepping/test_kernel.py tests/unit/modal/test_synthesis.py tests/unit/test_blas.py
         tests/unit/test_yaml_io.py tests/unit/score tests/unit/batch/test_batch_engine.py tests/cli)
 fi
 echo "== building"

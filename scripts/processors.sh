@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs the tests of numerics and lab, and `tonewood validate`, as other machines would: under each processor kernel of
+# Runs the tests of arrays and lab, and `tonewood validate`, as other machines would: under each processor kernel of
 # OpenBLAS, each instruction set of the kernel, and BLAS's default number of threads, one of these changed at a time.
 # Names those this processor lacks, and leaves out what the plain test command runs anyway. The environment that is
 # active needs tonewood with its extra `test`. Arguments go to pytest, in place of the default choice of tests.
@@ -10,7 +10,7 @@ python=${PYTHON:-python}
 export MPLBACKEND=Agg
 tests=("$@")
 if [ ${#tests[@]} -eq 0 ]; then
-    tests=(-n 2 tests/unit/numerics tests/unit/lab tests/analytic tests/convergence)
+    tests=(-n 2 tests/unit/{modal,coupling,stepping,energy,passivity,lab} tests/analytic tests/convergence)
 fi
 
 has() { # whether the processor has all of these flags
@@ -25,7 +25,7 @@ under() { # the settings VARIABLE=VALUE or -u VARIABLE
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
 
-here=$("$python" -c "from tonewood.numerics.blas import blas_libraries; print(*blas_libraries(), sep=', ')")
+here=$("$python" -c "from tonewood.blas import blas_libraries; print(*blas_libraries(), sep=', ')")
 sets=$("$python" -c "from tonewood import _kernel; print(*_kernel.instruction_sets())")
 echo "here: BLAS $here; instruction sets $sets"
 lacking=()
@@ -49,8 +49,8 @@ for isa in avx512 avx2 baseline; do
         under "TONEWOOD_ISA=$isa"
     fi
 done
-if [ $# -eq 0 ]; then # threads change sums in numerics; lab only reads them
-    tests=(-n 2 tests/unit/numerics)
+if [ $# -eq 0 ]; then # threads change sums of arrays; lab only reads them
+    tests=(-n 2 tests/unit/{modal,coupling,stepping,energy,passivity})
 fi
 under -u OMP_NUM_THREADS -u OPENBLAS_NUM_THREADS
 echo "not run, as this processor lacks it: ${lacking[*]:-nothing}"

@@ -27,8 +27,8 @@ fi
 
 tests=("$@")
 if [ ${#tests[@]} -eq 0 ]; then
-    # whatever of numerics runs the kernel: linear, nonlinear, culled and tension-modulated contacts, geometric strings
-    mapfile -t tests < <(grep -lE 'KernelStepper|_kernel' tests/unit/numerics/test_*.py)
+    # whatever runs the kernel: linear, nonlinear, culled and tension-modulated contacts, geometric strings
+    mapfile -t tests < <(grep -lE 'KernelStepper|_kernel' tests/unit/{coupling,stepping,energy}/test_*.py)
     tests+=(tests/stability/test_kernel_door.py tests/stability/test_tails.py
         tests/unit/lab/test_compiled_methods.py)
 fi

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from tonewood import _kernel
-from tonewood.numerics.connections import Connection, Term
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.system import Probe, Readout, System
+from tonewood.coupling.connections import Connection, Term
+from tonewood.coupling.system import Probe, Readout, System
+from tonewood.modal.modes import ModalBasis
+from tonewood.stepping.kernel import KernelStepper
 
 FS, BODY_MODES = 48000.0, 64
 

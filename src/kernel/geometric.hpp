@@ -1,4 +1,4 @@
-// Strings whose longitudinal motion is stepped too, sample by sample; the equations are in tonewood.numerics.geometric.
+// Strings whose longitudinal motion is stepped too, sample by sample; the equations are in tonewood.coupling.geometric.
 //
 // The modal forces F of a step are a fixed point: for given F everything else is the linear (or contact) step of run.hpp
 // with other free motion, and the motion found gives F anew. The map is close to constant where the tension rises by

@@ -175,7 +175,7 @@ struct Layout {
     std::vector<Heard> heard;              // linear connections whose force is read
 };
 
-// One nonlinear law; its numbers are those of tonewood.numerics.laws.
+// One nonlinear law; its numbers are those of tonewood.coupling.laws.
 struct Law {
     enum Kind { contact, spring, sampled, compiled, friction };
     Kind kind = contact;

@@ -697,7 +697,7 @@ private:
 }  // namespace
 
 NB_MODULE(_kernel, m) {
-    m.doc() = "Steps modal systems; see tonewood.numerics.kernel.";
+    m.doc() = "Steps modal systems; see tonewood.stepping.kernel.";
     m.attr("BLOCK_SIZE") = kBlock;
     m.attr("PADDING") = kPadding;
 #ifdef __clang__

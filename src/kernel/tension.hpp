@@ -1,4 +1,4 @@
-// Strings whose tension rises with amplitude, sample by sample; the equations are in tonewood.numerics.tension.
+// Strings whose tension rises with amplitude, sample by sample; the equations are in tonewood.coupling.tension.
 //
 // What other components and connections do is linear in the displacements d_p that a stretched component's ports would
 // come to by themselves, less what their compliance at rest gives for their forces:

@@ -16,6 +16,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from tonewood.coupling.connections import Connection as Connection
+    from tonewood.coupling.connections import SpringDashpot as SpringDashpot
+    from tonewood.coupling.connections import Term as Term
+    from tonewood.coupling.laws import CompiledPotential as CompiledPotential
+    from tonewood.coupling.laws import Contact as Contact
+    from tonewood.coupling.laws import Friction as Friction
+    from tonewood.coupling.laws import HardeningSpring as HardeningSpring
+    from tonewood.coupling.laws import SampledPotential as SampledPotential
+    from tonewood.coupling.system import Drive as Drive
+    from tonewood.coupling.system import Probe as Probe
+    from tonewood.coupling.system import Readout as Readout
     from tonewood.engine.ledger import EffectReport as EffectReport
     from tonewood.errors import BundleError as BundleError
     from tonewood.errors import DroppedNotesWarning as DroppedNotesWarning
@@ -68,27 +79,13 @@ if TYPE_CHECKING:
     from tonewood.instrument.losses import LossLaw as LossLaw
     from tonewood.instrument.registry import list_instruments as list_instruments
     from tonewood.instrument.registry import list_plugins as list_plugins
-    from tonewood.numerics.basis_passivity import check_basis as check_basis
-    from tonewood.numerics.basis_passivity import repair_basis as repair_basis
-    from tonewood.numerics.connections import Connection as Connection
-    from tonewood.numerics.connections import SpringDashpot as SpringDashpot
-    from tonewood.numerics.connections import Term as Term
-    from tonewood.numerics.damping import with_damping_case as with_damping_case
-    from tonewood.numerics.forcing import Segment as Segment
-    from tonewood.numerics.laws import CompiledPotential as CompiledPotential
-    from tonewood.numerics.laws import Contact as Contact
-    from tonewood.numerics.laws import Friction as Friction
-    from tonewood.numerics.laws import HardeningSpring as HardeningSpring
-    from tonewood.numerics.laws import SampledPotential as SampledPotential
-    from tonewood.numerics.modes import ModalBasis as ModalBasis
-    from tonewood.numerics.string_modes import string_basis as string_basis
-    from tonewood.numerics.string_modes import wavenumber as wavenumber
-    from tonewood.numerics.string_transfer import retuned as retuned
-    from tonewood.numerics.string_transfer import string_carry as string_carry
-    from tonewood.numerics.string_transfer import string_transfer as string_transfer
-    from tonewood.numerics.system import Drive as Drive
-    from tonewood.numerics.system import Probe as Probe
-    from tonewood.numerics.system import Readout as Readout
+    from tonewood.modal.damping import with_damping_case as with_damping_case
+    from tonewood.modal.modes import ModalBasis as ModalBasis
+    from tonewood.modal.string_modes import string_basis as string_basis
+    from tonewood.modal.string_modes import wavenumber as wavenumber
+    from tonewood.modal.string_transfer import retuned as retuned
+    from tonewood.modal.string_transfer import string_carry as string_carry
+    from tonewood.modal.string_transfer import string_transfer as string_transfer
     from tonewood.output.audio import Audio as Audio
     from tonewood.output.plan import Plan as Plan
     from tonewood.output.plan import plan as plan
@@ -103,12 +100,15 @@ if TYPE_CHECKING:
     from tonewood.params import Vector as Vector
     from tonewood.params import described as described
     from tonewood.params import quantity as quantity
+    from tonewood.passivity.basis import check_basis as check_basis
+    from tonewood.passivity.basis import repair_basis as repair_basis
     from tonewood.score.midi import read_midi as read_midi
     from tonewood.score.midi import write_midi as write_midi
     from tonewood.score.note import Control as Control
     from tonewood.score.note import Dropped as Dropped
     from tonewood.score.note import Note as Note
     from tonewood.score.note import Score as Score
+    from tonewood.stepping.forcing import Segment as Segment
 
     #: version of the installed package
     __version__: str
@@ -132,14 +132,14 @@ _MODULES = {
     "instrument.inspection": ("partials", "pitch", "pitches"),
     "instrument.losses": ("LossLaw",),
     "instrument.registry": ("list_instruments", "list_plugins"),
-    "numerics.basis_passivity": ("check_basis", "repair_basis"),
-    "numerics.connections": ("Connection", "SpringDashpot", "Term"),
-    "numerics.damping": ("with_damping_case",),
-    "numerics.laws": ("CompiledPotential", "Contact", "Friction", "HardeningSpring", "SampledPotential"),
-    "numerics.modes": ("ModalBasis",),
-    "numerics.string_modes": ("string_basis", "wavenumber"),
-    "numerics.string_transfer": ("retuned", "string_carry", "string_transfer"),
-    "numerics.system": ("Drive", "Probe", "Readout"),
+    "passivity.basis": ("check_basis", "repair_basis"),
+    "coupling.connections": ("Connection", "SpringDashpot", "Term"),
+    "modal.damping": ("with_damping_case",),
+    "coupling.laws": ("CompiledPotential", "Contact", "Friction", "HardeningSpring", "SampledPotential"),
+    "modal.modes": ("ModalBasis",),
+    "modal.string_modes": ("string_basis", "wavenumber"),
+    "modal.string_transfer": ("retuned", "string_carry", "string_transfer"),
+    "coupling.system": ("Drive", "Probe", "Readout"),
     "output.audio": ("Audio",),
     "output.plan": ("Plan", "plan"),
     "output.play": ("Playback", "play"),

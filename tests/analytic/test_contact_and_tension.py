@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.special import ellipk, gamma
 
-from tonewood.numerics.connections import Connection, Term
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.laws import Contact, Friction
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.stored_energy import stored_energy
-from tonewood.numerics.system import Probe, Readout, System
-from tonewood.numerics.tension import TensionModulation
+from tonewood.coupling.connections import Connection, Term
+from tonewood.coupling.laws import Contact, Friction
+from tonewood.coupling.system import Probe, Readout, System
+from tonewood.coupling.tension import TensionModulation
+from tonewood.energy.stored import stored_energy
+from tonewood.modal.modes import ModalBasis
+from tonewood.stepping.kernel import KernelStepper
 
 BOTH = [Readout("u", "displacement", (Probe("part", "p"),)), Readout("v", "velocity", (Probe("part", "p"),))]
 

@@ -12,7 +12,7 @@ import scipy.linalg as sla
 
 import tonewood as tw
 from tonewood.instrument.losses import Valette
-from tonewood.numerics.string_modes import loss_rates, string_basis
+from tonewood.modal.string_modes import loss_rates, string_basis
 
 STRINGS = {
     "without stiffness": (0.65, 73.9, 3.61e-3, 0.0),

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 import tonewood as tw
+from tonewood.coupling.system import System
 from tonewood.engine import engine as engine_module
 from tonewood.engine.costs import Costs, _not_negative
 from tonewood.instrument.effects import TENSION_MODULATION
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.system import System
 from tonewood.output import plan as plan_module
 from tonewood.output import render as render_module
+from tonewood.stepping.kernel import KernelStepper
 
 NOTE = tw.Note
 MODE, TENSE, TENSE_MODE = 5e-10, 7e-7, 4e-9

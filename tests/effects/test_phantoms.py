@@ -7,16 +7,16 @@ import pytest
 from effect_scenes import FS, compared, duet, renderer, sound
 
 import tonewood as tw
+from tonewood.coupling.system import State
+from tonewood.energy.stored import stored_energy
 from tonewood.engine.engine import GRID
 from tonewood.engine.phantoms import Phantoms
 from tonewood.engine.switching import LOOK, TensionSwitch, may_rest, string_energy
 from tonewood.engine.transfer import Transfer
 from tonewood.instrument.assembly import Model, assemble
-from tonewood.numerics.held_modes import HeldModes
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.motion import from_motion, share_velocities, to_motion
-from tonewood.numerics.stored_energy import stored_energy
-from tonewood.numerics.system import State
+from tonewood.modal.held_modes import HeldModes
+from tonewood.stepping.kernel import KernelStepper
+from tonewood.stepping.motion import from_motion, share_velocities, to_motion
 
 NOTES = [tw.Note(0.0, 3, note=59, force=2.0), tw.Note(0.3, 3, note=64, force=4.0)]
 

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from scipy.signal.windows import blackmanharris
 from tension_scenes import guitar
 
+from tonewood.coupling.system import State
 from tonewood.engine.fretting import Fretting
 from tonewood.engine.sidebands import Sidebands
 from tonewood.engine.switching import TensionSwitch
 from tonewood.instrument.assembly import Model, assemble
-from tonewood.numerics.held_modes import HeldModes
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.motion import from_motion, share_velocities, to_motion
-from tonewood.numerics.system import State
+from tonewood.modal.held_modes import HeldModes
+from tonewood.stepping.kernel import KernelStepper
+from tonewood.stepping.motion import from_motion, share_velocities, to_motion
 
 Floats = NDArray[np.float64]
 STRINGS = [("steel_guitar", "G3"), ("classical_guitar", "B3")]

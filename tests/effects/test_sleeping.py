@@ -10,10 +10,10 @@ import pytest
 from effect_scenes import FS, compared, duet, sound
 
 import tonewood as tw
+from tonewood.energy.stored import stored_energy
 from tonewood.engine import sleeping
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.rungs import BANDS, Rungs
-from tonewood.numerics.stored_energy import stored_energy
 
 NOTE = tw.Note
 #: a chord that rings, and one note of it again when most has decayed

@@ -9,11 +9,11 @@ import pytest
 from effect_scenes import FS, compared, duet, renderer, sound
 
 import tonewood as tw
+from tonewood.energy.stored import stored_energy
 from tonewood.engine.engine import GRID
 from tonewood.engine.switching import LOOK, affordable
 from tonewood.instrument.assembly import assemble
-from tonewood.numerics.motion import from_motion, share_velocities, to_motion
-from tonewood.numerics.stored_energy import stored_energy
+from tonewood.stepping.motion import from_motion, share_velocities, to_motion
 
 BUDGET = 0.5
 NOTE = tw.Note

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.system import Control, Injection, System
+from tonewood.energy.account import EnergyAccount, KnownForce
+from tonewood.energy.trace import EnergyTrace
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.contract import Event
-from tonewood.numerics.energy import EnergyAccount, KnownForce
-from tonewood.numerics.energy_trace import EnergyTrace
-from tonewood.numerics.forcing import compile_force
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.system import Control, Injection, System
+from tonewood.stepping.forcing import compile_force
+from tonewood.stepping.kernel import KernelStepper
 
 Floats = NDArray[np.float64]
 

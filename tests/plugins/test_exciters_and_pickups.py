@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tonewood.coupling.system import Probe
 from tonewood.errors import BundleError
 from tonewood.instrument.contract import BodyPoint, Event, Exciter, Gesture, Place, Scene
 from tonewood.instrument.registry import plugin
-from tonewood.numerics.system import Probe
 
 STRING = Place("G3", 0.65)
 NOTE = Event(freq=196.0)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scene import instrument, play
 
-from tonewood.numerics import law_solve
-from tonewood.numerics.law_solve import Grip, settle
-from tonewood.numerics.laws import Friction
+from tonewood.coupling import law_solve
+from tonewood.coupling.law_solve import Grip, settle
+from tonewood.coupling.laws import Friction
 
 STATIC = {"plectrum": 1.0, "bow": 0.8}
 STRING: dict[str, Any] = {

@@ -15,8 +15,8 @@ import tonewood as tw
 from tonewood.errors import BundleError
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.stepper import NumpyStepper
+from tonewood.stepping.kernel import KernelStepper
+from tonewood.stepping.stepper import NumpyStepper
 
 Floats = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from scene import band_energy, instrument, play
 
 import tonewood as tw
+from tonewood.energy.stored import stored_energy
 from tonewood.engine.engine import Engine
 from tonewood.engine.playing import perform
 from tonewood.errors import BundleError
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.numerics.stored_energy import stored_energy
 from tonewood.score.note import Control
 
 Floats = NDArray[np.float64]

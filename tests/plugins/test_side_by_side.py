@@ -15,21 +15,21 @@ from scene import instrument
 from test_geometric_string import STEEL
 
 import tonewood as tw
+from tonewood.coupling.connections import Connection, Rigid, Term
+from tonewood.coupling.geometric import GeometricStretch
+from tonewood.coupling.laws import Contact
+from tonewood.coupling.system import State, System
+from tonewood.coupling.tension import TensionModulation
+from tonewood.energy.stored import stored_energy
 from tonewood.engine.engine import Engine
 from tonewood.engine.playing import perform
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.numerics.connections import Connection, Rigid, Term
-from tonewood.numerics.geometric import GeometricStretch
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.laws import Contact
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.motion import from_motion
-from tonewood.numerics.stepper import NumpyStepper
-from tonewood.numerics.stored_energy import stored_energy
-from tonewood.numerics.string_modes import string_basis
-from tonewood.numerics.system import State, System
-from tonewood.numerics.tension import TensionModulation
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.string_modes import string_basis
+from tonewood.stepping.kernel import KernelStepper
+from tonewood.stepping.motion import from_motion
+from tonewood.stepping.stepper import NumpyStepper
 
 Floats = NDArray[np.float64]
 

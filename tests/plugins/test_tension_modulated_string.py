@@ -15,11 +15,11 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 from scene import instrument, play
 
+from tonewood.coupling.system import State
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.motion import from_motion, to_motion
-from tonewood.numerics.system import State
+from tonewood.stepping.kernel import KernelStepper
+from tonewood.stepping.motion import from_motion, to_motion
 
 Floats = NDArray[np.float64]
 

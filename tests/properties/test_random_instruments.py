@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from instruments import build, instruments
 
 from assembled import held_force, joined, merged, run_exact, run_held
-from tonewood.numerics.connections import Rigid, scaled_pinv
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.system import BLOCK_SIZE, Injection
+from tonewood.coupling.connections import Rigid, scaled_pinv
+from tonewood.coupling.system import BLOCK_SIZE, Injection
+from tonewood.stepping.kernel import KernelStepper
 
 STEPS = 80
 FEW = settings(max_examples=12)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.numerics.energy import EnergyAccount
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.motion import from_motion, share_velocities
-from tonewood.numerics.string_modes import string_basis
-from tonewood.numerics.system import Probe, Readout, System
+from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.coupling.system import Probe, Readout, System
+from tonewood.energy.account import EnergyAccount
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.string_modes import string_basis
+from tonewood.stepping.kernel import KernelStepper
+from tonewood.stepping.motion import from_motion, share_velocities
 
 FS = 48000
 

@@ -11,11 +11,11 @@ import scipy.linalg as sla
 from scenes import displaced, energies, guitar
 
 from assembled import Part, held_force, poles_of, step_map
-from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.numerics.energy import EnergyAccount
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.system import Probe, Readout, System
+from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.coupling.system import Probe, Readout, System
+from tonewood.energy.account import EnergyAccount
+from tonewood.modal.modes import ModalBasis
+from tonewood.stepping.kernel import KernelStepper
 
 DT = 1 / 48000
 

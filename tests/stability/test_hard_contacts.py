@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tonewood.numerics.connections import Connection, Term
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.law_solve import newton
-from tonewood.numerics.laws import Contact
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.stored_energy import stored_energy
-from tonewood.numerics.system import System
-from tonewood.numerics.tension import TensionModulation
+from tonewood.coupling.connections import Connection, Term
+from tonewood.coupling.law_solve import newton
+from tonewood.coupling.laws import Contact
+from tonewood.coupling.system import System
+from tonewood.coupling.tension import TensionModulation
+from tonewood.energy.stored import stored_energy
+from tonewood.modal.modes import ModalBasis
+from tonewood.stepping.kernel import KernelStepper
 
 LENGTH, TENSION, DENSITY, DT = 0.65, 70.0, 3.6e-3, 1 / 48000
 

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 import tonewood as tw
 from sounds import cents, partial
+from tonewood.energy.stored import stored_energy
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.timeline import Change, Play, Timeline
 from tonewood.errors import NumericalError
 from tonewood.instrument.contract import Gesture, Segment
-from tonewood.numerics.stored_energy import stored_energy
 from tonewood.output.audio import SoundWriter
 
 Floats = NDArray[np.float64]

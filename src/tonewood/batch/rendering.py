@@ -15,16 +15,16 @@ import numpy as np
 
 from tonewood.batch.conditions import Condition, Draw, vary_notes
 from tonewood.batch.store import Rendered
+from tonewood.blas import blas_libraries
 from tonewood.errors import TonewoodError
 from tonewood.instrument import registry
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.numerics.blas import blas_libraries
-from tonewood.numerics.kernel import compiler, instruction_set
 from tonewood.output.render import Renderer, Tail
 from tonewood.score.assignment import assign
 from tonewood.score.midi import read_midi
 from tonewood.score.note import Note, Score
+from tonewood.stepping.kernel import compiler, instruction_set
 
 _PIECE = 0.25  # s, rendered to predict the time of the rest
 # s to set up, s per second of sound
@@ -147,7 +147,7 @@ def _version() -> str:
 def computed_with() -> dict[str, Any]:
     """Compiler and libraries that change the last bits, and the vector instructions that NumPy uses here.
 
-    The number of BLAS threads is not among them: renders use one (`numerics.blas`).
+    The number of BLAS threads is not among them: renders use one (`blas`).
     """
     return {
         "kernel": compiler(),

@@ -77,7 +77,7 @@ def check(
 
 def _body(model: Model) -> dict[str, Any]:
     """The body's modes and whether it is passive; real modes are by construction."""
-    from tonewood.numerics.basis_passivity import check_basis
+    from tonewood.passivity.basis import check_basis
 
     basis = model.system.compiled[model.system.slot("body")].basis
     verdict = check_basis(basis, [name for name, p in model.body_points.items() if p.driven], dt=model.system.dt)

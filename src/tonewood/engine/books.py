@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.system import Control, Injection, State, System
+from tonewood.energy.account import EnergyAccount, EnergyTrace, KnownForce
 from tonewood.engine.gestures import Active, places
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.energy import EnergyAccount, EnergyTrace, KnownForce
-from tonewood.numerics.system import Control, Injection, State, System
 
 Floats = NDArray[np.float64]
 

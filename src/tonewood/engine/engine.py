@@ -15,6 +15,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.blas import one_blas_thread
+from tonewood.coupling.connections import Connection
+from tonewood.coupling.system import Compiled, Control, Injection, State, System
 from tonewood.engine.books import Books
 from tonewood.engine.fretting import Fingerboard, Fretting, pulls
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, quasi_static, samples
@@ -24,11 +27,8 @@ from tonewood.engine.surroundings import Surroundings, holds_at, string_of
 from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable, may_rest, string_energy
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.blas import one_blas_thread
-from tonewood.numerics.connections import Connection
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.motion import share_velocities
-from tonewood.numerics.system import Compiled, Control, Injection, State, System
+from tonewood.stepping.kernel import KernelStepper
+from tonewood.stepping.motion import share_velocities
 
 __all__ = ["GRID", "Engine", "Snapshot", "Ticker"]
 

@@ -9,14 +9,14 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import Connection, Rigid, scaled_pinv
+from tonewood.coupling.system import Compiled, State, System
+from tonewood.energy.stored import gaps
 from tonewood.engine.timeline import Change
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.strings import damped
-from tonewood.numerics.connections import Connection, Rigid, scaled_pinv
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.motion import from_motion, to_motion
-from tonewood.numerics.stored_energy import gaps
-from tonewood.numerics.system import Compiled, State, System
+from tonewood.modal.modes import ModalBasis
+from tonewood.stepping.motion import from_motion, to_motion
 
 Floats = NDArray[np.float64]
 #: component -> force of its bridge on a string's end, N

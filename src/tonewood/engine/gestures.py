@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.system import Control, Injection, System
 from tonewood.engine.timeline import GRID, Play
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.forcing import Course, course
-from tonewood.numerics.system import Control, Injection, System
+from tonewood.stepping.forcing import Course, course
 
 Floats = NDArray[np.float64]
 

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import SpringDashpot
+from tonewood.coupling.system import Compiled, System
 from tonewood.engine.costs import Costs
 from tonewood.engine.rungs import BANDS
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
 from tonewood.instrument.effects import Effect
-from tonewood.numerics.connections import SpringDashpot
-from tonewood.numerics.system import Compiled, System
 
 Floats = NDArray[np.float64]
 

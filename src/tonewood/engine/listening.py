@@ -12,11 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.system import Compiled, State
 from tonewood.engine.rungs import BANDS, Part
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.motion import to_motion
-from tonewood.numerics.system import Compiled, State
+from tonewood.modal.modes import ModalBasis
+from tonewood.stepping.motion import to_motion
 
 Floats = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """How much of a string's motion along itself is heard: a bound from the partials that drive it.
 
 Partials i and j of a string, of slopes C_i cos(i pi x / L) cos(w_i t + ...), put C_i C_j H_n,ij / 4 into s_n, the n-th
-cosine of the squared slope, at the frequencies w_i + w_j and |w_i - w_j| (H_n: `numerics.geometric`). At such a
+cosine of the squared slope, at the frequencies w_i + w_j and |w_i - w_j| (H_n: `coupling.geometric`). At such a
 frequency W the n-th longitudinal mode, of W_n and decay s, answers with the strain
 
     e_n = s_n (2 i s W - W^2) / (W_n^2 - W^2 + 2 i s W)
@@ -21,10 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.geometric import GeometricStretch, cosine_products
+from tonewood.coupling.system import Compiled
 from tonewood.engine.transfer import Transfer
-from tonewood.numerics.geometric import GeometricStretch, cosine_products
-from tonewood.numerics.held_modes import HeldModes
-from tonewood.numerics.system import Compiled
+from tonewood.modal.held_modes import HeldModes
 
 Floats = NDArray[np.float64]
 

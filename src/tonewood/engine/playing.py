@@ -15,10 +15,10 @@ from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place
 from tonewood.instrument.gestures import is_played, places
 from tonewood.instrument.schema import Playing
-from tonewood.numerics.forcing import Segment
 from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.controllers import Controllers, History
 from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
+from tonewood.stepping.forcing import Segment
 
 #: a damped string is let go when it has decayed this many times by 60 dB: from then on it may ring with the others
 _LET_GO_AFTER = 1.5

@@ -1,6 +1,6 @@
 """A string as it is held, with all its modes or the lower ones only: what may sleep of it, octave by octave.
 
-What sleeps are modes of the string held at its bridge (`numerics.held_modes`): those are its partials, and without the
+What sleeps are modes of the string held at its bridge (`modal.held_modes`): those are its partials, and without the
 highest of them the others keep their pitch. Bands are the same for all strings, so that what one of them does in a band
 can wake the others there: band b lies between ``cuts[b]`` and ``cuts[b - 1]``, and at level b all bands up to it sleep.
 At the last level nothing is left but the string's static shape, which moves with its bridge.
@@ -16,14 +16,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import Connection, SpringDashpot
+from tonewood.coupling.laws import Contact
+from tonewood.coupling.system import Compiled
 from tonewood.engine.transfer import Transfer
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.connections import Connection, SpringDashpot
-from tonewood.numerics.held_modes import Condensed, HeldModes, condensed
-from tonewood.numerics.laws import Contact
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.motion import from_motion, to_motion
-from tonewood.numerics.system import Compiled
+from tonewood.modal.held_modes import Condensed, HeldModes, condensed
+from tonewood.modal.modes import ModalBasis
+from tonewood.stepping.motion import from_motion, to_motion
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

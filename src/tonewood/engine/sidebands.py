@@ -29,11 +29,11 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.system import Compiled, System
+from tonewood.coupling.tension import stretch_weights
 from tonewood.engine.transfer import Transfer
-from tonewood.numerics.held_modes import HeldModes
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.system import Compiled, System
-from tonewood.numerics.tension import stretch_weights
+from tonewood.modal.held_modes import HeldModes
+from tonewood.modal.modes import ModalBasis
 
 Floats = NDArray[np.float64]
 

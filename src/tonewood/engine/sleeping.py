@@ -30,6 +30,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import Rigid, SpringDashpot
+from tonewood.coupling.system import Compiled, State, System
 from tonewood.engine.fretting import Fingerboard, Fretting
 from tonewood.engine.listening import _AT_ONCE, Listening
 from tonewood.engine.rungs import BANDS, Part, Rungs, cuts, quiet_energy
@@ -37,9 +39,7 @@ from tonewood.engine.switching import SILENT, largest
 from tonewood.engine.timeline import Play, Timeline
 from tonewood.engine.transfer import Transfer, frequency_bins
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.connections import Rigid, SpringDashpot
-from tonewood.numerics.motion import to_motion
-from tonewood.numerics.system import Compiled, State, System
+from tonewood.stepping.motion import to_motion
 
 Floats = NDArray[np.float64]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from tonewood.coupling.connections import Connection, Law, SpringDashpot
+from tonewood.coupling.system import System
 from tonewood.engine.gestures import Active
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.connections import Connection, Law, SpringDashpot
-from tonewood.numerics.system import System
 
 
 def string_of(name: str) -> str:

@@ -23,6 +23,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.geometric import GeometricStretch, GeometricString
+from tonewood.coupling.system import Compiled, State, System
+from tonewood.coupling.tension import TensionModulation, stretch_weights
 from tonewood.engine.fretting import Fretting
 from tonewood.engine.gestures import places
 from tonewood.engine.phantoms import Phantoms
@@ -31,11 +34,8 @@ from tonewood.engine.timeline import Play
 from tonewood.engine.transfer import Transfer
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.effects import TENSION_MODULATION, Norms
-from tonewood.numerics.forcing import Segment
-from tonewood.numerics.geometric import GeometricStretch, GeometricString
-from tonewood.numerics.motion import from_motion, share_velocities, to_motion
-from tonewood.numerics.system import Compiled, State, System
-from tonewood.numerics.tension import TensionModulation, stretch_weights
+from tonewood.stepping.forcing import Segment
+from tonewood.stepping.motion import from_motion, share_velocities, to_motion
 
 Floats = NDArray[np.float64]
 

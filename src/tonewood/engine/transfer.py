@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.system import Compiled, System
 from tonewood.instrument.assembly import Model
-from tonewood.numerics.system import Compiled, System
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

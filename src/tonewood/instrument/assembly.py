@@ -7,6 +7,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from tonewood.blas import one_blas_thread
+from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.coupling.geometric import GeometricStretch
+from tonewood.coupling.system import Drive, Readout, System
+from tonewood.coupling.tension import TensionModulation
 from tonewood.errors import BundleError
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.contract import BodyPoint, BridgeForce, Exciter, Longitudinal, PickupRows, Place, Scene, dot
@@ -17,14 +22,9 @@ from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import Playing, StringPart
 from tonewood.instrument.strings import Along, Polarization, Stopping, StringModel
 from tonewood.instrument.tuning import body_ports
-from tonewood.numerics.basis_passivity import check_basis
-from tonewood.numerics.blas import one_blas_thread
-from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.numerics.geometric import GeometricStretch
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.system import Drive, Readout, System
-from tonewood.numerics.tension import TensionModulation
+from tonewood.modal.modes import ModalBasis
 from tonewood.params import Vector
+from tonewood.passivity.basis import check_basis
 from tonewood.units import ratio_of_cents
 
 #: share of the sampling rate above which modes are not stepped: their static compliance stands in for them

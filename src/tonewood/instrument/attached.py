@@ -13,10 +13,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.numerics.connections import Connection, Term
-from tonewood.numerics.forcing import Segment, course
-from tonewood.numerics.modes import ModalBasis
+from tonewood.coupling.connections import Connection, Term
+from tonewood.modal.modes import ModalBasis
 from tonewood.params import Vector
+from tonewood.stepping.forcing import Segment, course
 
 Floats = NDArray[np.float64]
 

@@ -27,6 +27,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.system import Drive, Readout
 from tonewood.errors import BundleError
 from tonewood.instrument.attached import Attached, Motion, Site
 from tonewood.instrument.effects import (
@@ -38,10 +39,9 @@ from tonewood.instrument.effects import (
     Effect,
 )
 from tonewood.instrument.files import Files
-from tonewood.numerics.forcing import Segment as Segment
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.system import Drive, Readout
+from tonewood.modal.modes import ModalBasis
 from tonewood.params import Parameters, Vector, validated
+from tonewood.stepping.forcing import Segment as Segment
 
 API = 1
 
@@ -96,7 +96,7 @@ class Plugin(ABC, Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class Longitudinal:
-    """Motion along a string, stepped with the transverse one; see `tonewood.numerics.geometric`.
+    """Motion along a string, stepped with the transverse one; see `tonewood.coupling.geometric`.
 
     Attributes
     ----------

@@ -22,10 +22,10 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.instrument.attached import Attached, Site, loose_mass
 from tonewood.instrument.schema import Finger
-from tonewood.numerics.connections import Connection, SpringDashpot, Term
-from tonewood.numerics.modes import ModalBasis
+from tonewood.modal.modes import ModalBasis
 
 Floats = NDArray[np.float64]
 

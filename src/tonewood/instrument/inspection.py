@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.strings import held_freq
 from tonewood.instrument.tuning import CoupledMode
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.receptance import Joint, Ports
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.receptance import Joint, Ports
 from tonewood.units import cents, t60
 
 Floats = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """Loss laws of strings: loss factor eta(omega, k) of a partial between fixed ends, sigma = omega eta / 2.
 
-That is what measurements of strings give; `tonewood.numerics.string_modes` finds the loss of the modes with which the
+That is what measurements of strings give; `tonewood.modal.string_modes` finds the loss of the modes with which the
 partials on a rigid bridge decay by the law. The law is chosen by its key ``law`` in a bundle: ``woodhouse``, ``sigma``
 or ``valette``.
 """

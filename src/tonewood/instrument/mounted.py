@@ -15,8 +15,8 @@ import numpy as np
 from tonewood.instrument.inspection import Pitch
 from tonewood.instrument.strings import StringModel
 from tonewood.instrument.tuning import body_ports
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.receptance import Ports, Star
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.receptance import Ports, Star
 from tonewood.units import cents, ratio_of_cents
 
 #: modes this near the string's own alone are looked at, cents

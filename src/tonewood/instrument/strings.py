@@ -11,16 +11,16 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import Connection
 from tonewood.errors import BundleError
 from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Resonator
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
 from tonewood.instrument.tuning import StringOnBody, TunedStop, tune
-from tonewood.numerics.connections import Connection
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.receptance import Joint, Ports
-from tonewood.numerics.string_transfer import retuned, string_carry, string_transfer
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.receptance import Joint, Ports
+from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.params import Vector
 from tonewood.units import cents, ratio_of_cents
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.receptance import Joint, Ports
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.receptance import Joint, Ports
 from tonewood.units import cents, decibel
 
 Floats = NDArray[np.float64]

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.numerics.component_modes import FixedBaseModes, FreeFreeModes
+from tonewood.lab.component_modes import FixedBaseModes, FreeFreeModes
 
 Floats = NDArray[np.float64]
 

@@ -24,9 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 from tonewood.errors import NumericalError
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.interpolatory import P1
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.propagator import flow, real_form
-from tonewood.numerics.synthesis import real_modes
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.propagator import flow, real_form
+from tonewood.modal.synthesis import real_modes
 
 Floats = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ import numpy as np
 import soundfile as sf
 from numpy.typing import NDArray
 
+from tonewood.energy.trace import EnergyTrace
 from tonewood.errors import OutputError
-from tonewood.numerics.energy_trace import EnergyTrace
 from tonewood.score.note import Dropped
 from tonewood.whole_files import Part
 

@@ -7,8 +7,8 @@ import io
 import json
 from pathlib import Path
 
+from tonewood.energy.trace import EnergyTrace
 from tonewood.errors import TonewoodError
-from tonewood.numerics.energy_trace import EnergyTrace
 from tonewood.whole_files import Part, whole_file, write_whole
 
 _ENDINGS = (".json", ".csv", ".png")

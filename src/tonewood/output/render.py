@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.blas import one_blas_thread
+from tonewood.energy.trace import EnergyTrace
 from tonewood.engine.engine import GRID, Engine, Snapshot
 from tonewood.engine.ledger import EffectReport
 from tonewood.engine.playing import Performance, perform
@@ -19,8 +21,6 @@ from tonewood.errors import DroppedNotesWarning, TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.strings import GivenTension
-from tonewood.numerics.blas import one_blas_thread
-from tonewood.numerics.energy_trace import EnergyTrace
 from tonewood.output.accuracy import Decimator, accuracy_level
 from tonewood.output.audio import Audio, decibels
 from tonewood.score.note import Dropped, Score

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tonewood as tw
-from tonewood.numerics.energy_trace import EnergyTrace
+from tonewood.energy.trace import EnergyTrace
 from tonewood.output.energy import save_energy
 
 #: a stop change, a pluck on a ringing string, bends and ends of notes, at odd times
@@ -108,7 +108,7 @@ def test_a_work_that_is_not_entered_leaves_the_balance_open(monkeypatch: pytest.
 
 
 def test_a_wrong_loss_leaves_the_balance_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tonewood.numerics.energy_forms import ComponentEnergy
+    from tonewood.energy.forms import ComponentEnergy
 
     true_loss = ComponentEnergy.lost
     monkeypatch.setattr(ComponentEnergy, "lost", lambda self, *args: 1.001 * true_loss(self, *args))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import tonewood as tw
+from tonewood.coupling.system import System
 from tonewood.engine.engine import Engine
 from tonewood.engine.timeline import GRID
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.system import System
+from tonewood.stepping.kernel import KernelStepper
 
 #: stops, slurs and bends close together, on strings that ring
 SCORE = tw.Score(

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import tonewood as tw
+from tonewood.coupling.system import Compiled
 from tonewood.engine.fretting import _CACHE, Fingerboard, Fretting
 from tonewood.instrument.assembly import Model, assemble
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.system import Compiled
+from tonewood.modal.modes import ModalBasis
 
 
 @pytest.fixture(scope="module")

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
+from tonewood.coupling.connections import Rigid, SpringDashpot, Term
 from tonewood.errors import BundleError
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.numerics.connections import Rigid, SpringDashpot, Term
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.stepper import NumpyStepper
+from tonewood.stepping.kernel import KernelStepper
+from tonewood.stepping.stepper import NumpyStepper
 
 Make = Callable[..., Instrument]
 FS = 16000.0
@@ -160,7 +160,7 @@ def test_a_struck_body_does_not_ring_at_nyquist() -> None:
 
 def test_seats_do_not_detune(make: Make) -> None:
     """The seat's compliance lengthens the string by T R: well under 0.02 cent, alike for every partial."""
-    from tonewood.numerics.coupled_modes import coupled_modes
+    from tonewood.coupling.system_modes import coupled_modes
 
     freqs = []
     for compliance in (0.0, 2e-8):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import tonewood as tw
+from tonewood.coupling.system_modes import coupled_modes
 from tonewood.instrument.inspection import bridge_mobility, mobility_peaks, partials, pitch, pitches
-from tonewood.numerics.coupled_modes import coupled_modes
 
 
 @pytest.fixture(scope="module")

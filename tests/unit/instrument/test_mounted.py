@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from tonewood.coupling.system_modes import CoupledModes, coupled_modes
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.inspection import pitch
 from tonewood.instrument.mounted import Mounted
-from tonewood.numerics.coupled_modes import CoupledModes, coupled_modes
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.receptance import Ports, Star
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.receptance import Ports, Star
 
 Make = Callable[..., Instrument]
 

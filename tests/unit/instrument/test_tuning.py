@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from tonewood.coupling.system_modes import CoupledModes, coupled_modes
 from tonewood.errors import BundleError
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.lab.string_end import ExactString, coupled_pole
-from tonewood.numerics.coupled_modes import CoupledModes, coupled_modes
 
 Make = Callable[..., Instrument]
 

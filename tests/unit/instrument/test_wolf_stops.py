@@ -11,11 +11,11 @@ import math
 import numpy as np
 import pytest
 
+from tonewood.coupling.system_modes import coupled_modes
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.inspection import pitches
 from tonewood.instrument.tuning import StringOnBody
-from tonewood.numerics.coupled_modes import coupled_modes
 
 FS = 16000.0
 OFF = {

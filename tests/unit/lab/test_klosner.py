@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
+from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
 from tonewood.lab.klosner_forms import MainStructure, fixed_base_form, free_free_form
+from tonewood.lab.nonlinear_port import Mounting
 from tonewood.lab.systems.klosner import (
     DT,
     FORMS,
@@ -30,8 +32,6 @@ from tonewood.lab.systems.klosner_problems import (
     problem_c,
     problem_d,
 )
-from tonewood.numerics.component_modes import fixed_base_modes, free_free_modes
-from tonewood.numerics.nonlinear_port import Mounting
 
 
 @pytest.mark.parametrize("make", [problem_a, problem_b, problem_c])

@@ -14,17 +14,17 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import Connection, Rigid, Term
 from tonewood.lab.accuracy.flat import Flat
 from tonewood.lab.accuracy.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.methods.problem import Problem
 from tonewood.lab.string_end import ExactString, coupled_pole
 from tonewood.lab.systems import fabre_guitar, harp, string_and_body
 from tonewood.lab.systems.harp_body import harp_body, harp_body_matrices
-from tonewood.numerics.connections import Connection, Rigid, Term
-from tonewood.numerics.damping import with_damping_case
-from tonewood.numerics.modes import PAIR, ModalBasis
-from tonewood.numerics.receptance import Joint, Ports
-from tonewood.numerics.string_modes import held_string_compliance, string_basis
+from tonewood.modal.damping import with_damping_case
+from tonewood.modal.modes import PAIR, ModalBasis
+from tonewood.modal.receptance import Joint, Ports
+from tonewood.modal.string_modes import held_string_compliance, string_basis
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -15,11 +15,11 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import Term, scaled_pinv
+from tonewood.coupling.system import System
 from tonewood.lab.methods.problem import Problem
-from tonewood.numerics.connections import Term, scaled_pinv
-from tonewood.numerics.modes import PAIR
-from tonewood.numerics.propagator import apply, flow, real_form
-from tonewood.numerics.system import System
+from tonewood.modal.modes import PAIR
+from tonewood.modal.propagator import apply, flow, real_form
 
 Floats = NDArray[np.float64]
 

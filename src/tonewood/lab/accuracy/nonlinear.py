@@ -16,6 +16,10 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood import _methods
+from tonewood.coupling.connections import Connection, scaled_pinv
+from tonewood.coupling.laws import Contact, HardeningSpring
+from tonewood.coupling.system import Probe, Readout, System
+from tonewood.coupling.tension import TensionModulation
 from tonewood.errors import NumericalError
 from tonewood.lab.accuracy.flat import Flat, RealModes
 from tonewood.lab.accuracy.measures import energy_drift, wave_errors
@@ -23,12 +27,8 @@ from tonewood.lab.accuracy.scheme import padded
 from tonewood.lab.accuracy.study import Attempt, Point, Tell, silent, timed
 from tonewood.lab.accuracy.timing import Task
 from tonewood.lab.methods.problem import Problem
-from tonewood.numerics.connections import Connection, scaled_pinv
-from tonewood.numerics.kernel import KernelStepper, instruction_set
-from tonewood.numerics.laws import Contact, HardeningSpring
-from tonewood.numerics.propagator import apply
-from tonewood.numerics.system import Probe, Readout, System
-from tonewood.numerics.tension import TensionModulation
+from tonewood.modal.propagator import apply
+from tonewood.stepping.kernel import KernelStepper, instruction_set
 
 Floats = NDArray[np.float64]
 

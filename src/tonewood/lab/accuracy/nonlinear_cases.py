@@ -8,17 +8,17 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import Connection, Term
+from tonewood.coupling.laws import Contact, HardeningSpring
+from tonewood.coupling.tension import TensionModulation
 from tonewood.lab.accuracy.flat import Flat, RealModes
 from tonewood.lab.accuracy.nonlinear import NonlinearCase
 from tonewood.lab.methods.problem import Problem
 from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems import klosner_problems, string_and_body
-from tonewood.numerics.connections import Connection, Term
-from tonewood.numerics.laws import Contact, HardeningSpring
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.propagator import apply
-from tonewood.numerics.string_modes import string_basis
-from tonewood.numerics.tension import TensionModulation
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.propagator import apply
+from tonewood.modal.string_modes import string_basis
 
 Floats = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.lab.accuracy.flat import Flat
-from tonewood.numerics.kernel import KernelStepper
-from tonewood.numerics.modes import ModalBasis
+from tonewood.modal.modes import ModalBasis
+from tonewood.stepping.kernel import KernelStepper
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -19,11 +19,11 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import scaled_pinv
 from tonewood.lab.accuracy.flat import Flat, RealModes, product, through
 from tonewood.lab.accuracy.scheme import Scheme
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT, Newmark
-from tonewood.numerics.connections import scaled_pinv
-from tonewood.numerics.propagator import apply
+from tonewood.modal.propagator import apply
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -24,7 +24,7 @@ from tonewood.lab.accuracy.scheme import Runner
 from tonewood.lab.accuracy.schemes import build
 from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems import string_and_body
-from tonewood.numerics.string_modes import string_basis
+from tonewood.modal.string_modes import string_basis
 
 STABLE, GROWS, NAN = "stable", "grows", "NaN"
 #: energy beyond that of the pluck, as a factor; explicit methods swing by some tens of per cent while they are stable

@@ -9,10 +9,10 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.numerics.connections import Connection, Rigid, Term, scaled_pinv
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.propagator import RealForm, real_form
-from tonewood.numerics.system import Probe, Readout, System
+from tonewood.coupling.connections import Connection, Rigid, Term, scaled_pinv
+from tonewood.coupling.system import Probe, Readout, System
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.propagator import RealForm, real_form
 
 Floats = NDArray[np.float64]
 Array = NDArray[np.float64] | NDArray[np.complex128]

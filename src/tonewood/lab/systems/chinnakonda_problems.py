@@ -21,9 +21,9 @@ from tonewood.lab.assembled import Matrices, state_matrix
 from tonewood.lab.driven import driven_motion
 from tonewood.lab.interpolatory import P1, Response, Update, respond
 from tonewood.lab.nonproportionality import reduced, reduction_shapes
-from tonewood.numerics.forcing import Segment
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.synthesis import basis_from_matrices, initial_state
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.synthesis import basis_from_matrices, initial_state
+from tonewood.stepping.forcing import Segment
 
 Floats = NDArray[np.float64]
 

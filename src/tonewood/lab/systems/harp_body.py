@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices
-from tonewood.numerics.damping import reciprocal_shapes
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.synthesis import basis_from_matrices
+from tonewood.modal.damping import reciprocal_shapes
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.synthesis import basis_from_matrices
 
 Floats = NDArray[np.float64]
 

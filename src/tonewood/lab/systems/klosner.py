@@ -15,8 +15,10 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
 from tonewood.lab.figures import save
 from tonewood.lab.klosner_forms import MainStructure, fixed_base_form, free_free_form
+from tonewood.lab.nonlinear_port import Mounting, PortStepper
 from tonewood.lab.row import Row
 from tonewood.lab.systems.klosner_modes import MOUNTINGS, WAYS, errors, modes_needed
 from tonewood.lab.systems.klosner_problems import (
@@ -39,8 +41,6 @@ from tonewood.lab.systems.klosner_problems import (
     problem_d,
     problems,
 )
-from tonewood.numerics.component_modes import fixed_base_modes, free_free_modes
-from tonewood.numerics.nonlinear_port import Mounting, PortStepper
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices
+from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
 from tonewood.lab.driven import driven_motion, triangle
-from tonewood.numerics.component_modes import fixed_base_modes, free_free_modes
 
 Floats = NDArray[np.float64]
 

@@ -21,8 +21,11 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.coupling.system import Injection, Probe, Readout, System
 from tonewood.lab.assembled import Matrices, joined, state_matrix
 from tonewood.lab.beam import Beam
+from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
 from tonewood.lab.driven import driven_states, force_at, triangle
 from tonewood.lab.klosner_forms import (
     MainStructure,
@@ -31,14 +34,11 @@ from tonewood.lab.klosner_forms import (
     free_free_form,
     free_free_nonlinear,
 )
-from tonewood.numerics.component_modes import fixed_base_modes, free_free_modes
-from tonewood.numerics.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.numerics.forcing import Segment, compile_force
-from tonewood.numerics.modes import ModalBasis
-from tonewood.numerics.nonlinear_port import Mounting, PortStepper
-from tonewood.numerics.stepper import NumpyStepper
-from tonewood.numerics.synthesis import real_modes
-from tonewood.numerics.system import Injection, Probe, Readout, System
+from tonewood.lab.nonlinear_port import Mounting, PortStepper
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.synthesis import real_modes
+from tonewood.stepping.forcing import Segment, compile_force
+from tonewood.stepping.stepper import NumpyStepper
 
 Floats = NDArray[np.float64]
 

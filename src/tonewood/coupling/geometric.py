@@ -1,0 +1,412 @@
+"""Strings whose longitudinal motion is stepped too: phantom partials at sums of transverse ones.
+
+A string moves transversely by v and w and along itself by u. To fourth order in the motion, with the strain
+
+    e = u_x + (v_x^2 + w_x^2) / 2,        V = EA/2 int_0^L e^2 dx,
+
+beside its tension at rest (Bilbao, Numerical Sound Synthesis, 2009, ch. 8; Bank & Sujbert, J. Acoust. Soc. Am. 117,
+2005, Eqs 5-8; Chabassier & Joly, Comput. Methods Appl. Mech. Engrg 199, 2010, whose exact string it approximates).
+Slopes in cosines, v_x = sum c_i cos(i pi x / L), make the strain a series of cosines,
+
+    e_n = s_n + l_n,   s_n = 1/2 sum over polarizations c^T H_n c,   l_n = strain of the longitudinal modes,
+    V = EA L/2 [e_0^2 + 1/2 sum_{n = 1 .. P} e_n^2],
+
+H_n couples c_i with c_j where |i - j| = n or i + j = n. A longitudinal mode above the P-th would follow at once, and
+then its e_n is zero: it is left out together with e_n. With P = 0 and the end held, this is Kirchhoff and Carrier's
+string (`tension`): such strings are found here, too, where both kinds stand side by side. The squares of l_n are the
+energy of the longitudinal modes themselves, which are stepped exactly; what is left is
+U = EA L/2 sum g_n (s_n^2 + 2 s_n l_n), g_0 = 1, g_n = 1/2. s_n is quadratic and l_n linear, so that
+
+    U+ - U = EA L sum g_n [mean(e_n) (s_n+ - s_n) + mean(s_n) (l_n+ - l_n)],   s_n+ - s_n = mean(c)^T H_n (c+ - c):
+
+forces made of these means over a step do the work -(U+ - U), whatever the step. U plus the energy of the modes is a
+sum of squares, so nothing can grow without limit.
+
+The step is implicit in all coupled coordinates: F = Phi(y+(F)), y+ linear in F but for contacts. V + tension is convex
+where the string is nowhere slack (T0 + EA e > 0); there the solution is unique.
+
+Left out: terms of fifth order, T0 beside EA (below 1 % for steel, 3 % for nylon), shear and rotation. Transverse modes
+above a frequency that the string's maker chooses do not take part in U; they are stepped as without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import NDArray
+
+from tonewood.modal.modes import PAIR, ModalBasis
+from tonewood.modal.propagator import apply
+
+if TYPE_CHECKING:
+    from tonewood.coupling.system import System
+
+Floats = NDArray[np.float64]
+
+#: cosines of the slope beyond the number of modes: the bridge's motion spreads a mode over its neighbours
+MORE_COSINES = 12
+#: of the norm of the forces of a step
+TOLERANCE = 1e-12
+MAX_ITERATIONS = 60
+#: of the potential, that it is raised by where the damped search fails
+SMALLEST_PART = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class GeometricStretch:
+    """Couples a string's polarizations with its longitudinal motion.
+
+    Attributes
+    ----------
+    name : of the string.
+    components : its polarizations: components of real modes, made by `string_modes.string_basis`.
+    longitudinal : component of its longitudinal motion: the same, with EA in place of the tension; None is a string
+        that does not move along itself, and all its modes take part: Kirchhoff and Carrier's.
+    axial_stiffness : EA, N.
+    freq_coupled : Hz, transverse modes below it take part.
+    """
+
+    name: str
+    components: tuple[str, ...]
+    longitudinal: str | None
+    axial_stiffness: float
+    freq_coupled: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not (self.axial_stiffness > 0.0 and self.freq_coupled > 0.0 and self.components):
+            raise ValueError(f"{self.name}: a stretched string needs components, and EA and a frequency above 0")
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """All its components, the longitudinal one last."""
+        return self.components if self.longitudinal is None else (*self.components, self.longitudinal)
+
+    def part(self, component: str, basis: ModalBasis, held: Floats) -> GeometricPart:
+        """Arrays of one component.
+
+        Parameters
+        ----------
+        held : (n_modes, 2, 2) h phi_1(A h), the response to an input held over a step.
+
+        Raises
+        ------
+        ValueError : the component was not made by `string_basis`.
+        """
+        known, stretch = basis.metadata, None
+        if not basis.is_real or "vec" not in known:
+            raise ValueError(f"{self.name}: {component} does not tell its shapes as a ramp and sines")
+        vec, length = cast(Floats, known["vec"]), cast(float, known["length"])
+        along = component == self.longitudinal
+        if self.longitudinal is None:
+            count = basis.n_modes
+            stretch = np.asarray(known.get("stretch_part", known["tension_part"]), dtype=np.float64) / length
+            slopes = np.zeros((0, count))
+        else:
+            count = basis.n_modes if along else int(np.searchsorted(basis.natural_freq, self.freq_coupled))
+            rows = len(vec) if along else min(len(vec), count + 1 + MORE_COSINES)
+            wavenumber = np.arange(rows) * np.pi / length
+            wavenumber[0] = -1.0 / length
+            slopes = np.ascontiguousarray(wavenumber[:, None] * vec[:rows, :count])
+        pair = basis.kind == PAIR
+        kick = np.where(pair[:, None], [[0.0, -0.5]] / np.where(pair, basis.poles.imag, 1.0)[:, None], [[0.0, 1.0]])
+        return GeometricPart(
+            slopes=slopes,
+            reading=np.where(pair, 2.0, 1.0)[:count],
+            kick=apply(held, kick)[:count],
+            scale=self.axial_stiffness * length,
+            along=along,
+            stretch=stretch,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class GeometricPart:
+    """One component's share.
+
+    Attributes
+    ----------
+    slopes : (n_cosines, n) cosine coefficients of the slope (of the longitudinal component: strain) per coordinate.
+    reading : (n,) coordinate y = reading times the first number of the mode.
+    kick : (n, 2) state added by a unit modal force held over one step.
+    scale : EA L, N m.
+    along : whether this is the longitudinal component.
+    stretch : (n,) of a string without one, in place of the slopes: s_0 = 1/2 sum stretch y^2, 1 / (kg m^2).
+    """
+
+    slopes: Floats
+    reading: Floats
+    kick: Floats
+    scale: float
+    along: bool
+    stretch: Floats | None = None
+
+    @property
+    def n(self) -> int:
+        """Modes that take part: the lowest ones."""
+        return len(self.reading)
+
+    def coordinates(self, x: Floats) -> Floats:
+        """(n,) y of a state (n_modes, 2)."""
+        return self.reading * x[: self.n, 0]
+
+    def pushed(self, x: Floats, force: Floats) -> Floats:
+        """State after modal forces (n,) held over the step that led to x."""
+        out = x.copy()
+        out[: self.n] += self.kick * force[:, None]
+        return out
+
+
+def cosine_products(n: int, n_cosines: int) -> Floats:
+    """H_n, (n_cosines, n_cosines): n-th cosine coefficient of (sum c_i cos(i theta))^2 / 2 is c^T H_n c / 2."""
+    i = np.arange(n_cosines)
+    if n == 0:
+        return np.diag(np.where(i == 0, 1.0, 0.5))
+    out = np.zeros((n_cosines, n_cosines))
+    distant, mirrored = i[1 : max(n_cosines - n, 1)], i[1:n]
+    out[distant, distant + n] = out[distant + n, distant] = 0.5
+    mirrored = mirrored[(mirrored < n_cosines) & (n - mirrored < n_cosines)]
+    out[mirrored, n - mirrored] = 0.5
+    if n < n_cosines:
+        out[0, n] = out[n, 0] = 1.0
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class GeometricString:
+    """The parts of one string together: its potential U and the forces of a step.
+
+    Coordinates of all parts stand one after another, the longitudinal ones (if there are any) last.
+    """
+
+    parts: tuple[GeometricPart, ...]
+
+    @cached_property
+    def sizes(self) -> NDArray[np.intp]:
+        """Where each part begins, and the end."""
+        return np.cumsum([0, *(p.n for p in self.parts)])
+
+    @property
+    def n(self) -> int:
+        """Coordinates."""
+        return int(self.sizes[-1])
+
+    @cached_property
+    def forms(self) -> Floats:
+        """(P + 1, n, n): s_n = y^T forms_n y / 2."""
+        if not self.parts[-1].along:
+            return np.diag(np.concatenate([p.stretch for p in self.parts if p.stretch is not None]))[None]
+        count = len(self.parts[-1].slopes)
+        out = np.zeros((count, self.n, self.n))
+        for start, part in zip(self.sizes[:-1], self.parts[:-1], strict=False):
+            at = slice(start, start + part.n)
+            for n in range(count):
+                out[n, at, at] = part.slopes.T @ cosine_products(n, len(part.slopes)) @ part.slopes
+        return out
+
+    @cached_property
+    def strains(self) -> Floats:
+        """(P + 1, n): l = strains y."""
+        along = self.parts[-1]
+        if not along.along:
+            return np.zeros((1, self.n))
+        return np.hstack([np.zeros((len(along.slopes), self.n - along.n)), along.slopes])
+
+    @cached_property
+    def weights(self) -> Floats:
+        """(P + 1,) EA L g_n, N m."""
+        return self.parts[-1].scale * np.where(np.arange(len(self.strains)) == 0, 1.0, 0.5)
+
+    def energy(self, y: Floats) -> float:
+        """U, J: what coordinates (n,) store besides the energy of the modes."""
+        s = 0.5 * np.einsum("i,nij,j->n", y, self.forms, y)
+        return float(self.weights @ (0.5 * s * s + s * (self.strains @ y)))
+
+    def force(self, before: Floats, after: Floats) -> Floats:
+        """Modal forces (n,) over a step between coordinates `before` and `after`, N / sqrt(kg)."""
+        mean = 0.5 * (before + after)
+        pulls = self.forms @ mean
+        s = 0.25 * (self.forms @ before @ before + self.forms @ after @ after)
+        tension = self.weights * (s + self.strains @ mean)
+        return np.asarray(-(tension @ pulls + (self.weights * s) @ self.strains))
+
+    def slope(self, before: Floats, after: Floats) -> Floats:
+        """(n, n) derivative of `force` with `after`."""
+        mean = 0.5 * (before + after)
+        s = 0.25 * (self.forms @ before @ before + self.forms @ after @ after)
+        tension = self.weights * (s + self.strains @ mean)
+        ds = 0.5 * (self.forms @ after)
+        pulls = self.weights[:, None] * (self.forms @ mean)
+        out = pulls.T @ (ds + 0.5 * self.strains) + 0.5 * np.einsum("n,nij->ij", tension, self.forms)
+        return np.asarray(-(out + (self.weights[:, None] * self.strains).T @ ds))
+
+
+class GeometricSolve:
+    """Finds the forces of one step of all such strings of a system, together with everything else.
+
+    Newton's method on the modal forces F, damped: it shortens its step until less is wrong. V + tension being convex
+    where no string is slack, that always ends at the one solution. Where a string is slack there may be several, and
+    the damped method may end where nothing near is better: then the potential is raised from nothing in small parts,
+    F = s Phi(y+(F)), s = 0 .. 1, each part starting from the one before. So the solution taken is the one next to the
+    forces before, or else the one that the string without a rise of tension leads to.
+    """
+
+    def __init__(self, system: System):
+        self.system = system
+        self.slots = [[system.slot(name) for name in law.parts] for law in system.geometric]
+        self.strings = [GeometricString(tuple(self._part(i) for i in slots)) for slots in self.slots]
+        self.starts = np.cumsum([0, *(s.n for s in self.strings)])
+
+    def _part(self, slot: int) -> GeometricPart:
+        part = self.system.compiled[slot].geometric
+        if part is None:
+            raise ValueError(f"{self.system.names[slot]} was compiled without its stretch")
+        return part
+
+    def _all(self) -> list[tuple[int, GeometricPart, slice]]:
+        """(component slot, part, place of its coordinates)."""
+        out = []
+        for start, string, slots in zip(self.starts[:-1], self.strings, self.slots, strict=True):
+            for slot, part, at in zip(slots, string.parts, start + string.sizes[:-1], strict=True):
+                out.append((slot, part, slice(int(at), int(at) + part.n)))
+        return out
+
+    @cached_property
+    def _reach(self) -> tuple[Floats, Floats]:
+        """(m, n) gaps per modal force, and (n, m) coordinates per force of a connection; of no connection's answer."""
+        s, n = self.system, int(self.starts[-1])
+        gaps, answers = np.zeros((len(s.connections), n)), np.zeros((n, len(s.connections)))
+        for slot, part, at in self._all():
+            c = s.compiled[slot]
+            gaps[:, at] = s.incidence(slot) @ np.einsum("pmx,mx->pm", c.rows[: len(c.ports), : part.n], part.kick)
+            answers[at] = (part.reading * c.W[:, : part.n, 0]).T @ s.incidence(slot).T
+        return gaps, answers
+
+    @cached_property
+    def compliance(self) -> Floats:
+        """(n, n) coordinates after a step per modal force, linear connections included."""
+        gaps, answers = self._reach
+        return np.diag(self.yields) - answers @ self.system.solve.G @ gaps
+
+    @cached_property
+    def _nonlinear_reach(self) -> tuple[Floats, Floats]:
+        """The same as `_reach` of the nonlinear connections, linear ones answering: (k, n) and (n, k)."""
+        nonlinear, (gaps, answers) = self.system.nonlinear, self._reach
+        if nonlinear is None:
+            return gaps[:0], answers[:, :0]
+        on = nonlinear.index
+        moved = gaps[on] - nonlinear.from_linear @ (self.system.solve.G @ gaps)
+        return moved, answers[:, on] - answers @ nonlinear.answer
+
+    def answer(self, stiffness: Floats) -> Floats:
+        """(n, n) `compliance` with nonlinear connections too, whose forces gain `stiffness` (k, k), N/m, per gap."""
+        gaps, answers = self._nonlinear_reach
+        return np.asarray(self.compliance - answers @ stiffness @ gaps)
+
+    @cached_property
+    def yields(self) -> Floats:
+        """(n,) coordinates after a step per own modal force, without connections."""
+        return np.concatenate([part.reading * part.kick[:, 0] for _, part, _ in self._all()])
+
+    def coordinates(self, x: Sequence[Floats]) -> Floats:
+        """(n,) of states by component slot."""
+        return np.concatenate([part.coordinates(x[slot]) for slot, part, _ in self._all()])
+
+    def by_component(self, force: Floats) -> dict[str, Floats]:
+        """Component -> (n_modes,) modal forces."""
+        out = {}
+        for slot, part, at in self._all():
+            out[self.system.names[slot]] = np.zeros(self.system.compiled[slot].basis.n_modes)
+            out[self.system.names[slot]][: part.n] = force[at]
+        return out
+
+    def pushed(self, free: Sequence[Floats], force: Floats) -> list[Floats]:
+        """States after modal forces (n,)."""
+        out = list(free)
+        for slot, part, at in self._all():
+            out[slot] = part.pushed(out[slot], force[at])
+        return out
+
+    def force(self, before: Floats, after: Floats) -> Floats:
+        """Modal forces (n,) over a step."""
+        pieces = np.split(np.stack([before, after]), self.starts[1:-1], axis=1)
+        return np.concatenate([s.force(*piece) for s, piece in zip(self.strings, pieces, strict=True)])
+
+    def energy(self, x: Sequence[Floats]) -> Floats:
+        """(n_strings,) U, J."""
+        pieces = np.split(self.coordinates(x), self.starts[1:-1])
+        return np.array([s.energy(y) for s, y in zip(self.strings, pieces, strict=True)])
+
+    def find(
+        self,
+        x: Sequence[Floats],
+        free: Sequence[Floats],
+        attempt: Callable[[list[Floats]], Sequence[Floats]],
+        answer: Callable[[], Floats] | None = None,
+    ) -> tuple[Floats, int, bool]:
+        """Find the modal forces of a step.
+
+        Parameters
+        ----------
+        x, free : states before, and after a step without forces.
+        attempt : states without connection forces -> states with them.
+        answer : (n, n) coordinates per modal force at the last attempt; by default there are no connections.
+
+        Returns
+        -------
+        forces (n,), iterations, and whether they were found.
+        """
+        before, size, count = self.coordinates(x), np.sqrt(self.yields), 0
+
+        def wrong(F: Floats, share: float) -> tuple[Floats, Floats, float]:
+            """What is wrong with F, coordinates after it, and the norm of the former."""
+            nonlocal count
+            count += 1
+            after = self.coordinates(attempt(self.pushed(free, F)))
+            off = share * self.force(before, after) - F
+            return off, after, float(sla.norm(size * off))
+
+        def descend(F: Floats, share: float) -> tuple[Floats, bool]:
+            off, after, left = wrong(F, share)
+            last = np.inf
+            for _ in range(MAX_ITERATIONS):
+                all_of_it = float(sla.norm(size * F))
+                if not np.isfinite(left):
+                    return F, False
+                # rounding of the two terms of the strain, which nearly cancel, ends the descent
+                if left <= TOLERANCE * all_of_it or (left >= 0.5 * last and left <= 1e3 * TOLERANCE * all_of_it):
+                    return F, True
+                slope = share * sla.block_diag(
+                    *(
+                        s.slope(before[a:b], after[a:b])
+                        for s, a, b in zip(self.strings, self.starts[:-1], self.starts[1:], strict=True)
+                    )
+                )
+                compliance = np.diag(self.yields) if answer is None else answer()
+                step, t, last = sla.solve(np.eye(len(F)) - slope @ compliance, off), 1.0, left
+                while True:
+                    off, after, left = wrong(F + t * step, share)
+                    if left <= (1 - 1e-4 * t) * last or left <= 1e3 * TOLERANCE * all_of_it:
+                        break
+                    t *= 0.5
+                    if t < 1e-6:
+                        return F, False
+                F = F + t * step
+            return F, False
+
+        F, found = descend(self.force(before, before), 1.0)
+        if not found:
+            F, share, part = np.zeros_like(F), 0.0, 0.25
+            while share < 1.0 and part > SMALLEST_PART:
+                part = min(part, 1.0 - share)
+                tried, found = descend(F, share + part)
+                if found:
+                    F, share, part = tried, share + part, 2 * part
+                else:
+                    part *= 0.5
+            found = share == 1.0
+        return F, count, found

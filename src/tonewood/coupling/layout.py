@@ -1,0 +1,145 @@
+"""How components, connections and readouts hang together: what other bases and other laws leave as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.coupling.connections import Connection
+
+Floats = NDArray[np.float64]
+Places = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Share of a point's motion in a readout; `quantity` is displacement, velocity or acceleration."""
+
+    component: str
+    point: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Readout:
+    """One channel: a weighted sum of points' motion, or of connection forces (N).
+
+    Displacement and velocity are read at the sample's time t_n; acceleration and force are means over the step that
+    begins there, [t_n, t_n + h]: the force is constant over a step, and a mean needs no direct term.
+    """
+
+    name: str
+    quantity: str
+    probes: tuple[Probe, ...] = ()
+    forces: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.quantity not in ("displacement", "velocity", "acceleration", "force"):
+            raise ValueError(
+                f"a readout's quantity is displacement, velocity, acceleration or force, not {self.quantity!r}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A one-way input: `point` of a driven component receives `factor` times the force of a connection."""
+
+    component: str
+    point: str
+    connection: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Of m connections between named components.
+
+    Attributes
+    ----------
+    names : of the components.
+    capacities : modes that the state has room for, one per component.
+    connections : of which only names and terms are looked at.
+    readouts, drives : as in `System`.
+    """
+
+    names: tuple[str, ...]
+    capacities: tuple[int, ...]
+    connections: tuple[Connection, ...]
+    readouts: tuple[Readout, ...]
+    drives: tuple[Drive, ...]
+
+    @cached_property
+    def slots(self) -> Mapping[str, int]:
+        """Component -> its index."""
+        return {name: i for i, name in enumerate(self.names)}
+
+    @cached_property
+    def places(self) -> Mapping[str, int]:
+        """Connection -> its index."""
+        return {connection.name: j for j, connection in enumerate(self.connections)}
+
+    @cached_property
+    def offsets(self) -> tuple[int, ...]:
+        """Start of each component in `State.modes`."""
+        return tuple(int(x) for x in np.cumsum((0, *self.capacities[:-1])))
+
+    @cached_property
+    def driven(self) -> tuple[bool, ...]:
+        """Which components are driven one way."""
+        one_way = {d.component for d in self.drives}
+        return tuple(name in one_way for name in self.names)
+
+    @cached_property
+    def ports(self) -> Mapping[str, tuple[str, ...]]:
+        """Component -> points of it that connections or drives act on, sorted."""
+        found: dict[str, set[str]] = {name: set() for name in self.names}
+        for term in (t for c in self.connections for t in c.terms):
+            found[term.component].add(term.point)
+        for drive in self.drives:
+            found[drive.component].add(drive.point)
+        return {name: tuple(sorted(points)) for name, points in found.items()}
+
+    @cached_property
+    def incidence(self) -> tuple[Floats, ...]:
+        """(m, n_ports) per component: share of each of its ports in each gap (of a driven one: of each force)."""
+        out = [np.zeros((len(self.connections), len(self.ports[name]))) for name in self.names]
+        column = {(name, point): i for name in self.names for i, point in enumerate(self.ports[name])}
+        for j, connection in enumerate(self.connections):
+            for term in connection.terms:
+                out[self.slots[term.component]][j, column[term.component, term.point]] += term.factor
+        for drive in self.drives:
+            j = self.places[drive.connection]
+            out[self.slots[drive.component]][j, column[drive.component, drive.point]] += drive.factor
+        return tuple(out)
+
+    @cached_property
+    def gaps(self) -> tuple[Places, ...]:
+        """(g,) per component: connections that its ports have a share in; none for a driven one."""
+        none = np.zeros(0, dtype=np.intp)
+        shares = zip(self.incidence, self.driven, strict=True)
+        return tuple(none if one_way else np.flatnonzero(np.any(a != 0.0, axis=1)) for a, one_way in shares)
+
+    @cached_property
+    def force_weights(self) -> Floats:
+        """(n_readouts, m) weights of the connection forces in the readouts."""
+        out = np.zeros((len(self.readouts), len(self.connections)))
+        for i, readout in enumerate(self.readouts):
+            for name, factor in readout.forces:
+                out[i, self.places[name]] += factor
+        return out
+
+    def gathered(self, shares: list[Floats]) -> Floats:
+        """(m, m) sum of (g, g) matrices of the components' gaps."""
+        m = len(self.connections)
+        each = np.concatenate([np.zeros(0), *(share.ravel() for share in shares)])
+        return np.asarray(np.bincount(self._entries, each, m * m).reshape(m, m), dtype=np.float64)
+
+    @cached_property
+    def _entries(self) -> Places:
+        """Where the entries of all components' gap matrices belong."""
+        m = len(self.connections)
+        return np.concatenate([np.zeros(0, dtype=np.intp), *((on[:, None] * m + on).ravel() for on in self.gaps)])

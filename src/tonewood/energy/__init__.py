@@ -1,0 +1,1 @@
+"""What is stored, lost and put in over the steps of a motion, computed from the motion alone."""

@@ -1,0 +1,241 @@
+"""Energy accounting on request: what is stored where, what exciters put in, what is lost, and whether it adds up.
+
+For every step of a run
+
+    residual = [stored after] - [stored before] - [work of known forces] + [dissipated] - [booked].
+
+The terms are found apart from each other: stored energy from the states, dissipation and work in closed form from the
+state a step begins with and the forces over it (`energy_forms`), losses of connections from their laws
+(`energy_laws`). What changes the energy between two steps (a string stopped, bent or joined anew) is booked by whoever
+does it. So the residual is rounding, or a mistake.
+
+Components that are driven one way (microphones) carry no energy of the instrument and are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.coupling.geometric import GeometricSolve
+from tonewood.coupling.system import Compiled, Control, Injection, State, System
+from tonewood.energy.forms import ComponentEnergy
+from tonewood.energy.laws import LawEnergies
+from tonewood.energy.path import step_again
+from tonewood.energy.steps import KnownForce, over_steps
+from tonewood.energy.trace import EnergyTrace
+from tonewood.passivity.storage import Storage, storage_matrix
+
+__all__ = ["EnergyAccount", "EnergyTrace", "KnownForce"]
+
+Floats = NDArray[np.float64]
+
+#: steps followed at a time: bounds the memory of a long run
+_CHUNK = 512
+
+
+@dataclass(eq=False)
+class _Record:
+    """What happened up to some time, J."""
+
+    time: float
+    steps: int
+    stored: dict[str, float]
+    supplied: dict[str, float]
+    lost: dict[str, float]
+    booked: dict[str, float]
+    residual: float
+
+
+@dataclass(eq=False)
+class EnergyAccount:
+    """Follows the steps of a run and keeps the account.
+
+    Parameters
+    ----------
+    system, state : where the account begins.
+    interval : steps to one entry, counted from the beginning of each run that is followed.
+    storages : storage functions of components whose modes are not real, for the points that connections and
+        `driven_points` act on, ports first; by default found with `passivity_storage.storage_matrix`.
+    driven_points : component -> further points that known forces may act on; real modes need none named.
+    """
+
+    system: System
+    state: State
+    interval: int = 64
+    storages: Mapping[str, Storage] = field(default_factory=dict)
+    driven_points: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._energies: dict[str, tuple[Compiled, ComponentEnergy]] = {}
+        self._records: list[_Record] = []
+        self._booked: dict[str, float] = {}
+        self._laws = LawEnergies(self.system)
+        self._initial = self.stored(self.state)
+        self._last = dict(self._initial)
+        #: what is stored after the changes made since the last step
+        self._settled = dict(self._initial)
+
+    def stored(self, state: State) -> dict[str, float]:
+        """Stored energy of a state, J, by component, connection and tension."""
+        x = {name: modes[None] for name, modes in self._states(state).items()}
+        out = {name: float(values[0]) for name, values in self._of_components(x).items()}
+        return out | self._laws.at(self._gaps(x)[0], state.series)
+
+    def exchange(self, system: System) -> None:
+        """Go on with a changed system; the energy that the change puts in is to be booked."""
+        self.system = system
+        self._laws = LawEnergies(system)
+
+    def book(self, label: str, amount: float) -> None:
+        """Enter energy put in (J, negative if taken out) between two steps, by a bend, a stop or an impact."""
+        self._booked[label] = self._booked.get(label, 0.0) + amount
+
+    def settle(self, label: str, state: State) -> None:
+        """Book what a change between two steps put in: stored energy of this state, less what was there before."""
+        now = self.stored(state)
+        self.book(label, sum(now.values()) - sum(self._settled.values()))
+        self._settled = now
+
+    def follow(
+        self,
+        before: State,
+        after: State,
+        forces: Floats,
+        injections: Sequence[Injection] = (),
+        known: Sequence[KnownForce] = (),
+        controls: Sequence[Control] = (),
+    ) -> None:
+        """Enter the steps that took `before` to `after`.
+
+        Parameters
+        ----------
+        before, after : states at the two ends; `before` need not be the last `after`, if what lies between is booked.
+        forces : (n, m) N, connection forces, as a stepper returned them.
+        injections, controls : what the stepper was given: the motion between the two ends is found from them anew.
+        known : the forces behind the injections: their work is found from these.
+        """
+        x, series = self._states(before), before.series
+        chunk = max(_CHUNK // self.interval, 1) * self.interval
+        for start in range(0, len(forces), chunk):
+            part, sample = forces[start : start + chunk], before.sample + start
+            path, pulls = step_again(self.system, x, sample, part, injections)
+            if start + chunk >= len(forces):
+                for name, end in self._states(after).items():
+                    path[name][-1] = end
+            within = self._laws.series(series, part)
+            moving = self.system.controlled(controls, sample, len(part)) if controls else {}
+            self._enter(sample, path, pulls, within, part, known, moving)
+            x, series = {name: states[-1] for name, states in path.items()}, self._laws.spread(within[-1])
+
+    def trace(self) -> EnergyTrace:
+        """The account so far."""
+        records = self._records
+
+        def table(which: str) -> dict[str, Floats]:
+            names = dict.fromkeys(name for r in records for name in getattr(r, which))
+            return {name: np.array([getattr(r, which).get(name, 0.0) for r in records]) for name in names}
+
+        return EnergyTrace(
+            time=np.array([r.time for r in records]),
+            steps=np.array([r.steps for r in records], dtype=np.int64),
+            dt=self.system.dt,
+            initial=dict(self._initial),
+            stored=table("stored"),
+            supplied=table("supplied"),
+            booked=table("booked"),
+            lost=table("lost"),
+            residual=np.array([r.residual for r in records]),
+        )
+
+    def _states(self, state: State) -> dict[str, Floats]:
+        two_way = (n for n, one_way in zip(self.system.names, self.system.driven, strict=True) if not one_way)
+        return {n: np.array(self.system.modes_of(state, n).T, dtype=np.float64) for n in two_way}
+
+    def _energy_of(self, name: str) -> ComponentEnergy:
+        compiled = self.system.compiled[self.system.slot(name)]
+        if name not in self._energies or self._energies[name][0] is not compiled:
+            basis, ports = compiled.basis, self.system.ports_of(name)
+            if basis.is_real:
+                energy = ComponentEnergy(basis, basis.points, self.system.dt)
+            else:
+                points = [*ports, *(p for p in self.driven_points.get(name, ()) if p not in ports)]
+                index = np.array([basis.index(p) for p in points], dtype=np.intp)
+                storage = self.storages.get(name) or storage_matrix(basis.poles, basis.right[index], basis.left[index])
+                energy = ComponentEnergy(basis, points, self.system.dt, storage)
+            self._energies[name] = (compiled, energy)
+        return self._energies[name][1]
+
+    def _of_components(self, path: Mapping[str, Floats]) -> dict[str, Floats]:
+        """Stored energy (T,) of components and of the tensions that are on."""
+        out = {name: self._energy_of(name).stored(x) for name, x in path.items()}
+        for law, on in zip(self.system.tensions, self.system.tension_on, strict=True):
+            parts = [(self.system.compiled[self.system.slot(name)].tension, path[name]) for name in law.components]
+            stretch = [(part.reading * x[..., 0]) ** 2 @ part.weights for part, x in parts if on and part is not None]
+            if stretch and parts[0][0] is not None:
+                out[f"{law.name}.tension"] = 0.5 * parts[0][0].kappa * np.sum(stretch, axis=0) ** 2
+        if self.system.geometric:
+            solve, steps = GeometricSolve(self.system), len(next(iter(path.values())))
+            none = np.zeros((steps, 0, 2))
+            along = [solve.energy([path.get(name, none)[t] for name in self.system.names]) for t in range(steps)]
+            strings = zip(self.system.geometric, np.transpose(along), strict=True)
+            out |= {f"{law.name}.stretch": np.array(values) for law, values in strings}
+        return out
+
+    def _gaps(self, path: Mapping[str, Floats]) -> Floats:
+        """(T, m) gaps of all connections."""
+        total: Floats = np.zeros((1, len(self.system.connections)))
+        for name, x in path.items():
+            slot = self.system.slot(name)
+            compiled = self.system.compiled[slot]
+            ports = np.einsum("pmx,tmx->tp", compiled.rows[: len(compiled.ports)], x, optimize=True)
+            total = total + ports @ self.system.incidence(slot).T
+        return total
+
+    def _enter(
+        self,
+        sample: int,
+        path: Mapping[str, Floats],
+        pulls: Mapping[str, Floats],
+        series: Floats,
+        forces: Floats,
+        known: Sequence[KnownForce],
+        moving: Mapping[int, Floats],
+    ) -> None:
+        """Entries for the steps of one path."""
+        T, dt = len(forces), self.system.dt
+        stored, flows = self._of_components(path), self._laws.over(self._gaps(path), series, forces, moving)
+        lost, supplied = dict(flows.lost), dict(flows.supplied)
+        for name, x in path.items():
+            energy = self._energy_of(name)
+            held = np.zeros((T, len(energy.points)))
+            ports = [energy.points.index(p) for p in self.system.ports_of(name)]
+            held[:, ports] = forces @ self.system.incidence(self.system.slot(name))
+            mine = [k for k in known if k.component == name]
+            lost[name], works = over_steps(energy, x[:-1], held, pulls.get(name), mine, sample, dt)
+            for force, work in zip(mine, works, strict=True):
+                supplied[force.label] = supplied.get(force.label, np.zeros(T)) + work
+        stored |= flows.stored
+        for name in self._laws.moved(moving):
+            # a partner may have been moved at once since the last step
+            supplied[name][0] += stored[name][0] - self._settled.get(name, 0.0)
+        total, last_total = np.sum(list(stored.values()), axis=0), sum(self._last.values())
+        for first in range(0, T, self.interval):
+            last = min(first + self.interval, T)
+            entry = _Record(
+                time=(sample + last) * dt,
+                steps=last - first,
+                stored={n: float(v[last]) for n, v in stored.items()},
+                supplied={n: float(v[first:last].sum()) for n, v in supplied.items()},
+                lost={n: float(v[first:last].sum()) for n, v in lost.items()},
+                booked=self._booked,
+                residual=0.0,
+            )
+            into = sum(entry.supplied.values()) + sum(entry.booked.values()) - sum(entry.lost.values())
+            entry.residual = float(total[last] - last_total - into)
+            last_total, self._booked = float(total[last]), {}
+            self._last = self._settled = entry.stored
+            self._records.append(entry)

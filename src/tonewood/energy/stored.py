@@ -1,0 +1,97 @@
+"""Energy stored in a system of real modes: what a step can only lower unless something outside works on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.coupling.connections import Rigid, SpringDashpot, scaled_pinv
+from tonewood.coupling.geometric import GeometricSolve
+from tonewood.coupling.laws import Friction
+from tonewood.coupling.system import State, System
+from tonewood.stepping.motion import to_motion
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Energy:
+    """Joules.
+
+    Attributes
+    ----------
+    modes : kinetic and potential energy of all two-way components.
+    tension : EA/(8 L) S^2 of the strings whose tension modulation is on; of strings that stretch along themselves, what
+        they store beside their modes, which may be negative.
+    connections : of springs and nonlinear potentials.
+    residual : of residual compliance, of rigid joints and in series with nonlinear laws.
+    """
+
+    modes: float
+    tension: float
+    connections: float
+    residual: float
+
+    @property
+    def total(self) -> float:
+        """All of it."""
+        return self.modes + self.tension + self.connections + self.residual
+
+
+def gaps(system: System, state: State) -> Floats:
+    """(m,) m, gaps of all connections, without the residual compliance in series with nonlinear ones."""
+    total = np.zeros(len(system.connections))
+    for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True)):
+        if not system.driven[slot]:
+            rows = compiled.rows[: len(compiled.ports)]
+            x = np.asarray(system.modes_of(state, name), dtype=np.float64).T
+            total += system.incidence(slot) @ np.einsum("pmx,mx->p", rows, x)
+    return total
+
+
+def stored_energy(system: System, state: State) -> Energy:
+    """Stored energy of a state.
+
+    Raises
+    ------
+    ValueError : a two-way component's modes are not real: their energy is not theirs alone to tell.
+    """
+    modes = tension = springs = 0.0
+    stretch = np.zeros(len(system.tensions))
+    kappa = np.zeros(len(system.tensions))
+    for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True)):
+        if system.driven[slot]:
+            continue
+        if not compiled.basis.is_real:
+            raise ValueError(f"the modes of {name} are not real")
+        x = np.asarray(system.modes_of(state, name), dtype=np.float64)
+        q, velocity = to_motion(compiled.basis, x)
+        modes += 0.5 * float(np.sum(velocity**2 + compiled.basis.stiffness * q**2))
+        for t, string in enumerate(system.tensions):
+            if name in string.components and compiled.tension is not None:
+                stretch[t] += compiled.tension.stretch(x.T)
+                kappa[t] = compiled.tension.kappa
+    tension = float(np.sum(0.5 * kappa * stretch**2 * np.array(system.tension_on, dtype=np.float64)))
+    if system.geometric:
+        states = [np.asarray(system.modes_of(state, name), dtype=np.float64).T for name in system.names]
+        tension += float(np.sum(GeometricSolve(system).energy(states)))
+    gap = gaps(system, state)
+    laws = [c.law for c in system.connections]
+    rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)
+    offset = np.array([0.0 if isinstance(law, Friction) else law.offset for law in laws])
+    R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
+    bent = (gap - offset)[rigid]
+    residual = 0.5 * float(bent @ scaled_pinv(R) @ bent) if R.any() else 0.0
+    for j, law in enumerate(laws):
+        if isinstance(law, SpringDashpot):
+            springs += 0.5 * law.stiffness * float(gap[j] - law.offset) ** 2
+    if system.nonlinear is not None:
+        on = system.nonlinear.index
+        series = state.series[on] if state.series.size else np.zeros(len(on))
+        for nonlinear, g in zip(system.nonlinear.laws, gap[on] + series, strict=True):
+            if not isinstance(nonlinear, Friction):
+                springs += nonlinear.energy(float(nonlinear.offset - g))
+        residual += 0.5 * float(series @ scaled_pinv(system.nonlinear.residual) @ series)
+    return Energy(modes, tension, springs, residual)

@@ -1,1 +1,0 @@
-"""Arrays only: modes, propagators, connections, and the kernel that steps them. No files, no YAML."""

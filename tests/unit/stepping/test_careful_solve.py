@@ -1,0 +1,161 @@
+"""Steps that the ordinary iteration does not find: the careful search ends at the same forces, or says what it lost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from geometric_scenes import AXIAL, BENDING, TENSION, along, plucked, transverse
+from geometric_scenes import held_string as stretching_string
+from nonlinear_scenes import pulled, tense_guitar
+
+from tonewood.coupling import geometric, law_solve
+from tonewood.coupling.connections import Connection, Term
+from tonewood.coupling.geometric import GeometricSolve
+from tonewood.coupling.law_solve import Drives, Grip, find_forces, stiffness
+from tonewood.coupling.laws import Contact, Friction
+from tonewood.coupling.tension import TensionPart
+from tonewood.energy.stored import stored_energy
+from tonewood.errors import NumericalError
+from tonewood.stepping import stepper
+from tonewood.stepping.kernel import KernelStepper
+from tonewood.stepping.stepper import NumpyStepper
+
+SOFT = Contact(1e5, 1.0, loss=0.3, offset=-2e-4)
+BOWS = (
+    Connection("bow", (Term("s1a", "f0"),), Friction(0.3, velocity=0.05)),
+    Connection("rosin", (Term("s1a", "f1"),), Friction(0.5, velocity=-0.03)),
+)
+
+
+def run(system, state, n, step=NumpyStepper):
+    made = step(system)
+    out, forces = made.run(state, n)
+    return out, forces, made.statistics
+
+
+def close(ours, theirs, tolerance):
+    assert np.abs(theirs).max() > 0
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=tolerance * np.abs(theirs).max())
+
+
+def test_steps_that_the_kernel_loses_are_made_again(monkeypatch):
+    """The same motion, bit for bit alike however the run is cut at multiples of 64 samples."""
+    system = tense_guitar(frets=SOFT)
+    expected, forces, _ = run(system, pulled(system, 5.0), 192, KernelStepper)
+    ordinary, lost = KernelStepper._run, {5, 70, 71, 130}
+
+    def losing(self, state, n, injections, controls):
+        first = next((k for k in range(n) if state.sample + k in lost), None)
+        if first is None:
+            return ordinary(self, state, n, injections, controls)
+        state.modes[:] = np.nan
+        return first
+
+    monkeypatch.setattr(KernelStepper, "_run", losing)
+    out, found, statistics = run(system, pulled(system, 5.0), 192, KernelStepper)
+    assert (statistics.redone, statistics.failures, statistics.steps) == (4, 0, 192)
+    close(out, expected, 1e-9)
+    close(found, forces, 1e-9)
+    again, state = KernelStepper(system), pulled(system, 5.0)
+    np.testing.assert_array_equal(np.concatenate([again.run(state, 64)[0] for _ in range(3)]), out)
+
+
+def test_tensions_by_brackets_are_those_of_newton(monkeypatch):
+    """Slopes that are far off let Newton's method run to and fro for ever."""
+    system = tense_guitar(frets=SOFT)
+    expected, forces, before = run(system, pulled(system, 50.0), 20)
+    kappa = system.compiled[system.slot("s0a")].tension.kappa
+    monkeypatch.setattr(stepper, "MAX_TENSION_ITERATIONS", 12)
+    monkeypatch.setattr(TensionPart, "slope", lambda *_: 0.45 / kappa)
+    out, found, statistics = run(system, pulled(system, 50.0), 20)
+    assert before.redone == 0
+    assert statistics.redone > 10
+    close(out, expected, 1e-9)
+    close(found, forces, 1e-9)
+
+
+def test_friction_by_newton_is_that_of_going_from_law_to_law(monkeypatch):
+    system = tense_guitar(frets=SOFT, extra=BOWS)
+    expected, forces, before = run(system, pulled(system, 5.0), 40)
+    monkeypatch.setattr(law_solve, "MAX_SWEEPS", 2)
+    monkeypatch.setattr(law_solve, "FEW_SWEEPS", 2)
+    out, found, statistics = run(system, pulled(system, 5.0), 40)
+    assert before.redone == 0
+    assert statistics.redone > 10
+    close(out, expected, 1e-9)
+    close(found, forces, 1e-9)
+
+
+def test_stiffness_is_the_slope_of_the_forces_found():
+    rng = np.random.default_rng(5)
+    laws = [Contact(1e6, 1.5, loss=0.2), Contact(3e5), Friction(0.4, velocity=0.1), Friction(300.0), Contact(1e6, 2.0)]
+    A = rng.normal(size=(5, 5))
+    Z, free = 1e-6 * (A @ A.T + np.eye(5)), -1e-4 * rng.uniform(0.2, 1.0, 5)
+    gap, dt, none = np.zeros(5), 2e-5, np.zeros(5)
+    drives = Drives(
+        none, none, np.array([law.velocity if isinstance(law, Friction) else 0.0 for law in laws]), none + 1
+    )
+    grips = {j: Grip(law, 1.0, 0.0) for j, law in enumerate(laws) if isinstance(law, Friction)}
+    f = find_forces(laws, Z, free, gap, dt, drives, none, grips).forces
+    assert {grip.branch for grip in grips.values()} == {"stuck", "behind"}
+    K, step = stiffness(laws, Z, free, gap, dt, drives, f, grips), 1e-10
+
+    def forces(j, by):
+        return find_forces(laws, Z, free - by * np.eye(5)[j], gap, dt, drives, f, grips).forces
+
+    numeric = np.transpose([(forces(j, step) - forces(j, -step)) / (2 * step) for j in range(5)])
+    np.testing.assert_allclose(K, numeric, atol=1e-5 * np.abs(numeric).max(), rtol=0)
+
+
+def stretching(n_modes=None, n_along=None):
+    basis, motion = transverse(n_modes, bending=BENDING, eta=1e-3), along(n_along, eta=2e-3)
+    return stretching_string(48000.0, ("y", "z"), basis=basis, motion=motion)
+
+
+def test_strings_that_stretch_are_found_from_the_linear_one_on(monkeypatch):
+    """Damped Newton that may not go far ends nowhere; raising the potential bit by bit ends where it would have."""
+    system = stretching(16, 4)
+    expected, _, _ = run(system, plucked(system, 0.1, ("y", "z")), 3)
+    monkeypatch.setattr(geometric, "MAX_ITERATIONS", 4)
+    out, _, statistics = run(system, plucked(system, 0.1, ("y", "z")), 3)
+    assert statistics.most_tension_iterations > 20
+    close(out, expected, 1e-8)
+
+
+@pytest.mark.parametrize("share", [2.0, 10.0])
+def test_a_slack_string_is_found_and_loses_energy(share):
+    """Compressed by `share` of what its tension at rest stretches it by, nothing is convex any more."""
+    system = stretching()
+    state = plucked(system, 5e-3, ("y", "z"))
+    solve = GeometricSolve(system)
+    string, x = solve.strings[0], [system.modes_of(state, name).T for name in system.names]
+    motion = system.modes_of(state, system.geometric[0].longitudinal)
+    rng = np.random.default_rng(8)
+    motion[0] = rng.normal(size=len(motion[0]))
+    strain = string.strains @ solve.coordinates(x)
+    motion[0] *= -share * TENSION / AXIAL / strain[1]
+    s, strain = solve.coordinates(x), string.strains @ solve.coordinates(x)
+    lowest = min(
+        0.5 * np.einsum("i,nij,j->n", s, string.forms, s) @ wave + strain @ wave
+        for wave in np.cos(np.outer(np.linspace(0, np.pi, 60), np.arange(len(strain))))
+    )
+    assert AXIAL * lowest < -TENSION
+    made, path = KernelStepper(system), [stored_energy(system, state).total]
+    for _ in range(40):
+        made.run(state, 10)
+        path.append(stored_energy(system, state).total)
+    assert np.diff(path).max() <= 1e-12 * path[0]
+    assert made.statistics.failures == 0
+
+
+@pytest.mark.parametrize("make", [NumpyStepper, KernelStepper])
+def test_a_step_that_cannot_be_found_is_refused_in_one_line(monkeypatch, make):
+    """And what was lost names string and time."""
+    system = tense_guitar(frets=SOFT)
+    monkeypatch.setattr(law_solve, "newton", lambda laws, Z, free, old, dt, scale, guess, noise: (guess, 1, False))
+    if make is KernelStepper:
+        monkeypatch.setattr(KernelStepper, "_run", lambda *_: 0)
+    made, state = make(system), pulled(system, 5.0)
+    with pytest.raises(NumericalError, match=r"^the forces of [^\n]+ were not found at 0\.0+ s$"):
+        made.run(state, 10)
+    assert made.statistics.failures == 1
