@@ -38,7 +38,6 @@ class Listing(Attachment[ListingParameters]):
         for i in range(p.points):
             point = f"{name}.{i}"
             places[point] = start + p.width * (i + 0.5) / p.points
-            for component, _ in site.polarizations:
-                plane = component.rpartition(".")[2]
-                connections.append(Connection(f"{site.string}.{point}{plane}", (Term(component, point),), law))
+            for plane, (component, _) in enumerate(site.polarizations):
+                connections.append(Connection(f"{site.string}.{point}.{plane}", (Term(component, point),), law))
         return Attached(places, connections=tuple(connections))

@@ -184,7 +184,7 @@ class _Base:
         self.score, self.instrument, self.condition = score, instrument, condition
         playing = instrument.spec.playing
         self.velocity = playing.velocity
-        self.default = playing.exciter or playing.velocity.parameter.partition(".")[0]
+        self.default = playing.default_exciter
         self.lengths: dict[tuple[object, ...], float] | None = None
 
     def value(self, draw: Draw, note: Note) -> float | None:

@@ -31,6 +31,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import scipy.linalg as sla
@@ -77,13 +78,31 @@ Law = Rigid | SpringDashpot | NonlinearLaw
 FORGETTING = 4e3
 
 
+#: what a connection is for in an instrument: the joint of a string's end to the body, the dashpot of the finger that
+#: holds a string while it is plucked, or something that an attachment or exciter adds; empty outside of instruments
+Role = Literal["", "bridge", "hold", "attached"]
+
+
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """A law acting on a gap."""
+    """A law acting on a gap.
+
+    Attributes
+    ----------
+    name : unique in its system.
+    terms : shares of points in the gap.
+    law : of the force.
+    role : what it is for; set by the assembly of an instrument, like the next two.
+    owner : string that it belongs to.
+    part : key of the attachment or exciter that adds it; empty for the other roles.
+    """
 
     name: str
     terms: tuple[Term, ...]
     law: Law = Rigid()
+    role: Role = ""
+    owner: str = ""
+    part: str = ""
 
 
 @dataclass(frozen=True, eq=False)

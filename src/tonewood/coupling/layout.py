@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -64,6 +64,7 @@ class Layout:
     capacities : modes that the state has room for, one per component.
     connections : of which only names and terms are looked at.
     readouts, drives : as in `System`.
+    owners : component -> string that it belongs to; the body and microphones have none.
     """
 
     names: tuple[str, ...]
@@ -71,6 +72,7 @@ class Layout:
     connections: tuple[Connection, ...]
     readouts: tuple[Readout, ...]
     drives: tuple[Drive, ...]
+    owners: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def slots(self) -> Mapping[str, int]:

@@ -318,6 +318,7 @@ class System:
         capacities: Mapping[str, int] | None = None,
         tensions: Sequence[TensionModulation] = (),
         geometric: Sequence[GeometricStretch] = (),
+        owners: Mapping[str, str] | None = None,
     ) -> System:
         """Compile.
 
@@ -327,6 +328,7 @@ class System:
         capacities : name -> modes to leave room for, where a component may later take a larger basis.
         tensions : strings whose tension rises with their amplitude; all are on.
         geometric : strings whose longitudinal motion is coupled to the transverse one; all are on.
+        owners : component -> string that it belongs to, of those that belong to one.
 
         Raises
         ------
@@ -360,7 +362,7 @@ class System:
             raise ValueError(f"{both}: where a string moves along itself, all rising tensions go into `geometric`")
         names, joined = tuple(components), tuple(connections)
         room = tuple(_padded(max(components[n].n_modes, (capacities or {}).get(n, 0))) for n in names)
-        layout = Layout(names, room, joined, tuple(readouts), tuple(drives))
+        layout = Layout(names, room, joined, tuple(readouts), tuple(drives), dict(owners or {}))
         system = cls(
             dt=dt,
             layout=layout,
@@ -505,6 +507,11 @@ class System:
     def driven(self) -> tuple[bool, ...]:
         """Which components are driven one way."""
         return self.layout.driven
+
+    @property
+    def owners(self) -> Mapping[str, str]:
+        """Component -> string that it belongs to, of those that belong to one."""
+        return self.layout.owners
 
     def slot(self, name: str) -> int:
         """Index of a component."""

@@ -7,7 +7,7 @@ of the string and of the part, ``STRING.PART.``, so that nothing clashes.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -76,6 +76,11 @@ class Attached:
     connections: tuple[Connection, ...] = ()
     inputs: Mapping[str, tuple[tuple[str, str, float], ...]] = field(default_factory=dict)
     resting: tuple[str, ...] = ()
+
+    def owned_by(self, string: str, part: str) -> Attached:
+        """Return the same with the string and the part named in every connection."""
+        marked = tuple(replace(c, role="attached", owner=string, part=part) for c in self.connections)
+        return replace(self, connections=marked)
 
 
 @dataclass(frozen=True, slots=True)

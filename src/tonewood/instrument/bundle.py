@@ -17,7 +17,7 @@ from tonewood.instrument.contract import Attachment, Body, Exciter, Pickup, Plug
 from tonewood.instrument.directions import polarization_vectors
 from tonewood.instrument.files import Files
 from tonewood.instrument.overrides import apply_overrides
-from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance, StringPart
+from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance
 from tonewood.params import Vector, validated
 from tonewood.score.scales import Tuning, note_number, read_tuning
 from tonewood.yaml_io import load_yaml
@@ -254,7 +254,7 @@ class Instrument:
         """What no single part can know."""
         points = {name: point for name, point in self.body.points().items() if point.driven}
         for name, part in self.spec.strings.items():
-            for end in _ends(part):
+            for end in part.ends:
                 component, _, point = end.partition(".")
                 if component != "body" or point not in points:
                     known = ", ".join(f"body.{p}" for p in points)
@@ -301,10 +301,6 @@ class Instrument:
         fields = self.exciters[exciter].Parameters.model_fields
         if parameter not in fields:
             raise self._fault(f"{exciter} has no parameter {parameter!r}; it has {', '.join(fields)}", key)
-
-
-def _ends(part: StringPart) -> list[str]:
-    return [part.end] if isinstance(part.end, str) else list(part.end)
 
 
 def _flat(part: PluginPart, plugin: Plugin[Any]) -> dict[str, Any]:

@@ -91,6 +91,21 @@ class StringPart(PluginPart):
     )
     points: dict[Name, StringPoint] = described("further places on the string", default={}, max_length=MOST_PARTS)
 
+    @property
+    def ends(self) -> tuple[str, ...]:
+        """What it ends on, ``body.POINT`` each."""
+        return (self.end,) if isinstance(self.end, str) else tuple(self.end)
+
+    @property
+    def body_points(self) -> tuple[str, ...]:
+        """Points of the body that it ends on."""
+        return tuple(end.partition(".")[2] for end in self.ends)
+
+    def label(self, polarization: int) -> str:
+        """Name of one of its polarizations: its direction, or p1 and p2 where that is a vector."""
+        wanted = self.polarizations[polarization]
+        return wanted if isinstance(wanted, str) else f"p{polarization + 1}"
+
     @model_validator(mode="after")
     def _pitch(self) -> StringPart:
         if (self.note is None) == (self.freq is None):
@@ -166,6 +181,11 @@ class Velocity(Parameters):
             raise ValueError("an exponential curve needs low and high above 0")
         return self
 
+    @property
+    def exciter(self) -> str:
+        """EXCITER of `parameter`."""
+        return self.parameter.partition(".")[0]
+
     def value(self, velocity_midi: float) -> float:
         """Parameter at a velocity of 1 .. 127; below and above the ends hold."""
         share = (min(max(velocity_midi, 1.0), 127.0) - 1.0) / 126.0
@@ -204,6 +224,11 @@ class Playing(Parameters):
     switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(
         "ccN -> exciter that notes ask for while it is at 64 or more", default={}
     )
+
+    @property
+    def default_exciter(self) -> str:
+        """Exciter of notes that name no technique."""
+        return self.exciter or self.velocity.exciter
 
 
 class OutputPart(PluginPart):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, cast
 
@@ -17,119 +17,19 @@ from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Resonator
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
+from tonewood.instrument.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.tuning import StringOnBody, TunedStop, tune
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.receptance import Joint, Ports
 from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
-from tonewood.params import Vector
 from tonewood.units import cents, ratio_of_cents
 
 Floats = NDArray[np.float64]
 
 #: a note that needs this many times the bundle's tension, or this many times less, is a mistake
 _RETENSION = 5.0
-#: given and used tension further apart than this, in cents of pitch, are told of: printed tensions and a body that
-#: gives way make up to 27 (E2 of flamenco_guitar, beside a strong body mode)
-NOTICEABLE_CENTS = 30.0
 #: bases of stops between whole ones that are remembered: a slide passes hundreds
 _PASSING_STOPS = 32
-
-
-@dataclass(frozen=True, slots=True)
-class Polarization:
-    """One plane in which a string moves.
-
-    Attributes
-    ----------
-    component : its name in the system, ``STRING.NAME``.
-    direction : unit vector, tilt included.
-    ends : body point -> (p . d), share of that point's displacement in the string's end; without any the end is rigid.
-    detune : frequency ratio to the first polarization.
-    """
-
-    component: str
-    direction: Vector
-    ends: Mapping[str, float]
-    detune: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Along:
-    """Motion along a string.
-
-    Attributes
-    ----------
-    component : its name in the system, ``STRING.longitudinal``.
-    direction : unit vector from the bridge to the nut.
-    ends : body point -> share of that point's displacement in the string's end.
-    motion : as the resonator gives it.
-    """
-
-    component: str
-    direction: Vector
-    ends: Mapping[str, float]
-    motion: Longitudinal
-
-
-@dataclass(frozen=True, slots=True)
-class Stopping:
-    """Stops of a string.
-
-    Attributes
-    ----------
-    count : highest stop, in steps of the scale; 0 for open strings.
-    continuous : whether stops between whole steps exist.
-    freq : stop -> pitch of its note, Hz.
-    compensate : ``each_stop``, ``open_only`` or ``none``.
-    hold : ``pitch`` or ``tension``: what the open string keeps where it is compensated.
-    finger : that stops the string softly; None where the stop is its ideal end.
-    """
-
-    count: int
-    continuous: bool
-    freq: Callable[[float], float]
-    compensate: str
-    hold: str = "pitch"
-    finger: Finger | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class GivenTension:
-    """What became of the tension that the bundle gives an open string.
-
-    Attributes
-    ----------
-    string : its name.
-    given, used : N, of the first polarization.
-    held : ``pitch`` or ``tension``: which of the two was kept.
-    raised_cents : of the open string's pitch, from its note to where the tension puts it; 0 where the pitch is held.
-    """
-
-    string: str
-    given: float
-    used: float
-    held: str
-    raised_cents: float
-
-    @property
-    def cents(self) -> float:
-        """Pitch that the given tension would make, from the pitch that was asked for: 600 lg2(given / used)."""
-        return self.raised_cents if self.held == "tension" else 600.0 * math.log2(self.given / self.used)
-
-    @property
-    def noticeable(self) -> bool:
-        """Whether the two are further apart than tuning to the body makes them, `NOTICEABLE_CENTS`."""
-        return abs(self.cents) > NOTICEABLE_CENTS
-
-    def line(self) -> str:
-        """One line that says which of the two was kept."""
-        if self.held == "tension":
-            off = f"{self.cents:+.0f} cents from its note"
-            return f"{self.string}: its tension of {self.given:g} N is held; it sounds {off}"
-        return (
-            f"{self.string}: tuned to its note at {self.used:.4g} N; the {self.given:g} N given would sound "
-            f"{self.cents:+.0f} cents from it (tuning.hold: tension keeps them)"
-        )
 
 
 class StringModel:
@@ -141,7 +41,7 @@ class StringModel:
     polarizations : one or two, the first is the one kept when effects are left out.
     open_note : note number of the open string.
     stopping : its stops.
-    along : its longitudinal motion, if that is stepped.
+    longitudinal : its longitudinal motion, if that is stepped.
     pluck_from_bridge : m, where it is plucked if nobody says where.
     """
 
@@ -161,10 +61,10 @@ class StringModel:
         tilt_deg: float,
         pluck_from_bridge: float,
         touching: Mapping[str, Attachment[Any] | Exciter[Any]] | None = None,
-        along: Along | None = None,
+        longitudinal: LongitudinalMotion | None = None,
     ):
         self.name, self.resonator, self.polarizations = name, resonator, polarizations
-        self.along = along
+        self.longitudinal = longitudinal
         self.open_note, self.stopping, self.points = open_note, stopping, dict(points)
         self.pluck_from_bridge = pluck_from_bridge
         self._body, self._freq_upper, self._freq_limit = body, freq_upper, freq_limit
@@ -174,17 +74,22 @@ class StringModel:
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._bases: dict[float, ModalBasis] = {}
         self._gains: dict[float, float] = {}
-        self._along: dict[float, ModalBasis] = {}
+        self._longitudinal_bases: dict[float, ModalBasis] = {}
 
     @property
     def components(self) -> tuple[str, ...]:
         """Names of its components in the system, the first polarization first, longitudinal motion last."""
-        return (*(p.component for p in self.polarizations), *([self.along.component] if self.along else []))
+        return tuple(p.component for p in self.ends)
 
     @property
-    def ends(self) -> tuple[Polarization | Along, ...]:
+    def all_components(self) -> tuple[str, ...]:
+        """Names of its components, then those of what touches it."""
+        return (*self.components, *(name for a in self.attached() for name in a.components))
+
+    @property
+    def ends(self) -> tuple[Polarization | LongitudinalMotion, ...]:
         """All that moves at the bridge."""
-        return (*self.polarizations, *([self.along] if self.along else []))
+        return (*self.polarizations, *([self.longitudinal] if self.longitudinal else []))
 
     @property
     def n_stops(self) -> int:
@@ -248,10 +153,10 @@ class StringModel:
         """What touches the string at a stop besides the body: connections and exciters that react."""
         if stop not in self._attached:
             site = self.site(stop)
-            found = [part.attach(name, site) for name, part in self._touching.items()]
+            found = {name: part.attach(name, site) for name, part in self._touching.items()}
             if self.stopping.finger is not None:
-                found.append(fingertips(self.stopping.finger, site, self._left_under_finger(stop)))
-            self._attached[stop] = tuple(a for a in found if a is not None)
+                found[POINT] = fingertips(self.stopping.finger, site, self._left_under_finger(stop))
+            self._attached[stop] = tuple(a.owned_by(self.name, part) for part, a in found.items() if a is not None)
         return self._attached[stop]
 
     def connections(self, stop: float = 0) -> tuple[Connection, ...]:
@@ -330,8 +235,8 @@ class StringModel:
             if not whole:
                 basis = below(basis, self._freq_limit)
             out[polarization.component] = with_still_points(basis.with_places(here), beyond)
-        if self.along:
-            out[self.along.component] = self._longitudinal(end, self.along.motion)
+        if self.longitudinal:
+            out[self.longitudinal.component] = self._longitudinal(end, self.longitudinal.motion)
         return damped(out, added_damping) if added_damping else out
 
     def n_modes(self, stop: float = 0) -> int:
@@ -351,7 +256,7 @@ class StringModel:
     def transfer(self, component: str, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         """Matrices that carry modal displacement and velocity from one stop's basis to another's."""
         self._own(component)
-        if self._is_along(component):
+        if self._is_longitudinal(component):
             return string_transfer(old, new)
         if self.stopping.finger is not None:
             return laid_down(old, new)
@@ -362,7 +267,7 @@ class StringModel:
     ) -> tuple[Floats, Floats]:
         """One motion, modal coordinates q and q', carried from one stop's basis to another's."""
         self._own(component)
-        if self._is_along(component):
+        if self._is_longitudinal(component):
             return (
                 (q, velocity)
                 if old.metadata["length"] == new.metadata["length"]
@@ -373,16 +278,16 @@ class StringModel:
             return displacement @ q, moving @ velocity
         return self.resonator.carried(old, new, q, velocity)
 
-    def _is_along(self, component: str) -> bool:
-        return self.along is not None and component == self.along.component
+    def _is_longitudinal(self, component: str) -> bool:
+        return self.longitudinal is not None and component == self.longitudinal.component
 
     def _longitudinal(self, stop: float, motion: Longitudinal) -> ModalBasis:
         """Modes along the string; few, and bends leave them as they are."""
-        if stop not in self._along:
-            if len(self._along) >= _PASSING_STOPS:
-                del self._along[next(iter(self._along))]
-            self._along[stop] = motion.basis(self._freq_limit, self.position(stop))
-        return self._along[stop]
+        if stop not in self._longitudinal_bases:
+            if len(self._longitudinal_bases) >= _PASSING_STOPS:
+                del self._longitudinal_bases[next(iter(self._longitudinal_bases))]
+            self._longitudinal_bases[stop] = motion.basis(self._freq_limit, self.position(stop))
+        return self._longitudinal_bases[stop]
 
     def _end(self, stop: float) -> float:
         """Stop at which the string's modes end: a soft finger leaves them those of the open string."""

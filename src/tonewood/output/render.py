@@ -20,7 +20,7 @@ from tonewood.engine.playing import Performance, perform
 from tonewood.errors import DroppedNotesWarning, TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.strings import GivenTension
+from tonewood.instrument.string_setup import GivenTension
 from tonewood.output.accuracy import Decimator, accuracy_level
 from tonewood.output.audio import Audio, decibels
 from tonewood.score.note import Dropped, Score
