@@ -71,6 +71,30 @@ def test_imports_point_down(path):
         assert RANK[other] < RANK[own], f"{path.relative_to(ROOT)}:{line}: {own} must not import {other}"
 
 
+def test_no_modules_import_each_other_in_a_circle():
+    """Imports inside of functions and under TYPE_CHECKING count, too; not the version and what is compiled."""
+    modules = {".".join(("tonewood", *p.relative_to(SOURCES).with_suffix("").parts)): p for p in FILES}
+    modules = {name.removesuffix(".__init__"): path for name, path in modules.items()}
+    needs, bare = {}, {"__version__", "_kernel", "_methods"}
+    for own, path in modules.items():
+        found = {name if (name := f"{m}.{n}") in modules else m for m, n, _ in imports(path) if n not in bare}
+        needs[own] = (found & set(modules)) - {own}
+    while free := [name for name, others in needs.items() if not others & set(needs)]:
+        for name in free:
+            del needs[name]
+    # what is left lies in a circle, or imports one
+    while tops := set(needs) - {other for others in needs.values() for other in others}:
+        for name in tops:
+            del needs[name]
+    assert needs == {}
+
+
+def test_files_are_short():
+    lengths = {p.relative_to(SOURCES).as_posix(): len(p.read_text(encoding="utf-8").splitlines()) for p in FILES}
+    long = {name for name, n in lengths.items() if n > 500}
+    assert long <= {"engine/sleeping.py"}
+
+
 def test_every_layer_is_there():
     present = {p.name.removesuffix(".py").removesuffix(".pyi") for p in SOURCES.iterdir() if p.name != "__pycache__"}
     wanted = set(RANK)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tonewood.cli.main import COMMANDS, InterruptError, ReaderGoneError
+from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 
 # typer may carry its own copy of click: its errors are found through it
 _UsageError = typer.BadParameter.__bases__[0]

@@ -7,36 +7,11 @@ import sys
 from contextlib import suppress
 from typing import NoReturn
 
+from tonewood.cli.commands import InterruptError, ReaderGoneError
 from tonewood.errors import TonewoodError
-
-#: command -> module and function
-COMMANDS = {
-    "render": "render:render",
-    "play": "play:play",
-    "list": "listing:list_installed",
-    "plan": "plan:plan",
-    "check": "check:check",
-    "modes": "modes:modes",
-    "schema": "schema:schema",
-    "batch": "batch:batch",
-    "results": "results:results",
-    "validate": "validate:validate",
-    "accuracy": "accuracy:accuracy",
-}
 
 #: exit code, as shells have it
 _INTERRUPTED = 130
-
-
-class InterruptError(Exception):
-    """Ctrl-C inside a command: typer would turn a KeyboardInterrupt into an exit code without a word.
-
-    Its text says what is left behind.
-    """
-
-
-class ReaderGoneError(Exception):
-    """Nobody reads standard output any more, as behind ``| head``; typer would make an exit code of that, too."""
 
 
 def run(arguments: list[str] | None = None) -> None:

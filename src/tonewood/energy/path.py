@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.geometric import GeometricSolve
+from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.system import Injection, System
 from tonewood.coupling.tension import TensionPart
 from tonewood.errors import NumericalError

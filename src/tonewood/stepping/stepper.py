@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.coupling.connections import LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
-from tonewood.coupling.geometric import GeometricSolve
+from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.law_solve import Drives, Grip, find_forces, settle, stiffness
 from tonewood.coupling.laws import Friction
 from tonewood.coupling.system import Control, Injection, State, System

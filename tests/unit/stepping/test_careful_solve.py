@@ -10,7 +10,7 @@ from nonlinear_scenes import pulled, tense_guitar
 
 from tonewood.coupling import geometric, law_solve
 from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.geometric import GeometricSolve
+from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.law_solve import Drives, Grip, find_forces, stiffness
 from tonewood.coupling.laws import Contact, Friction
 from tonewood.coupling.tension import TensionPart
