@@ -87,13 +87,14 @@ if TYPE_CHECKING:
     from tonewood.modal.string_transfer import string_carry as string_carry
     from tonewood.modal.string_transfer import string_transfer as string_transfer
     from tonewood.output.audio import Audio as Audio
+    from tonewood.output.options import RenderOptions as RenderOptions
+    from tonewood.output.options import Tail as Tail
     from tonewood.output.plan import Plan as Plan
     from tonewood.output.plan import plan as plan
     from tonewood.output.play import Playback as Playback
     from tonewood.output.play import play as play
     from tonewood.output.render import Renderer as Renderer
     from tonewood.output.render import Summary as Summary
-    from tonewood.output.render import Tail as Tail
     from tonewood.output.render import render as render
     from tonewood.params import Number as Number
     from tonewood.params import Parameters as Parameters
@@ -143,7 +144,8 @@ _MODULES = {
     "output.audio": ("Audio",),
     "output.plan": ("Plan", "plan"),
     "output.play": ("Playback", "play"),
-    "output.render": ("Renderer", "Summary", "Tail", "render"),
+    "output.options": ("RenderOptions", "Tail"),
+    "output.render": ("Renderer", "Summary", "render"),
     "params": ("Number", "Parameters", "Vector", "described", "quantity"),
     "score.midi": ("read_midi", "write_midi"),
     "score.note": ("Control", "Dropped", "Note", "Score"),

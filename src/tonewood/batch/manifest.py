@@ -8,6 +8,7 @@ conditions are the crossed or listed levels. See `tonewood.batch.conditions` for
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -16,6 +17,8 @@ from pydantic_core import PydanticCustomError
 
 from tonewood.errors import TonewoodError
 from tonewood.faults import first_fault
+from tonewood.output.options import RenderOptions
+from tonewood.params import described, quantity
 from tonewood.score.note import Note
 from tonewood.yaml_io import load_yaml
 
@@ -24,6 +27,8 @@ ParameterPath = Annotated[str, Field(pattern=r"^[^.\s]+(\.[^.\s]+)*$", max_lengt
 Positive = Annotated[float, Field(gt=0)]
 Levels = dict[str, str]
 RESERVED = ("instrument", "score", "repeat")
+#: keys under ``render.tail`` -> field
+TAIL_KEYS = {"cap": "tail", "energy_db": "tail_level_db"}
 
 
 class ManifestError(TonewoodError):
@@ -96,30 +101,41 @@ class Variation(_Part):
         return self
 
 
-class Tail(_Part):
-    """How long a render goes on after the last note."""
+class RenderSettings(RenderOptions):
+    """Options of the render; any of them may be a factor under ``render.``.
 
-    energy_db: float = Field(default=-90.0, lt=0, description="stop when the energy has fallen by this, dB")
-    cap: Positive = Field(default=12.0, le=600, description="s")
-
-
-class RenderSettings(_Part):
-    """Settings given to the renderer; any of them may be a factor under ``render.``."""
+    A manifest may write `tail` and `tail_level_db` as ``tail: {cap, energy_db}``, and a single one of `outputs` as
+    ``output``.
+    """
 
     #: keys of earlier versions, and what is said of them (`faults.first_fault`)
     removed: ClassVar[dict[str, str]] = {
         "precision": "precision was removed in 0.2; samples are always computed in double precision"
     }
 
-    fs: int = Field(default=48000, ge=8000, le=768000, description="Hz")
-    accuracy: Literal["draft", "standard", "reference"] = "standard"
-    effects: Literal["auto", "all", "none"] | list[str] | None = Field(
-        default=None, description="the bundle's own choice if not given"
+    tail: float = quantity("s", low=0.0, high=600.0, default=12.0, doc="longest ring after the last note")
+    tail_level_db: float = quantity(
+        "dB", low=-300.0, high=-1.0, default=-90.0, doc="the ring has ended this far below the loudest sample"
     )
-    isa: Literal["auto", "avx512", "avx2", "neon", "baseline"] = "auto"
-    output: str | None = Field(default=None, description="output group of the bundle; its first if not given")
-    tail: Tail = Tail()
-    energy: bool = Field(default=False, description="keep an account of energy; the record tells how far it closes")
+    isa: Literal["auto", "avx512", "avx2", "neon", "baseline"] = described(
+        "instruction set that the renders must be computed with", default="auto"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _other_spellings(cls, values: Any) -> Any:
+        if not isinstance(values, Mapping):
+            return values
+        out = dict(values)
+        if "output" in out and "outputs" not in out and (one := out.pop("output")) is not None:
+            out["outputs"] = [one]
+        if isinstance(tail := out.get("tail"), Mapping):
+            unknown = [key for key in tail if key not in TAIL_KEYS]
+            if unknown:
+                raise PydanticCustomError("tail", f"tail.{unknown[0]}: is not a known key; allowed: cap, energy_db")
+            del out["tail"]
+            out |= {TAIL_KEYS[key]: value for key, value in tail.items()}
+        return out
 
 
 class Fade(_Part):
@@ -295,14 +311,9 @@ class Manifest(_Part):
                 raise PydanticCustomError("factor", f"factors.{name}.levels.{level}: {reason}") from None
 
     def render_settings(self, changes: dict[str, Any]) -> RenderSettings:
-        """The render settings with dotted keys changed, checked anew."""
-        data = self.render.model_dump(by_alias=True)
-        for key, value in changes.items():
-            *parents, last = key.split(".")
-            place = data
-            for parent in parents:
-                place = place.setdefault(parent, {})
-            place[last] = value
+        """The render settings with some changed, checked anew."""
+        names = {f"tail.{key}": field for key, field in TAIL_KEYS.items()}
+        data = {**self.render.model_dump(), **{names.get(key, key): value for key, value in changes.items()}}
         return RenderSettings.model_validate(data)
 
 

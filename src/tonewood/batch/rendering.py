@@ -20,7 +20,7 @@ from tonewood.errors import TonewoodError
 from tonewood.instrument import registry
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.output.render import Renderer, Tail
+from tonewood.output.render import Renderer
 from tonewood.score.assignment import assign
 from tonewood.score.midi import read_midi
 from tonewood.score.note import Note, Score
@@ -73,7 +73,7 @@ class EngineRenderer:
                 pass
             _COSTS[kind] = (ready - began, (time.perf_counter() - ready) / _PIECE)
         setup, per_second = _COSTS[kind]
-        length = max((n.time + n.duration for n in _score(condition).notes), default=0.0) + 0.5 * settings.tail.cap
+        length = max((n.time + n.duration for n in _score(condition).notes), default=0.0) + 0.5 * settings.tail
         return setup + per_second * length
 
     def render(self, condition: Condition) -> Rendered:
@@ -93,18 +93,12 @@ class EngineRenderer:
 
 
 def _renderer(condition: Condition, max_duration: float | None = None) -> Renderer:
-    settings = condition.render
     instrument = instrument_of(condition)
+    options = condition.render.at(channel_per_string=_channel_per_string(condition))
     return Renderer(
         _varied(_score(condition), instrument, condition),
         instrument,
-        settings.fs,
-        accuracy=settings.accuracy,
-        outputs=None if settings.output is None else [settings.output],
-        tail=Tail(level_db=settings.tail.energy_db, cap=settings.tail.cap),
-        max_duration=max_duration,
-        channel_per_string=_channel_per_string(condition),
-        energy=settings.energy,
+        options=options if max_duration is None else options.at(max_duration=max_duration),
     )
 
 
@@ -121,10 +115,7 @@ def _plain(value: Any) -> Any:
 
 def instrument_of(condition: Condition) -> Instrument:
     """The bundle with the condition's overrides, and with what varies once per repeat."""
-    overrides = dict(condition.overrides)
-    if condition.render.effects is not None:
-        overrides["effects.mode"] = condition.render.effects
-    instrument = _loaded(condition.bundle).replace(overrides)
+    instrument = _loaded(condition.bundle).replace({**condition.overrides, **condition.render.effect_changes})
     varied: dict[str, Any] = {}
     for draw in condition.draws:
         if draw.note_field is None:
@@ -167,7 +158,7 @@ def _score(condition: Condition) -> Score:
 
 
 def _channel_per_string(condition: Condition) -> bool:
-    return bool((condition.midi or {}).get("channel_per_string", False))
+    return condition.render.channel_per_string or bool((condition.midi or {}).get("channel_per_string", False))
 
 
 def _varied(score: Score, instrument: Instrument, condition: Condition) -> Score:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import Json, Overrides, allow_rate, load
+from tonewood.cli.common import Json, Overrides, load
+from tonewood.cli.options import render_options
 
 if TYPE_CHECKING:
     from tonewood.instrument.assembly import Model
@@ -37,7 +38,7 @@ def check(
     from tonewood.instrument.inspection import TOLERANCE_CENTS, pitches
     from tonewood.instrument.mounted import Mounted
 
-    allow_rate(fs)
+    render_options({"fs": fs})
     bundle = load(instrument, settings)
     model = assemble(bundle, fs, outputs=tuple(bundle.pickups))
     body = _body(model)

@@ -23,11 +23,6 @@ Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="override a parameter, e.g. strings.E2.note=D2; repeatable"),
 ]
-EffectsChoice = Annotated[
-    str | None, typer.Option("--effects", metavar="auto|all|none|NAMES", help="what runs; default: the instrument's")
-]
-BudgetDb = Annotated[float | None, typer.Option(help="what an additive effect left out may add, dB re the peak")]
-BudgetCents = Annotated[float | None, typer.Option(help="by how much a detuning effect left out may detune, cents")]
 Json = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, nothing else")]
 
 
@@ -85,29 +80,6 @@ def allow(option: str, value: float, low: float, high: float, unit: str) -> None
     """
     if not low <= value <= high:
         raise TonewoodError(f"is {value:.12g} {unit}; {low:.12g} to {high:.12g} are allowed", key=option)
-
-
-def allow_rate(fs: int) -> None:
-    """Refuse a sampling rate outside `FS_RANGE`; raises as `allow`."""
-    from tonewood.output.render import FS_RANGE
-
-    allow("--fs", fs, *FS_RANGE, "Hz")
-
-
-def chosen_effects(text: str | None, budget_db: float | None, budget_cents: float | None) -> str | list[str] | None:
-    """``--effects`` as `Renderer` wants it; the budgets are checked.
-
-    Raises
-    ------
-    TonewoodError : a budget is out of its range.
-    """
-    if budget_db is not None:
-        allow("--budget-db", budget_db, -300.0, 0.0, "dB")
-    if budget_cents is not None:
-        allow("--budget-cents", budget_cents, 0.0, 100.0, "cents")
-    if text is None or text in ("auto", "all", "none"):
-        return text
-    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 @contextmanager

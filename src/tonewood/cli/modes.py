@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import Json, Overrides, allow_rate, load, need
+from tonewood.cli.common import Json, Overrides, load, need
+from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
 from tonewood.whole_files import whole_file
@@ -37,7 +38,7 @@ def modes(
     from tonewood.instrument.assembly import assemble
     from tonewood.instrument.inspection import mobility_peaks, partials, pitches
 
-    allow_rate(fs)
+    render_options({"fs": fs})
     bundle = load(instrument, settings)
     model = assemble(bundle, fs)
     if string is not None and string not in model.strings:

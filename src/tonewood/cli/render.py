@@ -12,22 +12,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tonewood.cli.common import (
-    BudgetCents,
-    BudgetDb,
-    EffectsChoice,
     InstrumentName,
     Json,
     Overrides,
     ScorePath,
     allow,
-    chosen_effects,
     drops_told,
     load,
     progress,
     warn,
     warn_of_dropped,
 )
+from tonewood.cli.options import takes_render_options
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.output.options import RenderOptions
 from tonewood.units import decibel
 
 if TYPE_CHECKING:
@@ -38,30 +36,18 @@ if TYPE_CHECKING:
     from tonewood.output.render import Renderer, Summary
 
 
+@takes_render_options(without=["energy"])
 def render(
     score: ScorePath,
     instrument: InstrumentName,
     output: Annotated[Path, typer.Option("-o", "--output", help="sound file: .wav, .flac or .rf64")],
-    fs: Annotated[int, typer.Option(help="sampling rate, Hz")] = 48000,
+    options: RenderOptions,
     block: Annotated[int, typer.Option(help="frames written at a time; does not change the samples")] = 4096,
     subtype: Annotated[str, typer.Option(help="PCM_16, PCM_24, PCM_32, FLOAT or DOUBLE")] = "PCM_24",
-    accuracy: Annotated[str, typer.Option(help="draft, standard or reference; see docs/accuracy.md")] = "standard",
-    tail: Annotated[float, typer.Option(help="longest ring after the last event, s")] = 10.0,
-    tail_level: Annotated[float, typer.Option(help="the ring has ended this far below the peak, dB")] = -60.0,
-    max_duration: Annotated[float | None, typer.Option(help="hard end, s")] = None,
-    gain: Annotated[float, typer.Option(help="dB")] = 0.0,
     normalize: Annotated[float | None, typer.Option(help="scale the whole to this peak, dB re full scale")] = None,
     limiter: Annotated[
         bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS by a look-ahead limiter")
     ] = False,
-    outputs: Annotated[str | None, typer.Option(help="output groups, comma-separated; default: the first")] = None,
-    channel_per_string: Annotated[bool, typer.Option(help="MIDI channel 1 plays the first string, and so on")] = False,
-    lead_in: Annotated[
-        str, typer.Option(metavar="SECONDS|auto", help="sound kept from before score time 0; auto: all there is")
-    ] = "0",
-    effects: EffectsChoice = None,
-    budget_db: BudgetDb = None,
-    budget_cents: BudgetCents = None,
     energy: Annotated[
         list[Path] | None,
         typer.Option(
@@ -77,15 +63,11 @@ def render(
     from tonewood.output.audio import file_format
     from tonewood.output.energy import check_energy_file, save_energy
     from tonewood.output.limiter import Limiter
-    from tonewood.output.render import Renderer, Tail
+    from tonewood.output.render import Renderer
     from tonewood.score.midi import read_midi
 
+    fs = options.fs
     file_format(output, subtype)
-    allow("--tail", tail, 0.0, 3600.0, "s")
-    allow("--tail-level", tail_level, -300.0, -1.0, "dB")
-    if max_duration is not None:
-        allow("--max-duration", max_duration, 1e-3, 86400.0, "s")
-    allow("--gain", gain, -200.0, 200.0, "dB")
     allow("--block", block, 1, 1 << 24, "frames")
     if normalize is not None:
         allow("--normalize", normalize, -200.0, 0.0, "dB")
@@ -93,27 +75,9 @@ def render(
             raise TonewoodError("a normalized sound has no peaks to limit; one of both is allowed", key="--limiter")
     for path in energy or ():
         check_energy_file(path)
-    lead = lead_in if lead_in == "auto" else _seconds(lead_in)
-    wanted = chosen_effects(effects, budget_db, budget_cents)
-    groups = [name.strip() for name in outputs.split(",")] if outputs else None
     bundle = load(instrument, settings)
     with drops_told():
-        renderer = Renderer(
-            read_midi(score),
-            bundle,
-            fs,
-            accuracy=accuracy,
-            outputs=groups,
-            tail=Tail(level_db=tail_level, cap=tail),
-            max_duration=max_duration,
-            gain_db=gain,
-            channel_per_string=channel_per_string,
-            lead_in=lead,
-            effects=wanted,
-            budget_db=budget_db,
-            budget_cents=budget_cents,
-            energy=bool(energy),
-        )
+        renderer = Renderer(read_midi(score), bundle, options=options.at(energy=bool(energy)))
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
     clipped, peak = _write(renderer, output, subtype, block, normalize, hold)
@@ -155,14 +119,6 @@ def render(
             f"  energy: peak {account.peak:.3g} J, balance open by {account.worst_residual:.1e} of it in an interval, "
             f"{account.worst_cumulative_residual:.1e} summed up: {', '.join(str(path) for path in energy or ())}"
         )
-
-
-def _seconds(text: str) -> float:
-    """``--lead-in``; raises TonewoodError for anything but a number or auto."""
-    try:
-        return float(text)
-    except ValueError:
-        raise TonewoodError(f"is {text!r}; auto or a number of seconds is allowed", key="--lead-in") from None
 
 
 def _write(

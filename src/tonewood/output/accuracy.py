@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import TonewoodError
+from tonewood.output.options import AccuracyName
 
 Floats = NDArray[np.float64]
 
@@ -28,14 +28,14 @@ class Accuracy:
     freq_limit : Hz, no mode is stepped above it; None is 0.45 of the engine's rate.
     """
 
-    name: str
+    name: AccuracyName
     oversampling: int = 1
     as_asked: bool = True
     freq_limit: float | None = None
 
 
 #: quick listening; what music is rendered with; what the others are measured against
-LEVELS: Mapping[str, Accuracy] = {
+LEVELS: Mapping[AccuracyName, Accuracy] = {
     level.name: level
     for level in (
         Accuracy("draft", as_asked=False, freq_limit=10e3),
@@ -43,18 +43,6 @@ LEVELS: Mapping[str, Accuracy] = {
         Accuracy("reference", 4),
     )
 }
-
-
-def accuracy_level(name: str) -> Accuracy:
-    """A setting by its name.
-
-    Raises
-    ------
-    TonewoodError : there is no such setting.
-    """
-    if name not in LEVELS:
-        raise TonewoodError(f"is {name!r}; {', '.join(LEVELS)} are allowed", key="accuracy")
-    return LEVELS[name]
 
 
 class Decimator:

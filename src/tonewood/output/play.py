@@ -11,8 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
+from tonewood.instrument.bundle import Instrument
 from tonewood.output.limiter import Limiter
+from tonewood.output.options import RenderOptions
 from tonewood.output.render import Renderer
+from tonewood.score.note import Score
 
 Floats = NDArray[np.float64]
 
@@ -37,27 +40,41 @@ class Playback:
 
 
 def play(
-    renderer: Renderer,
+    source: Renderer | Score,
+    instrument: Instrument | None = None,
+    fs: float | None = None,
     *,
+    options: RenderOptions | None = None,
     block_size: int = 1024,
     device: Any = None,
     stream: Any = None,
     limiter: Limiter | None = None,
+    **settings: Any,
 ) -> Playback:
-    """Play a renderer to its end.
+    """Play a score on an instrument, or a renderer to its end.
 
     Parameters
     ----------
-    renderer : its channels become the device's; one channel is played on both sides.
+    source : a score, played on `instrument`; or a renderer, which has an instrument and options already. Its channels
+        become the device's; one channel is played on both sides.
+    fs, options : as for `Renderer`, single options as keywords too.
     block_size : frames per block.
     device : as sounddevice names it; None is the default.
-    limiter : holds peaks below full scale; without it they are clipped.
     stream : class with sounddevice's ``OutputStream`` interface, instead of that one.
+    limiter : holds peaks below full scale; without it they are clipped.
 
     Raises
     ------
     OutputError : there is no PortAudio or no such device, in one line.
     """
+    if isinstance(source, Renderer):
+        if instrument is not None or fs is not None or options is not None or settings:
+            raise TypeError("a renderer has its instrument and options already")
+        renderer = source
+    elif instrument is None:
+        raise TypeError("a score is played on an instrument")
+    else:
+        renderer = Renderer(source, instrument, options=RenderOptions.of(options, fs, settings))
     make = stream or _output_stream()
     n_channels = max(2, len(renderer.channels))
     blocks: queue.Queue[Floats | None] = queue.Queue(maxsize=_AHEAD)

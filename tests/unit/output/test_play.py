@@ -70,6 +70,19 @@ def test_the_card_gets_the_very_samples(monochord: tw.Instrument) -> None:
     assert not got[len(wanted) :].any()
 
 
+def test_a_score_is_played_with_the_options_of_a_render(monochord: tw.Instrument) -> None:
+    score = tw.Score([tw.Note(0.0, 0.1, note=45, force=1.0)])
+    wanted = tw.render(score, monochord, 16000, max_duration=0.1, gain_db=-6.0).samples
+    played = tw.play(score, monochord, 16000, max_duration=0.1, gain_db=-6.0, block_size=100, stream=FakeStream)
+    assert played.frames == len(wanted) == 1600
+    got = np.concatenate([block for block in FakeStream.last.got if block.any()])
+    assert np.array_equal(got[:1600], np.repeat(wanted, 2, axis=1).astype(np.float32))
+    with pytest.raises(TypeError, match="already"):
+        tw.play(renderer(monochord), gain_db=-6.0, stream=FakeStream)
+    with pytest.raises(TypeError, match="instrument"):
+        tw.play(score, stream=FakeStream)
+
+
 def test_a_block_that_comes_late_is_counted(monochord: tw.Instrument) -> None:
     slow = renderer(monochord)
     blocks = slow.blocks
