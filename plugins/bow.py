@@ -24,14 +24,29 @@ from __future__ import annotations
 
 import math
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.laws import Friction
-from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact_effect
-from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Connection,
+    Direction,
+    Event,
+    Exciter,
+    Friction,
+    Gesture,
+    Motion,
+    Parameters,
+    Place,
+    Segment,
+    Site,
+    StringPlace,
+    Term,
+    contact_effect,
+    described,
+    loose_mass,
+    metres,
+    quantity,
+    smooth_step,
+    unit_vector,
+)
 
 
 class BowParameters(Parameters):

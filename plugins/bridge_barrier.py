@@ -13,13 +13,21 @@ import math
 
 import numpy as np
 
-from tonewood.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.coupling.laws import Contact
-from tonewood.instrument.attached import Attached, Site
-from tonewood.instrument.contract import Attachment
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact_effect
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Attachment,
+    Connection,
+    Contact,
+    Direction,
+    Parameters,
+    Site,
+    SpringDashpot,
+    Term,
+    contact_effect,
+    described,
+    quantity,
+    unit_vector,
+)
 
 
 class Thread(Parameters):

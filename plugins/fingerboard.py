@@ -9,13 +9,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from tonewood.coupling.connections import Connection
-from tonewood.coupling.laws import Contact
-from tonewood.instrument.attached import Attached, Site
-from tonewood.instrument.contract import Attachment
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact_effect
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Attachment,
+    Connection,
+    Contact,
+    Direction,
+    Parameters,
+    Site,
+    contact_effect,
+    described,
+    quantity,
+    unit_vector,
+)
 
 
 class FingerboardParameters(Parameters):

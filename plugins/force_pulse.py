@@ -8,9 +8,19 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
-from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Event,
+    Exciter,
+    Gesture,
+    Parameters,
+    Place,
+    Segment,
+    StringPlace,
+    described,
+    metres,
+    quantity,
+    smooth_step,
+)
 
 
 class PulseParameters(Parameters):

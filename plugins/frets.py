@@ -12,13 +12,20 @@ from typing import Annotated
 
 from pydantic import Field
 
-from tonewood.coupling.connections import Connection
-from tonewood.coupling.laws import Contact
-from tonewood.instrument.attached import Attached, Site
-from tonewood.instrument.contract import Attachment
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact_effect
-from tonewood.params import Number, Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Attachment,
+    Connection,
+    Contact,
+    Direction,
+    Number,
+    Parameters,
+    Site,
+    contact_effect,
+    described,
+    quantity,
+    unit_vector,
+)
 
 FretNumber = Annotated[str, Field(pattern=r"^[1-9][0-9]?$")]
 

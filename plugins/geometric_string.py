@@ -23,11 +23,7 @@ import numpy as np
 from pydantic import model_validator
 from tonewood.plugins.tension_modulated_string import TensionModulatedParameters, TensionModulatedString
 
-from tonewood.instrument.contract import Longitudinal
-from tonewood.instrument.effects import LONGITUDINAL
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
-from tonewood.params import quantity
+from tonewood.authoring import LONGITUDINAL, Longitudinal, ModalBasis, quantity, string_basis
 
 
 class GeometricParameters(TensionModulatedParameters):

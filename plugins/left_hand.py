@@ -15,9 +15,19 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
-from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Event,
+    Exciter,
+    Gesture,
+    Parameters,
+    Place,
+    Segment,
+    StringPlace,
+    described,
+    metres,
+    quantity,
+    smooth_step,
+)
 
 #: s after a hammer-on's push in which the stop is surely exchanged: more than a tick of the control grid
 _SETTLED = 2e-3

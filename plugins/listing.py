@@ -5,10 +5,17 @@ A clavichord's listing, a muted string's felt, the hand's edge on the strings by
 
 from __future__ import annotations
 
-from tonewood.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.instrument.attached import Attached, Site
-from tonewood.instrument.contract import Attachment
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Attachment,
+    Connection,
+    Parameters,
+    Site,
+    SpringDashpot,
+    Term,
+    described,
+    quantity,
+)
 
 
 class ListingParameters(Parameters):

@@ -24,10 +24,18 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.system import Drive, Probe, Readout
-from tonewood.instrument.contract import Pickup, PickupRows, Scene
-from tonewood.modal.modes import ModalBasis
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Drive,
+    ModalBasis,
+    Parameters,
+    Pickup,
+    PickupRows,
+    Probe,
+    Readout,
+    Scene,
+    described,
+    quantity,
+)
 
 
 class ModalRadiationParameters(Parameters):

@@ -23,12 +23,21 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import PassivityError
-from tonewood.instrument.contract import Body, BodyPoint
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.modal.damping import with_damping_case
-from tonewood.modal.modes import ModalBasis
-from tonewood.params import Number, Parameters, described, quantity
+from tonewood.authoring import (
+    Body,
+    BodyPoint,
+    Direction,
+    ModalBasis,
+    Number,
+    Parameters,
+    PassivityError,
+    check_basis,
+    described,
+    quantity,
+    repair_basis,
+    unit_vector,
+    with_damping_case,
+)
 
 Floats = NDArray[np.float64]
 
@@ -229,7 +238,6 @@ class ModalTable(Body[ModalTableParameters]):
         return out
 
     def _passive(self, basis: ModalBasis) -> ModalBasis:
-        from tonewood.passivity.basis import check_basis, repair_basis
 
         p = self.parameters
         driven = [name for name, point in p.points.items() if point.driven]

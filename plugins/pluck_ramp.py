@@ -8,10 +8,20 @@ continuous. While it draws, the finger damps what the string did before by a das
 
 from __future__ import annotations
 
-from tonewood.instrument.contract import Event, Exciter, Gesture, Hold, Place
-from tonewood.instrument.effects import DAMPERS
-from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    DAMPERS,
+    Event,
+    Exciter,
+    Gesture,
+    Hold,
+    Parameters,
+    Place,
+    StringPlace,
+    described,
+    metres,
+    quantity,
+    smooth_step,
+)
 
 
 class PluckParameters(Parameters):

@@ -13,12 +13,19 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.instrument.contract import Resonator
-from tonewood.instrument.losses import LossLaw
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis, wavenumber
-from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    LossLaw,
+    ModalBasis,
+    Parameters,
+    Resonator,
+    described,
+    quantity,
+    retuned,
+    string_basis,
+    string_carry,
+    string_transfer,
+    wavenumber,
+)
 
 Floats = NDArray[np.float64]
 

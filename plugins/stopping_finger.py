@@ -12,13 +12,30 @@ from __future__ import annotations
 
 import math
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.laws import HardeningSpring
-from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
-from tonewood.instrument.contract import Event, Exciter, Gesture, Hold, Place, Segment
-from tonewood.instrument.effects import DAMPERS, contact_effect
-from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    DAMPERS,
+    Attached,
+    Connection,
+    Event,
+    Exciter,
+    Fraction,
+    Gesture,
+    HardeningSpring,
+    Hold,
+    Motion,
+    Parameters,
+    Place,
+    Segment,
+    Site,
+    StringPlace,
+    Term,
+    contact_effect,
+    described,
+    loose_mass,
+    metres,
+    quantity,
+    smooth_step,
+)
 
 #: of the string that something broad touches
 _POINTS = 3

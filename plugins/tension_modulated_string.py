@@ -21,9 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
-from tonewood.instrument.effects import TENSION_MODULATION
-from tonewood.modal.modes import ModalBasis
-from tonewood.params import quantity
+from tonewood.authoring import TENSION_MODULATION, ModalBasis, quantity
 
 
 class TensionModulatedParameters(StiffStringParameters):

@@ -101,7 +101,7 @@ class Longitudinal:
     Attributes
     ----------
     basis : highest frequency (Hz) and stop (m from the nut) -> modes along the string with its bridge end free, made by
-        `tw.string_basis` with EA as tension.
+        `ta.string_basis` with EA as tension.
     freq_coupled : Hz, transverse modes below it take part.
     bridge_leverage : displacement of the string's end towards the nut per displacement of the body's point, beside
         what the string's inclination makes of it.
@@ -136,7 +136,7 @@ class Resonator(Plugin[P]):
         """EA, N, by which the tension rises as the string stretches; 0 leaves the tension as it is.
 
         Where it is not 0, the bases must carry ``length`` and ``tension_part`` in their metadata, as those of
-        `tw.string_basis` do.
+        `ta.string_basis` do.
         """
         return 0.0
 

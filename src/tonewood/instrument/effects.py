@@ -120,7 +120,7 @@ LONGITUDINAL = Effect(
     "any gesture on the string", "a bound on the phantom partials that the string's partials would "
     "drive; without them it is linear", cost=lambda n: 60.0 * n,
 )  # fmt: skip
-#: a finger that quiets the string while it draws it; for exciters whose gestures have a `tw.Hold`
+#: a finger that quiets the string while it draws it; for exciters whose gestures have a `ta.Hold`
 DAMPERS = Effect(
     "dampers", "fingers that quiet a string while they draw it", "additive", "from touch to release of each pluck",
     "nothing: no finger is on the string otherwise", cost=nothing,
