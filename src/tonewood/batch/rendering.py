@@ -17,7 +17,6 @@ from tonewood.batch.conditions import Condition, Draw, vary_notes
 from tonewood.batch.store import Rendered
 from tonewood.blas import blas_libraries
 from tonewood.errors import TonewoodError
-from tonewood.instrument import registry
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.output.render import Renderer
@@ -33,7 +32,14 @@ _COSTS: dict[tuple[str, int, str, str, bool], tuple[float, float]] = {}
 
 @dataclass(frozen=True)
 class EngineRenderer:
-    """Renders conditions; holds nothing, so it costs nothing to send to a worker."""
+    """Renders conditions; small, so that it costs nothing to send to a worker.
+
+    Attributes
+    ----------
+    allow_code : run plugins in the folders of bundles, here and in the workers.
+    """
+
+    allow_code: bool = False
 
     def identity(self, condition: Condition) -> dict[str, Any]:
         """All that decides the samples: parameters, hashes, version, instruction set, and what else computes here.
@@ -46,11 +52,11 @@ class EngineRenderer:
         wanted, here = condition.render.isa, instruction_set()
         if wanted not in ("auto", here):
             raise TonewoodError(f"{wanted} is asked for, this process runs {here}: set TONEWOOD_ISA", key="render.isa")
-        instrument = instrument_of(condition)
+        instrument = instrument_of(condition, self.allow_code)
         return {
             "asked": condition.asked(),
             "bundle": instrument.content_hash,
-            "plugins": {name: registry.plugin_hash(name) for name in instrument.plugin_names},
+            "plugins": instrument.plugin_hashes,
             "parameters": instrument.resolved,
             "version": _version(),
             "isa": here,
@@ -67,14 +73,14 @@ class EngineRenderer:
         kind = (condition.bundle, settings.fs, *how)
         if kind not in _COSTS:
             began = time.perf_counter()
-            renderer = _renderer(condition, max_duration=_PIECE)
+            renderer = self._renderer(condition, max_duration=_PIECE)
             ready = time.perf_counter()
             for _ in renderer.blocks():
                 pass
             _COSTS[kind] = (ready - began, (time.perf_counter() - ready) / _PIECE)
         setup, per_second = _COSTS[kind]
         length = max((n.time + n.duration for n in _score(condition).notes), default=0.0) + 0.5 * settings.tail
-        return setup + per_second * length
+        return setup + per_second * min(length, settings.max_duration or math.inf)
 
     def render(self, condition: Condition) -> Rendered:
         """The sound of a condition, with its human variation.
@@ -84,22 +90,21 @@ class EngineRenderer:
         TonewoodError
             A score cannot be read or played, or the render went wrong.
         """
-        renderer = _renderer(condition)
+        renderer = self._renderer(condition)
         samples = np.concatenate(list(renderer.blocks(4096)))
         info = _plain(asdict(renderer.summary())) | {"channels": list(renderer.channels)}
         if renderer.energy is not None:
             info["energy"] = renderer.energy.balance()
         return Rendered(samples, renderer.fs, info)
 
-
-def _renderer(condition: Condition, max_duration: float | None = None) -> Renderer:
-    instrument = instrument_of(condition)
-    options = condition.render.at(channel_per_string=_channel_per_string(condition))
-    return Renderer(
-        _varied(_score(condition), instrument, condition),
-        instrument,
-        options=options if max_duration is None else options.at(max_duration=max_duration),
-    )
+    def _renderer(self, condition: Condition, max_duration: float | None = None) -> Renderer:
+        instrument = instrument_of(condition, self.allow_code)
+        options = condition.render.at(channel_per_string=_channel_per_string(condition))
+        return Renderer(
+            _varied(_score(condition), instrument, condition),
+            instrument,
+            options=options if max_duration is None else options.at(max_duration=max_duration),
+        )
 
 
 def _plain(value: Any) -> Any:
@@ -113,9 +118,11 @@ def _plain(value: Any) -> Any:
     return float(value) if math.isfinite(value) else None
 
 
-def instrument_of(condition: Condition) -> Instrument:
+def instrument_of(condition: Condition, allow_code: bool = False) -> Instrument:
     """The bundle with the condition's overrides, and with what varies once per repeat."""
-    instrument = _loaded(condition.bundle).replace({**condition.overrides, **condition.render.effect_changes})
+    instrument = _loaded(condition.bundle, allow_code).replace(
+        {**condition.overrides, **condition.render.effect_changes}
+    )
     varied: dict[str, Any] = {}
     for draw in condition.draws:
         if draw.note_field is None:
@@ -125,8 +132,8 @@ def instrument_of(condition: Condition) -> Instrument:
 
 
 @lru_cache(maxsize=64)
-def _loaded(bundle: str) -> Instrument:
-    return Instrument.load(bundle)
+def _loaded(bundle: str, allow_code: bool) -> Instrument:
+    return Instrument.load(bundle, allow_code=allow_code)
 
 
 @cache

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import Json, Overrides, load
+from tonewood.cli.common import AllowCode, Json, Overrides, load
 from tonewood.cli.options import render_options
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def check(
     instrument: Annotated[str, typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT")],
     fs: Annotated[int, typer.Option(help="sampling rate to assemble it at, Hz")] = 48000,
     settings: Overrides = None,
+    allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> int:
     """Load INSTRUMENT, test its body, tune every stop, list wolf notes, shared partials, stand-ins and sources.
@@ -39,7 +40,7 @@ def check(
     from tonewood.instrument.mounted import Mounted
 
     render_options({"fs": fs})
-    bundle = load(instrument, settings)
+    bundle = load(instrument, settings, allow_code)
     model = assemble(bundle, fs, outputs=tuple(bundle.pickups))
     body = _body(model)
     found = pitches(model)

@@ -23,6 +23,9 @@ Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="override a parameter, e.g. strings.E2.note=D2; repeatable"),
 ]
+AllowCode = Annotated[
+    bool, typer.Option("--allow-code", help="run plugins that lie as Python files in the bundle's folder")
+]
 Json = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, nothing else")]
 
 
@@ -48,12 +51,12 @@ def progress(label: str, total: float) -> Iterator[Advance]:
         yield lambda position: bar.update(task, completed=min(position, total))
 
 
-def load(name: str, overrides: list[str] | None) -> Instrument:
+def load(name: str, overrides: list[str] | None, allow_code: bool) -> Instrument:
     """Load an instrument and apply ``--set``."""
     from tonewood.instrument.bundle import Instrument
     from tonewood.instrument.overrides import parse_assignment
 
-    instrument = Instrument.load(name)
+    instrument = Instrument.load(name, allow_code=allow_code)
     return instrument.replace(dict(map(parse_assignment, overrides))) if overrides else instrument
 
 

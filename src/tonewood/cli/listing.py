@@ -6,14 +6,14 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from tonewood.cli.common import Json
+from tonewood.cli.common import AllowCode, Json
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
     from tonewood.instrument.registry import Entry
 
 
-def list_installed(as_json: Json = False) -> None:
+def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None:
     """List installed instruments and plugins with the packages they come from."""
     from tonewood import __version__
     from tonewood.instrument import registry
@@ -22,7 +22,7 @@ def list_installed(as_json: Json = False) -> None:
     instruments: list[dict[str, str]] = []
     for name, entry in registry.entries(registry.INSTRUMENTS).items():
         try:
-            found = Instrument.load(name)
+            found = Instrument.load(name, allow_code=allow_code)
         except TonewoodError as fault:
             instruments.append({**_owner(entry), "broken": str(fault)})
             continue

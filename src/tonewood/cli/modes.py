@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import Json, Overrides, load, need
+from tonewood.cli.common import AllowCode, Json, Overrides, load, need
 from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
@@ -31,6 +31,7 @@ def modes(
         Path | None, typer.Option(help="write the bridge mobility to this picture (.png, .pdf, .svg)")
     ] = None,
     settings: Overrides = None,
+    allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
     """List the coupled modes of INSTRUMENT's strings: frequency, cents from the harmonic, T60, wolf notes."""
@@ -39,7 +40,7 @@ def modes(
     from tonewood.instrument.inspection import mobility_peaks, partials, pitches
 
     render_options({"fs": fs})
-    bundle = load(instrument, settings)
+    bundle = load(instrument, settings, allow_code)
     model = assemble(bundle, fs)
     if string is not None and string not in model.strings:
         raise TonewoodError(f"there is no string {string!r}; there are {', '.join(model.strings)}", key="--string")

@@ -6,6 +6,7 @@ import json
 from dataclasses import asdict
 
 from tonewood.cli.common import (
+    AllowCode,
     InstrumentName,
     Json,
     Overrides,
@@ -25,13 +26,14 @@ def plan(
     instrument: InstrumentName,
     options: RenderOptions,
     settings: Overrides = None,
+    allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
     """Foresee the render of SCORE: effects that will run, when, why, and its cost."""
     from tonewood.output.plan import plan as foresee
     from tonewood.score.midi import read_midi
 
-    bundle, notes = load(instrument, settings), read_midi(score)
+    bundle, notes = load(instrument, settings, allow_code), read_midi(score)
     longest = max((n.time + n.duration for n in notes.notes), default=0.0) + options.tail
     bar = progress("sketching", longest if options.max_duration is None else min(longest, options.max_duration))
     with drops_told(), bar as advance:

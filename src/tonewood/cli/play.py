@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from tonewood.cli.common import (
+    AllowCode,
     InstrumentName,
     Overrides,
     ScorePath,
@@ -29,6 +30,7 @@ def play(
     limiter: Annotated[bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS")] = False,
     device: Annotated[str | None, typer.Option(help="sound device, by name or number")] = None,
     settings: Overrides = None,
+    allow_code: AllowCode = False,
 ) -> None:
     """Play SCORE on an instrument."""
     from tonewood.output.limiter import Limiter
@@ -38,7 +40,7 @@ def play(
 
     allow("--block", block, 16, 1 << 16, "frames")
     with drops_told():
-        renderer = Renderer(read_midi(score), load(instrument, settings), options=options)
+        renderer = Renderer(read_midi(score), load(instrument, settings, allow_code), options=options)
     chosen = int(device) if device and device.isdecimal() else device
     hold = Limiter(options.fs) if limiter else None
     played = play_renderer(renderer, block_size=block, device=chosen, limiter=hold)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tonewood.cli.common import (
+    AllowCode,
     InstrumentName,
     Json,
     Overrides,
@@ -56,6 +57,7 @@ def render(
         ),
     ] = None,
     settings: Overrides = None,
+    allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
     """Render SCORE on an instrument to a sound file."""
@@ -75,7 +77,7 @@ def render(
             raise TonewoodError("a normalized sound has no peaks to limit; one of both is allowed", key="--limiter")
     for path in energy or ():
         check_energy_file(path)
-    bundle = load(instrument, settings)
+    bundle = load(instrument, settings, allow_code)
     with drops_told():
         renderer = Renderer(read_midi(score), bundle, options=options.at(energy=bool(energy)))
     loaded = time.perf_counter()

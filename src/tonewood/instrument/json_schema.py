@@ -8,6 +8,7 @@ from typing import Any
 from pydantic.json_schema import models_json_schema
 
 from tonewood.instrument import registry
+from tonewood.instrument.bundle_code import CODE_PATTERN
 from tonewood.instrument.schema import SCHEMA, Bundle, ConnectionPart, OutputPart, PluginPart, StringPart
 
 _PARTS: dict[str, tuple[str, type[PluginPart]]] = {
@@ -79,7 +80,22 @@ def _branches(
         if required:
             branch["required"] = sorted({*shared.get("required", []), *parameters.get("required", [])})
         out.append(branch)
+    out.append(_code_branch(kind, common))
     return out
+
+
+def _code_branch(kind: str, common: type[PluginPart]) -> dict[str, Any]:
+    """Schema of a part whose plugin lies in the bundle's folder: its own keys are not known here."""
+    _, base = models_json_schema([(common, "validation")], by_alias=True)
+    shared = copy.deepcopy(base["$defs"][common.__name__])
+    plugin = {"type": "string", "pattern": rf"^{CODE_PATTERN}$", "description": "FILE.py:CLASS"}
+    return {
+        "type": "object",
+        "title": f"{kind} in the bundle's folder",
+        "properties": {**shared["properties"], "plugin": plugin},
+        "required": ["plugin"],
+        "additionalProperties": True,
+    }
 
 
 def _prefixed(definitions: dict[str, Any], prefix: str) -> dict[str, Any]:

@@ -113,11 +113,24 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
     except (Exception, SystemExit) as fault:  # a stranger's code may raise anything
         reason = f"cannot be imported: {type(fault).__name__}: {fault}"
         raise PluginError(f"plugin {name!r} of {entry.distribution} {reason}") from None
-    if kind is not None and found.kind != kind:
-        fitting = [other for other, p in list_plugins().items() if p.kind == kind]
-        raise PluginError(f"plugin {name!r} is of kind {found.kind}; a {kind} is wanted: {', '.join(fitting)}")
     checked: type[Plugin[Any]] = found
+    if kind is not None:
+        check_kind(checked, name, kind)
     return checked
+
+
+def check_kind(found: type[Plugin[Any]], name: str, kind: str) -> None:
+    """Hold a plugin to the kind that is wanted.
+
+    Raises
+    ------
+    PluginError : it is of another kind; names the installed ones of that kind.
+    """
+    if found.kind != kind:
+        fitting = [other for other, p in list_plugins().items() if p.kind == kind]
+        raise PluginError(
+            f"plugin {name!r} is of kind {found.kind}; one of kind {kind} is wanted: {', '.join(fitting)}"
+        )
 
 
 def check_plugin(found: object, who: str) -> None:

@@ -51,7 +51,7 @@ class PluginPart(Parameters):
     """A part made by a plugin: the plugin's name, and keys that are checked against the plugin's own parameters."""
 
     model_config = ConfigDict(extra="allow")
-    plugin: str = described("name of the plugin that makes it")
+    plugin: str = described("name of the plugin that makes it, or FILE.py:CLASS for one in the bundle's folder")
 
     @property
     def values(self) -> dict[str, Any]:
