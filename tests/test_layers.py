@@ -14,7 +14,7 @@ SOURCES = ROOT / "src" / "tonewood"
 
 #: bottom to top; what stands in one set may not import each other
 LAYERS = (
-    {"errors", "faults", "_kernel", "_methods"},
+    {"errors", "validation_messages", "_kernel", "_methods"},
     {"units", "params", "yaml_io", "whole_files", "blas"},
     {"modal"},
     {"coupling", "passivity"},

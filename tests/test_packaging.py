@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import json
 import os
 import re
@@ -11,10 +12,12 @@ import tomllib
 import zipfile
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import tonewood as tw
+from tonewood import authoring
 
 ROOT = Path(__file__).parents[1]
 
@@ -51,6 +54,12 @@ def test_names_that_have_moved_still_work_and_say_where_they_are() -> None:
         place, _, last = str(told[0].message).rpartition(" ")[2].rpartition(".")
         assert getattr(import_module(place), last) is value
     assert len(tw.__all__) <= 18
+
+
+@pytest.mark.parametrize("module", [tw, authoring], ids=lambda m: m.__name__)
+def test_examples_in_docstrings_of_public_modules_run(module: ModuleType) -> None:
+    assert doctest.testmod(module).attempted > 0
+    assert doctest.testmod(module).failed == 0
 
 
 def test_importing_costs_nothing() -> None:

@@ -10,7 +10,7 @@
 ...     def basis(self, freq_upper):
 ...         return ta.ModalBasis.real([100.0], [1.0], {"top": [1.0]}, modal_mass=self.parameters.mass)
 >>> Lump.from_values({"mass": 0.5}).basis(1e3)
-ModalBasis(1 modes, points top)
+ModalBasis(1 real modes, 15.9155 to 15.9155 Hz, points top)
 
 Kinds of plugins and what they return, declared parameters, modal bases, connections and their laws, effects, errors;
 and what shows the part at work in an instrument: `assemble`, `partials`, `pitches`.

@@ -22,7 +22,7 @@ from pydantic_core import PydanticCustomError
 
 from tonewood.batch.records import KEY_SCHEMA
 from tonewood.errors import TonewoodError
-from tonewood.faults import first_fault
+from tonewood.validation_messages import first_message
 
 Kind = Literal["mushra", "bs1116", "paired_comparison"]
 MAX_BYTES = 50_000_000
@@ -131,7 +131,7 @@ def read_key(path: str | os.PathLike[str]) -> Key:
     try:
         return Key.model_validate(data)
     except ValidationError as fault:
-        key, reason = first_fault(fault, Key)
+        key, reason = first_message(fault, Key)
         raise ResultsError(f"not a whole key: {reason}", file=path, key=key) from None
 
 

@@ -16,10 +16,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic_core import PydanticCustomError
 
 from tonewood.errors import TonewoodError
-from tonewood.faults import first_fault
 from tonewood.output.options import RenderOptions
 from tonewood.params import described, quantity
 from tonewood.score.note import Note
+from tonewood.validation_messages import first_message
 from tonewood.yaml_io import load_yaml
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_+-]*$", max_length=60)]
@@ -35,11 +35,11 @@ class ManifestError(TonewoodError):
     """A manifest cannot be used."""
 
 
-class _Part(BaseModel):
+class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-class NoteFields(_Part):
+class NoteFields(_Section):
     """One inline note: the fields of `tonewood.Note`."""
 
     time: float = Field(ge=0, le=3600)
@@ -60,7 +60,7 @@ class NoteFields(_Part):
         return Note(**self.model_dump())
 
 
-class ScoreSource(_Part):
+class ScoreSource(_Section):
     """A phrase written inline, or an excerpt of a MIDI file (path relative to the manifest)."""
 
     phrase: list[NoteFields] | None = Field(default=None, min_length=1, max_length=10_000)
@@ -80,14 +80,14 @@ class ScoreSource(_Part):
         return self
 
 
-class Factor(_Part):
+class Factor(_Section):
     """A parameter and its named levels; a level is a value, ``{scale: x}`` or ``{fraction: x}``."""
 
     path: ParameterPath
     levels: dict[Name, Any] = Field(min_length=1, max_length=1000)
 
 
-class Variation(_Part):
+class Variation(_Section):
     """How one parameter varies from repeat to repeat; exactly one law."""
 
     normal_db: float | None = Field(default=None, gt=0, le=24, description="standard deviation, dB")
@@ -108,7 +108,7 @@ class RenderSettings(RenderOptions):
     ``output``.
     """
 
-    #: keys of earlier versions, and what is said of them (`faults.first_fault`)
+    #: keys of earlier versions, and what is said of them (`faults.first_message`)
     removed: ClassVar[dict[str, str]] = {
         "precision": "precision was removed in 0.2; samples are always computed in double precision"
     }
@@ -138,14 +138,14 @@ class RenderSettings(RenderOptions):
         return out
 
 
-class Fade(_Part):
+class Fade(_Section):
     """Raised-cosine fades, s."""
 
     in_: float = Field(default=0.002, ge=0, le=5, alias="in")
     out: float = Field(default=0.050, ge=0, le=5)
 
 
-class Loudness(_Part):
+class Loudness(_Section):
     """One gain per file, from its gated loudness; see `tonewood.batch.stimuli`."""
 
     method: Literal["bs1770_gated", "none"] = "bs1770_gated"
@@ -155,7 +155,7 @@ class Loudness(_Part):
     on_clash: Literal["lower_page"] = "lower_page"
 
 
-class Stimuli(_Part):
+class Stimuli(_Section):
     """What every sound file of the batch has in common."""
 
     fs: int = Field(default=48000, ge=8000, le=192000, description="Hz; renders at another rate are resampled")
@@ -168,7 +168,7 @@ class Stimuli(_Part):
     loudness: Loudness = Loudness()
 
 
-class _Page(_Part):
+class _Page(_Section):
     name: str = Field(default="", max_length=300, description="the question, shown as title")
     content: str = Field(default="", description="HTML shown above the sounds")
     group_by: list[str] = Field(default_factory=list, description="factors that stay the same on one page")
@@ -223,7 +223,7 @@ class HtmlPage(_Page):
 Page = Annotated[MushraPage | Bs1116Page | PairedPage | HtmlPage, Field(discriminator="type")]
 
 
-class Output(_Part):
+class Output(_Section):
     """What is written, and in which order listeners meet the pages."""
 
     blind: bool = Field(default=True, description="the audition page shows codes only")
@@ -232,7 +232,7 @@ class Output(_Part):
     page_order: Literal["seeded", "listed", "per_listener"] = "seeded"
 
 
-class Manifest(_Part):
+class Manifest(_Section):
     """A whole batch."""
 
     schema_: Literal["tonewood-batch/1"] = Field(alias="schema")
@@ -307,7 +307,7 @@ class Manifest(_Part):
             try:
                 self.render_settings({factor.path.removeprefix("render."): value})
             except ValidationError as error:
-                reason = first_fault(error, RenderSettings)[1]
+                reason = first_message(error, RenderSettings)[1]
                 raise PydanticCustomError("factor", f"factors.{name}.levels.{level}: {reason}") from None
 
     def render_settings(self, changes: dict[str, Any]) -> RenderSettings:
@@ -347,7 +347,7 @@ def check_manifest(data: dict[str, Any], *, file: Path | None = None) -> Manifes
     try:
         return Manifest.model_validate(data)
     except ValidationError as error:
-        key, reason = first_fault(error, Manifest)
+        key, reason = first_message(error, Manifest)
         raise ManifestError(reason, file=file, key=key) from None
 
 

@@ -133,7 +133,7 @@ def _write(
     clipped, peak : samples beyond full scale, and the largest one, of what was written.
     """
     from tonewood.output.audio import SoundWriter
-    from tonewood.whole_files import Part
+    from tonewood.whole_files import AtomicFile
 
     channels, fs = len(renderer.channels), renderer.fs
     frames = math.ceil(renderer.expected_duration * fs)
@@ -147,7 +147,7 @@ def _write(
             return writer.clipped, writer.peak
         import soundfile as sf
 
-        scratch = Part(output.with_suffix(".rf64"))
+        scratch = AtomicFile(output.with_suffix(".rf64"))
         try:
             with SoundWriter(scratch.path, fs, channels, "DOUBLE", frames=frames) as writer:
                 for samples in renderer.blocks(block):

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.geometric import GeometricPart
-from tonewood.coupling.tension import TensionPart
+from tonewood.coupling.geometric import GeometricShare
+from tonewood.coupling.tension import TensionShare
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.propagator import RealForm, impulse_series
 
@@ -60,8 +60,8 @@ class Compiled:
     shares: Floats
     compliance: Floats
     residual: Floats
-    tension: TensionPart | None = None
-    geometric: GeometricPart | None = None
+    tension: TensionShare | None = None
+    geometric: GeometricShare | None = None
     _impulses: dict[str, Floats] = field(init=False, repr=False, default_factory=dict)
 
     def impulses(self, point: str) -> Floats:

@@ -76,7 +76,7 @@ class GeometricStretch:
         """All its components, the longitudinal one last."""
         return self.components if self.longitudinal is None else (*self.components, self.longitudinal)
 
-    def part(self, component: str, basis: ModalBasis, held: Floats) -> GeometricPart:
+    def part(self, component: str, basis: ModalBasis, held: Floats) -> GeometricShare:
         """Arrays of one component.
 
         Parameters
@@ -104,7 +104,7 @@ class GeometricStretch:
             slopes = np.ascontiguousarray(wavenumber[:, None] * vec[:rows, :count])
         pair = basis.kind == PAIR
         kick = np.where(pair[:, None], [[0.0, -0.5]] / np.where(pair, basis.poles.imag, 1.0)[:, None], [[0.0, 1.0]])
-        return GeometricPart(
+        return GeometricShare(
             slopes=slopes,
             reading=np.where(pair, 2.0, 1.0)[:count],
             kick=apply(held, kick)[:count],
@@ -115,7 +115,7 @@ class GeometricStretch:
 
 
 @dataclass(frozen=True, eq=False)
-class GeometricPart:
+class GeometricShare:
     """One component's share.
 
     Attributes
@@ -173,7 +173,7 @@ class GeometricString:
     Coordinates of all parts stand one after another, the longitudinal ones (if there are any) last.
     """
 
-    parts: tuple[GeometricPart, ...]
+    parts: tuple[GeometricShare, ...]
 
     @cached_property
     def sizes(self) -> NDArray[np.intp]:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.geometric import GeometricPart, GeometricString
+from tonewood.coupling.geometric import GeometricShare, GeometricString
 from tonewood.coupling.system import System
 
 Floats = NDArray[np.float64]
@@ -37,13 +37,13 @@ class GeometricSolve:
         self.strings = [GeometricString(tuple(self._part(i) for i in slots)) for slots in self.slots]
         self.starts = np.cumsum([0, *(s.n for s in self.strings)])
 
-    def _part(self, slot: int) -> GeometricPart:
+    def _part(self, slot: int) -> GeometricShare:
         part = self.system.compiled[slot].geometric
         if part is None:
             raise ValueError(f"{self.system.names[slot]} was compiled without its stretch")
         return part
 
-    def _all(self) -> list[tuple[int, GeometricPart, slice]]:
+    def _all(self) -> list[tuple[int, GeometricShare, slice]]:
         """(component slot, part, place of its coordinates)."""
         out = []
         for start, string, slots in zip(self.starts[:-1], self.strings, self.slots, strict=True):

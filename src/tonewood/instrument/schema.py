@@ -144,7 +144,7 @@ class Stops(Parameters):
     finger: Finger = described("where the model is finger", default=Finger())
 
 
-class TuningPart(Parameters):
+class TuningSettings(Parameters):
     """Pitch."""
 
     reference_freq: float = quantity("Hz", low=200.0, high=1000.0, default=440.0, doc="of A4")
@@ -201,7 +201,7 @@ class NoteEnd(Parameters):
     t60: float = quantity("s", low=1e-3, high=100.0, default=0.12, doc="decay time of a damped string")
 
 
-class Control(Parameters):
+class ControllerMap(Parameters):
     """A controller that moves a parameter from low (0) to high (127)."""
 
     parameter: str = described("EXCITER.PARAMETER")
@@ -219,7 +219,7 @@ class Playing(Parameters):
     exciter: str | None = described("of notes that name no technique; the velocity's where left out", default=None)
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
-    controls: dict[Annotated[str, Field(pattern=_CC)], Control] = described("ccN -> parameter", default={})
+    controls: dict[Annotated[str, Field(pattern=_CC)], ControllerMap] = described("ccN -> parameter", default={})
     keyswitches: dict[str, Name] = described("key -> exciter that notes after it ask for, on its channel", default={})
     switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(
         "ccN -> exciter that notes ask for while it is at 64 or more", default={}
@@ -262,7 +262,7 @@ class Bundle(Parameters):
         "name -> string, from bass to treble", min_length=1, max_length=MOST_STRINGS
     )
     stops: Stops = described("frets", default=Stops())
-    tuning: TuningPart = described("pitch", default=TuningPart())
+    tuning: TuningSettings = described("pitch", default=TuningSettings())
     exciters: dict[Name, PluginPart] = described("name -> what plays", min_length=1, max_length=MOST_PARTS)
     playing: Playing = described("from notes to gestures", default=Playing())
     outputs: list[OutputPart] = described(

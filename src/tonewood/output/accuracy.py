@@ -64,7 +64,7 @@ class Decimator:
             length, beta = kaiserord(110.0, 0.1 / factor)
             half = -(-(length // 2) // factor) * factor
             self._taps = firwin(2 * half + 1, 0.95 / factor, window=("kaiser", beta))
-        self.held: Floats = np.zeros((len(self._taps) - 1, n_channels))
+        self.memory: Floats = np.zeros((len(self._taps) - 1, n_channels))
 
     @property
     def lead(self) -> int:
@@ -75,8 +75,8 @@ class Decimator:
         """(n / factor, n_channels) from (n, n_channels); n is a multiple of the factor."""
         if self.factor == 1:
             return sound
-        joined = np.concatenate([self.held, sound])
-        self.held = joined[len(joined) - len(self.held) :]
+        joined = np.concatenate([self.memory, sound])
+        self.memory = joined[len(joined) - len(self.memory) :]
         windows = np.lib.stride_tricks.sliding_window_view(joined, len(self._taps), axis=0)[:: self.factor]
         # by einsum: its sums do not depend on how many frames come at a time
         return np.asarray(np.einsum("nct,t->nc", windows, self._taps))

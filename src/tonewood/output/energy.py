@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tonewood.energy.trace import EnergyTrace
 from tonewood.errors import TonewoodError
-from tonewood.whole_files import Part, whole_file, write_whole
+from tonewood.whole_files import AtomicFile, whole_file, write_whole
 
 _ENDINGS = (".json", ".csv", ".png")
 _KINDS = ("stored", "supplied", "booked", "lost")
@@ -25,7 +25,7 @@ def check_energy_file(path: Path) -> None:
     """
     if path.suffix.lower() not in _ENDINGS:
         raise TonewoodError(f"is {path.name!r}; a name ending in {', '.join(_ENDINGS)} is allowed", key="--energy")
-    Part(path).discard()
+    AtomicFile(path).discard()
     if path.suffix.lower() == ".png":
         try:
             import matplotlib  # noqa: F401  # better to know now

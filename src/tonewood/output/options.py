@@ -11,8 +11,8 @@ from pydantic import Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from tonewood.errors import TonewoodError
-from tonewood.faults import first_fault
 from tonewood.params import Number, Parameters, described, quantity
+from tonewood.validation_messages import first_message
 
 if TYPE_CHECKING:
     from tonewood.instrument.bundle import Instrument
@@ -164,7 +164,7 @@ def unit_of(field: FieldInfo) -> str:
 
 def _error(fault: ValidationError, model: type[RenderOptions]) -> TonewoodError:
     """One line for the first value that is not allowed."""
-    key, reason = first_fault(fault, model)
+    key, reason = first_message(fault, model)
     name = str(fault.errors()[0]["loc"][0])
     field, value = model.model_fields.get(name), fault.errors()[0]["input"]
     if field is not None:

@@ -84,7 +84,7 @@ class Checkpoint:
     """Snapshot of a renderer between two blocks."""
 
     engine: Snapshot
-    held: Floats
+    memory: Floats
     pending: Floats
     frames: int
     loudest: float
@@ -234,7 +234,7 @@ class Renderer:
         """Copy of all that moves, to `restore` later in this renderer or another one made alike."""
         return Checkpoint(
             self.engine.snapshot(),
-            self._decimator.held.copy(),
+            self._decimator.memory.copy(),
             self._pending.copy(),
             self._frames,
             self._loudest,
@@ -246,7 +246,7 @@ class Renderer:
     def restore(self, checkpoint: Checkpoint) -> None:
         """Go back to a snapshot; what follows is the same to the last bit."""
         self.engine.restore(checkpoint.engine)
-        self._decimator.held = checkpoint.held.copy()
+        self._decimator.memory = checkpoint.memory.copy()
         self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
         self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
         self._step = checkpoint.step
