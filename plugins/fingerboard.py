@@ -25,7 +25,7 @@ from tonewood.authoring import (
 
 
 class FingerboardParameters(Parameters):
-    """Of the board."""
+    """Parameters of the board."""
 
     end_from_bridge: float = quantity("m", low=0.0, high=5.0, doc="place of the board's end")
     action_nut: float = quantity("m", low=0.0, high=0.05, doc="clearance of the open string at the nut")

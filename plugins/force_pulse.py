@@ -24,7 +24,7 @@ from tonewood.authoring import (
 
 
 class PulseParameters(Parameters):
-    """Of the pulse."""
+    """Parameters of the pulse."""
 
     at: str | None = described("point it acts on, e.g. body.bridge_G3; left out: the string played", default=None)
     force: float = quantity("N", low=-1e4, high=1e4, default=1.0, doc="peak")

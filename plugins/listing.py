@@ -19,7 +19,7 @@ from tonewood.authoring import (
 
 
 class ListingParameters(Parameters):
-    """Of the cloth."""
+    """Parameters of the cloth."""
 
     from_bridge: float = quantity("m", low=0.0, high=5.0, doc="its middle")
     width: float = quantity("m", low=0.0, high=1.0, doc="over which it is spread")

@@ -37,7 +37,7 @@ Source = str | Mean
 
 
 class PointPickupParameters(Parameters):
-    """Of the pickup."""
+    """Parameters of the pickup."""
 
     quantity: Literal["displacement", "velocity", "acceleration", "force"] = described("what is read")
     at: Source | None = described("point, or {mean: [points]}: one channel with the group's name", default=None)

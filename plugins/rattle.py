@@ -26,7 +26,7 @@ from tonewood.authoring import (
 
 
 class RattleParameters(Parameters):
-    """Of the mass."""
+    """Parameters of the mass."""
 
     from_bridge: float = quantity("m", low=0.0, high=5.0, doc="place on the string")
     mass: float = quantity("kg", low=1e-7, high=10.0, doc="of the loose part")

@@ -25,7 +25,7 @@ from tonewood.authoring import TENSION_MODULATION, ModalBasis, quantity
 
 
 class TensionModulatedParameters(StiffStringParameters):
-    """Of the open string."""
+    """Parameters of the open string."""
 
     axial_stiffness: float = quantity("N", low=0.0, high=1e7, doc="E A; 0 leaves the tension as it is")
 

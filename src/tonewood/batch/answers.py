@@ -1,4 +1,4 @@
-"""What listeners answered: webMUSHRA's result tables, opened with the key of the batch.
+"""Answers of listeners: webMUSHRA's result tables, opened with the key of the batch.
 
 webMUSHRA appends one block of rows per session to a CSV file of each test type (``mushra.csv``, ``bs1116.csv``,
 ``paired_comparison.csv``). Columns between ``session_test_id`` and ``trial_id`` are the questionnaire's, and
@@ -71,7 +71,7 @@ class Trial(BaseModel):
 
 
 class Sound(BaseModel):
-    """What stands behind a code."""
+    """Condition and levels of a code."""
 
     condition: str
     levels: dict[str, str]
@@ -209,7 +209,7 @@ def _answers(
 
 
 class _Sessions:
-    """Tells sessions apart: by who answered, and by an answer given a second time."""
+    """Distinguishes sessions: by the listener, and by an answer that is given a second time."""
 
     def __init__(self) -> None:
         self.given: dict[str, set[tuple[str, str]]] = {}

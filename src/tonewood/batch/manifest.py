@@ -1,4 +1,4 @@
-"""The manifest of a batch: what is played, on what, what is varied, and how it is put before listeners.
+"""The manifest of a batch: scores, instruments, factors, and pages for listeners.
 
 Schema ``tonewood-batch/1``, a YAML file. A manifest names instruments and scores; *factors* are parameters of the
 instrument (any path of the bundle) or of the render (``render.fs``, ``render.effects``, ...) with named levels;
@@ -108,7 +108,7 @@ class RenderSettings(RenderOptions):
     ``output``.
     """
 
-    #: keys of earlier versions, and what is said of them (`faults.first_message`)
+    #: key of an earlier version -> message (`validation_messages.first_message`)
     removed: ClassVar[dict[str, str]] = {
         "precision": "precision was removed in 0.2; samples are always computed in double precision"
     }
@@ -156,7 +156,7 @@ class Loudness(_Section):
 
 
 class Stimuli(_Section):
-    """What every sound file of the batch has in common."""
+    """Properties of all sound files of the batch."""
 
     fs: int = Field(default=48000, ge=8000, le=192000, description="Hz; renders at another rate are resampled")
     channels: int = Field(default=1, ge=1, le=2)
@@ -224,7 +224,7 @@ Page = Annotated[MushraPage | Bs1116Page | PairedPage | HtmlPage, Field(discrimi
 
 
 class Output(_Section):
-    """What is written, and in which order listeners meet the pages."""
+    """Files that are written, and the order of the pages."""
 
     blind: bool = Field(default=True, description="the audition page shows codes only")
     key: Annotated[str, Field(pattern=r"^[\w.-]+\.json$")] = "key.json"

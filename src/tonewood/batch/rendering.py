@@ -42,7 +42,7 @@ class EngineRenderer:
     allow_code: bool = False
 
     def identity(self, condition: Condition) -> dict[str, Any]:
-        """All that decides the samples: parameters, hashes, version, instruction set, and what else computes here.
+        """Everything that decides the samples: parameters, hashes, version, instruction set, libraries.
 
         Raises
         ------
@@ -176,7 +176,7 @@ def _varied(score: Score, instrument: Instrument, condition: Condition) -> Score
 
 
 class _Base:
-    """What a field of a note is worth before it varies."""
+    """Value of a field of a note before it varies."""
 
     def __init__(self, score: Score, instrument: Instrument, condition: Condition):
         self.score, self.instrument, self.condition = score, instrument, condition

@@ -1,4 +1,4 @@
-"""``tonewood check``: whether an instrument can be played, how true it is, and where its figures come from."""
+"""``tonewood check``: passivity, tuning and provenance of an instrument."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tonewood.instrument.inspection import Pitch
     from tonewood.instrument.mounted import MountedPitch
 
-#: of a partial's decay rate; strings that miss their loss law by more are named
+#: relative error of a partial's decay rate from which on a string is reported to miss its loss law
 LOSS_TOLERANCE = 1e-3
 
 
@@ -30,7 +30,7 @@ def check(
 ) -> int:
     """Load INSTRUMENT, test its body, tune every stop, list wolf notes, shared partials, stand-ins and sources.
 
-    Every stop is looked at twice: its string alone on the body, as it is tuned, and with all other strings open beside
+    Every stop is checked twice: its string alone on the body, as it is tuned, and with all other strings open beside
     it.
 
     Exit code 2 if it cannot be played or its body could create energy.

@@ -1,4 +1,4 @@
-"""The commands, and what ends one of them besides an error."""
+"""The list of commands, and exceptions that end a command besides errors."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ COMMANDS = {
 
 
 class InterruptError(Exception):
-    """Ctrl-C inside a command: typer would turn a KeyboardInterrupt into an exit code without a word.
+    """Ctrl-C inside a command: typer would turn a KeyboardInterrupt into an exit code without a message.
 
-    Its text says what is left behind.
+    Its text names the files that remain.
     """
 
 
 class ReaderGoneError(Exception):
-    """Nobody reads standard output any more, as behind ``| head``; typer would make an exit code of that, too."""
+    """Standard output was closed by its reader, as behind ``| head``; typer would turn that into an exit code."""

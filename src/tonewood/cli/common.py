@@ -1,4 +1,4 @@
-"""What several commands share: options, progress, loading an instrument with overrides."""
+"""Options, progress bars and messages that several commands share."""
 
 from __future__ import annotations
 
@@ -61,11 +61,11 @@ def load(name: str, overrides: list[str] | None, allow_code: bool) -> Instrument
 
 
 def need(extra: str, *modules: str) -> None:
-    """Find out before any work whether the modules of an extra are installed.
+    """Check before any work that the modules of an extra are installed.
 
     Raises
     ------
-    TonewoodError : names the first that is missing, and how to get them all.
+    TonewoodError : names the first that is missing, and the extra that installs all of them.
     """
     from importlib.util import find_spec
 
@@ -87,18 +87,18 @@ def allow(option: str, value: float, low: float, high: float, unit: str) -> None
 
 @contextmanager
 def drops_told() -> Iterator[None]:
-    """Silence the library's warning of dropped notes where a command lists them."""
+    """Suppress the library's warning of dropped notes: the command lists them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DroppedNotesWarning)
         yield
 
 
 def warn_of_dropped(dropped: Sequence[Dropped]) -> None:
-    """Notes that cannot be played, one line each on stderr."""
+    """Print notes that cannot be played, one line each on stderr."""
     warn([f"not played at {drop.time:.2f} s: {drop.reason}" for drop in dropped])
 
 
 def warn(lines: list[str]) -> None:
-    """Warnings on stderr, one line each."""
+    """Print warnings on stderr, one line each."""
     for line in lines:
         print(f"tonewood: warning: {line}", file=sys.stderr)

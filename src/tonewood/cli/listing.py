@@ -1,4 +1,4 @@
-"""``tonewood list``: what is installed, and by whom."""
+"""``tonewood list``: installed instruments and plugins."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None
 
 
 def _line(row: dict[str, str]) -> str:
-    """What a broken one is listed as; nothing for one that can be used."""
+    """Line of an instrument or plugin that cannot be used; empty for any other."""
     return f"  {row['name']:<20} broken: {row['broken']}" if "broken" in row else ""
 
 

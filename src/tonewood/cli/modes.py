@@ -105,7 +105,7 @@ def _finite(value: float) -> float | None:
 
 
 def _plot(model: Model, names: list[str], path: Path) -> None:
-    """Mobility of the body at each string's end, strings away."""
+    """Plot the mobility of the body at each string's end, without strings."""
     import matplotlib as mpl
     import numpy as np
 

@@ -29,7 +29,7 @@ def plan(
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
-    """Foresee the render of SCORE: effects that will run, when, why, and its cost."""
+    """Predict the render of SCORE: effects that will run, when and why, and the time of computing."""
     from tonewood.output.plan import plan as foresee
     from tonewood.score.midi import read_midi
 

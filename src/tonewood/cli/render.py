@@ -168,7 +168,7 @@ def _write(
 
 
 def _told(summary: Summary) -> list[str]:
-    """One line per effect that did not simply run all the time."""
+    """Lines of effects that did not run all the time, one each."""
     lines = []
     by_name: dict[str, list[EffectReport]] = {}
     for effect in summary.effects:
@@ -186,7 +186,7 @@ def _told(summary: Summary) -> list[str]:
 
 
 def _bounds(reports: Sequence[EffectReport]) -> Iterator[tuple[list[float], str]]:
-    """Bounds of one effect that were used and not for nothing, of each unit."""
+    """Bounds of one effect other than 0, of each unit."""
     for values, unit in (([r.bound for r in reports], reports[0].unit), ([r.bound_db for r in reports], "dB")):
         used = [value for value in values if value is not None and value != 0.0]
         if used:

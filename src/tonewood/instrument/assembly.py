@@ -35,7 +35,7 @@ FREQ_LIMIT = 0.45
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """All that a render needs and that does not move.
+    """All immutable data of a render.
 
     Attributes
     ----------
@@ -43,17 +43,17 @@ class Model:
     fs : Hz.
     system : open strings, every polarization. Components ``body``, ``STRING.z``, ``STRING.y`` and those of pickups;
         connections ``COMPONENT.bridge`` (rigid) and ``COMPONENT.hold`` (a dashpot to ground at the point ``pluck``,
-        without effect until a gesture takes hold). What touches strings besides adds ``STRING.PART.NAME`` of both
+        without effect until a gesture holds the string). Parts that touch a string add ``STRING.PART.NAME`` of both
         kinds; a string with axial stiffness has a tension of its name.
     strings : name -> string, from bass to treble.
     outputs : groups that were asked for, the default first.
     body_points : name -> place and direction.
     inputs : ``body.POINT`` -> (component, point, factor), ...: where a known force on the body enters, microphones
         driven by bridge forces included; ``STRING.PART.NAME`` those of exciters that react.
-    resting : connections that a gesture wakes; in `system` they stand without effect.
-    exciters : name -> what plays.
+    resting : connections that act only while a gesture moves them, with their laws; in `system` they have no effect.
+    exciters : name -> plugin.
     default_exciter : name of the exciter of notes that name no technique.
-    choice : effects that may run, and budgets; what is left out altogether is not in `system`.
+    choice : effects that may run, and budgets; `system` does not contain effects that may not.
     """
 
     instrument: Instrument
@@ -83,7 +83,7 @@ class Model:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was done to the bundle's figures to make them playable, one line each."""
+        """Changes to the bundle's figures that were needed to play it, one line each."""
         body = self.system.compiled[self.system.slot("body")].basis
         note = body.metadata.get("repair")
         lines = [] if note is None else [f"body: {note}"]
@@ -98,7 +98,7 @@ class Model:
         return tuple(lines)
 
     def place(self, string: str, stop: float = 0) -> Place:
-        """A string at a stop, as exciters want it."""
+        """Place of a gesture: a string at a stop."""
         held = self.strings[string]
         return Place(string, held.length(stop), len(held.polarizations), held.tension(stop))
 
@@ -166,7 +166,7 @@ def _check_body(instrument: Instrument, strings: Mapping[str, StringModel], body
 
 
 def _string_components(strings: Iterable[StringModel]) -> dict[str, ModalBasis]:
-    """Components of all strings, then those of what touches them."""
+    """Components of all strings, then those that parts add to them."""
     own = {name: basis for string in strings for name, basis in string.bases().items()}
     return own | {name: b for string in strings for a in string.attached() for name, b in a.components.items()}
 
@@ -195,7 +195,7 @@ def _end_connections(strings: Iterable[StringModel]) -> list[Connection]:
 
 
 def _attached_connections(attached: Iterable[Attached], resting: Mapping[str, Connection]) -> list[Connection]:
-    """Connections of what touches strings; those that only gestures move begin without effect."""
+    """Connections of parts on strings; those that only gestures move begin without effect."""
     return [replace(c, law=SpringDashpot()) if c.name in resting else c for a in attached for c in a.connections]
 
 
@@ -219,14 +219,14 @@ def _stretches(
         for s in strings
         if s.longitudinal
     ]
-    if geometric:  # then all rising tensions are found together
+    if geometric:  # one solve then finds all of them together
         geometric += [GeometricStretch(s.name, s.components, None, s.resonator.axial_stiffness) for s in stretching]
         return [], geometric
     return [TensionModulation(s.name, s.components, s.resonator.axial_stiffness) for s in stretching], []
 
 
 def _check_places(instrument: Instrument, strings: Mapping[str, StringModel]) -> None:
-    """Hold places of exciters to the strings: the default one plays them all, any other at least the longest."""
+    """Check places of exciters: the default one plays every string, any other one at least the longest."""
     lengths = [string.length() for string in strings.values()]
     for name, exciter in instrument.exciters.items():
         if exciter.at is None:

@@ -26,18 +26,18 @@ from tonewood.yaml_io import load_yaml
 
 @dataclass(frozen=True, eq=False)
 class Instrument:
-    """A checked bundle with its plugins made. Immutable: `replace` makes another.
+    """A checked bundle with its plugins; immutable, `replace` makes another one.
 
     Attributes
     ----------
     folder : of the bundle.
     spec : every key of the bundle, defaults filled in.
-    body : the plugin the strings are joined to.
+    body : plugin of the body, to which the strings are joined.
     resonators : string -> its plugin.
     exciters : name -> plugin.
-    attachments : name -> plugin of what touches strings besides the body.
+    attachments : name -> plugin of frets, a curved bridge, loose parts.
     pickups : output group -> plugin.
-    resolved : the whole as plain values (JSON), plugins' defaults included; what `replace` works on.
+    resolved : all keys as plain values (JSON), plugins' defaults included; `replace` changes these.
     granted : files outside the folder that overrides have named.
     allow_code : whether plugins in the bundle's folder may run.
     """
@@ -121,7 +121,7 @@ class Instrument:
         Parameters
         ----------
         overrides : path -> value, ``{"scale": x}`` or ``{"fraction": x}``; see `overrides`. A scale or keymap may be
-            any file: whoever overrides may read it, while a bundle is confined to its folder.
+            any file that the caller may read, while a bundle is confined to its folder.
 
         Examples
         --------
@@ -145,7 +145,7 @@ class Instrument:
 
     @property
     def name(self) -> str:
-        """As it is called on the command line."""
+        """Name of the instrument, as on the command line."""
         return self.spec.name
 
     @property
@@ -155,7 +155,7 @@ class Instrument:
 
     @property
     def plugins(self) -> tuple[Plugin[Any], ...]:
-        """All its parts."""
+        """Plugins of all parts."""
         parts = (self.resonators, self.exciters, self.attachments, self.pickups)
         return (self.body, *(plugin for group in parts for plugin in group.values()))
 
@@ -191,7 +191,7 @@ class Instrument:
             raise self._fault(str(fault), f"strings.{string}.polarizations") from None
 
     def provenance(self, path: str) -> Provenance | None:
-        """What kind of figure stands at a dotted path: the entry that names it most exactly."""
+        """Provenance of the value at a dotted path: the most specific entry that matches."""
         best: tuple[tuple[int, int], Provenance] | None = None
         parts = path.split(".")
         for pattern, entry in self.spec.provenance.items():
@@ -203,11 +203,11 @@ class Instrument:
         return best[1] if best else None
 
     def stand_ins(self) -> list[str]:
-        """Paths the bundle itself names stand-ins."""
+        """Paths of values that the bundle declares to be stand-ins."""
         return [path for path, entry in self.spec.provenance.items() if entry.kind == "stand_in"]
 
     def table_doubts(self) -> list[str]:
-        """Tables that need not be those their provenance speaks of, one line each.
+        """List tables whose provenance may be that of another table, one line each.
 
         A table is a file of the bundle that a part's key ``table`` names. Its entry of `provenance` may carry the
         SHA-256 of the file's bytes; one that says `measured` should.
@@ -257,7 +257,7 @@ class Instrument:
         return {name: code.get(name) or registry.plugin_hash(name) for name in self.plugin_names}
 
     def _made(self) -> Iterator[tuple[str, Plugin[Any]]]:
-        """Every part's plugin, after the word that names it in the bundle."""
+        """Name and plugin of every part."""
         spec = self.spec
         yield spec.body.plugin, self.body
         yield from ((spec.strings[name].plugin, made) for name, made in self.resonators.items())
@@ -278,7 +278,7 @@ class Instrument:
         return BundleError(reason, file=self._files.manifest, key=key)
 
     def _check(self) -> None:
-        """What no single part can know."""
+        """Check references between parts."""
         points = {name: point for name, point in self.body.points().items() if point.driven}
         for name, part in self.spec.strings.items():
             for end in part.ends:
@@ -331,13 +331,13 @@ class Instrument:
 
 
 def _flat(part: PluginPart, plugin: Plugin[Any]) -> dict[str, Any]:
-    """Common keys and the plugin's own, as they would stand in a bundle with every default written out."""
+    """Keys of a part with every default written out: the common ones and the plugin's own."""
     common = part.model_dump(mode="json", by_alias=True, include=set(type(part).model_fields))
     return {**common, **plugin.parameters.model_dump(mode="json", by_alias=True)}
 
 
 def _merged(values: Mapping[str, Any], files: Files) -> dict[str, Any]:
-    """Put `strings.defaults` under every string."""
+    """Merge `strings.defaults` into every string, whose own keys go first."""
     out = dict(values)
     strings = out.get("strings")
     if not isinstance(strings, Mapping) or "defaults" not in strings:

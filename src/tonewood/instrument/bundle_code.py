@@ -53,7 +53,7 @@ def code_plugin(name: str, kind: str, files: Files, *, allowed: bool) -> type[Pl
         module = _module(path, hashlib.sha256(path.read_bytes()).hexdigest())
     except BundleError as fault:
         raise PluginError(fault.reason) from None
-    except (Exception, SystemExit) as fault:  # a stranger's code may raise anything
+    except (Exception, SystemExit) as fault:  # code of a third party may raise anything
         raise PluginError(f"{file} cannot be run: {type(fault).__name__}: {fault}") from None
     if not hasattr(module, cls):
         raise PluginError(f"{file} has no class {cls}")

@@ -14,13 +14,13 @@ from tonewood.instrument.schema import Effects
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Which effects run, and the budgets of those that come and go.
+    """Effects that may run, and the budgets of those that are switched.
 
     Attributes
     ----------
     mode : ``auto``, ``all``, ``none``, or ``list`` for those named.
     names : effects that may run at all.
-    budget_db, budget_cents : what leaving one out may cost.
+    budget_db, budget_cents : largest error by which one may be left out.
     """
 
     mode: str
@@ -30,7 +30,7 @@ class Choice:
 
     @classmethod
     def of(cls, wanted: Effects, declared: Mapping[str, Effect]) -> Choice:
-        """What a bundle's ``effects`` mean for the effects its parts declare.
+        """Resolve a bundle's ``effects`` for the effects that its parts declare.
 
         Raises
         ------
@@ -47,11 +47,11 @@ class Choice:
         return cls("list", frozenset(basic | set(wanted.mode)), wanted.budget_db, wanted.budget_cents)
 
     def keeps(self, plugin: Plugin[Any], name: str | None = None) -> bool:
-        """Whether a part runs its effect `name`, or any of its effects; what it does not declare, it always runs."""
+        """Whether a part runs its effect `name`, or any of its effects; an effect that is not declared always runs."""
         own = [effect.name for effect in plugin.effects if name is None or effect.name == name]
         return not own or any(effect in self.names for effect in own)
 
 
 def declared(plugins: Iterable[Plugin[Any]]) -> dict[str, Effect]:
-    """Name -> effect of all that an instrument's parts declare."""
+    """Effects that the parts of an instrument declare: name -> effect."""
     return {effect.name: effect for plugin in plugins for effect in plugin.effects}

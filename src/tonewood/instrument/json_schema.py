@@ -23,8 +23,8 @@ _PARTS: dict[str, tuple[str, type[PluginPart]]] = {
 def bundle_schema() -> dict[str, Any]:
     """JSON Schema (2020-12) of ``instrument.yaml``.
 
-    A part made by a plugin is any one of the installed plugins of its kind. Keys of a string may come from `defaults`,
-    so none is required here that the loader will miss later.
+    A part may be any installed plugin of its kind, or one in the bundle's folder, whose own keys are not known here.
+    Keys of a string may come from `defaults`, so that none is required here; the loader checks them.
     """
     schema = Bundle.model_json_schema(by_alias=True, mode="validation")
     definitions = schema.setdefault("$defs", {})

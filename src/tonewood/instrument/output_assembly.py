@@ -26,7 +26,7 @@ class OutputGroup:
     readouts : their places among the system's readouts.
     quantity, unit : what is read.
     full_scale : value at 0 dBFS, in `unit`.
-    note : what this output is, and is not.
+    note : for the user, one line.
     """
 
     name: str

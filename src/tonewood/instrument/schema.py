@@ -34,7 +34,7 @@ class Source(Parameters):
 
 
 class Provenance(Parameters):
-    """What kind of figures these are."""
+    """Kind and source of figures."""
 
     kind: Literal["measured", "published", "computed", "authored", "stand_in"] = described(
         "measured on the instrument; published in a text; computed from such; authored by ear or judgement; "
@@ -55,7 +55,7 @@ class PluginPart(Parameters):
 
     @property
     def values(self) -> dict[str, Any]:
-        """Keys that are the plugin's."""
+        """Keys of the plugin itself."""
         return dict(self.model_extra or {})
 
 
@@ -93,7 +93,7 @@ class StringPart(PluginPart):
 
     @property
     def ends(self) -> tuple[str, ...]:
-        """What it ends on, ``body.POINT`` each."""
+        """Its ends, ``body.POINT`` each."""
         return (self.end,) if isinstance(self.end, str) else tuple(self.end)
 
     @property
@@ -114,13 +114,13 @@ class StringPart(PluginPart):
 
 
 class ConnectionPart(PluginPart):
-    """What touches strings besides the body: frets, a curved bridge, a loose part."""
+    """Contacts and masses on strings: frets, a curved bridge, a loose part."""
 
     strings: list[Name] | None = described("those it touches; all where left out", default=None)
 
 
 class Finger(Parameters):
-    """A fingertip that stops a string: skin against the string, and behind it the mass that the hand presses down."""
+    """A fingertip that stops a string: the skin, and behind it the mass that the hand presses down."""
 
     skin_stiffness: float = quantity("N/m", low=1.0, high=1e7, default=1e5, doc="between string and fingertip")
     skin_damping: float = quantity("N s/m", low=0.0, high=1e3, default=1.0, doc="between string and fingertip")
@@ -130,7 +130,7 @@ class Finger(Parameters):
 
 
 class Stops(Parameters):
-    """How strings are stopped."""
+    """Stops of the strings."""
 
     kind: Literal["none", "frets", "continuous"] = described(
         "none: open strings; frets: whole steps of the scale; continuous: any place up to `count` steps",
@@ -195,7 +195,7 @@ class Velocity(Parameters):
 
 
 class NoteEnd(Parameters):
-    """What happens when a note ends."""
+    """End of a note."""
 
     kind: Literal["ring", "damp"] = described("ring: nothing; damp: the string is damped", default="ring")
     t60: float = quantity("s", low=1e-3, high=100.0, default=0.12, doc="decay time of a damped string")
@@ -240,7 +240,7 @@ class OutputPart(PluginPart):
 
 
 class Effects(Parameters):
-    """What may be left out of a render, with a bound on what that costs."""
+    """Effects that a render may leave out, and the largest error of that."""
 
     mode: Literal["auto", "all", "none"] | list[str] = described("auto, all, none or names", default="auto")
     budget_db: float = quantity("dB", low=-300.0, high=0.0, default=-80.0, doc="for effects that add something")

@@ -61,8 +61,8 @@ class Stopping:
     continuous : whether stops between whole steps exist.
     freq : stop -> pitch of its note, Hz.
     compensate : ``each_stop``, ``open_only`` or ``none``.
-    hold : ``pitch`` or ``tension``: what the open string keeps where it is compensated.
-    finger : that stops the string softly; None where the stop is its ideal end.
+    hold : ``pitch`` or ``tension``: which of the two of the bundle the open string keeps where it is compensated.
+    finger : soft finger that stops the string; None where the stop is an ideal end.
     """
 
     count: int
@@ -75,14 +75,14 @@ class Stopping:
 
 @dataclass(frozen=True, slots=True)
 class GivenTension:
-    """What became of the tension that the bundle gives an open string.
+    """Tension that the bundle gives an open string, and the tension used.
 
     Attributes
     ----------
     string : its name.
     given, used : N, of the first polarization.
     held : ``pitch`` or ``tension``: which of the two was kept.
-    raised_cents : of the open string's pitch, from its note to where the tension puts it; 0 where the pitch is held.
+    raised_cents : pitch of the open string at the given tension, from its note; 0 where the pitch is held.
     """
 
     string: str
@@ -93,12 +93,12 @@ class GivenTension:
 
     @property
     def cents(self) -> float:
-        """Pitch that the given tension would make, from the pitch that was asked for: 600 lg2(given / used)."""
+        """Pitch at the given tension, from the note: 600 lg2(given / used) cents."""
         return self.raised_cents if self.held == "tension" else 600.0 * math.log2(self.given / self.used)
 
     @property
     def noticeable(self) -> bool:
-        """Whether the two are further apart than tuning to the body makes them, `NOTICEABLE_CENTS`."""
+        """Whether they differ by more than `NOTICEABLE_CENTS`."""
         return abs(self.cents) > NOTICEABLE_CENTS
 
     def line(self) -> str:

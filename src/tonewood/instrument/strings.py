@@ -28,12 +28,12 @@ Floats = NDArray[np.float64]
 
 #: a note that needs this many times the bundle's tension, or this many times less, is a mistake
 _RETENSION = 5.0
-#: bases of stops between whole ones that are remembered: a slide passes hundreds
+#: cached bases of stops between whole ones: a slide passes hundreds
 _PASSING_STOPS = 32
 
 
 class StringModel:
-    """One string; immutable but for what it remembers of bases it has made.
+    """One string; immutable but for caches of the bases that it has made.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class StringModel:
     open_note : note number of the open string.
     stopping : its stops.
     longitudinal : its longitudinal motion, if that is stepped.
-    pluck_from_bridge : m, where it is plucked if nobody says where.
+    pluck_from_bridge : m, place of the pluck where a gesture gives none.
     """
 
     def __init__(
@@ -83,12 +83,12 @@ class StringModel:
 
     @property
     def all_components(self) -> tuple[str, ...]:
-        """Names of its components, then those of what touches it."""
+        """Names of its components, then those that attachments, exciters and a finger add to it."""
         return (*self.components, *(name for a in self.attached() for name in a.components))
 
     @property
     def ends(self) -> tuple[Polarization | LongitudinalMotion, ...]:
-        """All that moves at the bridge."""
+        """Motions that are joined to the bridge: polarizations, then longitudinal motion."""
         return (*self.polarizations, *([self.longitudinal] if self.longitudinal else []))
 
     @property
@@ -102,12 +102,12 @@ class StringModel:
         return tuple(self.freq(stop) for stop in range(self.n_stops + 1))
 
     def freq(self, stop: float = 0) -> float:
-        """Pitch a stop should sound, Hz: that of its note, raised or lowered with the open string if that is held."""
+        """Pitch that a stop should sound, Hz: its note, transposed with the open string if the tension is held."""
         return self.stopping.freq(stop) * self._raised
 
     @property
     def given_tension(self) -> GivenTension:
-        """What became of the bundle's tension."""
+        """The bundle's tension and the one used."""
         held = "tension" if self._tension_held or self.stopping.compensate == "none" else "pitch"
         return GivenTension(self.name, self.resonator.tension, self.tension(0.0), held, cents(self._raised))
 
@@ -143,14 +143,14 @@ class StringModel:
         return self.resonator.length - self.position(stop)
 
     def site(self, stop: float = 0) -> Site:
-        """The string at a stop, as what touches it sees it."""
+        """Geometry of the string at a stop, for attachments and exciters."""
         open_length = self.resonator.length
         stops = tuple(self.length(i) for i in range(self.n_stops + 1))
         polarizations = tuple((p.component, p.direction) for p in self.polarizations)
         return Site(self.name, open_length, self.length(stop), stops, polarizations)
 
     def attached(self, stop: float = 0) -> tuple[Attached, ...]:
-        """What touches the string at a stop besides the body: connections and exciters that react."""
+        """Places, components and connections that attachments, exciters and a finger add to the string at a stop."""
         if stop not in self._attached:
             site = self.site(stop)
             found = {name: part.attach(name, site) for name, part in self._touching.items()}
@@ -160,11 +160,11 @@ class StringModel:
         return self._attached[stop]
 
     def connections(self, stop: float = 0) -> tuple[Connection, ...]:
-        """Connections of what touches it; at every stop the same, but for their laws."""
+        """Connections of `attached`; at every stop the same ones, with laws that may differ."""
         return tuple(c for a in self.attached(stop) for c in a.connections)
 
     def tuned(self, stop: float = 0) -> TunedStop:
-        """Tension and coupled modes of a stop, as the bundle's tension stands where it asks for no compensation."""
+        """Tension and coupled modes of a stop; at the bundle's tension where it asks for no compensation."""
         return self._tune(stop)[0] or self._as_it_stands(float(stop))
 
     def tension(self, stop: float = 0) -> float:
@@ -172,7 +172,7 @@ class StringModel:
         return self._tune(0.0 if self.stopping.compensate == "open_only" else stop)[1]
 
     def under(self, tension: float, stop: float = 0) -> TunedStop:
-        """Coupled modes of a stop under a tension (N) that stays as it is.
+        """Coupled modes of a stop at a given tension (N), without tuning.
 
         Raises
         ------
@@ -207,11 +207,11 @@ class StringModel:
         Parameters
         ----------
         stop : 0 is open; a fraction on a continuous string.
-        bend_cents : by which the tension is changed.
+        bend_cents : change of pitch by a change of tension.
         added_damping : 1/s, added to every mode's damping rate.
         pluck_from_bridge : m; the string's usual place where left out. Must lie on the speaking part.
-        touches : point of what touches the string -> m, where it lies elsewhere than its part says.
-        whole : keep modes that tension has raised above the limit, too.
+        touches : point that a part attaches to the string -> m, in place of the part's own place.
+        whole : keep also modes that the tension has raised above the limit.
         """
         length = self.length(stop)
         pluck = min(self.pluck_from_bridge, 0.9 * length) if pluck_from_bridge is None else pluck_from_bridge
@@ -282,7 +282,7 @@ class StringModel:
         return self.longitudinal is not None and component == self.longitudinal.component
 
     def _longitudinal(self, stop: float, motion: Longitudinal) -> ModalBasis:
-        """Modes along the string; few, and bends leave them as they are."""
+        """Longitudinal modes at a stop, cached; bends do not change them."""
         if stop not in self._longitudinal_bases:
             if len(self._longitudinal_bases) >= _PASSING_STOPS:
                 del self._longitudinal_bases[next(iter(self._longitudinal_bases))]
@@ -290,7 +290,7 @@ class StringModel:
         return self._longitudinal_bases[stop]
 
     def _end(self, stop: float) -> float:
-        """Stop at which the string's modes end: a soft finger leaves them those of the open string."""
+        """Stop that ends the modes of the string: 0 under a soft finger, which leaves the whole string in motion."""
         return stop if self.stopping.finger is None else 0.0
 
     def _under_finger(self, stop: float, finger: Finger) -> float:
@@ -312,7 +312,7 @@ class StringModel:
         return length + bent - tension * compliance(finger, self.freq(stop)).real
 
     def _left_under_finger(self, stop: float) -> float | None:
-        """Compliance under a soft finger that the string's modes leave, m/N; None on the open string."""
+        """Residual compliance of the string under a soft finger, m/N; None on the open string."""
         finger = self.stopping.finger
         if finger is None or stop == 0:
             return None
@@ -327,12 +327,12 @@ class StringModel:
             raise ValueError(f"string {self.name} has the components {', '.join(self.components)}, not {component!r}")
 
     def _untuned(self, stop: float) -> ModalBasis:
-        """Basis of a stop before the tuner's last turn, made once."""
+        """Basis of a stop at a first guess of its tension, cached; `detuned` takes it to any other tension."""
         if stop not in self._bases:
             # the open string's tension, once known, is the best guess for every stop
             guess = self._tuned[0.0][1] if 0.0 in self._tuned else self._first_guess()
             basis = self.resonator.basis(self._freq_upper, stop=self.position(stop), tension=guess)
-            if basis.n_modes < 2:  # one alone moves with the bridge: held there, the string would have none
+            if basis.n_modes < 2:  # a single mode moves with the bridge: a string held there would have none
                 raise self.resonator.fault(
                     f"{self._freq_upper:g} Hz leave {basis.n_modes} of the modes at stop {stop:g}; "
                     f"{self.freq(stop):.2f} Hz need 2 or more: raise freq_upper, or the sampling rate",
@@ -348,7 +348,7 @@ class StringModel:
         return self._bases[stop]
 
     def _first_guess(self) -> float:
-        """Tension of a rigidly held string of this pitch: f goes with its root."""
+        """Tension of a rigidly held string of this pitch: f is proportional to the root of the tension."""
         nominal = self.resonator.tension
         if self._tension_held or self.stopping.compensate == "none":
             return nominal
@@ -363,7 +363,7 @@ class StringModel:
         return guess
 
     def _bend_gain(self, stop: float) -> float:
-        """Cents of tension per cent of pitch: not quite 1, because a bend leaves the shapes as they are."""
+        """Cents of tension per cent of pitch: not quite 1, because the shapes do not change with the tension."""
         if stop not in self._gains:
             base, tension, trial = self._untuned(stop), self.tension(stop), 50.0
             pair = (self.resonator.detuned(base, t) for t in (tension, tension * ratio_of_cents(trial) ** 2))
@@ -412,7 +412,7 @@ def held_freq(basis: ModalBasis) -> float | None:
 
 
 def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:
-    """Add points that do not move: places behind the stop, which connections at other stops act on."""
+    """Add points that do not move: places behind the stop, on which connections act at other stops."""
     if not names:
         return basis
     rows = np.zeros((len(names), basis.n_modes), dtype=np.complex128)
@@ -426,7 +426,7 @@ def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:
 
 
 def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:
-    """Modes under `freq_limit` (Hz), the others' static compliance in the residual; what a bend can make necessary."""
+    """Keep the modes below `freq_limit` (Hz), and put the static compliance of the others into the residual."""
     keep = np.flatnonzero(basis.natural_freq < freq_limit)
     if keep.size == basis.n_modes:
         return basis

@@ -1,6 +1,6 @@
-"""Three settings of the renderer's dials, and the filter that brings an oversampled render down.
+"""Three settings of accuracy, and the decimation filter of oversampled renders.
 
-What each costs and how far it is from `reference` is measured by ``tonewood accuracy`` and told in docs/accuracy.md.
+``tonewood accuracy`` measures the cost of each and its error against `reference`; docs/accuracy.md has the figures.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class Accuracy:
     Attributes
     ----------
     name : of the setting.
-    oversampling : the engine runs at so many times the rate of the sound.
-    as_asked : times as often as the bundle asks for, besides.
+    oversampling : ratio of the engine's rate to that of the sound.
+    as_asked : whether the bundle's own oversampling is applied in addition.
     freq_limit : Hz, no mode is stepped above it; None is 0.45 of the engine's rate.
     """
 
@@ -34,7 +34,7 @@ class Accuracy:
     freq_limit: float | None = None
 
 
-#: quick listening; what music is rendered with; what the others are measured against
+#: for quick listening; for music; reference for the errors of the others
 LEVELS: Mapping[AccuracyName, Accuracy] = {
     level.name: level
     for level in (
@@ -50,7 +50,7 @@ class Decimator:
 
     Parameters
     ----------
-    factor : 1 hands the sound through.
+    factor : ratio of the rates; 1 leaves the sound as it is.
     n_channels : columns.
     """
 
@@ -68,7 +68,7 @@ class Decimator:
 
     @property
     def lead(self) -> int:
-        """Frames of the lower rate that come out before the first frame that went in: it looks ahead so far."""
+        """Look-ahead in frames of the lower rate: so many come out before the first frame that went in."""
         return (len(self._taps) - 1) // 2 // self.factor
 
     def __call__(self, sound: Floats) -> Floats:
@@ -78,5 +78,5 @@ class Decimator:
         joined = np.concatenate([self.memory, sound])
         self.memory = joined[len(joined) - len(self.memory) :]
         windows = np.lib.stride_tricks.sliding_window_view(joined, len(self._taps), axis=0)[:: self.factor]
-        # by einsum: its sums do not depend on how many frames come at a time
+        # einsum, whose sums do not depend on the number of frames
         return np.asarray(np.einsum("nct,t->nc", windows, self._taps))

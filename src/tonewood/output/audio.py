@@ -1,4 +1,4 @@
-"""Sound in memory and sound files: written under another name and renamed when complete."""
+"""Sound in memory, and sound files as `AtomicFile`s."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ class SoundWriter:
     ) -> None:
         try:
             self._file.close()
-            # libsndfile does not tell of a disk that filled up in its last buffer
+            # libsndfile does not report a disk that is full when it writes its last buffer
             complete = kind is None and sf.info(str(self._new.path)).frames == self.frames
             if kind is None and not complete:
                 raise OutputError("is incomplete on disk (is it full?)", file=self.path)
@@ -176,7 +176,7 @@ class SoundWriter:
 
 
 def _reason(path: Path, error: Exception) -> str:
-    """Why a file could not be written: libsndfile speaks of system errors, the system says which."""
+    """Reason why a file cannot be written: libsndfile reports system errors without their message."""
     try:
         with path.open("ab") as stream:
             stream.write(bytes(1 << 20))

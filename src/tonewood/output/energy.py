@@ -1,4 +1,4 @@
-"""Accounts of energy to files: JSON, CSV or a picture, as the name's ending says."""
+"""Writes accounts of energy as JSON, CSV or a picture, by the suffix of the file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _KINDS = ("stored", "supplied", "booked", "lost")
 
 
 def check_energy_file(path: Path) -> None:
-    """Find out before a long render whether an account can be written there.
+    """Check before a long render that an account can be written to a file.
 
     Raises
     ------

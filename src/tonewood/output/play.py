@@ -1,4 +1,4 @@
-"""The same blocks into a sound card."""
+"""Playing the blocks of a renderer on a sound card."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Playback:
     Attributes
     ----------
     frames : how many.
-    underruns : times the card got silence because no block was ready, or told of a gap itself.
+    underruns : times that no block was ready and the card got silence, or that the card reported a gap.
     clipped : samples beyond full scale.
     """
 
@@ -93,7 +93,7 @@ def play(
                     primed.set()
                 if done.is_set():
                     return
-        except Exception as error:  # whatever it is must reach the caller's thread
+        except Exception as error:  # re-raised in the caller's thread
             failed.append(error)
         finally:
             primed.set()
@@ -120,7 +120,7 @@ def play(
     filler = threading.Thread(target=fill, daemon=True)
     filler.start()
     try:
-        # the card starts with the queue full, not with underruns
+        # the stream starts when the queue is full, so that it does not begin with underruns
         primed.wait()
         with make(
             samplerate=renderer.fs, blocksize=block_size, channels=n_channels, dtype="float32",

@@ -1,4 +1,4 @@
-"""Scores to sound: `Renderer.blocks` streams, everything else stands on it."""
+"""Renders scores: `Renderer.blocks` yields the sound block by block; `render` and `play` use it."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from tonewood.score.note import Dropped, Score
 
 Floats = NDArray[np.float64]
 
-#: ticks of the control grid from one look at the tail to the next, whatever the blocks asked for
+#: ticks of the control grid between checks whether the sound has decayed, whatever the block size
 _TICKS = 8
-#: frames at a time where nobody asks for any
+#: frames of a block in `render`
 _BLOCK = 4096
-#: s over which the decayed tail is judged
+#: s for which the sound must have stayed below the level of the tail
 _WINDOW = 0.2
 #: s over which a step at the first frame is smoothed
 _SMOOTHING = 5e-3
@@ -41,7 +41,7 @@ _SMOOTHING = 5e-3
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a render did.
+    """Summary of a render.
 
     Attributes
     ----------
@@ -50,14 +50,14 @@ class Summary:
     realtime_factor : seconds of sound per second of computing.
     n_modes : modes that were stepped, at most at a time.
     notes : notes played.
-    notes_dropped : what could not be played, and why.
+    notes_dropped : notes that could not be played, and why.
     peak_dbfs : largest sample re full scale.
     end : why it ended: decayed, tail cap or maximum duration.
     warnings : one line each.
     effects : what ran and what was left out, one per effect and component.
-    ignored : kind of MIDI message or controller that nothing was made of -> how many there were.
+    ignored : kind of MIDI message or controller without effect -> number of them.
     zero_frame : frame of score time 0: the lead-in's length.
-    tensions : strings whose given tension and the one used are noticeably apart, and which of tension and pitch won.
+    tensions : strings whose given and used tension differ noticeably.
     onset_step_dbfs : largest sample at the first frame before it was smoothed; None if nothing sounded before it.
     """
 
@@ -96,12 +96,12 @@ class Checkpoint:
 class Renderer:
     """Streams a score on an instrument.
 
-    Frame 0 is score time 0: what is needed before it (the ramp of a pluck that sounds at once) is computed and
-    discarded, unless a lead-in is asked for. Discarding it would leave a step at the first frame: the value that the
-    past leaves there is subtracted, fading over 5 ms, (1 + cos(pi t / 5 ms)) / 2. The note's own attack is not scaled.
-    Samples do not depend on the block size, to the last bit.
+    Frame 0 is score time 0. Sound before it (the ramp of a pluck at time 0) is computed and discarded, unless a lead-in
+    is asked for. This would leave a step at the first frame; the value of the first frame is therefore subtracted with
+    a fade of 5 ms, (1 + cos(pi t / 5 ms)) / 2. The note's own attack is not scaled. Samples do not depend on the block
+    size, to the last bit.
 
-    Notes that cannot be played are in `dropped`, and one `DroppedNotesWarning` tells of them.
+    `dropped` lists the notes that cannot be played, and one `DroppedNotesWarning` is issued.
 
     Parameters
     ----------
@@ -149,10 +149,10 @@ class Renderer:
         if options.tail_level_db < self.model.choice.budget_db:
             end = self.expected_duration - self.zero_frame / self.fs  # in score time
             self.engine.sleeper.tail = max(end - self.performance.timeline.stop, 0.0)
-        # the first frame that comes out of the decimator, which looks ahead; silence where the lead-in is longer
+        # first frame out of the decimator, which looks ahead; silence before it where the lead-in is longer
         first = self.engine.state.sample // finer - self._decimator.lead
         self._pending = np.zeros((max(0, first + self.zero_frame), len(columns)))
-        #: what stands at the first frame because the past is cut off there; None until that frame is computed
+        #: value of the first frame where earlier sound was discarded; None until that frame is computed
         self._step: Floats | None = None if earliest * self.fs < -self.zero_frame else np.zeros(len(columns))
         n = round(_SMOOTHING * self.fs)
         self._fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(n) / n)
@@ -209,7 +209,7 @@ class Renderer:
             yield block
 
     def summary(self) -> Summary:
-        """What was done so far."""
+        """Summary of the frames so far."""
         duration = self._frames / self.fs
         return Summary(
             frames=self._frames,
@@ -231,7 +231,7 @@ class Renderer:
         )
 
     def snapshot(self) -> Checkpoint:
-        """Copy of all that moves, to `restore` later in this renderer or another one made alike."""
+        """Copy of the whole state, to `restore` later in this renderer or in one made from the same arguments."""
         return Checkpoint(
             self.engine.snapshot(),
             self._decimator.memory.copy(),
@@ -244,7 +244,7 @@ class Renderer:
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go back to a snapshot; what follows is the same to the last bit."""
+        """Restore a snapshot; the samples that follow are the same to the last bit."""
         self.engine.restore(checkpoint.engine)
         self._decimator.memory = checkpoint.memory.copy()
         self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
@@ -252,9 +252,9 @@ class Renderer:
         self._step = checkpoint.step
 
     def _fill(self, frames: int) -> None:
-        """Step on for some frames; one span after another from where the sound may be found to have ended."""
+        """Step at least `frames` frames, in whole spans; one span at a time where the render may end."""
         factor, span = self._decimator.factor, _TICKS * GRID
-        # the first frame that comes out of the decimator, which looks ahead
+        # first frame out of the decimator, which looks ahead
         first = self.engine.state.sample // factor - self._decimator.lead
         longest = self.options.max_duration
         room = math.inf if longest is None else round(longest * self.fs) - max(first, 0)
@@ -271,7 +271,7 @@ class Renderer:
         self._watch(float(np.max(np.abs(sound), initial=0.0)))
 
     def _begun(self, sound: Floats, first: int) -> Floats:
-        """Cut off what lies before the first frame, and smooth the step that this leaves; `first` is sound's frame."""
+        """Discard the sound before the first frame, and smooth the step that this leaves; `first` is sound's frame."""
         sound, first = sound[max(0, -first) :], max(0, first)
         if self._step is None and len(sound):
             self._step = sound[0].copy()
@@ -282,7 +282,7 @@ class Renderer:
         return sound
 
     def _watch(self, peak: float) -> None:
-        """Notice when the sound has decayed."""
+        """End the render when the sound has decayed."""
         now = self.engine.state.sample // self._decimator.factor
         self._loudest = max(self._loudest, peak)
         self._recent.append((now, peak))
@@ -298,7 +298,7 @@ class Renderer:
 
 
 def _warn_of(dropped: Sequence[Dropped]) -> None:
-    """One warning, at the line outside this package that asked for the render."""
+    """Issue one warning, at the line outside this package that called the render."""
     if not dropped:
         return
     level, frame = 1, sys._getframe()
