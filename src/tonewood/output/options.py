@@ -43,9 +43,9 @@ class RenderOptions(Parameters):
     """
 
     fs: int = quantity("Hz", low=8000, high=768000, default=48000, doc="sampling rate")
-    accuracy: AccuracyName = described("settings of the engine's dials; see docs/accuracy.md", default="standard")
+    accuracy: AccuracyName = described("oversampling and highest mode; see docs/accuracy.md", default="standard")
     outputs: tuple[str, ...] | None = described(
-        "output groups; the instrument's first where left out", default=None, min_length=1
+        "output groups; default: the instrument's first", default=None, min_length=1
     )
     tail: float = quantity("s", low=0.0, high=3600.0, default=10.0, doc="longest ring after the last event")
     tail_level_db: float = quantity(
@@ -56,7 +56,7 @@ class RenderOptions(Parameters):
         doc="the render ends when the ring has stayed for 0.2 s this far below the loudest sample",
     )
     max_duration: float | None = quantity(
-        "s", low=1e-3, high=86400.0, default=None, doc="of score time; the render ends there at the latest"
+        "s", low=1e-3, high=86400.0, default=None, doc="longest render, counted from score time 0"
     )
     gain_db: float = quantity("dB", low=-200.0, high=200.0, default=0.0, doc="gain of all channels")
     channel_per_string: bool = described("MIDI channel 1 plays the first string, and so on", default=False)
@@ -64,21 +64,21 @@ class RenderOptions(Parameters):
         "seconds of sound kept from before score time 0, at most 60; auto: from the first gesture on", default=0.0
     )
     effects: EffectsMode | tuple[str, ...] | None = described(
-        "effects that run; the instrument's choice where left out", default=None
+        "effects that may run; default: the instrument's", default=None
     )
     budget_db: float | None = quantity(
         "dB",
         low=-300.0,
         high=0.0,
         default=None,
-        doc="largest sound that leaving out an additive effect may cost, re the peak; the instrument's where left out",
+        doc="an additive effect may be left out while its bound re the peak is below this; default: the instrument's",
     )
     budget_cents: float | None = quantity(
         "cents",
         low=0.0,
         high=100.0,
         default=None,
-        doc="largest detuning that leaving out a detuning effect may cost; the instrument's where left out",
+        doc="a detuning effect may be left out while its bound is below this; default: the instrument's",
     )
     energy: bool = described("keep an account of energy; many times slower, with the same samples", default=False)
 

@@ -6,6 +6,7 @@ import inspect
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import tonewood as tw
 from tonewood.batch.manifest import RenderSettings
 from tonewood.cli import plan, play, render
 from tonewood.cli.options import option_name
+from tonewood.instrument.schema_table import parameter_table
 from tonewood.output.accuracy import LEVELS
 from tonewood.output.options import AccuracyName, choices, limits
 
@@ -102,6 +104,12 @@ def test_no_warning_where_nothing_is_deprecated() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         tw.RenderOptions(tail=1.0)
+
+
+def test_the_reference_lists_every_option() -> None:
+    """Mended by the output of `parameter_table`."""
+    page = Path(__file__).parents[3] / "docs" / "reference" / "rendering.md"
+    assert parameter_table(tw.RenderOptions) in page.read_text(encoding="utf-8")
 
 
 def test_options_alone_are_light() -> None:
