@@ -56,7 +56,7 @@ class NoteFields(_Section):
     channel: int | None = Field(default=None, ge=0, le=15)
 
     def to_note(self) -> Note:
-        """The same note as the score's own type."""
+        """Convert to the score's own type."""
         return Note(**self.model_dump())
 
 
@@ -88,7 +88,7 @@ class Factor(_Section):
 
 
 class Variation(_Section):
-    """How one parameter varies from repeat to repeat; exactly one law."""
+    """Variation of one parameter from repeat to repeat; exactly one law."""
 
     normal_db: float | None = Field(default=None, gt=0, le=24, description="standard deviation, dB")
     normal: float | None = Field(default=None, gt=0, description="standard deviation, in the unit of the path")

@@ -92,7 +92,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Report:
-    """How a run went."""
+    """Result of a run."""
 
     name: str
     folder: Path

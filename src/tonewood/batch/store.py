@@ -48,7 +48,7 @@ class Store:
         self.folder = folder
 
     def path(self, key: str) -> Path:
-        """Where the render of `key` lies, or will."""
+        """File of the render of `key`, whether it exists or not."""
         return self.folder / f"{key}.npz"
 
     def has(self, key: str) -> bool:
@@ -60,7 +60,7 @@ class Store:
         return True
 
     def others(self, keys: Collection[str]) -> int:
-        """How many renders there are besides those of `keys`."""
+        """Number of renders besides those of `keys`."""
         return sum(path.stem not in keys for path in self.folder.glob("[0-9a-f]*.npz"))
 
     def save(self, key: str, rendered: Rendered) -> None:

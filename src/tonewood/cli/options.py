@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from tonewood.errors import TonewoodError
 from tonewood.output.options import RenderOptions, choices, limits, unit_of
 
-#: options whose name leaves out the unit, which their help tells
+#: options whose names leave out the unit; their help texts state it
 _NAMES = {"gain_db": "--gain", "tail_level_db": "--tail-level"}
 
 
@@ -92,7 +92,7 @@ def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
 
 
 def _metavar(field: FieldInfo) -> str:
-    """What stands for the value in the help: the words allowed, and SECONDS or NAMES beside them."""
+    """Placeholder of the value in the help: the words allowed, and SECONDS or NAMES."""
     words = choices(field.annotation)
     words += ["SECONDS"] if _takes_number(field) else []
     words += ["NAMES"] if any(get_origin(member) is tuple for member in get_args(field.annotation)) else []

@@ -1,4 +1,4 @@
-"""What a stepper works on: compiled components, known forces, prescribed motion of partners, and the state."""
+"""Data of a stepper: compiled components, known forces, prescribed motion of partners, and the state."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Compiled:
 
 @dataclass(eq=False)
 class State:
-    """All that moves: plain arrays, owned by whoever steps.
+    """State of a system: plain arrays, owned by the caller of the stepper.
 
     Attributes
     ----------

@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class GapCompliance:
-    """What all components together give way by, as the gaps of the connections see it; summed when first wanted."""
+    """Compliance of all components at the gaps of the connections; summed when first used."""
 
     compiled: tuple[Compiled, ...]
     layout: Layout
@@ -42,7 +42,7 @@ class GapCompliance:
         return self.layout.gathered([c.residual for c in self.compiled])
 
     def seen_by(self, laws: NonlinearLaws) -> NonlinearGaps:
-        """What the gaps of nonlinear laws give way by; kept, as linear laws change more often than these."""
+        """Compliance at the gaps of nonlinear laws; cached, as linear laws change more often."""
         if laws not in self._seen:
             self._seen[laws] = NonlinearGaps.of(laws, self.compliance, self.residual)
         return self._seen[laws]
@@ -65,7 +65,7 @@ class Elimination:
         return cls(connections, LinearLaws.of(laws, dt), NonlinearLaws.of(laws, dt), gap, dt)
 
     def with_gap(self, gap: GapCompliance) -> Elimination:
-        """The same connections between other components."""
+        """These connections between other components."""
         return Elimination(self.connections, self.linear, self.others, gap, self.dt)
 
     def with_laws(self, laws: Mapping[int, Connection]) -> Elimination:

@@ -177,7 +177,7 @@ class GeometricString:
 
     @cached_property
     def sizes(self) -> NDArray[np.intp]:
-        """Where each part begins, and the end."""
+        """First coordinate of each part, and the number of all."""
         return np.cumsum([0, *(p.n for p in self.parts)])
 
     @property

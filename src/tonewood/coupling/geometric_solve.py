@@ -24,11 +24,12 @@ SMALLEST_PART = 1e-4
 class GeometricSolve:
     """Finds the forces of one step of all such strings of a system, together with everything else.
 
-    Newton's method on the modal forces F, damped: it shortens its step until less is wrong. V + tension being convex
-    where no string is slack, that always ends at the one solution. Where a string is slack there may be several, and
-    the damped method may end where nothing near is better: then the potential is raised from nothing in small parts,
-    F = s Phi(y+(F)), s = 0 .. 1, each part starting from the one before. So the solution taken is the one next to the
-    forces before, or else the one that the string without a rise of tension leads to.
+    Damped Newton iterations on the modal forces F: each step is shortened until the residual decreases. V + tension is
+    convex where no string is slack, and the iterations then converge to the only solution. Where a string is slack
+    there may be several solutions, and the iterations may stop at a minimum of the residual; then the potential is
+    raised from zero in small steps, F = s Phi(y+(F)), s = 0 .. 1, each beginning at the solution of the one before. So
+    the solution is the one next to the forces of the last step, or else the one that continuation from the string
+    without a rise of tension finds.
     """
 
     def __init__(self, system: System):
@@ -70,7 +71,7 @@ class GeometricSolve:
 
     @cached_property
     def _nonlinear_reach(self) -> tuple[Floats, Floats]:
-        """The same as `_reach` of the nonlinear connections, linear ones answering: (k, n) and (n, k)."""
+        """`_reach` of the nonlinear connections, with the linear ones eliminated: (k, n) and (n, k)."""
         nonlinear, (gaps, answers) = self.system.nonlinear, self._reach
         if nonlinear is None:
             return gaps[:0], answers[:, :0]
@@ -139,7 +140,7 @@ class GeometricSolve:
         before, size, count = self.coordinates(x), np.sqrt(self.yields), 0
 
         def wrong(F: Floats, share: float) -> tuple[Floats, Floats, float]:
-            """What is wrong with F, coordinates after it, and the norm of the former."""
+            """Residual of F, coordinates after the step, and the norm of the residual."""
             nonlocal count
             count += 1
             after = self.coordinates(attempt(self.pushed(free, F)))

@@ -155,7 +155,7 @@ def _halve(grip: Grip, solve: Callable[[], object]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Partners:
-    """Where the partners of nonlinear laws are over one step.
+    """Prescribed motion of the partners of nonlinear laws over one step.
 
     Attributes
     ----------
@@ -231,7 +231,7 @@ def _find_friction(
     laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, partners: Partners, guess: Floats,
     grips: Mapping[int, Grip], stored: NDArray[np.intp], noise: float,
 ) -> Solution:  # fmt: skip
-    """The same by damped Newton's method on the friction forces, on their branches; contacts are found for each.
+    """Find the forces by damped Newton iterations on the friction forces, on their branches, with contacts for each.
 
     What is wrong with a friction force is what `Grip.meet` makes of the motion, less that force; it answers a change of
     friction forces through the compliance that contacts leave, at their slopes.

@@ -1,4 +1,4 @@
-"""How components, connections and readouts hang together: what other bases and other laws leave as it is."""
+"""Layout of a system: the data of components, connections and readouts that no basis and no law changes."""
 
 from __future__ import annotations
 
@@ -142,6 +142,6 @@ class Layout:
 
     @cached_property
     def _entries(self) -> Places:
-        """Where the entries of all components' gap matrices belong."""
+        """Flat indices of the entries of all components' gap matrices."""
         m = len(self.connections)
         return np.concatenate([np.zeros(0, dtype=np.intp), *((on[:, None] * m + on).ravel() for on in self.gaps)])

@@ -1,6 +1,6 @@
 """A set of components, connections and readouts, compiled to the plain arrays that a stepper needs.
 
-The arrays are the model: immutable, and shared by the C++ kernel and its NumPy twin. What moves is `State`.
+The arrays are the model: immutable, and shared by the C++ kernel and its NumPy twin. `State` is the rest.
 A component can be exchanged for another basis of itself (another stop, fewer modes): only its own arrays and the
 small matrix of `connections.linear_solve` change.
 """
@@ -144,7 +144,7 @@ class System:
 
     @property
     def readouts(self) -> tuple[Readout, ...]:
-        """What is read, one channel each."""
+        """Readouts, one channel each."""
         return self.layout.readouts
 
     @property
@@ -159,7 +159,7 @@ class System:
 
     @property
     def nonlinear(self) -> NonlinearSolve | None:
-        """What nonlinear connections see; None if there are none."""
+        """Elimination for the nonlinear connections; None if there are none."""
         return self.elimination.nonlinear
 
     def ports_of(self, name: str) -> list[str]:

@@ -24,7 +24,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
 class Source(Parameters):
-    """Where figures come from."""
+    """Source of figures."""
 
     text: str = described("who, what, where it was published")
     doi: str | None = described("digital object identifier", default=None)

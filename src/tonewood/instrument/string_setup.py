@@ -1,4 +1,4 @@
-"""How a string is set up: the directions it moves in, its stops, and its tension before and after tuning."""
+"""Setup of a string: directions of motion, stops, and tension before and after tuning."""
 
 from __future__ import annotations
 

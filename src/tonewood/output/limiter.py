@@ -102,7 +102,7 @@ class Limiter:
 
 
 def _regular(blocks: Iterable[Floats], sizes: list[int]) -> Iterator[Floats]:
-    """The same samples in chunks of one size, the last one shorter; notes the sizes that came in."""
+    """Yield the samples in chunks of one size, the last one shorter; appends the sizes of the blocks to `sizes`."""
     parts: list[Floats] = []
     n = 0
     for block in blocks:

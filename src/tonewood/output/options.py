@@ -32,7 +32,7 @@ class Tail:
 
 
 class RenderOptions(Parameters):
-    """How a score is rendered.
+    """Options of a render.
 
     The same options are keywords of `render`, `Renderer`, `plan` and `play`, options of the commands of these names,
     and keys under ``render`` in the manifest of a batch.

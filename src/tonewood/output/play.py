@@ -25,7 +25,7 @@ _AHEAD = 8
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """What was played.
+    """Summary of a playback.
 
     Attributes
     ----------
