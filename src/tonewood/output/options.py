@@ -56,7 +56,7 @@ class RenderOptions(Parameters):
         doc="the render ends when the ring has stayed for 0.2 s this far below the loudest sample",
     )
     max_duration: float | None = quantity(
-        "s", low=1e-3, high=86400.0, default=None, doc="longest render, counted from score time 0"
+        "s", low=1e-6, high=86400.0, default=None, doc="longest render, counted from score time 0"
     )
     gain_db: float = quantity("dB", low=-200.0, high=200.0, default=0.0, doc="gain of all channels")
     channel_per_string: bool = described("MIDI channel 1 plays the first string, and so on", default=False)
