@@ -153,10 +153,11 @@ class StringModel:
         """Places, components and connections that attachments, exciters and a finger add to the string at a stop."""
         if stop not in self._attached:
             site = self.site(stop)
-            found = {name: part.attach(name, site) for name, part in self._touching.items()}
+            # pairs: an exciter may have the name of the soft finger
+            found = [(name, part.attach(name, site)) for name, part in self._touching.items()]
             if self.stopping.finger is not None:
-                found[POINT] = fingertips(self.stopping.finger, site, self._left_under_finger(stop))
-            self._attached[stop] = tuple(a.owned_by(self.name, part) for part, a in found.items() if a is not None)
+                found.append((POINT, fingertips(self.stopping.finger, site, self._left_under_finger(stop))))
+            self._attached[stop] = tuple(a.owned_by(self.name, part) for part, a in found if a is not None)
         return self._attached[stop]
 
     def connections(self, stop: float = 0) -> tuple[Connection, ...]:

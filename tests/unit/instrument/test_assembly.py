@@ -56,6 +56,14 @@ def test_every_connection_and_component_names_its_string_and_part(name: str) -> 
     assert system.owners == {n: n.split(".")[0] for n in system.names if n.split(".")[0] in model.strings}
 
 
+def test_an_exciter_may_be_called_finger_beside_a_soft_finger(make: Make, values: dict[str, Any]) -> None:
+    values["stops"]["model"] = "finger"
+    touch = {"plugin": "stopping_finger", "touch": {"fraction": 0.5}, "from_bridge": 0.1}
+    values["exciters"]["finger"] = touch
+    names = {c.name for c in assemble(make(values), FS).system.connections if c.part == "finger"}
+    assert {"D3.finger.skin1", "D3.finger.skin11"} <= names
+
+
 def test_directions_without_data_are_rigid(make: Make) -> None:
     model = assemble(make().replace({"strings.A2.tilt_deg": 0}), FS)
     joints = {c.name: c for c in model.system.connections}
