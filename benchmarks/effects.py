@@ -82,7 +82,7 @@ class Listened:
     def __init__(
         self, score: tw.Score, made: tw.Instrument, seconds: float | None, *, strings: bool = True, **options: object
     ):
-        self.renderer = tw.Renderer(score, made, FS, max_duration=seconds, tail=tw.Tail(cap=2.0), **options)  # type: ignore[arg-type]  # options are those of a renderer
+        self.renderer = tw.Renderer(score, made, FS, max_duration=seconds, tail=2.0, **options)  # type: ignore[arg-type]  # options are those of a renderer
         self.sound: list[NDArray[np.float32]] = []
         self.forces: list[NDArray[np.float32]] = []
         self.seconds = 0.0
@@ -182,7 +182,7 @@ def row(score: tw.Score, made: tw.Instrument, seconds: float | None, predict: bo
     share = f"{100 * np.mean(on) / duration:.0f} %" if on else "-"
     foreseen = "-"
     if predict:
-        plan = tw.plan(score, made, FS, max_duration=seconds, tail=tw.Tail(cap=2.0))
+        plan = tw.plan(score, made, FS, max_duration=seconds, tail=2.0)
         foreseen = f"{plan.predicted_s / auto.seconds:.2f}"
     all_cents = np.concatenate(windows)
     return (

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tonewood as tw
+import tonewood.authoring as ta
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.stepping.forcing import compile_force
 from tonewood.stepping.kernel import KernelStepper, instruction_set
@@ -53,7 +54,7 @@ class Scene:
         # the fingers lie on the strings; the palm of the bundle stays away
         lies = {name: c for name, c in self.model.resting.items() if ".finger." in name}
         system = self.model.system.with_laws(lies) if finger else self.model.system
-        gesture = self.model.exciters["pluck"].gesture(tw.Event({"force": 2.0}, 82.4), self.model.place("E2"))
+        gesture = self.model.exciters["pluck"].gesture(ta.Event({"force": 2.0}, 82.4), self.model.place("E2"))
         self.injections = []
         for string in self.model.strings.values():
             for component, weight in string.weights(gesture.angle_deg).items():

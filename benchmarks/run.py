@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 import tonewood as tw
+import tonewood.authoring as ta
 from tonewood import _kernel
 from tonewood.coupling.connections import Connection, Rigid, Term
 from tonewood.coupling.system import Probe, Readout, System
@@ -188,8 +189,8 @@ def undamped_energy(steps: int) -> Iterator[Row]:
     string_class = tw.list_plugins()["stiff_string"]
     values = {"length": 0.65, "tension": 71.6, "linear_density": 6.24e-3, "bending_stiffness": 57e-6}
     string = string_class.from_values({**values, "loss": {"law": "sigma", "sigma0": 0.0}})
-    assert isinstance(string, tw.Resonator)
-    body = tw.ModalBasis.real(
+    assert isinstance(string, ta.Resonator)
+    body = ta.ModalBasis.real(
         2 * np.pi * np.array([102.0, 204.0, 415.0]), np.zeros(3), {"bridge": np.array([1.6, 3.0, 2.2])},
         residual=np.array([[2e-8]]),
     )  # fmt: skip

@@ -8,6 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import tonewood as tw
+import tonewood.authoring as ta
+from tonewood.instrument.assembly import assemble
 
 
 def main(folder: Path = Path()) -> dict[str, float]:
@@ -24,7 +26,7 @@ def main(folder: Path = Path()) -> dict[str, float]:
     pitch = {}
     for name, guitar in {"usual": usual, "changed": changed}.items():
         tw.render(score, guitar, max_duration=1.0).save(folder / f"{name}.wav")
-        pitch[name] = tw.pitch(tw.assemble(guitar, 48000), "E2").freq
+        pitch[name] = ta.pitch(assemble(guitar, 48000), "E2").freq
         print(f"{name}: {pitch[name]:.2f} Hz")
     return pitch
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 import tonewood as tw
+import tonewood.authoring as ta
 
 
 def main() -> tuple[float, float]:
@@ -19,7 +20,7 @@ def main() -> tuple[float, float]:
     print(f"{body.n_modes} modes; air resonance at {freq[peak]:.1f} Hz: {mobility[peak]:.3f} (m/s)/N")
 
     # a basis of one's own: two modes of a plate, driven and read at two places
-    plate = tw.ModalBasis.real(
+    plate = ta.ModalBasis.real(
         natural_freq_rad=2 * np.pi * np.array([180.0, 410.0]),
         damping_rate=np.array([9.0, 20.0]),
         points={"bridge": np.array([1.0, 0.6]), "edge": np.array([0.4, -0.8])},

@@ -6,6 +6,7 @@ python examples/play_live.py
 from __future__ import annotations
 
 import tonewood as tw
+from tonewood.errors import OutputError
 
 
 def main() -> int:
@@ -14,7 +15,7 @@ def main() -> int:
     renderer = tw.Renderer(tw.Score(notes), tw.load_instrument("classical_guitar"), max_duration=1.0)
     try:
         played = tw.play(renderer)
-    except tw.OutputError as error:
+    except OutputError as error:
         print(f"not played: {error}")
         return sum(len(block) for block in renderer.blocks(1024))
     print(f"{played.frames} frames, {played.underruns} underruns")

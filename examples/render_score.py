@@ -16,7 +16,7 @@ def main(folder: Path = Path()) -> tw.Audio:
     """Write ``prelude.flac``, its first four seconds; returns the sound."""
     score = tw.read_midi(SCORES / "prelude.mid", stop=4.0)
     guitar = tw.load_instrument("classical_guitar")
-    audio = tw.render(score, guitar, tail=tw.Tail(level_db=-40.0, cap=2.0))
+    audio = tw.render(score, guitar, tail=2.0, tail_level_db=-40.0)
     clipped = audio.save(folder / "prelude.flac", "PCM_24")
     print(f"{audio.duration:.1f} s of {', '.join(audio.channels)}, peak {audio.peak_dbfs:.1f} dBFS, {clipped} clipped")
     return audio

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-import tonewood as tw
+import tonewood.authoring as ta
 from tonewood.coupling.connections import Rigid
 from tonewood.coupling.system import System
 from tonewood.stepping.kernel import KernelStepper
@@ -33,7 +33,7 @@ double slope(double d) {{ double s = -d / {LENGTH}; return s > 0 ? {-FORCE} * ex
 """
 
 
-def compiled(folder: Path) -> tw.CompiledPotential | None:
+def compiled(folder: Path) -> ta.CompiledPotential | None:
     """The law in C, or None without a compiler."""
     compiler = shutil.which("cc")
     if compiler is None or sys.platform == "win32":
@@ -47,27 +47,27 @@ def compiled(folder: Path) -> tw.CompiledPotential | None:
     # a pointer to the C function itself: no Python runs in the sample loop
     double = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)
     pointers = (ctypes.cast(function, double) for function in (felt.potential, felt.slope))
-    return tw.CompiledPotential(*pointers, residual=False)
+    return ta.CompiledPotential(*pointers, residual=False)
 
 
-def sampled() -> tw.SampledPotential:
+def sampled() -> ta.SampledPotential:
     """The same as a table of forces."""
     d = np.linspace(-1e-3, 1e-4, 2001)
-    return tw.SampledPotential.from_force(d, FORCE * np.expm1(np.maximum(-d, 0) / LENGTH), residual=False)
+    return ta.SampledPotential.from_force(d, FORCE * np.expm1(np.maximum(-d, 0) / LENGTH), residual=False)
 
 
 def main() -> tuple[float, float]:
     """Contact time (s), and energy after the blow as a share of that before."""
     loss = lambda freq_rad, k: 0 * freq_rad  # noqa: E731
-    string = tw.string_basis(0.65, 73.9, 3.61e-3, 4e-5, loss, freq_upper=20000).with_places({"struck": 0.3})
-    hammer = tw.loose_mass(MASS)
+    string = ta.string_basis(0.65, 73.9, 3.61e-3, 4e-5, loss, freq_upper=20000).with_places({"struck": 0.3})
+    hammer = ta.loose_mass(MASS)
     with tempfile.TemporaryDirectory() as folder:
         law = compiled(Path(folder)) or sampled()
         system = System.build(
             {"string": string, "hammer": hammer},
             [
-                tw.Connection("end", (tw.Term("string", "bridge"),), Rigid()),
-                tw.Connection("felt", (tw.Term("string", "struck"), tw.Term("hammer", "mass", -1.0)), law),
+                ta.Connection("end", (ta.Term("string", "bridge"),), Rigid()),
+                ta.Connection("felt", (ta.Term("string", "struck"), ta.Term("hammer", "mass", -1.0)), law),
             ],
             dt=1 / 48000,
         )

@@ -7,7 +7,7 @@ hyperbola of Smith & Woodhouse (2000, J. Mech. Phys. Solids 48, 1633). Between S
     N_max = 2 Z v_b / (beta (mu_s - mu_d)),      N_min = Z^2 v_b / (2 beta^2 r (mu_s - mu_d)),
 
 the string moves as Helmholtz saw it: one slip in each period. Z = sqrt(T mu), beta the bow's place as a share of the
-length, r the resistance of the bridge. The bow's work is f v_b h in each step, what it heats is |f v| h
+length, r the resistance of the bridge. In each step the bow's work is f v_b h, and |f v| h becomes heat
 (`tonewood.coupling.laws.Friction`). The hair itself is stiff and light here.
 
 The hair pushes on the string's surface, and the string rolls under it (McIntyre, Schumacher & Woodhouse 1983, J.
@@ -16,26 +16,41 @@ Acoust. Soc. Am. 74, 1325): besides its centre the surface moves by y with
     m y'' + 2 Z_R y' + y / C = f,      Z_R = mu c_R / 2,  c_R^2 = G / rho,  C = r^2 x (L - x) / (L G J),  m = mu w / 2
 
 for a round string of one material, with torsional waves to both sides that do not come back, and the width w of the
-hair. Friction that falls with speed needs that resistance: on a compliance without one, as that of the modes that are
-left out, it turns unstable as steps get finer.
+hair. Friction that falls with speed needs that resistance: on a compliance without resistance, such as the residual
+modes, it becomes unstable as steps get finer.
 """
 
 from __future__ import annotations
 
 import math
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.laws import Friction
-from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact_effect
-from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Connection,
+    Direction,
+    Event,
+    Exciter,
+    Friction,
+    Gesture,
+    Motion,
+    Parameters,
+    Place,
+    Segment,
+    Site,
+    StringPlace,
+    Term,
+    contact_effect,
+    described,
+    loose_mass,
+    metres,
+    quantity,
+    smooth_step,
+    unit_vector,
+)
 
 
 class BowParameters(Parameters):
-    """Of the bow and its stroke."""
+    """Parameters of the bow and its stroke."""
 
     from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.05)
     force: float = quantity("N", low=0.0, high=50.0, default=1.0, doc="with which it is pressed on the string")
@@ -70,9 +85,9 @@ class Bow(Exciter[BowParameters]):
         terms = site.motion("pluck", unit_vector(p.direction))
         if not terms:
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
-        # a normal force of 1 N, so that the scale of its motion is the bow force in N
+        # for a normal force of 1 N: the scale of the partner's motion is then the bow force in N
         law = Friction(1.0, p.static, p.dynamic, p.speed)
-        # that end of the string's radius which the hair rubs rolls back as it is pushed
+        # the string's surface under the hair rolls back as it is pushed
         own, m = f"{site.string}.{name}.roll", p.roll_mass
         roll = loose_mass(m, math.sqrt(1 / (p.roll_compliance * m)), 0.5 * p.roll_impedance / m)
         terms = (*terms, Term(own, "mass", 1.0))

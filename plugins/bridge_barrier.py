@@ -1,10 +1,10 @@
 """A bridge that the string wraps onto: the curved bone of a sitar, or a tanpura's bridge and its cotton thread.
 
 The barrier's height over its width is a parabola, -(x - top)^2 / (2 radius), or level where no radius is given, and
-lies at most at the resting string. It is carried by the bridge: what counts is the string's motion against its own
-end. K is that of the whole width; every point has its share (van Walstijn, Bridges & Mehes 2016, "A real-time
+lies at most at the resting string. The bridge carries it, so that the gap is the string's motion relative to its
+own end. K is that of the whole width; every point has its share (van Walstijn, Bridges & Mehes 2016, "A real-time
 synthesis oriented tanpura model", DAFx-16). The thread is a two-sided spring and dashpot over a width of its own, as
-in the same paper. Points closer than half the shortest wavelength are told apart by the string's residual compliance.
+in the same paper. The string's residual compliance separates points closer than half the shortest wavelength.
 """
 
 from __future__ import annotations
@@ -13,13 +13,21 @@ import math
 
 import numpy as np
 
-from tonewood.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.coupling.laws import Contact
-from tonewood.instrument.attached import Attached, Site
-from tonewood.instrument.contract import Attachment
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact_effect
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Attachment,
+    Connection,
+    Contact,
+    Direction,
+    Parameters,
+    Site,
+    SpringDashpot,
+    Term,
+    contact_effect,
+    described,
+    quantity,
+    unit_vector,
+)
 
 
 class Thread(Parameters):
@@ -33,7 +41,7 @@ class Thread(Parameters):
 
 
 class BarrierParameters(Parameters):
-    """Of the barrier."""
+    """Parameters of the barrier."""
 
     start: float = quantity("m", low=0.0, high=1.0, doc="edge next to the string's end, from the bridge point")
     stop: float = quantity("m", low=1e-5, high=1.0, doc="edge towards the string")

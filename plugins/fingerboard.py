@@ -9,17 +9,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from tonewood.coupling.connections import Connection
-from tonewood.coupling.laws import Contact
-from tonewood.instrument.attached import Attached, Site
-from tonewood.instrument.contract import Attachment
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact_effect
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Attachment,
+    Connection,
+    Contact,
+    Direction,
+    Parameters,
+    Site,
+    contact_effect,
+    described,
+    quantity,
+    unit_vector,
+)
 
 
 class FingerboardParameters(Parameters):
-    """Of the board."""
+    """Parameters of the board."""
 
     end_from_bridge: float = quantity("m", low=0.0, high=5.0, doc="place of the board's end")
     action_nut: float = quantity("m", low=0.0, high=0.05, doc="clearance of the open string at the nut")

@@ -8,13 +8,23 @@ from __future__ import annotations
 
 from typing import Literal
 
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
-from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Event,
+    Exciter,
+    Gesture,
+    Parameters,
+    Place,
+    Segment,
+    StringPlace,
+    described,
+    metres,
+    quantity,
+    smooth_step,
+)
 
 
 class PulseParameters(Parameters):
-    """Of the pulse."""
+    """Parameters of the pulse."""
 
     at: str | None = described("point it acts on, e.g. body.bridge_G3; left out: the string played", default=None)
     force: float = quantity("N", low=-1e4, high=1e4, default=1.0, doc="peak")

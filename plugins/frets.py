@@ -1,9 +1,9 @@
 """Frets under a string, each a one-sided contact: with a low action, a crooked neck or a hard pluck the string buzzes.
 
-The clearance under the open string goes in a straight line through its values at the first and the twelfth fret, plus
-a relief (a hollow of the neck, deepest midway between nut and last fret), minus what single frets stand out. A stopped
-string runs straight from the crown of its fret to the bridge; frets behind the stop are out of play. Contact law:
-K p^alpha (1 + loss p'), p the penetration.
+The clearance under the open string goes in a straight line through its values at the first and the twelfth fret, plus a
+relief (a hollow of the neck, deepest midway between nut and last fret), minus the extra height of single frets. A
+stopped string runs straight from the crown of its fret to the bridge; frets behind the stop are out of play. Contact
+law: K p^alpha (1 + loss p'), p the penetration.
 """
 
 from __future__ import annotations
@@ -12,19 +12,26 @@ from typing import Annotated
 
 from pydantic import Field
 
-from tonewood.coupling.connections import Connection
-from tonewood.coupling.laws import Contact
-from tonewood.instrument.attached import Attached, Site
-from tonewood.instrument.contract import Attachment
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact_effect
-from tonewood.params import Number, Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Attachment,
+    Connection,
+    Contact,
+    Direction,
+    Number,
+    Parameters,
+    Site,
+    contact_effect,
+    described,
+    quantity,
+    unit_vector,
+)
 
 FretNumber = Annotated[str, Field(pattern=r"^[1-9][0-9]?$")]
 
 
 class FretsParameters(Parameters):
-    """Of the frets."""
+    """Parameters of the frets."""
 
     action_first: float = quantity("m", low=0.0, high=0.05, doc="clearance of the open string at the first fret")
     action_twelfth: float = quantity("m", low=0.0, high=0.05, doc="clearance of the open string at half its length")
@@ -44,7 +51,7 @@ class Frets(Attachment[FretsParameters]):
     Parameters = FretsParameters
 
     def clearance(self, x: float, site: Site) -> float:
-        """Room under the open string x metres from the bridge, without single frets' heights, m."""
+        """Clearance under the open string x metres from the bridge, without heights of single frets, m."""
         p = self.parameters
         first, twelfth, last = site.stops[1], site.open_length / 2, site.stops[-1]
         line = p.action_first + (p.action_twelfth - p.action_first) * (first - x) / (first - twelfth)
@@ -65,7 +72,7 @@ class Frets(Attachment[FretsParameters]):
         places, connections = {}, []
         for number, x in enumerate(site.stops[1:], 1):
             point = f"{name}.{number}"
-            # behind the stop, and under the stop itself, which holds the string anyway
+            # behind the stop, and under the stop itself, where the string is held
             places[point] = x if x < 0.999 * site.length else site.open_length
             law = Contact(p.stiffness, p.exponent, p.loss, offset=-max(site.lowered(x, crown), 0.0))
             connections.append(Connection(f"{site.string}.{point}", site.motion(point, direction), law))

@@ -5,14 +5,14 @@
 the exact string to fourth order in its motion (`tonewood.coupling.geometric`: equations, energy, what is left out).
 The square of the slope has partials at sums and differences of the transverse frequencies, f_m + f_n; it drives the
 longitudinal modes, n / (2 L) sqrt(EA / mu), and the bridge hears them: Conklin's phantom partials, strong near a
-longitudinal mode (Bank & Sujbert 2005). The string's end moves along the string by what its inclination makes of the
-body's motion, and by `bridge_leverage` times the body's motion: break angle and rocking of the saddle; the body feels
-as much of the longitudinal force.
+longitudinal mode (Bank & Sujbert 2005). The string's end moves along the string by the projection of the body's
+motion on the inclined string, and by `bridge_leverage` times the body's motion (break angle and rocking of the saddle);
+the longitudinal force acts on the body with the same factors.
 
-Longitudinal modes are those below 0.45 of the sampling rate; higher ones follow at once and add nothing. Transverse
-modes up to `freq_coupled` take part in the coupling, the others move as on `stiff_string`: their share of the squared
-slope is small, and cost goes with the square of their number. Valid for slopes up to some 0.3, and where the string is
-nowhere slack. A step whose solution is not found ends the render with one line.
+Longitudinal modes are those below 0.45 of the sampling rate; higher ones follow quasi-statically and add nothing.
+Transverse modes up to `freq_coupled` take part in the coupling, the others move as on `stiff_string`: their share of
+the squared slope is small, and cost goes with the square of their number. Valid for slopes up to some 0.3, and where
+the string is nowhere slack. A step whose solution is not found ends the render with one line.
 """
 
 from __future__ import annotations
@@ -23,15 +23,11 @@ import numpy as np
 from pydantic import model_validator
 from tonewood.plugins.tension_modulated_string import TensionModulatedParameters, TensionModulatedString
 
-from tonewood.instrument.contract import Longitudinal
-from tonewood.instrument.effects import LONGITUDINAL
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
-from tonewood.params import quantity
+from tonewood.authoring import LONGITUDINAL, Longitudinal, ModalBasis, quantity, string_basis
 
 
 class GeometricParameters(TensionModulatedParameters):
-    """Of the open string."""
+    """Parameters of the open string."""
 
     axial_stiffness: float = quantity("N", low=1.0, high=1e7, doc="E A")
     freq_coupled: float = quantity(

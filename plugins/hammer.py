@@ -5,25 +5,39 @@ it against that spring, so that it meets the resting string at the note's time; 
 f = K p^alpha (1 + loss p'), p the compression (Hunt & Crossley; for piano felt alpha is 2 to 3.5). With `press` a force
 holds it against the string for as long as the note lasts, as a clavichord's key holds its tangent; it then divides the
 string. Struck again at once it is let go a little before, so that it has fallen back. The driver's work is that of the
-push and the pressing force on the mass; the contact itself can only store energy or lose it.
+push and of the pressing force on the mass; the contact can only store or dissipate energy.
 """
 
 from __future__ import annotations
 
 import math
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.laws import Contact
-from tonewood.instrument.attached import Attached, Site, loose_mass
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact_effect
-from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Connection,
+    Contact,
+    Direction,
+    Event,
+    Exciter,
+    Gesture,
+    Parameters,
+    Place,
+    Segment,
+    Site,
+    StringPlace,
+    Term,
+    contact_effect,
+    described,
+    loose_mass,
+    metres,
+    quantity,
+    smooth_step,
+    unit_vector,
+)
 
 
 class HammerParameters(Parameters):
-    """Of the hammer."""
+    """Parameters of the hammer."""
 
     from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.1)
     velocity: float = quantity("m/s", low=0.0, high=20.0, default=2.0, doc="with which it meets the string")
@@ -76,12 +90,12 @@ class Hammer(Exciter[HammerParameters]):
         if p.velocity == 0.0:
             return Gesture((Segment(0.0, 1e-3, 0.0),), at, on=on)
         throw = min(p.throw_time, p.clearance / p.velocity)
-        # the way made during a push that grows and vanishes alike is half of throw x velocity
+        # distance covered during the push, whose rise and fall are alike: throw x velocity / 2
         start = -(throw + (p.clearance - throw * p.velocity / 2) / p.velocity)
         peak = 2 * p.mass * p.velocity / throw
         half = start + throw / 2
         push = smooth_step(start, half, 0.0, peak) + smooth_step(half, start + throw, peak, 0.0)
-        # what its suspension would take from the velocity on the way
+        # compensates the velocity that the suspension takes away on the way
         omega = 2 * math.pi * p.return_freq
         drag, pull = 2 * p.return_damping * omega * p.mass * p.velocity, omega**2 * p.mass
         kept = smooth_step(start, start + throw, 0.0, drag)
@@ -96,6 +110,6 @@ class Hammer(Exciter[HammerParameters]):
 
 
 def _sum(a: Segment, b: Segment) -> Segment:
-    """Both, as long as the first lasts."""
+    """Product of two courses, over the times of the first."""
     c0, c1, c2 = b.shifted(a.start - b.start)
     return Segment(a.start, a.stop, a.c0 + c0, a.c1 + c1, a.c2 + c2)

@@ -1,4 +1,4 @@
-"""What the stopping hand does without the plucking one: slides, hammer-ons, pull-offs.
+"""Gestures of the stopping hand alone: slides, hammer-ons, pull-offs.
 
 ``slide`` moves the stop from that of the note before to the note's own within `time`, and arrives when the note
 begins; on a fretted string it sounds every fret on its way. ``hammer_on`` strikes the string at the new stop with a
@@ -6,25 +6,35 @@ short push of `share` times the note's force and holds it there: with the force 
 F / (2 Z), Z = sqrt(T mu), and the waves that this sends out are the note. ``pull_off`` lets the note before go to a
 lower stop, and drags the string along for `time` as the finger leaves: a small pluck where the stop was.
 
-What the hand does to a stop is exchanged on the engine's control grid: displacement and velocity of the string are
-projected to its new length, which cannot raise their energy (`tonewood.modal.string_transfer`), or with
-``stops: {model: finger}`` a soft finger moves along the string. All work of the hand is that of the pushes.
+The stop changes on the engine's control grid: displacement and velocity of the string are projected to its new length,
+which cannot raise their energy (`tonewood.modal.string_transfer`), or with ``stops: {model: finger}`` a soft finger
+moves along the string. All work of the hand is that of the pushes.
 """
 
 from __future__ import annotations
 
 from typing import Literal
 
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
-from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Event,
+    Exciter,
+    Gesture,
+    Parameters,
+    Place,
+    Segment,
+    StringPlace,
+    described,
+    metres,
+    quantity,
+    smooth_step,
+)
 
-#: s after a hammer-on's push in which the stop is surely exchanged: more than a tick of the control grid
+#: s after a hammer-on's push until the stop has changed: more than a tick of the control grid
 _SETTLED = 2e-3
 
 
 class LeftHandParameters(Parameters):
-    """Of the hand."""
+    """Parameters of the hand."""
 
     action: Literal["slide", "hammer_on", "pull_off"] = described("what it does")
     time: float | None = quantity(

@@ -5,14 +5,21 @@ A clavichord's listing, a muted string's felt, the hand's edge on the strings by
 
 from __future__ import annotations
 
-from tonewood.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.instrument.attached import Attached, Site
-from tonewood.instrument.contract import Attachment
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Attachment,
+    Connection,
+    Parameters,
+    Site,
+    SpringDashpot,
+    Term,
+    described,
+    quantity,
+)
 
 
 class ListingParameters(Parameters):
-    """Of the cloth."""
+    """Parameters of the cloth."""
 
     from_bridge: float = quantity("m", low=0.0, high=5.0, doc="its middle")
     width: float = quantity("m", low=0.0, high=1.0, doc="over which it is spread")
@@ -38,7 +45,6 @@ class Listing(Attachment[ListingParameters]):
         for i in range(p.points):
             point = f"{name}.{i}"
             places[point] = start + p.width * (i + 0.5) / p.points
-            for component, _ in site.polarizations:
-                plane = component.rpartition(".")[2]
-                connections.append(Connection(f"{site.string}.{point}{plane}", (Term(component, point),), law))
+            for plane, (component, _) in enumerate(site.polarizations):
+                connections.append(Connection(f"{site.string}.{point}.{plane}", (Term(component, point),), law))
         return Attached(places, connections=tuple(connections))

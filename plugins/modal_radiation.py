@@ -10,8 +10,8 @@ continuous bank used here, residues R p / (exp(p / residue_fs) - 1), gives the s
 force is held over a sample, and R (exp(p h) - 1) / (exp(p / residue_fs) - 1) at any other. Without it they are the
 continuous ones, Pa/(N s).
 
-A fit says nothing of frequencies below its range, and its modes there add up to a pressure that follows a slowly
-growing force, which air does not. With `low_cut` the bank is that of H(s) s^2 / ((s + a) (s + b)), a and b a quarter
+A fit is not valid below its range, where its modes add up to a pressure that follows a slowly growing force, unlike
+that of air. With `low_cut` the bank is that of H(s) s^2 / ((s + a) (s + b)), a and b a quarter
 below and above the cut: residues times that factor at each pole, and two real modes more per input,
 
     H(-a) a^2 / ((b - a) (s + a))   and   H(-b) b^2 / ((a - b) (s + b)).
@@ -24,14 +24,22 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.system import Drive, Probe, Readout
-from tonewood.instrument.contract import Pickup, PickupRows, Scene
-from tonewood.modal.modes import ModalBasis
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Drive,
+    ModalBasis,
+    Parameters,
+    Pickup,
+    PickupRows,
+    Probe,
+    Readout,
+    Scene,
+    described,
+    quantity,
+)
 
 
 class ModalRadiationParameters(Parameters):
-    """Of the microphones."""
+    """Parameters of the microphones."""
 
     table: str = described("CSV file in the bundle")
     channels: list[str] = described("names of the microphones to use, as in the table's columns", min_length=1)
@@ -110,7 +118,7 @@ class ModalRadiation(Pickup[ModalRadiationParameters]):
         if p.low_cut is not None:
             residues = {key: cut_low(poles, np.asarray(r), p.low_cut) for key, r in residues.items()}
             poles = np.concatenate([poles, -_cut_rates(p.low_cut)])
-        # a channel's modes answer to it alone, so that each is read once and one that nobody records is not stepped
+        # each channel has modes of its own, so that the modes of channels that are not recorded are not stepped
         n, points = len(poles), ("heave", "moment", *p.channels)
         right = {point: np.zeros(n * len(p.channels), dtype=np.complex128) for point in points}
         left = {point: array.copy() for point, array in right.items()}

@@ -23,12 +23,21 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import PassivityError
-from tonewood.instrument.contract import Body, BodyPoint
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.modal.damping import with_damping_case
-from tonewood.modal.modes import ModalBasis
-from tonewood.params import Number, Parameters, described, quantity
+from tonewood.authoring import (
+    Body,
+    BodyPoint,
+    Direction,
+    ModalBasis,
+    Number,
+    Parameters,
+    PassivityError,
+    check_basis,
+    described,
+    quantity,
+    repair_basis,
+    unit_vector,
+    with_damping_case,
+)
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +48,7 @@ MOST_MODES, MOST_COMPLEX_MODES = 20_000, 1000
 MOST_POINTS = 256
 #: largest mass-normalised shape, 1/sqrt(kg)
 MOST_SHAPE = 1e6
-#: m/N, of what is left out of a body
+#: m/N, largest residual compliance of a body
 MOST_COMPLIANCE = 1.0
 
 
@@ -57,7 +66,7 @@ class Point(Parameters):
 
 
 class Truncation(Parameters):
-    """What the modes left out of the table still do."""
+    """Static compliance of modes that the table leaves out."""
 
     residual_compliance: Number | list[Number] | list[list[Number]] = described(
         "m/N: one number for every point; heave_rock: [heave, cross, rock]; or a matrix over the points", default=0.0
@@ -65,7 +74,7 @@ class Truncation(Parameters):
 
 
 class ModalTableParameters(Parameters):
-    """Of the body."""
+    """Parameters of the body."""
 
     table: str = described("CSV file in the bundle")
     shapes: Literal["points", "residues", "heave_rock", "complex"] = described("how the table gives shapes")
@@ -132,7 +141,7 @@ class ModalTable(Body[ModalTableParameters]):
                 basis = with_damping_case(basis, p.damping_case)
             except ValueError as fault:
                 raise self.fault(str(fault), "damping_case") from None
-        # a part of a passive list of complex modes need not be passive: what is tested is what is stepped
+        # some modes of a passive set of complex modes need not be passive: the test is of those that are stepped
         basis = basis.select(np.flatnonzero(basis.natural_freq < freq_upper))
         return basis if basis.is_real else self._passive(basis)
 
@@ -198,7 +207,7 @@ class ModalTable(Body[ModalTableParameters]):
         return ModalBasis.complex(poles, right, left, residual=self._residual())
 
     def _sane(self, *shapes: NDArray[np.inexact]) -> None:
-        """Shapes of modes lighter than a millionth of a milligram overflow sooner or later."""
+        """Refuse shapes of modes lighter than a millionth of a milligram, which may overflow."""
         if not all(np.all(np.abs(shape) <= MOST_SHAPE) for shape in shapes):
             raise self.fault(f"{self.parameters.table}: shapes up to {MOST_SHAPE:g} 1/sqrt(kg) are allowed", "table")
 
@@ -229,7 +238,6 @@ class ModalTable(Body[ModalTableParameters]):
         return out
 
     def _passive(self, basis: ModalBasis) -> ModalBasis:
-        from tonewood.passivity.basis import check_basis, repair_basis
 
         p = self.parameters
         driven = [name for name, point in p.points.items() if point.driven]

@@ -11,26 +11,41 @@ great speed), and within `leave` of the note's time the tip has left the string.
 slip falls on the note's time; a string that still vibrates slips somewhat sooner or later. A fast, stiff plectrum
 sounds hard; slow and soft it becomes the known force of `pluck_ramp`.
 
-The driver's work is the force of the spring's far end, k X(t) on a tip that is held by k: what the tip and its spring
-store is counted from there. Friction heats, and gives nothing.
+The driver's work is that of the force k X(t) on a tip held by k: the energy of tip and spring is counted from there.
+Friction dissipates only.
 """
 
 from __future__ import annotations
 
 import math
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.laws import Friction
-from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place, Segment
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact_effect
-from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Connection,
+    Direction,
+    Event,
+    Exciter,
+    Friction,
+    Gesture,
+    Motion,
+    Parameters,
+    Place,
+    Segment,
+    Site,
+    StringPlace,
+    Term,
+    contact_effect,
+    described,
+    loose_mass,
+    metres,
+    quantity,
+    smooth_step,
+    unit_vector,
+)
 
 
 class PlectrumParameters(Parameters):
-    """Of the plectrum and its stroke."""
+    """Parameters of the plectrum and its stroke."""
 
     force: float = quantity("N", low=1e-3, high=200.0, default=2.0, doc="at which the string slips off")
     from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.1)
@@ -58,7 +73,7 @@ class Plectrum(Exciter[PlectrumParameters]):
         if not terms:
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
         omega = math.sqrt(p.stiffness / p.mass)
-        # a limit of 1 N, so that the scale of its motion is the force of slip in N
+        # for a limit of 1 N: the scale of the partner's motion is then the force of slip in N
         law = Friction(1.0, 1.0, p.dynamic, p.slip_speed, residual=True)
         return Attached(
             components={f"{own}.tip": loose_mass(p.mass, omega, p.damping * omega)},
@@ -77,13 +92,13 @@ class Plectrum(Exciter[PlectrumParameters]):
         # the hand's motion begins smoothly: at constant acceleration over the first fifth of the time
         early = 0.2 * drawn
         start, k = -drawn - early / 2, p.stiffness * p.speed
-        drag = 2 * p.damping * math.sqrt(p.stiffness * p.mass) * p.speed  # of the dashpot, which moves along
+        drag = 2 * p.damping * math.sqrt(p.stiffness * p.mass) * p.speed  # of the dashpot that moves with the driver
         end = travel + p.speed * p.leave
         back = max(20 / math.sqrt(p.stiffness / p.mass), 5e-3)
         pull = (
             Segment(start, start + early, 0.0, drag / early, k / (2 * early)),
             Segment(start + early, p.leave, k * early / 2 + drag, k),
-            # the tip, free now, is brought back to its rest so slowly that it does not ring
+            # the free tip returns to rest so slowly that it does not ring
             *smooth_step(p.leave, p.leave + back, p.stiffness * end, 0.0),
         )
         pressed = (

@@ -1,21 +1,31 @@
 """A pluck by a finger or plectrum that holds the string, draws it aside and lets it go.
 
 The force grows smoothly for `ramp_time` (or one period of the note, if that is longer: a shorter ramp sounds by
-itself), stands at its peak when the note begins, and falls to zero within `release_time`, which is what tells a soft
-fingertip (0.3 ms) from a hard nail (0.05 ms). Rise and fall are two parabolas each, so that force and its rate are
-continuous. While it draws, the finger damps what the string did before by a dashpot, which can only take energy.
+itself), has its peak when the note begins, and falls to zero within `release_time`: 0.3 ms for a soft fingertip, 0.05
+ms for a hard nail. Rise and fall are two parabolas each, so that force and its rate are continuous. While it draws the
+string, the finger damps earlier motion by a dashpot, which dissipates only.
 """
 
 from __future__ import annotations
 
-from tonewood.instrument.contract import Event, Exciter, Gesture, Hold, Place
-from tonewood.instrument.effects import DAMPERS
-from tonewood.instrument.gestures import StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    DAMPERS,
+    Event,
+    Exciter,
+    Gesture,
+    Hold,
+    Parameters,
+    Place,
+    StringPlace,
+    described,
+    metres,
+    quantity,
+    smooth_step,
+)
 
 
 class PluckParameters(Parameters):
-    """Of the pluck."""
+    """Parameters of the pluck."""
 
     force: float = quantity("N", low=0.0, high=1000.0, default=2.0, doc="force at the moment of release")
     from_bridge: StringPlace = described("m, or {fraction: of the speaking length}", default=0.1)

@@ -11,10 +11,18 @@ from typing import Literal
 
 from pydantic import model_validator
 
-from tonewood.coupling.system import Probe, Readout
-from tonewood.instrument.contract import Pickup, PickupRows, Scene, dot
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.params import Parameters, described
+from tonewood.authoring import (
+    Direction,
+    Parameters,
+    Pickup,
+    PickupRows,
+    Probe,
+    Readout,
+    Scene,
+    described,
+    dot,
+    unit_vector,
+)
 
 UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
 
@@ -29,7 +37,7 @@ Source = str | Mean
 
 
 class PointPickupParameters(Parameters):
-    """Of the pickup."""
+    """Parameters of the pickup."""
 
     quantity: Literal["displacement", "velocity", "acceleration", "force"] = described("what is read")
     at: Source | None = described("point, or {mean: [points]}: one channel with the group's name", default=None)

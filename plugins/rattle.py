@@ -8,17 +8,25 @@ from __future__ import annotations
 
 import math
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.laws import Contact
-from tonewood.instrument.attached import Attached, Site, loose_mass
-from tonewood.instrument.contract import Attachment
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import contact_effect
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    Attached,
+    Attachment,
+    Connection,
+    Contact,
+    Direction,
+    Parameters,
+    Site,
+    Term,
+    contact_effect,
+    described,
+    loose_mass,
+    quantity,
+    unit_vector,
+)
 
 
 class RattleParameters(Parameters):
-    """Of the mass."""
+    """Parameters of the mass."""
 
     from_bridge: float = quantity("m", low=0.0, high=5.0, doc="place on the string")
     mass: float = quantity("kg", low=1e-7, high=10.0, doc="of the loose part")

@@ -13,21 +13,28 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.instrument.contract import Resonator
-from tonewood.instrument.losses import LossLaw
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis, wavenumber
-from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    LossLaw,
+    ModalBasis,
+    Parameters,
+    Resonator,
+    described,
+    quantity,
+    retuned,
+    string_basis,
+    string_carry,
+    string_transfer,
+    wavenumber,
+)
 
 Floats = NDArray[np.float64]
 
-#: cost and memory grow with the square of their number; nothing that is heard as a string has more
+#: limit of the number of modes: cost and memory grow with its square
 MOST_MODES = 3000
 
 
 class StiffStringParameters(Parameters):
-    """Of the open string."""
+    """Parameters of the open string."""
 
     length: float = quantity("m", low=0.02, high=5.0, doc="speaking length of the open string, nut to bridge")
     tension: float = quantity("N", low=1.0, high=2000.0, doc="tension of the open string; the tuner adjusts it")
@@ -75,7 +82,7 @@ class StiffString(Resonator[StiffStringParameters]):
     def detuned(self, basis: ModalBasis, tension: float) -> ModalBasis:
         """Same shapes, omega^2 = T a_k + EI b_k: how a bend or the tuner changes a string.
 
-        What is left out is the change of the shapes, which bending stiffness alone makes: a tension raised by 50
+        The change of the shapes, which only bending stiffness causes, is left out: a tension raised by 50
         cents raises the partials of a classical guitar's strings by 0.08 to 0.2 cent less, all nearly alike. Decay
         rates follow the law from the old frequency of each mode to its new one: on a classical guitar 200 cents leave
         those of partials on a rigid end within 0.6 % of the law.
@@ -93,7 +100,7 @@ class StiffString(Resonator[StiffStringParameters]):
         return string_transfer(old, new)
 
     def carried(self, old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-        """The same of one motion."""
+        """Project one motion; see `transfer`."""
         return string_carry(old, new, q, velocity)
 
     def _eta(self, freq_rad: Floats, wavenumber: Floats, tension: float) -> Floats:

@@ -4,28 +4,45 @@ The finger is a mass on the spring and dashpot of the hand, and its skin a sprin
 string, all at `touch`. It lies there from before the pluck until `lift` after it: light and lifted it leaves the
 partials that have a node there; heavy and lasting it damps them all; stiff and heavy it stops the string softly. Its
 weight goes from 0 to `weight` and back in `ease`; a growing weight puts in the little work of pressing a skin that is
-not yet deflected. Its place may be an event's own (a controller's), and may move to `touch_end` until it leaves; what
-its skin stores more or less at another place is work of the hand.
+not yet deflected. An event may change its place (by a controller), and it may move to `touch_end` until it leaves; the
+change of the skin's energy on the way is work of the hand.
 """
 
 from __future__ import annotations
 
 import math
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.laws import HardeningSpring
-from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
-from tonewood.instrument.contract import Event, Exciter, Gesture, Hold, Place, Segment
-from tonewood.instrument.effects import DAMPERS, contact_effect
-from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
-from tonewood.params import Parameters, described, quantity
+from tonewood.authoring import (
+    DAMPERS,
+    Attached,
+    Connection,
+    Event,
+    Exciter,
+    Fraction,
+    Gesture,
+    HardeningSpring,
+    Hold,
+    Motion,
+    Parameters,
+    Place,
+    Segment,
+    Site,
+    StringPlace,
+    Term,
+    contact_effect,
+    described,
+    loose_mass,
+    metres,
+    quantity,
+    smooth_step,
+)
 
-#: of the string that something broad touches
+#: number of points at which a broad finger touches the string
 _POINTS = 3
 
 
 class FingerParameters(Parameters):
-    """Of the finger, and of the pluck beside it."""
+    """Parameters of the finger, and of the pluck beside it."""
 
     touch: StringPlace = described(
         "of the finger: m, or {fraction: of the speaking length}", default=Fraction(fraction=0.5)
@@ -87,7 +104,7 @@ class StoppingFinger(Exciter[FingerParameters]):
         return [self.parameters.width * ((j - 0.5) / n - 0.5) for j in range(1, n + 1)]
 
     def _course(self, p: FingerParameters, place: Place, begin: float, end: float) -> dict[str, tuple[Segment, ...]]:
-        """Where the points lie, if not where the bundle says: at the event's place, or on the way to another."""
+        """Courses of the points' places: at the event's place, or on the way to `touch_end`; empty at the bundle's."""
         last = p.touch if p.touch_end is None else p.touch_end
         if p.touch == last == self.parameters.touch:
             return {}

@@ -21,13 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
-from tonewood.instrument.effects import TENSION_MODULATION
-from tonewood.modal.modes import ModalBasis
-from tonewood.params import quantity
+from tonewood.authoring import TENSION_MODULATION, ModalBasis, quantity
 
 
 class TensionModulatedParameters(StiffStringParameters):
-    """Of the open string."""
+    """Parameters of the open string."""
 
     axial_stiffness: float = quantity("N", low=0.0, high=1e7, doc="E A; 0 leaves the tension as it is")
 

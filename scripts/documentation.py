@@ -171,7 +171,7 @@ def _cite(path: Path) -> str:
 
 def _commands() -> str:
     """Reference of the command line, from the declarations of the commands."""
-    from tonewood.cli.main import COMMANDS
+    from tonewood.cli.commands import COMMANDS
 
     lines = ["# Commands\n", "`tonewood --version` prints the version, `tonewood COMMAND --help` what stands here.\n"]
     for name, place in COMMANDS.items():

@@ -13,10 +13,11 @@ from typing import Any
 from griffe import Attribute, Docstring, Extension, Object, Visitor
 
 import tonewood
+from tonewood import authoring, errors
 
 _HEADING = re.compile(r"^([A-Z][A-Za-z ]+)\n-{3,}\n", re.MULTILINE)
 _ITEM = re.compile(r"^(\S[^:\n]*?) : ", re.MULTILINE)
-_NAME = re.compile(r"(?<![`\[])`(?:tw\.(\w+)|([A-Z]\w+))`(?!`)")
+_NAME = re.compile(r"(?<![`\[])`(?:t[wa]\.(\w+)|([A-Z]\w+))`(?!`)")
 
 
 def standard(text: str) -> str:
@@ -35,7 +36,10 @@ def standard(text: str) -> str:
 
 def _link(found: re.Match[str]) -> str:
     name = found[1] or found[2]
-    return f"[`{name}`][tonewood.{name}]" if name in tonewood.__all__ else found[0]
+    for module in (tonewood, errors, authoring):
+        if name in getattr(module, "__all__", vars(module)):
+            return f"[`{name}`][{module.__name__}.{name}]"
+    return found[0]
 
 
 class FreeSections(Extension):

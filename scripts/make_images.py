@@ -16,6 +16,7 @@ from matplotlib import pyplot
 from PIL import Image
 
 import tonewood as tw
+from tonewood.instrument.assembly import assemble
 from tonewood.instrument.inspection import bridge_mobility
 
 ROOT = Path(__file__).parents[1]
@@ -24,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 def main(path: Path = ROOT / "docs" / "images" / "guitar.png") -> None:
     """Bridge mobility of the classical guitar, and the spectrogram of a few bars played on it."""
     guitar = tw.load_instrument("classical_guitar")
-    model = tw.assemble(guitar, 48000)
+    model = assemble(guitar, 48000)
     freq = np.geomspace(60.0, 5000.0, 3000)
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(10, 3.4), layout="constrained", width_ratios=(1, 1.3))
     for name, mobility in list(bridge_mobility(model, freq).items())[::5]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import json
 import os
 import re
@@ -9,13 +10,28 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import tonewood as tw
+from tonewood import authoring
 
 ROOT = Path(__file__).parents[1]
+
+PUBLIC_IN_0_1 = """
+Attached Attachment Audio Body BodyPoint BridgeForce BundleError CompiledPotential Connection Contact Control DAMPERS
+Direction Drive Dropped DroppedNotesWarning Effect EffectReport Event Exciter Fraction Friction Gesture
+HardeningSpring Hold Instrument LONGITUDINAL Longitudinal LossLaw ModalBasis Model Motion Norms Note
+NothingPlayedError Number NumericalError OutputError Parameters PassivityError Pickup PickupRows Place Plan Playback
+Plugin PluginError Probe Readout Renderer Resonator SampledPotential Scene Score ScoreError Segment Site SpringDashpot
+StringPlace Summary TENSION_MODULATION Tail Term TonewoodError Vector assemble check_basis contact_effect described
+dot list_instruments list_plugins load_instrument loose_mass metres partials pitch pitches plan play quantity
+read_midi render repair_basis retuned smooth_step string_basis string_carry string_transfer unit_vector wavenumber
+with_damping_case write_midi
+"""
 
 
 def test_every_public_name_is_there_and_typed() -> None:
@@ -26,6 +42,24 @@ def test_every_public_name_is_there_and_typed() -> None:
     assert typed == set(tw.__all__) - {"__version__"}
     with pytest.raises(AttributeError, match="no attribute 'rendre'"):
         _ = tw.rendre
+
+
+def test_names_that_have_moved_still_work_and_say_where_they_are() -> None:
+    """Every public name of version 0.1, one release later."""
+    for name in PUBLIC_IN_0_1.split():
+        if name in tw.__all__:
+            continue
+        with pytest.warns(DeprecationWarning, match=f"tonewood.{name} is deprecated since 0.2") as told:
+            value = getattr(tw, name)
+        place, _, last = str(told[0].message).rpartition(" ")[2].rpartition(".")
+        assert getattr(import_module(place), last) is value
+    assert len(tw.__all__) <= 18
+
+
+@pytest.mark.parametrize("module", [tw, authoring], ids=lambda m: m.__name__)
+def test_examples_in_docstrings_of_public_modules_run(module: ModuleType) -> None:
+    assert doctest.testmod(module).attempted > 0
+    assert doctest.testmod(module).failed == 0
 
 
 def test_importing_costs_nothing() -> None:

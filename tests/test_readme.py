@@ -6,7 +6,7 @@ import re
 import tomllib
 from pathlib import Path
 
-from tonewood.cli.main import COMMANDS
+from tonewood.cli.commands import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 import tonewood as tw
+from tonewood.instrument.assembly import assemble
 
 SCORES = Path(__file__).parents[2] / "examples" / "scores"
 INSTRUMENTS = ("monochord", "classical_guitar", "steel_guitar")
@@ -21,7 +22,7 @@ def test_load(benchmark: Any, name: str) -> None:
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_assemble(benchmark: Any, name: str) -> None:
     instrument = tw.load_instrument(name)
-    benchmark.pedantic(tw.assemble, args=(instrument, 48000.0), rounds=5, warmup_rounds=1)
+    benchmark.pedantic(assemble, args=(instrument, 48000.0), rounds=5, warmup_rounds=1)
 
 
 @pytest.mark.parametrize("name", ["scale", "greensleeves", "romance"])

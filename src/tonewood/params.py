@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tonewood.errors import BundleError
-from tonewood.faults import first_fault
+from tonewood.validation_messages import first_message
 
 #: a number as it stands in a file: no text, no true/false
 Number = Annotated[float, Field(strict=True)]
@@ -68,5 +68,5 @@ def validated(
     try:
         return model.model_validate(dict(values))
     except ValidationError as fault:
-        where, reason = first_fault(fault, model)
+        where, reason = first_message(fault, model)
         raise error(reason, file=file, key=".".join(part for part in (key, where) if part)) from None

@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written under a name of their own beside the final one, renamed when complete."""
+"""Atomic files: written beside their target, renamed when complete."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from typing import BinaryIO
 from tonewood.errors import OutputError
 
 
-class Part:
-    """A file on its way to its name.
+class AtomicFile:
+    """Write a file beside its target, and rename it when it is complete.
 
-    Whatever comes before `complete`, an error or Ctrl-C between any two statements, leaves nothing behind, and what
-    stood under the name before as it was.
+    An error, or Ctrl-C between any two statements, before `complete` removes what was written and leaves an earlier
+    file of the target's name as it was.
 
     Parameters
     ----------
-    path : final name; a link leads to the file that is replaced.
+    path : name of the target; a link leads to the file that is replaced.
 
     Attributes
     ----------
-    path : where to write; an empty file of that name, with the suffix of the final one, is there already.
-    discard : call it to give up what was written; after `complete` it does nothing.
+    path : where to write: an empty file, made here, with the target's suffix.
+    discard : removes what was written; does nothing after `complete`.
 
     Raises
     ------
@@ -55,7 +55,7 @@ class Part:
             raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
 
     def complete(self) -> None:
-        """Give it its name.
+        """Rename the file to its target.
 
         Raises
         ------
@@ -73,7 +73,7 @@ def remove(path: Path) -> None:
 
     Raises
     ------
-    OutputError : it cannot be removed; not where another error is on its way, which says more.
+    OutputError : it cannot be removed; not raised while another error is handled, which says more.
     """
     try:
         path.unlink(missing_ok=True)
@@ -84,7 +84,7 @@ def remove(path: Path) -> None:
 
 @contextmanager
 def whole_file(path: str | os.PathLike[str], *, make_folder: bool = False) -> Iterator[BinaryIO]:
-    """A file opened for writing that appears under its name only when it is complete.
+    """Open an `AtomicFile` for writing; it gets its name when the ``with`` block ends without an error.
 
     Parameters
     ----------
@@ -92,18 +92,18 @@ def whole_file(path: str | os.PathLike[str], *, make_folder: bool = False) -> It
 
     Raises
     ------
-    OutputError : the disk is full or the place cannot be written; what stood under the name before is untouched.
+    OutputError : the disk is full or the place cannot be written; an earlier file of that name is untouched.
     """
     try:
         if make_folder:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
-        part = Part(path)
+        file = AtomicFile(path)
         try:
-            with part.path.open("wb") as stream:
+            with file.path.open("wb") as stream:
                 yield stream
-            part.complete()
+            file.complete()
         finally:
-            part.discard()
+            file.discard()
     except OSError as fault:
         raise OutputError(f"cannot be written: {fault.strerror or fault}", file=path) from None
 

@@ -11,6 +11,7 @@ import pytest
 import scipy.linalg as sla
 
 import tonewood as tw
+from tonewood.instrument.assembly import assemble
 from tonewood.instrument.losses import Valette
 from tonewood.modal.string_modes import loss_rates, string_basis
 
@@ -178,7 +179,7 @@ SHIPPED = ["classical_guitar", "steel_guitar", "african_harp", "electric_bass", 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_strings_of_shipped_instruments(name):
     """Every partial on a rigid end, open and at the highest stop, keeps its law within 0.1 %."""
-    model = tw.assemble(tw.load_instrument(name), 48000)
+    model = assemble(tw.load_instrument(name), 48000)
     for string in model.strings.values():
         for stop in {0, string.n_stops}:
             for component, basis in string.bases(stop).items():

@@ -119,7 +119,7 @@ def test_render_takes_a_setting_by_name(tmp_path: Path, capsys: pytest.CaptureFi
     with pytest.raises(SystemExit) as exit_:
         run(["render", str(score), "-i", "monochord", "-o", str(tmp_path / "b.wav"), "--accuracy", "best"])
     assert exit_.value.code == 2
-    assert capsys.readouterr().err == "tonewood: accuracy: is 'best'; draft, standard, reference are allowed\n"
+    assert capsys.readouterr().err == "tonewood: --accuracy: is 'best'; draft, standard, reference are allowed\n"
 
 
 def test_batches_take_a_setting_by_name() -> None:

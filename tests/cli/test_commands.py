@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 from collections.abc import Callable
@@ -299,6 +300,34 @@ def test_schema_is_one_json_schema_that_all_bundles_keep(tonewood: Run) -> None:
     assert not validator.is_valid(wrong)
 
 
+def test_plan_and_play_have_the_options_of_render(tonewood: Run, score: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = ("plan", score, "-i", "classical_guitar", "--fs", 16000, "--json")
+    found = json.loads(tonewood(*plan, "--max-duration", 0.1, "--lead-in", 0.05, "--outputs", "microphones")[1])
+    assert found["duration_s"] == pytest.approx(0.15)
+    assert [e["component"] for e in found["effects"] if e["name"] == "outputs" and e["spans_s"]] == ["microphones"]
+    refused(tonewood(*plan, "--accuracy", "best"), "--accuracy: is 'best'; draft, standard, reference are allowed")
+    refused(tonewood("play", score, "-i", "monochord", "--tail-level", 3), "--tail-level: is 3 dB; -300 to -1")
+
+    class Stream:
+        def __init__(self, **options: Any):
+            self.options = options
+
+        def __enter__(self) -> None:
+            with contextlib.suppress(StopIteration):
+                while True:
+                    self.options["callback"](np.zeros((self.options["blocksize"], 2)), None, None, None)
+            self.options["finished_callback"]()
+
+        def __exit__(self, *error: object) -> None:
+            pass
+
+    monkeypatch.setattr("tonewood.output.play._output_stream", lambda: Stream)
+    monkeypatch.setattr("tonewood.output.play._stop", StopIteration)
+    code, out, _ = tonewood("play", score, "-i", "monochord", "--fs", 16000, "--max-duration", 0.2, "--lead-in", 0.1)
+    assert code == 0
+    assert out.startswith("played 0.30 s")
+
+
 def test_play_without_a_sound_card_is_one_line(tonewood: Run, score: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
@@ -334,8 +363,8 @@ def test_lead_in_and_step_are_stated(tonewood: Run, score: Path, tmp_path: Path)
     assert whole["frames"] == 960 + 4800
     assert whole["onset_step_dbfs"] is None
     assert "score time 0 is frame 2400" in tonewood(*common, "--lead-in", 0.05)[1]
-    refused(tonewood(*common, "--lead-in", "soon"), "--lead-in", "auto or a number of seconds")
-    refused(tonewood(*common, "--lead-in", -1), "lead_in", "0 to 60 s")
+    refused(tonewood(*common, "--lead-in", "soon"), "--lead-in", "auto or 0 to 60 s are allowed")
+    refused(tonewood(*common, "--lead-in", -1), "--lead-in", "0 to 60 s")
 
 
 def test_a_tension_put_back_by_the_tuner_is_told(tonewood: Run, score: Path, tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def instrument_of(
 
 def rendered(instrument: tw.Instrument, score: tw.Score, seconds: float, effects: str) -> tuple[Any, tw.Renderer]:
     """Sound of one channel, (n,), and its renderer; every exchange is taken to pay."""
-    stream = tw.Renderer(score, instrument, FS, max_duration=seconds, tail=tw.Tail(-120, seconds), effects=effects)
+    stream = tw.Renderer(score, instrument, FS, max_duration=seconds, tail=seconds, tail_level_db=-120, effects=effects)
     stream.engine.sleeper.worth = 0.0
     return np.concatenate(list(stream.blocks(4096)))[:, 0].astype(float), stream
 

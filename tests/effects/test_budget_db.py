@@ -81,7 +81,7 @@ def test_what_is_watched_follows_from_the_rests_of_the_score(rest: float, watche
     assert sleeper.worthwhile == watched
     # and no tail that ends above the budget counts, however long it might be
     for level, counts in ((-60.0, False), (-120.0, True)):
-        stream = tw.Renderer(tw.Score(notes[:1]), made, 48000, effects="auto", tail=tw.Tail(level, 600.0))
+        stream = tw.Renderer(tw.Score(notes[:1]), made, 48000, effects="auto", tail=600.0, tail_level_db=level)
         assert stream.engine.sleeper.worthwhile == counts
 
 

@@ -97,9 +97,9 @@ SCORES = {
 )
 def test_a_render_takes_what_was_foreseen(scene: str, clock: SimpleNamespace) -> None:
     score, guitar = tw.Score(SCORES[scene]), duet()
-    foreseen = tw.plan(score, guitar, FS, tail=tw.Tail(cap=1.0)).predicted_s
+    foreseen = tw.plan(score, guitar, FS, tail=1.0).predicted_s
     began = clock.now
-    stream = tw.Renderer(score, guitar, FS, tail=tw.Tail(cap=1.0))
+    stream = tw.Renderer(score, guitar, FS, tail=1.0)
     for _ in stream.blocks(4096):
         pass
     assert foreseen == pytest.approx(clock.now - began, rel=0.25)

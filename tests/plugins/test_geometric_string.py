@@ -140,12 +140,12 @@ def test_the_end_moves_along_an_inclined_string_as_the_body_does(tmp_path: Path)
     axis = [math.cos(slope), 0.0, -math.sin(slope)]
     harp = made(tmp_path, axis=axis, polarizations=["z"], bridge_leverage=0.0)
     string = assemble(harp, 48000).strings["S"]
-    assert string.along is not None
-    assert string.along.ends["bridge"] == pytest.approx(math.sin(slope))
+    assert string.longitudinal is not None
+    assert string.longitudinal.ends["bridge"] == pytest.approx(math.sin(slope))
     assert string.polarizations[0].ends["bridge"] == pytest.approx(math.cos(slope))
     lever = assemble(harp.replace({"strings.S.bridge_leverage": 0.2}), 48000).strings["S"]
-    assert lever.along is not None
-    assert lever.along.ends["bridge"] == pytest.approx(math.sin(slope) + 0.2)
+    assert lever.longitudinal is not None
+    assert lever.longitudinal.ends["bridge"] == pytest.approx(math.sin(slope) + 0.2)
 
 
 def test_what_is_not_offered_is_refused_in_one_line(tmp_path: Path) -> None:

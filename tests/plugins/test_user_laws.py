@@ -16,6 +16,7 @@ import pytest
 from scene import instrument
 
 import tonewood as tw
+import tonewood.authoring as ta
 from tonewood.instrument import registry
 
 STIFFNESS, EXPONENT, ROOM = 2e9, 2.0, 2e-4
@@ -26,18 +27,18 @@ double with_data(double d, void *k) { return d < 0 ? -*(double *)k / 3 * d * d *
 double slope_with_data(double d, void *k) { return d < 0 ? -*(double *)k * d * d : 0; }
 """
 MODULE = '''
-import tonewood as tw
+import tonewood.authoring as ta
 
 LAW = None
 
 
-class CushionParameters(tw.Parameters):
+class CushionParameters(ta.Parameters):
     """Of the cushion."""
 
-    from_bridge: float = tw.quantity("m", low=0.0, high=2.0, doc="place under the string")
+    from_bridge: float = ta.quantity("m", low=0.0, high=2.0, doc="place under the string")
 
 
-class Cushion(tw.Attachment[CushionParameters]):
+class Cushion(ta.Attachment[CushionParameters]):
     """Something under the string that pushes back as its maker says."""
 
     api = 1
@@ -45,8 +46,8 @@ class Cushion(tw.Attachment[CushionParameters]):
 
     def attach(self, name, site):
         point = f"{name}.at"
-        connection = tw.Connection(f"{site.string}.{point}", site.motion(point, (0.0, 0.0, 1.0)), LAW)
-        return tw.Attached(places={point: self.parameters.from_bridge}, connections=(connection,))
+        connection = ta.Connection(f"{site.string}.{point}", site.motion(point, (0.0, 0.0, 1.0)), LAW)
+        return ta.Attached(places={point: self.parameters.from_bridge}, connections=(connection,))
 '''
 
 
@@ -123,19 +124,19 @@ def heard(folder: Path, module: Any, law: Any) -> np.ndarray:
 @pytest.mark.parametrize("door", [by_ctypes, by_cffi, with_data, by_numba])
 def test_c_functions_in_a_bundle_are_the_law(tmp_path: Path, cushion: Any, library: Path, door: Any) -> None:
     """They are the power law that the kernel has itself."""
-    ours = heard(tmp_path, cushion, tw.CompiledPotential(*door(library), offset=-ROOM))
-    theirs = heard(tmp_path, cushion, tw.Contact(STIFFNESS, EXPONENT, offset=-ROOM))
-    away = heard(tmp_path, cushion, tw.Contact(STIFFNESS, EXPONENT, offset=-1.0))
+    ours = heard(tmp_path, cushion, ta.CompiledPotential(*door(library), offset=-ROOM))
+    theirs = heard(tmp_path, cushion, ta.Contact(STIFFNESS, EXPONENT, offset=-ROOM))
+    away = heard(tmp_path, cushion, ta.Contact(STIFFNESS, EXPONENT, offset=-1.0))
     assert np.abs(theirs - away).max() > 0.1 * np.abs(theirs).max()  # it is met
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-8 * np.abs(theirs).max())
 
 
 def test_a_table_in_a_bundle_comes_near(tmp_path: Path, cushion: Any) -> None:
-    theirs = heard(tmp_path, cushion, tw.Contact(STIFFNESS, EXPONENT, offset=-ROOM))
+    theirs = heard(tmp_path, cushion, ta.Contact(STIFFNESS, EXPONENT, offset=-ROOM))
     d, errors = -1e-4 * np.linspace(1.0, 0.0, 1001), []
     for every in (20, 2):
         x = np.append(d[::every], 1e-4)
-        law = tw.SampledPotential.from_force(x, STIFFNESS * np.maximum(-x, 0.0) ** EXPONENT, offset=-ROOM)
+        law = ta.SampledPotential.from_force(x, STIFFNESS * np.maximum(-x, 0.0) ** EXPONENT, offset=-ROOM)
         errors.append(np.abs(heard(tmp_path, cushion, law) - theirs).max() / np.abs(theirs).max())
     assert errors[0] < 0.05
     assert errors[1] < 0.1 * errors[0]

@@ -20,6 +20,7 @@ from tonewood.energy.stored import stored_energy
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.timeline import Change, Play, Timeline
 from tonewood.errors import NumericalError
+from tonewood.instrument.assembly import assemble
 from tonewood.instrument.contract import Gesture, Segment
 from tonewood.output.audio import SoundWriter
 
@@ -231,7 +232,7 @@ def test_a_state_that_is_not_a_number_reaches_no_file(monochord: tw.Instrument, 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_force_that_is_not_a_number_is_reported(monochord: tw.Instrument, value: float) -> None:
-    model = tw.assemble(monochord, FS)
+    model = assemble(monochord, FS)
     gesture = Gesture((Segment(0.0, 0.01, value),), 0.1)
     engine = Engine(model, Timeline([], [Play(0.1, gesture, string="A2")]))
     with pytest.raises(NumericalError, match=r"^A2\.z is no longer finite at 0\.10\d* s$"):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tonewood.errors import OutputError
-from tonewood.whole_files import Part, whole_file, write_whole
+from tonewood.whole_files import AtomicFile, whole_file, write_whole
 
 
 def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
@@ -57,7 +57,7 @@ def test_ctrl_c_between_any_two_statements_leaves_nothing(tmp_path: Path, statem
         return None
 
     def begun() -> None:
-        part = Part(tmp_path / "file")
+        part = AtomicFile(tmp_path / "file")
         assert part.path.exists()
         raise KeyboardInterrupt  # no statement was left
 
@@ -71,7 +71,10 @@ def test_ctrl_c_between_any_two_statements_leaves_nothing(tmp_path: Path, statem
 
 
 def test_the_end_of_the_program_removes_what_is_incomplete(tmp_path: Path) -> None:
-    program = f"from tonewood.whole_files import Part\nkept = Part({str(tmp_path / 'a')!r})\nassert kept.path.exists()"
+    program = (
+        "from tonewood.whole_files import AtomicFile\n"
+        f"kept = AtomicFile({str(tmp_path / 'a')!r})\nassert kept.path.exists()"
+    )
     subprocess.run([sys.executable, "-c", program], check=True)
     assert list(tmp_path.iterdir()) == []
 
@@ -109,7 +112,7 @@ def test_what_cannot_be_a_file_is_said(tmp_path: Path) -> None:
 def test_what_cannot_be_removed_is_told_unless_something_worse_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    part = Part(tmp_path / "file")
+    part = AtomicFile(tmp_path / "file")
 
     def refuse(path: Path, missing_ok: bool = False) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))

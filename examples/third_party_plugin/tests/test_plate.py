@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tonewood as tw
+import tonewood.authoring as ta
 
 SPRUCE = {
     "length": 0.5, "width": 0.3, "thickness": 0.004, "density": 420.0, "young_modulus": 9e9, "damping_ratio": 0.01,
@@ -13,7 +14,7 @@ SPRUCE = {
 }  # fmt: skip
 
 
-def plate(**changes: object) -> tw.Body:
+def plate(**changes: object) -> ta.Body:
     return tw.list_plugins()["rectangular_plate"].from_values({**SPRUCE, **changes}, key="body")
 
 
@@ -54,13 +55,13 @@ def test_reciprocal() -> None:
 
 
 def test_a_place_off_the_plate() -> None:
-    with pytest.raises(tw.BundleError, match=r"body\.points\.p: \(0\.6, 0\.1\) m does not lie on the plate"):
+    with pytest.raises(ta.BundleError, match=r"body\.points\.p: \(0\.6, 0\.1\) m does not lie on the plate"):
         plate(points={"p": {"x": 0.6, "y": 0.1}}).basis(1000.0)
 
 
 def test_the_zither_is_in_tune_and_sounds() -> None:
     zither = tw.load_instrument("plate_zither")
-    model = tw.assemble(zither, 48000)
+    model = ta.assemble(zither, 48000)
     for string in model.strings.values():
         tuned = string.tuned()
         assert tuned is not None

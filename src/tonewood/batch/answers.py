@@ -1,4 +1,4 @@
-"""What listeners answered: webMUSHRA's result tables, opened with the key of the batch.
+"""Answers of listeners: webMUSHRA's result tables, opened with the key of the batch.
 
 webMUSHRA appends one block of rows per session to a CSV file of each test type (``mushra.csv``, ``bs1116.csv``,
 ``paired_comparison.csv``). Columns between ``session_test_id`` and ``trial_id`` are the questionnaire's, and
@@ -22,7 +22,7 @@ from pydantic_core import PydanticCustomError
 
 from tonewood.batch.records import KEY_SCHEMA
 from tonewood.errors import TonewoodError
-from tonewood.faults import first_fault
+from tonewood.validation_messages import first_message
 
 Kind = Literal["mushra", "bs1116", "paired_comparison"]
 MAX_BYTES = 50_000_000
@@ -71,7 +71,7 @@ class Trial(BaseModel):
 
 
 class Sound(BaseModel):
-    """What stands behind a code."""
+    """Condition and levels of a code."""
 
     condition: str
     levels: dict[str, str]
@@ -131,7 +131,7 @@ def read_key(path: str | os.PathLike[str]) -> Key:
     try:
         return Key.model_validate(data)
     except ValidationError as fault:
-        key, reason = first_fault(fault, Key)
+        key, reason = first_message(fault, Key)
         raise ResultsError(f"not a whole key: {reason}", file=path, key=key) from None
 
 
@@ -209,7 +209,7 @@ def _answers(
 
 
 class _Sessions:
-    """Tells sessions apart: by who answered, and by an answer given a second time."""
+    """Distinguishes sessions: by the listener, and by an answer that is given a second time."""
 
     def __init__(self) -> None:
         self.given: dict[str, set[tuple[str, str]]] = {}

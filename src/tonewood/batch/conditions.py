@@ -145,8 +145,8 @@ def vary_notes(
     ----------
     notes : in the order they were written.
     draws : those with a `note_field` are applied, each with one number per note.
-    base : what that field is worth in a note as it was written, given there or by the instrument; None leaves the
-        note as it is.
+    base : value of that field before the variation, given in the note or by the instrument; None leaves the note
+        unchanged.
     """
     varied = list(notes)
     for draw in draws:

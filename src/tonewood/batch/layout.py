@@ -1,4 +1,4 @@
-"""Which sounds stand beside which: groups of equal length and level, and the trials a listener meets.
+"""Groups of sounds of equal length and level, and the trials of the listeners.
 
 A *group* is a set of sound files that are equally long, have the same channels and are lowered together when one of
 them would pass the true-peak limit. A *trial* is what is judged at one time: a MUSHRA page, or one pair. A condition
@@ -38,7 +38,7 @@ class Stimulus:
 
 @dataclass(frozen=True)
 class Trial:
-    """What is judged at one time; `reference` and `stimuli` are codes."""
+    """Sounds that are judged together; `reference` and `stimuli` are codes."""
 
     id: str
     name: str
@@ -63,7 +63,7 @@ class Group:
 
 
 def lay_out(manifest: Manifest, conditions: Sequence[Condition]) -> tuple[tuple[Group, ...], list[str]]:
-    """All groups of a batch in the manifest's order, and what had to be said while making them.
+    """All groups of a batch in the manifest's order, and notes on them.
 
     Raises
     ------

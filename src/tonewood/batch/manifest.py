@@ -1,4 +1,4 @@
-"""The manifest of a batch: what is played, on what, what is varied, and how it is put before listeners.
+"""The manifest of a batch: scores, instruments, factors, and pages for listeners.
 
 Schema ``tonewood-batch/1``, a YAML file. A manifest names instruments and scores; *factors* are parameters of the
 instrument (any path of the bundle) or of the render (``render.fs``, ``render.effects``, ...) with named levels;
@@ -8,6 +8,7 @@ conditions are the crossed or listed levels. See `tonewood.batch.conditions` for
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -15,8 +16,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic_core import PydanticCustomError
 
 from tonewood.errors import TonewoodError
-from tonewood.faults import first_fault
+from tonewood.output.options import RenderOptions
+from tonewood.params import described, quantity
 from tonewood.score.note import Note
+from tonewood.validation_messages import first_message
 from tonewood.yaml_io import load_yaml
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_+-]*$", max_length=60)]
@@ -24,17 +27,19 @@ ParameterPath = Annotated[str, Field(pattern=r"^[^.\s]+(\.[^.\s]+)*$", max_lengt
 Positive = Annotated[float, Field(gt=0)]
 Levels = dict[str, str]
 RESERVED = ("instrument", "score", "repeat")
+#: keys under ``render.tail`` -> field
+TAIL_KEYS = {"cap": "tail", "energy_db": "tail_level_db"}
 
 
 class ManifestError(TonewoodError):
     """A manifest cannot be used."""
 
 
-class _Part(BaseModel):
+class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-class NoteFields(_Part):
+class NoteFields(_Section):
     """One inline note: the fields of `tonewood.Note`."""
 
     time: float = Field(ge=0, le=3600)
@@ -51,11 +56,11 @@ class NoteFields(_Part):
     channel: int | None = Field(default=None, ge=0, le=15)
 
     def to_note(self) -> Note:
-        """The same note as the score's own type."""
+        """Convert to the score's own type."""
         return Note(**self.model_dump())
 
 
-class ScoreSource(_Part):
+class ScoreSource(_Section):
     """A phrase written inline, or an excerpt of a MIDI file (path relative to the manifest)."""
 
     phrase: list[NoteFields] | None = Field(default=None, min_length=1, max_length=10_000)
@@ -75,15 +80,15 @@ class ScoreSource(_Part):
         return self
 
 
-class Factor(_Part):
+class Factor(_Section):
     """A parameter and its named levels; a level is a value, ``{scale: x}`` or ``{fraction: x}``."""
 
     path: ParameterPath
     levels: dict[Name, Any] = Field(min_length=1, max_length=1000)
 
 
-class Variation(_Part):
-    """How one parameter varies from repeat to repeat; exactly one law."""
+class Variation(_Section):
+    """Variation of one parameter from repeat to repeat; exactly one law."""
 
     normal_db: float | None = Field(default=None, gt=0, le=24, description="standard deviation, dB")
     normal: float | None = Field(default=None, gt=0, description="standard deviation, in the unit of the path")
@@ -96,40 +101,51 @@ class Variation(_Part):
         return self
 
 
-class Tail(_Part):
-    """How long a render goes on after the last note."""
+class RenderSettings(RenderOptions):
+    """Options of the render; any of them may be a factor under ``render.``.
 
-    energy_db: float = Field(default=-90.0, lt=0, description="stop when the energy has fallen by this, dB")
-    cap: Positive = Field(default=12.0, le=600, description="s")
+    A manifest may write `tail` and `tail_level_db` as ``tail: {cap, energy_db}``, and a single one of `outputs` as
+    ``output``.
+    """
 
-
-class RenderSettings(_Part):
-    """Settings given to the renderer; any of them may be a factor under ``render.``."""
-
-    #: keys of earlier versions, and what is said of them (`faults.first_fault`)
+    #: key of an earlier version -> message (`validation_messages.first_message`)
     removed: ClassVar[dict[str, str]] = {
         "precision": "precision was removed in 0.2; samples are always computed in double precision"
     }
 
-    fs: int = Field(default=48000, ge=8000, le=768000, description="Hz")
-    accuracy: Literal["draft", "standard", "reference"] = "standard"
-    effects: Literal["auto", "all", "none"] | list[str] | None = Field(
-        default=None, description="the bundle's own choice if not given"
+    tail: float = quantity("s", low=0.0, high=600.0, default=12.0, doc="longest ring after the last note")
+    tail_level_db: float = quantity(
+        "dB", low=-300.0, high=-1.0, default=-90.0, doc="the ring has ended this far below the loudest sample"
     )
-    isa: Literal["auto", "avx512", "avx2", "neon", "baseline"] = "auto"
-    output: str | None = Field(default=None, description="output group of the bundle; its first if not given")
-    tail: Tail = Tail()
-    energy: bool = Field(default=False, description="keep an account of energy; the record tells how far it closes")
+    isa: Literal["auto", "avx512", "avx2", "neon", "baseline"] = described(
+        "instruction set that the renders must be computed with", default="auto"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _other_spellings(cls, values: Any) -> Any:
+        if not isinstance(values, Mapping):
+            return values
+        out = dict(values)
+        if "output" in out and "outputs" not in out and (one := out.pop("output")) is not None:
+            out["outputs"] = [one]
+        if isinstance(tail := out.get("tail"), Mapping):
+            unknown = [key for key in tail if key not in TAIL_KEYS]
+            if unknown:
+                raise PydanticCustomError("tail", f"tail.{unknown[0]}: is not a known key; allowed: cap, energy_db")
+            del out["tail"]
+            out |= {TAIL_KEYS[key]: value for key, value in tail.items()}
+        return out
 
 
-class Fade(_Part):
+class Fade(_Section):
     """Raised-cosine fades, s."""
 
     in_: float = Field(default=0.002, ge=0, le=5, alias="in")
     out: float = Field(default=0.050, ge=0, le=5)
 
 
-class Loudness(_Part):
+class Loudness(_Section):
     """One gain per file, from its gated loudness; see `tonewood.batch.stimuli`."""
 
     method: Literal["bs1770_gated", "none"] = "bs1770_gated"
@@ -139,8 +155,8 @@ class Loudness(_Part):
     on_clash: Literal["lower_page"] = "lower_page"
 
 
-class Stimuli(_Part):
-    """What every sound file of the batch has in common."""
+class Stimuli(_Section):
+    """Properties of all sound files of the batch."""
 
     fs: int = Field(default=48000, ge=8000, le=192000, description="Hz; renders at another rate are resampled")
     channels: int = Field(default=1, ge=1, le=2)
@@ -152,7 +168,7 @@ class Stimuli(_Part):
     loudness: Loudness = Loudness()
 
 
-class _Page(_Part):
+class _Page(_Section):
     name: str = Field(default="", max_length=300, description="the question, shown as title")
     content: str = Field(default="", description="HTML shown above the sounds")
     group_by: list[str] = Field(default_factory=list, description="factors that stay the same on one page")
@@ -207,8 +223,8 @@ class HtmlPage(_Page):
 Page = Annotated[MushraPage | Bs1116Page | PairedPage | HtmlPage, Field(discriminator="type")]
 
 
-class Output(_Part):
-    """What is written, and in which order listeners meet the pages."""
+class Output(_Section):
+    """Files that are written, and the order of the pages."""
 
     blind: bool = Field(default=True, description="the audition page shows codes only")
     key: Annotated[str, Field(pattern=r"^[\w.-]+\.json$")] = "key.json"
@@ -216,7 +232,7 @@ class Output(_Part):
     page_order: Literal["seeded", "listed", "per_listener"] = "seeded"
 
 
-class Manifest(_Part):
+class Manifest(_Section):
     """A whole batch."""
 
     schema_: Literal["tonewood-batch/1"] = Field(alias="schema")
@@ -291,18 +307,13 @@ class Manifest(_Part):
             try:
                 self.render_settings({factor.path.removeprefix("render."): value})
             except ValidationError as error:
-                reason = first_fault(error, RenderSettings)[1]
+                reason = first_message(error, RenderSettings)[1]
                 raise PydanticCustomError("factor", f"factors.{name}.levels.{level}: {reason}") from None
 
     def render_settings(self, changes: dict[str, Any]) -> RenderSettings:
-        """The render settings with dotted keys changed, checked anew."""
-        data = self.render.model_dump(by_alias=True)
-        for key, value in changes.items():
-            *parents, last = key.split(".")
-            place = data
-            for parent in parents:
-                place = place.setdefault(parent, {})
-            place[last] = value
+        """The render settings with some changed, checked anew."""
+        names = {f"tail.{key}": field for key, field in TAIL_KEYS.items()}
+        data = {**self.render.model_dump(), **{names.get(key, key): value for key, value in changes.items()}}
         return RenderSettings.model_validate(data)
 
 
@@ -336,7 +347,7 @@ def check_manifest(data: dict[str, Any], *, file: Path | None = None) -> Manifes
     try:
         return Manifest.model_validate(data)
     except ValidationError as error:
-        key, reason = first_fault(error, Manifest)
+        key, reason = first_message(error, Manifest)
         raise ManifestError(reason, file=file, key=key) from None
 
 

@@ -43,7 +43,7 @@ class _Job:
 
 @dataclass(frozen=True)
 class _Level:
-    """What the first pass found: gain of the sound alone and true peak with it, or why it failed."""
+    """Result of the first pass: gain of the sound alone and true peak with it, or the reason of its failure."""
 
     code: str
     gain_db: float
@@ -53,7 +53,7 @@ class _Level:
 
 @dataclass(frozen=True)
 class SoundFile:
-    """A written file and what is known of it."""
+    """A written file with its measurements."""
 
     code: str
     group: str

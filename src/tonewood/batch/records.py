@@ -1,4 +1,4 @@
-"""What is written about a batch: the key to its codes, and a full record of every file as JSON and CSV."""
+"""Records of a batch: the key to its codes, and a record of every file as JSON and CSV."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RECORD_CSV = "manifest.csv"
 
 
 def key_of(manifest: Manifest, groups: Sequence[Group], conditions: Mapping[str, Condition]) -> dict[str, Any]:
-    """What opens the codes: every trial and every file, with the factor levels behind it."""
+    """The key to the codes: every trial and every file with its factor levels."""
     trials = {
         trial.id: {
             "page": group.page + 1,

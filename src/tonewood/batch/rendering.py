@@ -17,10 +17,9 @@ from tonewood.batch.conditions import Condition, Draw, vary_notes
 from tonewood.batch.store import Rendered
 from tonewood.blas import blas_libraries
 from tonewood.errors import TonewoodError
-from tonewood.instrument import registry
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.output.render import Renderer, Tail
+from tonewood.output.render import Renderer
 from tonewood.score.assignment import assign
 from tonewood.score.midi import read_midi
 from tonewood.score.note import Note, Score
@@ -33,10 +32,17 @@ _COSTS: dict[tuple[str, int, str, str, bool], tuple[float, float]] = {}
 
 @dataclass(frozen=True)
 class EngineRenderer:
-    """Renders conditions; holds nothing, so it costs nothing to send to a worker."""
+    """Renders conditions; small, so that it costs nothing to send to a worker.
+
+    Attributes
+    ----------
+    allow_code : run plugins in the folders of bundles, here and in the workers.
+    """
+
+    allow_code: bool = False
 
     def identity(self, condition: Condition) -> dict[str, Any]:
-        """All that decides the samples: parameters, hashes, version, instruction set, and what else computes here.
+        """Everything that decides the samples: parameters, hashes, version, instruction set, libraries.
 
         Raises
         ------
@@ -46,11 +52,11 @@ class EngineRenderer:
         wanted, here = condition.render.isa, instruction_set()
         if wanted not in ("auto", here):
             raise TonewoodError(f"{wanted} is asked for, this process runs {here}: set TONEWOOD_ISA", key="render.isa")
-        instrument = instrument_of(condition)
+        instrument = instrument_of(condition, self.allow_code)
         return {
             "asked": condition.asked(),
             "bundle": instrument.content_hash,
-            "plugins": {name: registry.plugin_hash(name) for name in instrument.plugin_names},
+            "plugins": instrument.plugin_hashes,
             "parameters": instrument.resolved,
             "version": _version(),
             "isa": here,
@@ -67,14 +73,14 @@ class EngineRenderer:
         kind = (condition.bundle, settings.fs, *how)
         if kind not in _COSTS:
             began = time.perf_counter()
-            renderer = _renderer(condition, max_duration=_PIECE)
+            renderer = self._renderer(condition, max_duration=_PIECE)
             ready = time.perf_counter()
             for _ in renderer.blocks():
                 pass
             _COSTS[kind] = (ready - began, (time.perf_counter() - ready) / _PIECE)
         setup, per_second = _COSTS[kind]
-        length = max((n.time + n.duration for n in _score(condition).notes), default=0.0) + 0.5 * settings.tail.cap
-        return setup + per_second * length
+        length = max((n.time + n.duration for n in _score(condition).notes), default=0.0) + 0.5 * settings.tail
+        return setup + per_second * min(length, settings.max_duration or math.inf)
 
     def render(self, condition: Condition) -> Rendered:
         """The sound of a condition, with its human variation.
@@ -84,28 +90,21 @@ class EngineRenderer:
         TonewoodError
             A score cannot be read or played, or the render went wrong.
         """
-        renderer = _renderer(condition)
+        renderer = self._renderer(condition)
         samples = np.concatenate(list(renderer.blocks(4096)))
         info = _plain(asdict(renderer.summary())) | {"channels": list(renderer.channels)}
         if renderer.energy is not None:
             info["energy"] = renderer.energy.balance()
         return Rendered(samples, renderer.fs, info)
 
-
-def _renderer(condition: Condition, max_duration: float | None = None) -> Renderer:
-    settings = condition.render
-    instrument = instrument_of(condition)
-    return Renderer(
-        _varied(_score(condition), instrument, condition),
-        instrument,
-        settings.fs,
-        accuracy=settings.accuracy,
-        outputs=None if settings.output is None else [settings.output],
-        tail=Tail(level_db=settings.tail.energy_db, cap=settings.tail.cap),
-        max_duration=max_duration,
-        channel_per_string=_channel_per_string(condition),
-        energy=settings.energy,
-    )
+    def _renderer(self, condition: Condition, max_duration: float | None = None) -> Renderer:
+        instrument = instrument_of(condition, self.allow_code)
+        options = condition.render.at(channel_per_string=_channel_per_string(condition))
+        return Renderer(
+            _varied(_score(condition), instrument, condition),
+            instrument,
+            options=options if max_duration is None else options.at(max_duration=max_duration),
+        )
 
 
 def _plain(value: Any) -> Any:
@@ -119,12 +118,11 @@ def _plain(value: Any) -> Any:
     return float(value) if math.isfinite(value) else None
 
 
-def instrument_of(condition: Condition) -> Instrument:
+def instrument_of(condition: Condition, allow_code: bool = False) -> Instrument:
     """The bundle with the condition's overrides, and with what varies once per repeat."""
-    overrides = dict(condition.overrides)
-    if condition.render.effects is not None:
-        overrides["effects.mode"] = condition.render.effects
-    instrument = _loaded(condition.bundle).replace(overrides)
+    instrument = _loaded(condition.bundle, allow_code).replace(
+        {**condition.overrides, **condition.render.effect_changes}
+    )
     varied: dict[str, Any] = {}
     for draw in condition.draws:
         if draw.note_field is None:
@@ -134,8 +132,8 @@ def instrument_of(condition: Condition) -> Instrument:
 
 
 @lru_cache(maxsize=64)
-def _loaded(bundle: str) -> Instrument:
-    return Instrument.load(bundle)
+def _loaded(bundle: str, allow_code: bool) -> Instrument:
+    return Instrument.load(bundle, allow_code=allow_code)
 
 
 @cache
@@ -167,7 +165,7 @@ def _score(condition: Condition) -> Score:
 
 
 def _channel_per_string(condition: Condition) -> bool:
-    return bool((condition.midi or {}).get("channel_per_string", False))
+    return condition.render.channel_per_string or bool((condition.midi or {}).get("channel_per_string", False))
 
 
 def _varied(score: Score, instrument: Instrument, condition: Condition) -> Score:
@@ -178,13 +176,13 @@ def _varied(score: Score, instrument: Instrument, condition: Condition) -> Score
 
 
 class _Base:
-    """What a field of a note is worth before it varies."""
+    """Value of a field of a note before it varies."""
 
     def __init__(self, score: Score, instrument: Instrument, condition: Condition):
         self.score, self.instrument, self.condition = score, instrument, condition
         playing = instrument.spec.playing
         self.velocity = playing.velocity
-        self.default = playing.exciter or playing.velocity.parameter.partition(".")[0]
+        self.default = playing.default_exciter
         self.lengths: dict[tuple[object, ...], float] | None = None
 
     def value(self, draw: Draw, note: Note) -> float | None:

@@ -195,7 +195,7 @@ def _rate(label: str, trial: str | None, answers: list[Answer], confidence: floa
 
 
 def _incomplete(answers: Sequence[Answer]) -> tuple[str, ...]:
-    """Who has not answered everything that somebody has."""
+    """Listeners without an answer to a trial that another listener has answered."""
     asked = {(a.trial, a.label) for a in answers}
     given: dict[str, int] = {}
     for a in answers:

@@ -1,8 +1,8 @@
-"""Running a batch: what is not rendered yet is rendered, then the files, pages and records are written.
+"""Runs a batch: renders the missing conditions, then writes files, pages and records.
 
-A run that was broken off, by a kill or a full disk, is taken up by running it again: renders are kept under the hash
-of everything that decides their samples, and a render is either whole or not there. One condition that fails is
-reported and the rest goes on; pages and pairs that would miss a sound are left out.
+An interrupted run (a kill, a full disk) is continued by running it again: renders are stored under the hash of
+everything that decides their samples, and a render is either complete or absent. A condition that fails is reported,
+and the others are rendered; pages and pairs without one of their sounds are left out.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Progress = Callable[[str, int, int], None]
 
 
 class Renderer(Protocol):
-    """What turns conditions into sound. Pickled into workers; every call depends on its condition alone."""
+    """Renders conditions. It is pickled into workers; every call depends on its condition alone."""
 
     def identity(self, condition: Condition) -> dict[str, Any]:
         """Everything that decides the samples, JSON-ready: parameters, hashes, version, instruction set."""
@@ -49,7 +49,7 @@ class Renderer(Protocol):
 
 @dataclass(frozen=True)
 class Plan:
-    """What a batch will make, before anything is rendered.
+    """The work of a batch, before anything is rendered.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Report:
-    """How a run went."""
+    """Result of a run."""
 
     name: str
     folder: Path
@@ -125,7 +125,7 @@ class Report:
 def plan_batch(
     manifest_path: Path, folder: Path, renderer: Renderer, workers: Workers | None = None, *, predict: bool = False
 ) -> Plan:
-    """Expand a manifest and find out what is still to be rendered; nothing is written.
+    """Expand a manifest and list the conditions that are not rendered yet; nothing is written.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def run_batch(
     workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> Report:
-    """Render what is missing and write the whole batch into `folder`.
+    """Render the missing conditions and write the whole batch into `folder`.
 
     Parameters
     ----------
@@ -199,8 +199,8 @@ def run_batch(
     Raises
     ------
     TonewoodError
-        Nothing can be done, or nothing more: the manifest is wrong, the disk is full, the workers are gone. What
-        was finished is kept.
+        The batch cannot begin or go on: the manifest is wrong, the disk is full, the workers are gone. Finished
+        renders are kept.
     """
     started = time.perf_counter()
     workers = workers or Workers()
@@ -257,7 +257,7 @@ class _Outcome:
 def _render_missing(
     plan: Plan, store: Store, renderer: Renderer, workers: Workers, progress: Progress | None
 ) -> dict[str, Fault]:
-    """Render what is missing, and tell what failed by key; this process alone writes, whoever computed."""
+    """Render the missing conditions; returns failures by key. Only this process writes to the store."""
     store.clear_parts()
     tasks = [(renderer, condition, plan.keys[condition.name]) for condition in plan.todo]
     faults: dict[str, Fault] = {}
@@ -285,7 +285,7 @@ def _render(task: tuple[Renderer, Condition, str]) -> _Outcome:
         _check(rendered)
     except TonewoodError as fault:
         return _Outcome(key, None, Fault(condition.name, str(fault)))
-    except Exception as fault:  # whatever a plugin raises must not end the other renders; its traceback is kept
+    except Exception as fault:  # an error of a plugin must not end the other renders; its traceback is kept
         reason = f"{type(fault).__name__}: {fault}"
         return _Outcome(key, None, Fault(condition.name, reason, traceback.format_exc()))
     info = {**rendered.info, "render_seconds": time.perf_counter() - started}
@@ -302,7 +302,7 @@ def _check(rendered: Rendered) -> None:
 
 
 def _complete(groups: Sequence[Group], there: set[str], manifest: Manifest) -> tuple[list[Group], list[str]]:
-    """The groups without trials that miss a sound, and what was left out.
+    """Groups without the trials that lack a sound, and notes on these.
 
     A page that is only to be heard goes on with the sounds it has.
     """
@@ -356,7 +356,7 @@ def _remove_strangers(folder: Path, codes: set[str]) -> None:
 
 
 class _Counter:
-    """Counts what is done, and tells."""
+    """Counts finished work and reports it."""
 
     def __init__(self, progress: Progress | None, stage: str, total: int):
         self.progress, self.stage, self.total, self.done = progress, stage, total, 0

@@ -186,7 +186,7 @@ def matching_gain_db(audio: Audio, fs: int, target_lufs: float) -> float:
 
 
 def page_drop_db(true_peaks_dbtp: list[float], limit_dbtp: float) -> float:
-    """How much a whole page is lowered so that none of its sounds passes the limit; 0 or positive, dB."""
+    """Attenuation of a whole page that keeps all its sounds below the limit; 0 or positive, dB."""
     excess = max(true_peaks_dbtp) - limit_dbtp
     return excess + PEAK_MARGIN_DB if excess > 0 else 0.0
 

@@ -1,4 +1,4 @@
-"""Finished work on disk: rendered sounds by content."""
+"""Store of rendered sounds on disk, by the hash of their content."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def content_key(identity: dict[str, Any]) -> str:
 
 
 class Store:
-    """Rendered sounds in one folder, each under the hash of what it was rendered from."""
+    """Rendered sounds in one folder, each under the hash of everything that decides its samples."""
 
     def __init__(self, folder: Path):
         self.folder = folder
 
     def path(self, key: str) -> Path:
-        """Where the render of `key` lies, or will."""
+        """File of the render of `key`, whether it exists or not."""
         return self.folder / f"{key}.npz"
 
     def has(self, key: str) -> bool:
@@ -60,11 +60,11 @@ class Store:
         return True
 
     def others(self, keys: Collection[str]) -> int:
-        """How many renders there are besides those of `keys`."""
+        """Number of renders besides those of `keys`."""
         return sum(path.stem not in keys for path in self.folder.glob("[0-9a-f]*.npz"))
 
     def save(self, key: str, rendered: Rendered) -> None:
-        """Keep a render; see `whole_file` for what can go wrong."""
+        """Store a render; raises as `whole_file`."""
         facts = json.dumps(
             {"fs": rendered.fs, "frames": len(rendered.samples), "info": rendered.info}, allow_nan=False
         ).encode()
@@ -95,11 +95,11 @@ class Store:
         try:
             with np.load(self.path(key)) as archive:
                 yield archive
-        except Exception:  # what unzipping and decoding raise on damaged bytes is no closed list
+        except Exception:  # unzipping and decoding damaged bytes may raise almost anything
             raise OutputError("is damaged or gone: run the batch again", file=self.path(key)) from None
 
     def clear_parts(self) -> None:
-        """Remove what an earlier run had to leave half-written."""
+        """Remove incomplete files of an earlier run."""
         for part in self.folder.glob(".*.part.npz"):
             remove(part)
 

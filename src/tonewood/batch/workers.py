@@ -1,8 +1,8 @@
-"""One way to do many things at once: processes, threads, or the machines of a Dask cluster, all through joblib.
+"""Parallel work in processes, threads, or on a Dask cluster, through joblib.
 
-Processes are the default. The kernel lets go of the interpreter while it steps, but a render of a short note spends
-about half of its time in Python (strings are tuned, bases are solved for, blocks are joined), and two threads would
-wait for each other there; sound files are the same either way.
+Processes are the default. The kernel releases the interpreter lock while it steps, but a render of a short note spends
+about half of its time in Python (tuning strings, solving for bases, joining blocks), where two threads wait for each
+other; sound files are the same either way.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _JOBLIB = {"processes": "loky", "threads": "threading"}
 
 @dataclass(frozen=True)
 class Workers:
-    """Where work is done.
+    """Place of the work.
 
     Attributes
     ----------
@@ -40,13 +40,13 @@ class Workers:
 
     @property
     def count(self) -> int:
-        """How many things are done at once on this machine."""
+        """Number of workers on this machine."""
         from joblib import effective_n_jobs
 
         return int(effective_n_jobs(self.jobs))
 
     def local(self) -> Workers:
-        """The same without the cluster, for work on this machine's files."""
+        """These workers without the cluster, for work on this machine's files."""
         return Workers(self.jobs, self.backend)
 
     def each(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
@@ -66,7 +66,7 @@ class Workers:
             try:
                 parallel = Parallel(return_as="generator_unordered", pre_dispatch="2*n_jobs", **options)
                 with warnings.catch_warnings():
-                    # why it ends early is told by the error that ends it
+                    # the error that ends it gives the reason
                     warnings.filterwarnings("ignore", message=r"\d+ tasks? which", category=UserWarning)
                     yield from parallel(delayed(function)(item) for item in items)
             except BrokenProcessPool:

@@ -1,4 +1,4 @@
-"""``tonewood accuracy``: how much accuracy for how much time."""
+"""``tonewood accuracy``: error against computing time."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def accuracy(
         Path | None, typer.Option("--report", metavar="FILE.html", help="everything on one page, .html or .md")
     ] = None,
 ) -> None:
-    """Compare this project with the methods of the literature, and turn each of its own dials: error against time."""
+    """Compare error and time of this project with methods of the literature, and of each of its own settings."""
     from tonewood.lab.accuracy import catalogue
 
     catalogue.selected(system)

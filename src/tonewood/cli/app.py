@@ -1,4 +1,4 @@
-"""The typer application: all commands, or the one that is asked for."""
+"""The typer application: all commands, or a single one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tonewood.cli.main import COMMANDS, InterruptError, ReaderGoneError
+from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 
 # typer may carry its own copy of click: its errors are found through it
 _UsageError = typer.BadParameter.__bases__[0]
@@ -19,7 +19,7 @@ ABORTED: type[Exception] = typer.Abort
 
 
 def application(first: str | None) -> typer.Typer:
-    """The command asked for, or all of them where there is none; modules import what they need when they run."""
+    """Make the application with the command `first`, or with all commands if there is none of that name."""
     app = typer.Typer(
         name="tonewood",
         add_completion=False,

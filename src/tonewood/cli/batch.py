@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tonewood.cli.common import Advance, Json, need, progress, warn
+from tonewood.cli.common import Advance, AllowCode, Json, need, progress, warn
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ def batch(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="print the plan and the predicted time, do nothing")
     ] = False,
+    allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> int:
     """Render all conditions of MANIFEST and write stimuli, pages, key and records."""
@@ -42,12 +43,12 @@ def batch(
         raise TonewoodError(f"is {workers!r}; processes or threads are allowed", key="--workers")
     place = Workers(jobs, "threads" if workers == "threads" else "processes", cluster)
     if dry_run:
-        plan = plan_batch(manifest, output, EngineRenderer(), place, predict=True)
+        plan = plan_batch(manifest, output, EngineRenderer(allow_code), place, predict=True)
         print(json.dumps(plan.summary())) if as_json else _print_plan(plan)
         return 1 if plan.faults else 0
     with _Bars() as bars:
         try:
-            report = run_batch(manifest, output, EngineRenderer(), place, bars)
+            report = run_batch(manifest, output, EngineRenderer(allow_code), place, bars)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("finished renders are kept, run it again to go on") from None
     print(json.dumps(report.summary())) if as_json else _print_report(report)

@@ -1,4 +1,4 @@
-"""``tonewood check``: whether an instrument can be played, how true it is, and where its figures come from."""
+"""``tonewood check``: passivity, tuning and provenance of an instrument."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import Json, Overrides, allow_rate, load
+from tonewood.cli.common import AllowCode, Json, Overrides, load
+from tonewood.cli.options import render_options
 
 if TYPE_CHECKING:
     from tonewood.instrument.assembly import Model
     from tonewood.instrument.inspection import Pitch
     from tonewood.instrument.mounted import MountedPitch
 
-#: of a partial's decay rate; strings that miss their loss law by more are named
+#: relative error of a partial's decay rate from which on a string is reported to miss its loss law
 LOSS_TOLERANCE = 1e-3
 
 
@@ -24,11 +25,12 @@ def check(
     instrument: Annotated[str, typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT")],
     fs: Annotated[int, typer.Option(help="sampling rate to assemble it at, Hz")] = 48000,
     settings: Overrides = None,
+    allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> int:
     """Load INSTRUMENT, test its body, tune every stop, list wolf notes, shared partials, stand-ins and sources.
 
-    Every stop is looked at twice: its string alone on the body, as it is tuned, and with all other strings open beside
+    Every stop is checked twice: its string alone on the body, as it is tuned, and with all other strings open beside
     it.
 
     Exit code 2 if it cannot be played or its body could create energy.
@@ -37,8 +39,8 @@ def check(
     from tonewood.instrument.inspection import TOLERANCE_CENTS, pitches
     from tonewood.instrument.mounted import Mounted
 
-    allow_rate(fs)
-    bundle = load(instrument, settings)
+    render_options({"fs": fs})
+    bundle = load(instrument, settings, allow_code)
     model = assemble(bundle, fs, outputs=tuple(bundle.pickups))
     body = _body(model)
     found = pitches(model)

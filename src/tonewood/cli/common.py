@@ -1,4 +1,4 @@
-"""What several commands share: options, progress, loading an instrument with overrides."""
+"""Options, progress bars and messages that several commands share."""
 
 from __future__ import annotations
 
@@ -23,11 +23,9 @@ Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="override a parameter, e.g. strings.E2.note=D2; repeatable"),
 ]
-EffectsChoice = Annotated[
-    str | None, typer.Option("--effects", metavar="auto|all|none|NAMES", help="what runs; default: the instrument's")
+AllowCode = Annotated[
+    bool, typer.Option("--allow-code", help="run plugins that lie as Python files in the bundle's folder")
 ]
-BudgetDb = Annotated[float | None, typer.Option(help="what an additive effect left out may add, dB re the peak")]
-BudgetCents = Annotated[float | None, typer.Option(help="by how much a detuning effect left out may detune, cents")]
 Json = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, nothing else")]
 
 
@@ -53,21 +51,21 @@ def progress(label: str, total: float) -> Iterator[Advance]:
         yield lambda position: bar.update(task, completed=min(position, total))
 
 
-def load(name: str, overrides: list[str] | None) -> Instrument:
+def load(name: str, overrides: list[str] | None, allow_code: bool) -> Instrument:
     """Load an instrument and apply ``--set``."""
     from tonewood.instrument.bundle import Instrument
     from tonewood.instrument.overrides import parse_assignment
 
-    instrument = Instrument.load(name)
+    instrument = Instrument.load(name, allow_code=allow_code)
     return instrument.replace(dict(map(parse_assignment, overrides))) if overrides else instrument
 
 
 def need(extra: str, *modules: str) -> None:
-    """Find out before any work whether the modules of an extra are installed.
+    """Check before any work that the modules of an extra are installed.
 
     Raises
     ------
-    TonewoodError : names the first that is missing, and how to get them all.
+    TonewoodError : names the first that is missing, and the extra that installs all of them.
     """
     from importlib.util import find_spec
 
@@ -87,43 +85,20 @@ def allow(option: str, value: float, low: float, high: float, unit: str) -> None
         raise TonewoodError(f"is {value:.12g} {unit}; {low:.12g} to {high:.12g} are allowed", key=option)
 
 
-def allow_rate(fs: int) -> None:
-    """Refuse a sampling rate outside `FS_RANGE`; raises as `allow`."""
-    from tonewood.output.render import FS_RANGE
-
-    allow("--fs", fs, *FS_RANGE, "Hz")
-
-
-def chosen_effects(text: str | None, budget_db: float | None, budget_cents: float | None) -> str | list[str] | None:
-    """``--effects`` as `Renderer` wants it; the budgets are checked.
-
-    Raises
-    ------
-    TonewoodError : a budget is out of its range.
-    """
-    if budget_db is not None:
-        allow("--budget-db", budget_db, -300.0, 0.0, "dB")
-    if budget_cents is not None:
-        allow("--budget-cents", budget_cents, 0.0, 100.0, "cents")
-    if text is None or text in ("auto", "all", "none"):
-        return text
-    return [name.strip() for name in text.split(",") if name.strip()]
-
-
 @contextmanager
 def drops_told() -> Iterator[None]:
-    """Silence the library's warning of dropped notes where a command lists them."""
+    """Suppress the library's warning of dropped notes: the command lists them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DroppedNotesWarning)
         yield
 
 
 def warn_of_dropped(dropped: Sequence[Dropped]) -> None:
-    """Notes that cannot be played, one line each on stderr."""
+    """Print notes that cannot be played, one line each on stderr."""
     warn([f"not played at {drop.time:.2f} s: {drop.reason}" for drop in dropped])
 
 
 def warn(lines: list[str]) -> None:
-    """Warnings on stderr, one line each."""
+    """Print warnings on stderr, one line each."""
     for line in lines:
         print(f"tonewood: warning: {line}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""``tonewood list``: what is installed, and by whom."""
+"""``tonewood list``: installed instruments and plugins."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from tonewood.cli.common import Json
+from tonewood.cli.common import AllowCode, Json
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
     from tonewood.instrument.registry import Entry
 
 
-def list_installed(as_json: Json = False) -> None:
+def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None:
     """List installed instruments and plugins with the packages they come from."""
     from tonewood import __version__
     from tonewood.instrument import registry
@@ -22,7 +22,7 @@ def list_installed(as_json: Json = False) -> None:
     instruments: list[dict[str, str]] = []
     for name, entry in registry.entries(registry.INSTRUMENTS).items():
         try:
-            found = Instrument.load(name)
+            found = Instrument.load(name, allow_code=allow_code)
         except TonewoodError as fault:
             instruments.append({**_owner(entry), "broken": str(fault)})
             continue
@@ -56,7 +56,7 @@ def list_installed(as_json: Json = False) -> None:
 
 
 def _line(row: dict[str, str]) -> str:
-    """What a broken one is listed as; nothing for one that can be used."""
+    """Line of an instrument or plugin that cannot be used; empty for any other."""
     return f"  {row['name']:<20} broken: {row['broken']}" if "broken" in row else ""
 
 

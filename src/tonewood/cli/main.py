@@ -7,36 +7,11 @@ import sys
 from contextlib import suppress
 from typing import NoReturn
 
+from tonewood.cli.commands import InterruptError, ReaderGoneError
 from tonewood.errors import TonewoodError
-
-#: command -> module and function
-COMMANDS = {
-    "render": "render:render",
-    "play": "play:play",
-    "list": "listing:list_installed",
-    "plan": "plan:plan",
-    "check": "check:check",
-    "modes": "modes:modes",
-    "schema": "schema:schema",
-    "batch": "batch:batch",
-    "results": "results:results",
-    "validate": "validate:validate",
-    "accuracy": "accuracy:accuracy",
-}
 
 #: exit code, as shells have it
 _INTERRUPTED = 130
-
-
-class InterruptError(Exception):
-    """Ctrl-C inside a command: typer would turn a KeyboardInterrupt into an exit code without a word.
-
-    Its text says what is left behind.
-    """
-
-
-class ReaderGoneError(Exception):
-    """Nobody reads standard output any more, as behind ``| head``; typer would make an exit code of that, too."""
 
 
 def run(arguments: list[str] | None = None) -> None:
@@ -46,7 +21,7 @@ def run(arguments: list[str] | None = None) -> None:
         if getattr(sys, name) is None:  # closed by whoever called
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115  # as long as the process
     try:
-        # within the reach of Ctrl-C, as it takes a while
+        # imported here, so that Ctrl-C meanwhile is caught
         from tonewood.cli.app import ABORTED, ClickError, application
 
         try:
@@ -56,7 +31,7 @@ def run(arguments: list[str] | None = None) -> None:
             _fail(" ".join(message.split()), 2)
         except ABORTED:
             raise InterruptError from None
-        if code == _INTERRUPTED:  # what typer makes of a Ctrl-C before the command has begun
+        if code == _INTERRUPTED:  # exit code of typer for a Ctrl-C before the command has begun
             raise InterruptError
     except TonewoodError as error:
         _fail(str(error), error.exit_code)
@@ -77,12 +52,12 @@ def run(arguments: list[str] | None = None) -> None:
 
 
 def _no_more_output() -> None:
-    """What still waits to be written goes nowhere, instead of failing again when the interpreter ends."""
+    """Redirect standard output to nowhere: the rest of its buffer would fail again when the interpreter ends."""
     with suppress(OSError, ValueError):  # no file at all, as in tests
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _fail(line: str, code: int) -> NoReturn:
-    with suppress(OSError):  # nowhere to say it
+    with suppress(OSError):  # stderr cannot be written to
         print(f"tonewood: {line}", file=sys.stderr)
     sys.exit(code)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import Json, Overrides, allow_rate, load, need
+from tonewood.cli.common import AllowCode, Json, Overrides, load, need
+from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
 from tonewood.whole_files import whole_file
@@ -30,6 +31,7 @@ def modes(
         Path | None, typer.Option(help="write the bridge mobility to this picture (.png, .pdf, .svg)")
     ] = None,
     settings: Overrides = None,
+    allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
     """List the coupled modes of INSTRUMENT's strings: frequency, cents from the harmonic, T60, wolf notes."""
@@ -37,8 +39,8 @@ def modes(
     from tonewood.instrument.assembly import assemble
     from tonewood.instrument.inspection import mobility_peaks, partials, pitches
 
-    allow_rate(fs)
-    bundle = load(instrument, settings)
+    render_options({"fs": fs})
+    bundle = load(instrument, settings, allow_code)
     model = assemble(bundle, fs)
     if string is not None and string not in model.strings:
         raise TonewoodError(f"there is no string {string!r}; there are {', '.join(model.strings)}", key="--string")
@@ -103,7 +105,7 @@ def _finite(value: float) -> float | None:
 
 
 def _plot(model: Model, names: list[str], path: Path) -> None:
-    """Mobility of the body at each string's end, strings away."""
+    """Plot the mobility of the body at each string's end, without strings."""
     import matplotlib as mpl
     import numpy as np
 

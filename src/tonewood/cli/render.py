@@ -12,22 +12,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tonewood.cli.common import (
-    BudgetCents,
-    BudgetDb,
-    EffectsChoice,
+    AllowCode,
     InstrumentName,
     Json,
     Overrides,
     ScorePath,
     allow,
-    chosen_effects,
     drops_told,
     load,
     progress,
     warn,
     warn_of_dropped,
 )
+from tonewood.cli.options import takes_render_options
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.output.options import RenderOptions
 from tonewood.units import decibel
 
 if TYPE_CHECKING:
@@ -38,30 +37,18 @@ if TYPE_CHECKING:
     from tonewood.output.render import Renderer, Summary
 
 
+@takes_render_options(without=["energy"])
 def render(
     score: ScorePath,
     instrument: InstrumentName,
     output: Annotated[Path, typer.Option("-o", "--output", help="sound file: .wav, .flac or .rf64")],
-    fs: Annotated[int, typer.Option(help="sampling rate, Hz")] = 48000,
+    options: RenderOptions,
     block: Annotated[int, typer.Option(help="frames written at a time; does not change the samples")] = 4096,
     subtype: Annotated[str, typer.Option(help="PCM_16, PCM_24, PCM_32, FLOAT or DOUBLE")] = "PCM_24",
-    accuracy: Annotated[str, typer.Option(help="draft, standard or reference; see docs/accuracy.md")] = "standard",
-    tail: Annotated[float, typer.Option(help="longest ring after the last event, s")] = 10.0,
-    tail_level: Annotated[float, typer.Option(help="the ring has ended this far below the peak, dB")] = -60.0,
-    max_duration: Annotated[float | None, typer.Option(help="hard end, s")] = None,
-    gain: Annotated[float, typer.Option(help="dB")] = 0.0,
     normalize: Annotated[float | None, typer.Option(help="scale the whole to this peak, dB re full scale")] = None,
     limiter: Annotated[
         bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS by a look-ahead limiter")
     ] = False,
-    outputs: Annotated[str | None, typer.Option(help="output groups, comma-separated; default: the first")] = None,
-    channel_per_string: Annotated[bool, typer.Option(help="MIDI channel 1 plays the first string, and so on")] = False,
-    lead_in: Annotated[
-        str, typer.Option(metavar="SECONDS|auto", help="sound kept from before score time 0; auto: all there is")
-    ] = "0",
-    effects: EffectsChoice = None,
-    budget_db: BudgetDb = None,
-    budget_cents: BudgetCents = None,
     energy: Annotated[
         list[Path] | None,
         typer.Option(
@@ -70,6 +57,7 @@ def render(
         ),
     ] = None,
     settings: Overrides = None,
+    allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
     """Render SCORE on an instrument to a sound file."""
@@ -77,15 +65,11 @@ def render(
     from tonewood.output.audio import file_format
     from tonewood.output.energy import check_energy_file, save_energy
     from tonewood.output.limiter import Limiter
-    from tonewood.output.render import Renderer, Tail
+    from tonewood.output.render import Renderer
     from tonewood.score.midi import read_midi
 
+    fs = options.fs
     file_format(output, subtype)
-    allow("--tail", tail, 0.0, 3600.0, "s")
-    allow("--tail-level", tail_level, -300.0, -1.0, "dB")
-    if max_duration is not None:
-        allow("--max-duration", max_duration, 1e-3, 86400.0, "s")
-    allow("--gain", gain, -200.0, 200.0, "dB")
     allow("--block", block, 1, 1 << 24, "frames")
     if normalize is not None:
         allow("--normalize", normalize, -200.0, 0.0, "dB")
@@ -93,27 +77,9 @@ def render(
             raise TonewoodError("a normalized sound has no peaks to limit; one of both is allowed", key="--limiter")
     for path in energy or ():
         check_energy_file(path)
-    lead = lead_in if lead_in == "auto" else _seconds(lead_in)
-    wanted = chosen_effects(effects, budget_db, budget_cents)
-    groups = [name.strip() for name in outputs.split(",")] if outputs else None
-    bundle = load(instrument, settings)
+    bundle = load(instrument, settings, allow_code)
     with drops_told():
-        renderer = Renderer(
-            read_midi(score),
-            bundle,
-            fs,
-            accuracy=accuracy,
-            outputs=groups,
-            tail=Tail(level_db=tail_level, cap=tail),
-            max_duration=max_duration,
-            gain_db=gain,
-            channel_per_string=channel_per_string,
-            lead_in=lead,
-            effects=wanted,
-            budget_db=budget_db,
-            budget_cents=budget_cents,
-            energy=bool(energy),
-        )
+        renderer = Renderer(read_midi(score), bundle, options=options.at(energy=bool(energy)))
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
     clipped, peak = _write(renderer, output, subtype, block, normalize, hold)
@@ -157,14 +123,6 @@ def render(
         )
 
 
-def _seconds(text: str) -> float:
-    """``--lead-in``; raises TonewoodError for anything but a number or auto."""
-    try:
-        return float(text)
-    except ValueError:
-        raise TonewoodError(f"is {text!r}; auto or a number of seconds is allowed", key="--lead-in") from None
-
-
 def _write(
     renderer: Renderer, output: Path, subtype: str, block: int, normalize: float | None, limiter: Limiter | None
 ) -> tuple[int, float]:
@@ -175,7 +133,7 @@ def _write(
     clipped, peak : samples beyond full scale, and the largest one, of what was written.
     """
     from tonewood.output.audio import SoundWriter
-    from tonewood.whole_files import Part
+    from tonewood.whole_files import AtomicFile
 
     channels, fs = len(renderer.channels), renderer.fs
     frames = math.ceil(renderer.expected_duration * fs)
@@ -189,7 +147,7 @@ def _write(
             return writer.clipped, writer.peak
         import soundfile as sf
 
-        scratch = Part(output.with_suffix(".rf64"))
+        scratch = AtomicFile(output.with_suffix(".rf64"))
         try:
             with SoundWriter(scratch.path, fs, channels, "DOUBLE", frames=frames) as writer:
                 for samples in renderer.blocks(block):
@@ -210,7 +168,7 @@ def _write(
 
 
 def _told(summary: Summary) -> list[str]:
-    """One line per effect that did not simply run all the time."""
+    """Lines of effects that did not run all the time, one each."""
     lines = []
     by_name: dict[str, list[EffectReport]] = {}
     for effect in summary.effects:
@@ -228,7 +186,7 @@ def _told(summary: Summary) -> list[str]:
 
 
 def _bounds(reports: Sequence[EffectReport]) -> Iterator[tuple[list[float], str]]:
-    """Bounds of one effect that were used and not for nothing, of each unit."""
+    """Bounds of one effect other than 0, of each unit."""
     for values, unit in (([r.bound for r in reports], reports[0].unit), ([r.bound_db for r in reports], "dB")):
         used = [value for value in values if value is not None and value != 0.0]
         if used:

@@ -1,1 +1,1 @@
-"""How components act on one another: connections, their laws, rising tension, and the system they make."""
+"""Coupling of components: connections, their laws, tension modulation, and the system of all."""

@@ -1,4 +1,4 @@
-"""How components are held together: connections, their laws, and the linear solve that gives their forces.
+"""Connections between components, their laws, and the linear solve for their forces.
 
 A connection acts on a gap g = sum_i a_i y_i over points of components and pulls on every one of them with a_i f, so
 that its power is f g'. Over a step of length h each linear law reads
@@ -31,6 +31,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import scipy.linalg as sla
@@ -77,13 +78,31 @@ Law = Rigid | SpringDashpot | NonlinearLaw
 FORGETTING = 4e3
 
 
+#: what a connection is for in an instrument: the joint of a string's end to the body, the dashpot of the finger that
+#: holds a string while it is plucked, or something that an attachment or exciter adds; empty outside of instruments
+Role = Literal["", "bridge", "hold", "attached"]
+
+
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """A law acting on a gap."""
+    """A law acting on a gap.
+
+    Attributes
+    ----------
+    name : unique in its system.
+    terms : shares of points in the gap.
+    law : of the force.
+    role : what it is for; set by the assembly of an instrument, like the next two.
+    owner : string that it belongs to.
+    part : key of the attachment or exciter that adds it; empty for the other roles.
+    """
 
     name: str
     terms: tuple[Term, ...]
     law: Law = Rigid()
+    role: Role = ""
+    owner: str = ""
+    part: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +180,7 @@ class LinearLaws:
         return cls(off, off, none, none, none).changed(dict(enumerate(laws)), dt)
 
     def changed(self, laws: Mapping[int, Law], dt: float) -> LinearLaws:
-        """The same with other laws at some places."""
+        """These laws with others at some places."""
         new = LinearLaws(
             self.rigid.copy(), self.active.copy(), self.softness.copy(), self.gamma.copy(), self.offset.copy()
         )
@@ -219,7 +238,7 @@ class NonlinearLaws:
         return np.array([isinstance(law, Contact) for law in self.laws], dtype=bool)
 
     def changed(self, laws: Mapping[int, Law], dt: float) -> NonlinearLaws:
-        """The same with other laws at some places; itself if none of these is or was one of them."""
+        """These laws with others at some places; itself if no nonlinear law is concerned."""
         known = dict(zip(self.index.tolist(), self.laws, strict=True))
         if not any(j in known or not isinstance(law, (Rigid, SpringDashpot)) for j, law in laws.items()):
             return self
@@ -230,7 +249,7 @@ class NonlinearLaws:
 
 @dataclass(frozen=True, eq=False)
 class NonlinearGaps:
-    """What the gaps of nonlinear laws give way by while the linear connections carry no force.
+    """Compliance at the gaps of nonlinear laws while the linear connections carry no force.
 
     Residual compliance between a nonlinear and a linear gap is left out: what stays is positive semi-definite.
 
@@ -251,7 +270,7 @@ class NonlinearGaps:
 
     @classmethod
     def of(cls, laws: NonlinearLaws, compliance: Floats, residual: Floats) -> NonlinearGaps:
-        """Take them out of what all gaps give way by; shapes as in `linear_solve`."""
+        """Select them from the compliance of all gaps; shapes as in `linear_solve`."""
         on, among = laws.index, np.ix_(laws.index, laws.index)
         yields = np.array([law.residual for law in laws.laws], dtype=bool)
         R = residual[among] * np.outer(yields, yields)
@@ -260,12 +279,12 @@ class NonlinearGaps:
 
 @dataclass(frozen=True, eq=False)
 class NonlinearSolve:
-    """What the k nonlinear connections of a system see once the linear ones are eliminated.
+    """The k nonlinear connections of a system after the linear ones are eliminated.
 
     Attributes
     ----------
-    gaps : what they see without these.
-    linear : these.
+    gaps : compliance of the nonlinear gaps without the linear connections.
+    linear : elimination of the linear connections.
     """
 
     gaps: NonlinearGaps

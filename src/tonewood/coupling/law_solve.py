@@ -154,8 +154,8 @@ def _halve(grip: Grip, solve: Callable[[], object]) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Drives:
-    """Where the partners of nonlinear laws are over one step.
+class Partners:
+    """Prescribed motion of the partners of nonlinear laws over one step.
 
     Attributes
     ----------
@@ -180,7 +180,7 @@ class Solution:
 
 
 def find_forces(
-    laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, drives: Drives, guess: Floats,
+    laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, partners: Partners, guess: Floats,
     grips: Mapping[int, Grip], *, careful: bool = False,
 ) -> Solution:  # fmt: skip
     """Find the forces of all laws over one step.
@@ -199,20 +199,20 @@ def find_forces(
     f, iterations, converged = guess.copy(), 0, True
     sliding = list(grips)
     careful = careful and bool(sliding) and len(laws) > 1
-    old = (drives.offset - gap)[stored]
-    noise = ROUNDING * float(np.max(np.abs([free, gap, drives.offset_after]), initial=0.0))
+    old = (partners.offset - gap)[stored]
+    noise = ROUNDING * float(np.max(np.abs([free, gap, partners.offset_after]), initial=0.0))
     for _sweep in range(FEW_SWEEPS if careful else MAX_SWEEPS):
         before = f.copy()
         for j, grip in grips.items():
-            without = (free[j] + Z[j] @ f - Z[j, j] * f[j] - gap[j]) / dt - drives.velocity[j]
+            without = (free[j] + Z[j] @ f - Z[j, j] * f[j] - gap[j]) / dt - partners.velocity[j]
             grip.meet(float(without), float(Z[j, j]) / dt)
             f[j] = grip.force
         if stored.size:
-            rest = drives.offset_after - free
+            rest = partners.offset_after - free
             if sliding:
                 rest = rest - Z[:, sliding] @ f[sliding]
             f[stored], count, converged = newton(
-                potentials, Z[np.ix_(stored, stored)], rest[stored], old, dt, drives.scale[stored], f[stored], noise
+                potentials, Z[np.ix_(stored, stored)], rest[stored], old, dt, partners.scale[stored], f[stored], noise
             )
             iterations += count
         if not sliding or len(laws) == 1 or not converged:
@@ -223,15 +223,15 @@ def find_forces(
     else:
         converged = False
     if careful and not converged:
-        return _find_friction(laws, Z, free, gap, dt, drives, f, grips, stored, noise)
+        return _find_friction(laws, Z, free, gap, dt, partners, f, grips, stored, noise)
     return Solution(f, iterations, converged)
 
 
 def _find_friction(
-    laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, drives: Drives, guess: Floats,
+    laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, partners: Partners, guess: Floats,
     grips: Mapping[int, Grip], stored: NDArray[np.intp], noise: float,
 ) -> Solution:  # fmt: skip
-    """The same by damped Newton's method on the friction forces, on their branches; contacts are found for each.
+    """Find the forces by damped Newton iterations on the friction forces, on their branches, with contacts for each.
 
     What is wrong with a friction force is what `Grip.meet` makes of the motion, less that force; it answers a change of
     friction forces through the compliance that contacts leave, at their slopes.
@@ -241,7 +241,7 @@ def _find_friction(
     potentials = [laws[j] for j in stored]
     sliding = np.array(list(grips), dtype=np.intp)
     own = Z[sliding, sliding] / dt
-    old, scale = (drives.offset - gap)[stored], drives.scale[stored]
+    old, scale = (partners.offset - gap)[stored], partners.scale[stored]
     iterations = 0
 
     def wrong(f: Floats) -> tuple[Floats, bool]:
@@ -249,12 +249,12 @@ def _find_friction(
         nonlocal iterations
         found = True
         if stored.size:
-            rest = (drives.offset_after - free - Z[:, sliding] @ f[sliding])[stored]
+            rest = (partners.offset_after - free - Z[:, sliding] @ f[sliding])[stored]
             f[stored], count, found = newton(
                 potentials, Z[np.ix_(stored, stored)], rest, old, dt, scale, f[stored], noise
             )  # fmt: skip
             iterations += count
-        without = (free + Z @ f - gap)[sliding] / dt - own * f[sliding] - drives.velocity[sliding]
+        without = (free + Z @ f - gap)[sliding] / dt - own * f[sliding] - partners.velocity[sliding]
         for grip, v, mobility in zip(grips.values(), without, own, strict=True):
             grip.meet(float(v), float(mobility))
         return own * (np.array([grip.force for grip in grips.values()]) - f[sliding]), found
@@ -265,7 +265,7 @@ def _find_friction(
         made = float(np.abs(Z @ f).max())
         if found and float(np.abs(r).max()) * dt <= TOLERANCE * made + noise:
             return Solution(f, iterations, True)
-        p = (drives.offset_after - free - Z @ f)[stored]
+        p = (partners.offset_after - free - Z @ f)[stored]
         slope = np.array([law.force(float(a), float(b), dt)[1] for law, a, b in zip(potentials, p, old, strict=True)])
         root = np.sqrt(slope * scale)
         inner = np.eye(len(stored)) + root[:, None] * Z[np.ix_(stored, stored)] * root
@@ -288,13 +288,13 @@ def _find_friction(
 
 
 def stiffness(
-    laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, drives: Drives, forces: Floats,
+    laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, partners: Partners, forces: Floats,
     grips: Mapping[int, Grip],
 ) -> Floats:  # fmt: skip
     """(k, k) N/m: what the forces found gain per gap that closes without them; arguments as of `find_forces`."""
     import scipy.linalg as sla
 
-    p, old = drives.offset_after - free - Z @ forces, drives.offset - gap
+    p, old = partners.offset_after - free - Z @ forces, partners.offset - gap
     left, right = np.eye(len(laws)), np.zeros((len(laws),) * 2)
     for j, law in enumerate(laws):
         if isinstance(law, Friction):
@@ -306,7 +306,7 @@ def stiffness(
             falls = (law.static - law.dynamic) * law.speed / (law.speed + abs(grip.velocity)) ** 2
             slope = -law.normal_force * grip.scale * falls / dt
         else:
-            slope = law.force(float(p[j]), float(old[j]), dt)[1] * drives.scale[j]
+            slope = law.force(float(p[j]), float(old[j]), dt)[1] * partners.scale[j]
         left[j] += slope * Z[j]
         right[j, j] = slope
     return np.asarray(sla.lstsq(left, right)[0])

@@ -32,7 +32,7 @@ GAUSS = tuple((float(x), float(w)) for x, w in zip(*np.polynomial.legendre.legga
 
 
 class PotentialLaw(Protocol):
-    """What the steppers ask of a law with a potential."""
+    """Interface of a law with a potential."""
 
     @property
     def offset(self) -> float:

@@ -1,9 +1,9 @@
-"""How components, connections and readouts hang together: what other bases and other laws leave as it is."""
+"""Layout of a system: the data of components, connections and readouts that no basis and no law changes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -64,6 +64,7 @@ class Layout:
     capacities : modes that the state has room for, one per component.
     connections : of which only names and terms are looked at.
     readouts, drives : as in `System`.
+    owners : component -> string that it belongs to; the body and microphones have none.
     """
 
     names: tuple[str, ...]
@@ -71,6 +72,7 @@ class Layout:
     connections: tuple[Connection, ...]
     readouts: tuple[Readout, ...]
     drives: tuple[Drive, ...]
+    owners: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def slots(self) -> Mapping[str, int]:
@@ -140,6 +142,6 @@ class Layout:
 
     @cached_property
     def _entries(self) -> Places:
-        """Where the entries of all components' gap matrices belong."""
+        """Flat indices of the entries of all components' gap matrices."""
         m = len(self.connections)
         return np.concatenate([np.zeros(0, dtype=np.intp), *((on[:, None] * m + on).ravel() for on in self.gaps)])

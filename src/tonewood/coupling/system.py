@@ -1,6 +1,6 @@
 """A set of components, connections and readouts, compiled to the plain arrays that a stepper needs.
 
-The arrays are the model: immutable, and shared by the C++ kernel and its NumPy twin. What moves is `State`.
+The arrays are the model: immutable, and shared by the C++ kernel and its NumPy twin. `State` is the rest.
 A component can be exchanged for another basis of itself (another stop, fewer modes): only its own arrays and the
 small matrix of `connections.linear_solve` change.
 """
@@ -8,26 +8,20 @@ small matrix of `connections.linear_solve` change.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import (
-    Connection,
-    LinearLaws,
-    LinearSolve,
-    NonlinearGaps,
-    NonlinearLaws,
-    NonlinearSolve,
-)
-from tonewood.coupling.geometric import GeometricPart, GeometricStretch
+from tonewood.coupling.compiled import BLOCK_SIZE, PADDING, Compiled, Control, Injection, State
+from tonewood.coupling.connections import Connection, LinearSolve, NonlinearSolve
+from tonewood.coupling.elimination import Elimination, GapCompliance
+from tonewood.coupling.geometric import GeometricStretch
 from tonewood.coupling.laws import Friction
 from tonewood.coupling.layout import Drive, Layout, Probe, Readout
-from tonewood.coupling.tension import TensionModulation, TensionPart
+from tonewood.coupling.tension import TensionModulation
 from tonewood.modal.modes import ModalBasis
-from tonewood.modal.propagator import RealForm, apply, flow, impulse_series, powers, real_form
+from tonewood.modal.propagator import apply, flow, powers, real_form
 
 __all__ = [
     "BLOCK_SIZE",
@@ -43,243 +37,6 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-
-#: samples that the kernel steps at a time: the reach of `Compiled.history`
-BLOCK_SIZE = 16
-#: modes of a component are padded to a multiple of this in the state
-PADDING = 16
-
-
-@dataclass(frozen=True, eq=False)
-class Compiled:
-    """One component ready to be stepped by dt.
-
-    Attributes
-    ----------
-    basis : the modes.
-    dt : s, step.
-    form : their real 2 x 2 blocks.
-    ports : (n_ports,) rows of `basis.points` that connections act on, in order of their names.
-    E : (n_modes, 2, 2) propagator of one step.
-    W : (n_ports, n_modes, 2) state added by a unit force held over one step.
-    rows : (n_rows, n_modes, 2) displacement rows of the ports, then the readouts' rows.
-    history : (BLOCK_SIZE, n_ports, n_rows) response of every row k steps after a unit force held over one step;
-        history[0, :, :n_ports] is the port compliance Z.
-    readouts : (n_rows - n_ports,) channel that each further row adds to.
-    difference : (n_rows - n_ports,) whether the row is read as (y(t + h) - y(t)) / h.
-    gaps : (g,) connections that its ports have a share in; none for a driven component.
-    shares : (g, n_ports) these shares.
-    compliance, residual : (g, g) m/N, its share of these gaps' compliance over one step, and of their residual
-        compliance.
-    tension : its share of a tension, if it belongs to one.
-    geometric : its share of a string whose longitudinal motion is stepped, likewise.
-    """
-
-    basis: ModalBasis
-    dt: float
-    form: RealForm
-    ports: NDArray[np.intp]
-    E: Floats
-    W: Floats
-    rows: Floats
-    history: Floats
-    readouts: NDArray[np.intp]
-    difference: NDArray[np.bool_]
-    gaps: NDArray[np.intp]
-    shares: Floats
-    compliance: Floats
-    residual: Floats
-    tension: TensionPart | None = None
-    geometric: GeometricPart | None = None
-    _impulses: dict[str, Floats] = field(init=False, repr=False, default_factory=dict)
-
-    def impulses(self, point: str) -> Floats:
-        """`propagator.impulse_series` of a named point, kept for use again."""
-        if point not in self._impulses:
-            self._impulses[point] = impulse_series(self.basis, self.form, self.basis.index(point), self.dt)
-        return self._impulses[point]
-
-    @cached_property
-    def gap_velocity(self) -> Floats:
-        """(g, 2 n_modes) what its modes' numbers, (2, n_modes), add to the velocities of its gaps."""
-        rows = self.form.rows("velocity", self.ports).swapaxes(1, 2)
-        return np.asarray(self.shares @ rows.reshape(len(self.ports), 2 * self.basis.n_modes))
-
-    @cached_property
-    def gap_push(self) -> Floats:
-        """(g, 2 n_modes) what an impulse of 1 N s across each gap adds to these numbers."""
-        B = self.form.B[self.ports].swapaxes(1, 2)
-        return np.asarray(self.shares @ B.reshape(len(self.ports), 2 * self.basis.n_modes))
-
-    @cached_property
-    def gap_mobility(self) -> Floats:
-        """(g, g) m/s of each gap (first index) per impulse of 1 N s across another."""
-        return np.asarray(self.gap_velocity @ self.gap_push.T)
-
-
-@dataclass(eq=False)
-class State:
-    """All that moves: plain arrays, owned by whoever steps.
-
-    Attributes
-    ----------
-    modes : (2, capacity) the two numbers of every mode, component after component, padded.
-    forces : (m,) N, connection forces of the step before.
-    sample : steps taken since time 0.
-    series : (m,) m, displacement of the residual compliance in series with nonlinear connections; empty is rest.
-    slip : (m,) m/s, relative velocity of friction connections over the step before, 0 when sticking; empty is rest.
-    tension : (n_tensions, 3) N, mean additional tension of the last three steps, latest first; empty is rest.
-    """
-
-    modes: Floats
-    forces: Floats
-    sample: int = 0
-    series: Floats = field(default_factory=lambda: np.zeros(0))
-    slip: Floats = field(default_factory=lambda: np.zeros(0))
-    tension: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-
-    def copy(self) -> State:
-        """Return an independent copy."""
-        return State(
-            self.modes.copy(),
-            self.forces.copy(),
-            self.sample,
-            self.series.copy(),
-            self.slip.copy(),
-            self.tension.copy(),
-        )
-
-    def restore(self, other: State) -> None:
-        """Take over all of another state."""
-        self.modes[:], self.forces[:], self.sample = other.modes, other.forces, other.sample
-        self.series, self.slip, self.tension = other.series.copy(), other.slip.copy(), other.tension.copy()
-
-
-@dataclass(frozen=True, eq=False)
-class Injection:
-    """A known force, compiled: x_u(n) += sum_k vectors[k] values[k, n - start] for the modes of one component.
-
-    Attributes
-    ----------
-    component : its name.
-    start : absolute sample of the first step it acts in.
-    vectors : (n_vectors, n_modes, 2).
-    values : (n_vectors, n_steps).
-    """
-
-    component: str
-    start: int
-    vectors: Floats
-    values: Floats
-
-    @property
-    def stop(self) -> int:
-        """Absolute sample after the last step it acts in."""
-        return self.start + int(self.values.shape[1])
-
-
-@dataclass(frozen=True, eq=False)
-class Control:
-    """Moves or scales a nonlinear connection's partner sample by sample, in place of its law's constants.
-
-    What it does to the partner is work from outside: only f (g+ - g) is balanced by the law.
-
-    Attributes
-    ----------
-    connection : its name.
-    start : absolute sample of the first step it acts in.
-    offset : (n_steps + 1,) m, gap of zero compression at the beginning of each step and the end of the last.
-    velocity : (n_steps,) m/s, of the partner in a `Friction`, mean over each step.
-    scale : (n_steps,) factor, not negative, on the force of the law: a bow's pressure, a finger's weight.
-    """
-
-    connection: str
-    start: int
-    offset: Floats | None = None
-    velocity: Floats | None = None
-    scale: Floats | None = None
-
-    def __post_init__(self) -> None:
-        lengths = {len(a) for a in (self.velocity, self.scale) if a is not None}
-        lengths |= {len(self.offset) - 1} if self.offset is not None else set()
-        if len(lengths) != 1 or min(lengths) < 0:
-            raise ValueError(f"a control of {self.connection!r} needs arrays of one number of steps")
-        if self.scale is not None and not np.all(self.scale >= 0.0):
-            raise ValueError(f"a control of {self.connection!r} has a negative scale")
-
-    @property
-    def stop(self) -> int:
-        """Absolute sample after the last step it acts in."""
-        for array, extra in ((self.velocity, 0), (self.scale, 0), (self.offset, 1)):
-            if array is not None:
-                return self.start + len(array) - extra
-        return self.start
-
-
-@dataclass(frozen=True, eq=False)
-class GapCompliance:
-    """What all components together give way by, as the gaps of the connections see it; summed when first wanted."""
-
-    compiled: tuple[Compiled, ...]
-    layout: Layout
-    _seen: dict[NonlinearLaws, NonlinearGaps] = field(init=False, repr=False, default_factory=dict)
-
-    @cached_property
-    def compliance(self) -> Floats:
-        """(m, m) m/N, over one step."""
-        return self.layout.gathered([c.compliance for c in self.compiled])
-
-    @cached_property
-    def residual(self) -> Floats:
-        """(m, m) m/N, residual compliance."""
-        return self.layout.gathered([c.residual for c in self.compiled])
-
-    def seen_by(self, laws: NonlinearLaws) -> NonlinearGaps:
-        """What the gaps of nonlinear laws give way by; kept, as linear laws change more often than these."""
-        if laws not in self._seen:
-            self._seen[laws] = NonlinearGaps.of(laws, self.compliance, self.residual)
-        return self._seen[laws]
-
-
-@dataclass(frozen=True, eq=False)
-class Elimination:
-    """Connections' forces under the compliance of what they join; solved for when first wanted."""
-
-    connections: tuple[Connection, ...]
-    linear: LinearLaws
-    others: NonlinearLaws
-    gap: GapCompliance
-    dt: float
-
-    @classmethod
-    def of(cls, connections: tuple[Connection, ...], gap: GapCompliance, dt: float) -> Elimination:
-        """Of connections as they are, for a step of dt (s)."""
-        laws = [c.law for c in connections]
-        return cls(connections, LinearLaws.of(laws, dt), NonlinearLaws.of(laws, dt), gap, dt)
-
-    def with_gap(self, gap: GapCompliance) -> Elimination:
-        """The same connections between other components."""
-        return Elimination(self.connections, self.linear, self.others, gap, self.dt)
-
-    def with_laws(self, laws: Mapping[int, Connection]) -> Elimination:
-        """Other laws of connections at some places."""
-        connections, new = list(self.connections), {j: connection.law for j, connection in laws.items()}
-        for j, connection in laws.items():
-            if connection.terms != connections[j].terms:
-                raise ValueError("a connection's terms cannot change, only its law")
-            connections[j] = connection
-        linear, others = self.linear.changed(new, self.dt), self.others.changed(new, self.dt)
-        return Elimination(tuple(connections), linear, others, self.gap, self.dt)
-
-    @cached_property
-    def solve(self) -> LinearSolve:
-        """Of the linear connections."""
-        return self.linear.solve(self.gap.compliance, self.gap.residual)
-
-    @cached_property
-    def nonlinear(self) -> NonlinearSolve | None:
-        """Of the others, if there are any."""
-        return NonlinearSolve(self.gap.seen_by(self.others), self.solve) if self.others.laws else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,6 +75,7 @@ class System:
         capacities: Mapping[str, int] | None = None,
         tensions: Sequence[TensionModulation] = (),
         geometric: Sequence[GeometricStretch] = (),
+        owners: Mapping[str, str] | None = None,
     ) -> System:
         """Compile.
 
@@ -327,6 +85,7 @@ class System:
         capacities : name -> modes to leave room for, where a component may later take a larger basis.
         tensions : strings whose tension rises with their amplitude; all are on.
         geometric : strings whose longitudinal motion is coupled to the transverse one; all are on.
+        owners : component -> string that it belongs to, of those that belong to one.
 
         Raises
         ------
@@ -360,7 +119,7 @@ class System:
             raise ValueError(f"{both}: where a string moves along itself, all rising tensions go into `geometric`")
         names, joined = tuple(components), tuple(connections)
         room = tuple(_padded(max(components[n].n_modes, (capacities or {}).get(n, 0))) for n in names)
-        layout = Layout(names, room, joined, tuple(readouts), tuple(drives))
+        layout = Layout(names, room, joined, tuple(readouts), tuple(drives), dict(owners or {}))
         system = cls(
             dt=dt,
             layout=layout,
@@ -385,7 +144,7 @@ class System:
 
     @property
     def readouts(self) -> tuple[Readout, ...]:
-        """What is read, one channel each."""
+        """Readouts, one channel each."""
         return self.layout.readouts
 
     @property
@@ -400,7 +159,7 @@ class System:
 
     @property
     def nonlinear(self) -> NonlinearSolve | None:
-        """What nonlinear connections see; None if there are none."""
+        """Elimination for the nonlinear connections; None if there are none."""
         return self.elimination.nonlinear
 
     def ports_of(self, name: str) -> list[str]:
@@ -505,6 +264,11 @@ class System:
     def driven(self) -> tuple[bool, ...]:
         """Which components are driven one way."""
         return self.layout.driven
+
+    @property
+    def owners(self) -> Mapping[str, str]:
+        """Component -> string that it belongs to, of those that belong to one."""
+        return self.layout.owners
 
     def slot(self, name: str) -> int:
         """Index of a component."""

@@ -67,7 +67,7 @@ class TensionModulation:
         if not self.components or (self.length is not None and not self.length > 0.0):
             raise ValueError(f"{self.name}: a tension needs components and a length above 0")
 
-    def part(self, component: str, basis: ModalBasis, dt: float, held: Floats) -> TensionPart:
+    def part(self, component: str, basis: ModalBasis, dt: float, held: Floats) -> TensionShare:
         """Arrays of one component.
 
         Parameters
@@ -94,11 +94,11 @@ class TensionModulation:
         length = self.length if self.length is not None else cast(float, basis.metadata.get("length", 0.0))
         if not length > 0.0:
             raise ValueError(f"{self.name}: {component} does not tell its length")
-        return TensionPart(weights, np.where(pair, 2.0, 1.0), apply(held, kick), self.axial_stiffness / (4 * length))
+        return TensionShare(weights, np.where(pair, 2.0, 1.0), apply(held, kick), self.axial_stiffness / (4 * length))
 
 
 @dataclass(frozen=True, eq=False)
-class TensionPart:
+class TensionShare:
     """One component's share of a tension.
 
     Attributes

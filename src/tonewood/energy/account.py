@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.geometric import GeometricSolve
+from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.system import Compiled, Control, Injection, State, System
 from tonewood.energy.forms import ComponentEnergy
 from tonewood.energy.laws import LawEnergies

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.geometric import GeometricSolve
+from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.system import Injection, System
-from tonewood.coupling.tension import TensionPart
+from tonewood.coupling.tension import TensionShare
 from tonewood.errors import NumericalError
 
 Floats = NDArray[np.float64]
@@ -86,7 +86,7 @@ def step_again(
     return {name: path[:, spans[name]] for name in names}, pulls
 
 
-def _tension(parts: Sequence[tuple[TensionPart, Floats, Floats]], time: float) -> float:
+def _tension(parts: Sequence[tuple[TensionShare, Floats, Floats]], time: float) -> float:
     """Mean additional tension over one step of a string's polarizations: (part, before, free motion with forces)."""
     kappa = parts[0][0].kappa
     old = sum(part.stretch(before) for part, before, _ in parts)

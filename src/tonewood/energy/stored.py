@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.coupling.connections import Rigid, SpringDashpot, scaled_pinv
-from tonewood.coupling.geometric import GeometricSolve
+from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.laws import Friction
 from tonewood.coupling.system import State, System
 from tonewood.stepping.motion import to_motion

@@ -216,7 +216,7 @@ class Ledger:
                     saved = 0.0 if there else self.samples * effect.cost(modes[name]) * per_unit
                     add(effect, name, whole if there else 0.0, saved)
                 elif effect.name == "longitudinal":
-                    if string.along is None:
+                    if string.longitudinal is None:
                         add(effect, name, 0.0, self.samples * effect.cost(modes[name]) * per_unit)
                         continue
                     # what it takes besides stands with the rising tension, which comes and goes with it

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
-from tonewood.coupling.connections import Connection, Law, SpringDashpot
+from tonewood.coupling.connections import Law, SpringDashpot
 from tonewood.coupling.system import System
 from tonewood.engine.gestures import Active
 from tonewood.instrument.assembly import Model
@@ -50,9 +51,5 @@ class Surroundings:
 def _with_laws(system: System, wanted: Sequence[tuple[int, Law]]) -> System:
     """The system with these laws at these places; itself if they are there already."""
     now = system.connections
-    laws = {
-        now[j].name: Connection(now[j].name, now[j].terms, law)
-        for j, law in wanted
-        if law is not now[j].law and law != now[j].law
-    }
+    laws = {now[j].name: replace(now[j], law=law) for j, law in wanted if law is not now[j].law and law != now[j].law}
     return system.with_laws(laws) if laws else system

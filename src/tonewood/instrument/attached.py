@@ -1,13 +1,13 @@
-"""What touches strings besides the body: places on them, partners with masses of their own, and laws between them.
+"""Places, components and connections that attachments and exciters add to a string: plain data.
 
-Plain data, returned by the `attach` of connections and of exciters that react. Every name in it begins with the name
-of the string and of the part, ``STRING.PART.``, so that nothing clashes.
+The methods `attach` of both kinds of plugins return it. Every name in it begins with the names of the string and of the
+part, ``STRING.PART.``, so that names are unique.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A string as it is seen by what touches it, at one stop.
+    """Geometry of a string at one stop, for attachments and exciters.
 
     Attributes
     ----------
@@ -46,9 +46,9 @@ class Site:
         return tuple(Term(c, point, factor * share) for c, share in shares if abs(share) > 1e-12)
 
     def lowered(self, x: float, clearance: Callable[[float], float]) -> float:
-        """Room under the string x metres from the bridge when it is pressed down at its stop, m.
+        """Clearance under the string x metres from the bridge when it is pressed down at its stop, m.
 
-        `clearance` is that under the open string. The stopped string is straight from the bridge to where its stop
+        `clearance` is the one under the open string. The stopped string is straight from the bridge to where its stop
         lies: c(x) - c(l) x / l.
         """
         if self.length >= self.open_length:
@@ -58,7 +58,7 @@ class Site:
 
 @dataclass(frozen=True)
 class Attached:
-    """What a part adds to one string.
+    """Places, components and connections that a part adds to one string.
 
     Attributes
     ----------
@@ -67,8 +67,8 @@ class Attached:
     components : masses of its own.
     connections : between points of the string, of these components, and the ground. At every stop a part must return
         the same ones, in name and terms; their laws may differ.
-    inputs : name -> (component, point, factor), ...: where forces of a gesture enter that names it.
-    resting : connections that have no effect, and cost nothing, but while a gesture moves them.
+    inputs : name -> (component, point, factor), ...: points that the forces of a gesture act on which names the input.
+    resting : connections that act only while a gesture moves them, and cost nothing at other times.
     """
 
     places: Mapping[str, float] = field(default_factory=dict)
@@ -77,17 +77,22 @@ class Attached:
     inputs: Mapping[str, tuple[tuple[str, str, float], ...]] = field(default_factory=dict)
     resting: tuple[str, ...] = ()
 
+    def owned_by(self, string: str, part: str) -> Attached:
+        """Return the same with the string and the part named in every connection."""
+        marked = tuple(replace(c, role="attached", owner=string, part=part) for c in self.connections)
+        return replace(self, connections=marked)
+
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How a gesture moves the partner of a nonlinear connection.
+    """Motion of a nonlinear connection's partner in a gesture.
 
     Attributes
     ----------
     connection : as `Attached` names it.
     quantity : ``offset`` (m, gap of zero compression), ``velocity`` (m/s, of a friction's partner) or ``scale``
         (factor on the force, not negative).
-    segments : its course, s relative to the event, like pieces of force; before and after them it is 0.
+    segments : values over time, s relative to the event, like those of a force; 0 before and after them.
     """
 
     connection: str

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,11 +13,12 @@ from typing import Any
 
 from tonewood.errors import BundleError, PluginError, ScoreError
 from tonewood.instrument import registry
+from tonewood.instrument.bundle_code import code_hash, code_plugin, is_code
 from tonewood.instrument.contract import Attachment, Body, Exciter, Pickup, Plugin, Resonator
 from tonewood.instrument.directions import polarization_vectors
 from tonewood.instrument.files import Files
 from tonewood.instrument.overrides import apply_overrides
-from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance, StringPart
+from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance
 from tonewood.params import Vector, validated
 from tonewood.score.scales import Tuning, note_number, read_tuning
 from tonewood.yaml_io import load_yaml
@@ -25,19 +26,20 @@ from tonewood.yaml_io import load_yaml
 
 @dataclass(frozen=True, eq=False)
 class Instrument:
-    """A checked bundle with its plugins made. Immutable: `replace` makes another.
+    """A checked bundle with its plugins; immutable, `replace` makes another one.
 
     Attributes
     ----------
     folder : of the bundle.
     spec : every key of the bundle, defaults filled in.
-    body : the plugin the strings are joined to.
+    body : plugin of the body, to which the strings are joined.
     resonators : string -> its plugin.
     exciters : name -> plugin.
-    attachments : name -> plugin of what touches strings besides the body.
+    attachments : name -> plugin of frets, a curved bridge, loose parts.
     pickups : output group -> plugin.
-    resolved : the whole as plain values (JSON), plugins' defaults included; what `replace` works on.
+    resolved : all keys as plain values (JSON), plugins' defaults included; `replace` changes these.
     granted : files outside the folder that overrides have named.
+    allow_code : whether plugins in the bundle's folder may run.
     """
 
     folder: Path
@@ -49,14 +51,19 @@ class Instrument:
     pickups: Mapping[str, Pickup[Any]]
     resolved: Mapping[str, Any]
     granted: frozenset[Path] = frozenset()
+    allow_code: bool = False
 
     def __repr__(self) -> str:
         strings = ", ".join(self.resonators)
         return f"Instrument({self.name!r}, body {self.spec.body.plugin}, strings {strings})"
 
     @classmethod
-    def load(cls, name_or_path: str | os.PathLike[str]) -> Instrument:
+    def load(cls, name_or_path: str | os.PathLike[str], *, allow_code: bool = False) -> Instrument:
         """Load an installed instrument by name, or a folder with an ``instrument.yaml``.
+
+        Parameters
+        ----------
+        allow_code : run plugins that lie as Python files in the bundle's folder; without it such a bundle is refused.
 
         Raises
         ------
@@ -64,11 +71,16 @@ class Instrument:
         """
         folder = registry.instrument_folder(name_or_path)
         manifest = folder / registry.MANIFEST
-        return cls.from_values(load_yaml(manifest, error=BundleError), folder)
+        return cls.from_values(load_yaml(manifest, error=BundleError), folder, allow_code=allow_code)
 
     @classmethod
     def from_values(
-        cls, values: Mapping[str, Any], folder: str | os.PathLike[str], granted: frozenset[Path] = frozenset()
+        cls,
+        values: Mapping[str, Any],
+        folder: str | os.PathLike[str],
+        granted: frozenset[Path] = frozenset(),
+        *,
+        allow_code: bool = False,
     ) -> Instrument:
         """Make one from nested plain values; tables are read from `folder`, and of other files only those `granted`."""
         root = Path(folder)
@@ -77,7 +89,10 @@ class Instrument:
 
         def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
             try:
-                plugin = registry.plugin(part.plugin, kind)
+                if is_code(part.plugin):
+                    plugin = code_plugin(part.plugin, kind, files, allowed=allow_code)
+                else:
+                    plugin = registry.plugin(part.plugin, kind)
             except PluginError as fault:
                 raise PluginError(fault.reason, file=files.manifest, key=f"{key}.plugin") from None
             return plugin.from_values(part.values, files, key)
@@ -96,7 +111,7 @@ class Instrument:
         made: dict[str, Any] = {  # kinds were checked by the registry
             "body": body, "resonators": strings, "exciters": exciters, "attachments": attachments, "pickups": pickups
         }  # fmt: skip
-        instrument = cls(folder=root, spec=spec, **made, resolved=resolved, granted=granted)
+        instrument = cls(folder=root, spec=spec, **made, resolved=resolved, granted=granted, allow_code=allow_code)
         instrument._check()
         return instrument
 
@@ -106,7 +121,7 @@ class Instrument:
         Parameters
         ----------
         overrides : path -> value, ``{"scale": x}`` or ``{"fraction": x}``; see `overrides`. A scale or keymap may be
-            any file: whoever overrides may read it, while a bundle is confined to its folder.
+            any file that the caller may read, while a bundle is confined to its folder.
 
         Examples
         --------
@@ -126,11 +141,11 @@ class Instrument:
                 given[key] = str(Path(value).resolve())
                 granted.add(Path(value).resolve())
         values = apply_overrides(self.resolved, given, file=self._files.manifest)
-        return Instrument.from_values(values, self.folder, frozenset(granted))
+        return Instrument.from_values(values, self.folder, frozenset(granted), allow_code=self.allow_code)
 
     @property
     def name(self) -> str:
-        """As it is called on the command line."""
+        """Name of the instrument, as on the command line."""
         return self.spec.name
 
     @property
@@ -140,7 +155,7 @@ class Instrument:
 
     @property
     def plugins(self) -> tuple[Plugin[Any], ...]:
-        """All its parts."""
+        """Plugins of all parts."""
         parts = (self.resonators, self.exciters, self.attachments, self.pickups)
         return (self.body, *(plugin for group in parts for plugin in group.values()))
 
@@ -176,7 +191,7 @@ class Instrument:
             raise self._fault(str(fault), f"strings.{string}.polarizations") from None
 
     def provenance(self, path: str) -> Provenance | None:
-        """What kind of figure stands at a dotted path: the entry that names it most exactly."""
+        """Provenance of the value at a dotted path: the most specific entry that matches."""
         best: tuple[tuple[int, int], Provenance] | None = None
         parts = path.split(".")
         for pattern, entry in self.spec.provenance.items():
@@ -188,11 +203,11 @@ class Instrument:
         return best[1] if best else None
 
     def stand_ins(self) -> list[str]:
-        """Paths the bundle itself names stand-ins."""
+        """Paths of values that the bundle declares to be stand-ins."""
         return [path for path, entry in self.spec.provenance.items() if entry.kind == "stand_in"]
 
     def table_doubts(self) -> list[str]:
-        """Tables that need not be those their provenance speaks of, one line each.
+        """List tables whose provenance may be that of another table, one line each.
 
         A table is a file of the bundle that a part's key ``table`` names. Its entry of `provenance` may carry the
         SHA-256 of the file's bytes; one that says `measured` should.
@@ -226,22 +241,34 @@ class Instrument:
     def content_hash(self) -> str:
         """SHA-256 over the resolved values, the bundle's other files, and the plugins' sources."""
         digest = hashlib.sha256(json.dumps(self.resolved, sort_keys=True, ensure_ascii=True).encode())
-        tables = (p for p in self.folder.rglob("*") if p.is_file() and p.name != registry.MANIFEST)
+        files = (p for p in self.folder.rglob("*") if p.is_file() and "__pycache__" not in p.parts)
+        tables = (p for p in files if p.name != registry.MANIFEST)
         for path in [*sorted(tables), *sorted(self.granted)]:
             digest.update(path.name.encode())
             digest.update(hashlib.sha256(path.read_bytes()).digest())
-        for name in sorted(self.plugin_names):
-            digest.update(f"{name}:{registry.plugin_hash(name)}".encode())
+        for name, sha256 in sorted(self.plugin_hashes.items()):
+            digest.update(f"{name}:{sha256}".encode())
         return digest.hexdigest()
+
+    @property
+    def plugin_hashes(self) -> dict[str, str]:
+        """Plugin -> SHA-256 of its source file, as it is run; of an installed one with its distribution's version."""
+        code = {name: code_hash(type(made)) for name, made in self._made() if is_code(name)}
+        return {name: code.get(name) or registry.plugin_hash(name) for name in self.plugin_names}
+
+    def _made(self) -> Iterator[tuple[str, Plugin[Any]]]:
+        """Name and plugin of every part."""
+        spec = self.spec
+        yield spec.body.plugin, self.body
+        yield from ((spec.strings[name].plugin, made) for name, made in self.resonators.items())
+        yield from ((spec.connections[name].plugin, made) for name, made in self.attachments.items())
+        yield from ((spec.exciters[name].plugin, made) for name, made in self.exciters.items())
+        yield from ((part.plugin, self.pickups[part.name]) for part in spec.outputs)
 
     @property
     def plugin_names(self) -> tuple[str, ...]:
         """Plugins the bundle uses, each once."""
-        spec = self.spec
-        parts: list[PluginPart] = [
-            spec.body, *spec.strings.values(), *spec.connections.values(), *spec.exciters.values(), *spec.outputs
-        ]  # fmt: skip
-        return tuple(dict.fromkeys(part.plugin for part in parts))
+        return tuple(dict.fromkeys(name for name, _ in self._made()))
 
     @property
     def _files(self) -> Files:
@@ -251,10 +278,10 @@ class Instrument:
         return BundleError(reason, file=self._files.manifest, key=key)
 
     def _check(self) -> None:
-        """What no single part can know."""
+        """Check references between parts."""
         points = {name: point for name, point in self.body.points().items() if point.driven}
         for name, part in self.spec.strings.items():
-            for end in _ends(part):
+            for end in part.ends:
                 component, _, point = end.partition(".")
                 if component != "body" or point not in points:
                     known = ", ".join(f"body.{p}" for p in points)
@@ -303,18 +330,14 @@ class Instrument:
             raise self._fault(f"{exciter} has no parameter {parameter!r}; it has {', '.join(fields)}", key)
 
 
-def _ends(part: StringPart) -> list[str]:
-    return [part.end] if isinstance(part.end, str) else list(part.end)
-
-
 def _flat(part: PluginPart, plugin: Plugin[Any]) -> dict[str, Any]:
-    """Common keys and the plugin's own, as they would stand in a bundle with every default written out."""
+    """Keys of a part with every default written out: the common ones and the plugin's own."""
     common = part.model_dump(mode="json", by_alias=True, include=set(type(part).model_fields))
     return {**common, **plugin.parameters.model_dump(mode="json", by_alias=True)}
 
 
 def _merged(values: Mapping[str, Any], files: Files) -> dict[str, Any]:
-    """Put `strings.defaults` under every string."""
+    """Merge `strings.defaults` into every string, whose own keys go first."""
     out = dict(values)
     strings = out.get("strings")
     if not isinstance(strings, Mapping) or "defaults" not in strings:
@@ -337,9 +360,9 @@ def _merge(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def load_instrument(name_or_path: str | os.PathLike[str]) -> Instrument:
+def load_instrument(name_or_path: str | os.PathLike[str], *, allow_code: bool = False) -> Instrument:
     """Load an installed instrument by name, or a folder with an ``instrument.yaml``; see `Instrument.load`."""
-    return Instrument.load(name_or_path)
+    return Instrument.load(name_or_path, allow_code=allow_code)
 
 
 __all__ = ["Instrument", "OutputPart", "load_instrument"]

@@ -1,15 +1,15 @@
-"""The plugin contract, version 1: what a part of an instrument declares.
+"""The plugin contract, version 1: the classes that parts of an instrument derive from.
 
 A plugin is a class with parameters and formulas. It owns nothing that moves and never runs inside the sample loop:
 before a render it is asked for arrays (modal bases, pieces of force, rows to read), and the engine does the rest.
 
 ====================  ==================================================================================
-`Resonator`           a string: modal bases for every stop and tension, and how motion passes between them
-`Body`                what strings are joined to: one modal basis with named points
-`Exciter`             a gesture: known forces in time, and how a finger holds the string meanwhile; one that reacts
-                      brings masses and contacts of its own
-`Attachment`          what touches strings besides the body: frets, a curved bridge, loose parts
-`Pickup`              channels of sound: what is read of which points, or a one-way modal bank
+`Resonator`           a string: modal bases for every stop and tension, and the maps of motion between them
+`Body`                the body that strings are joined to: one modal basis with named points
+`Exciter`             gestures: known forces in time, and a finger's dashpot on the string meanwhile; an exciter that
+                      reacts adds masses and contacts of its own
+`Attachment`          frets, a curved bridge, loose parts: contacts and masses on strings
+`Pickup`              channels of sound: quantities read at points, or a one-way modal bank
 ====================  ==================================================================================
 
 A plugin is found by its entry point in the group ``tonewood.plugins``; the entry point's name is the word that a
@@ -56,14 +56,14 @@ class Plugin(ABC, Generic[P]):
     ----------
     parameters : already checked against `Parameters`.
     files : the bundle's folder, for tables.
-    key : where the plugin stands in the bundle, e.g. ``strings.E2``, to be named in errors.
+    key : of the part in the bundle, e.g. ``strings.E2``, for errors.
     """
 
     #: version of this contract the plugin was written for
     api: ClassVar[int] = API
     #: the kind's name, set by the base classes here
     kind: ClassVar[str]
-    #: what a render may leave out of what the plugin adds
+    #: effects of the plugin that a render may leave out
     effects: ClassVar[tuple[Effect, ...]] = ()
     #: pydantic model of the keys the plugin takes in a bundle
     Parameters: ClassVar[type[Parameters]]
@@ -86,11 +86,11 @@ class Plugin(ABC, Generic[P]):
 
     @property
     def name(self) -> str:
-        """Of the part in the bundle: the last word of its key."""
+        """Name of the part in the bundle: the last word of its key."""
         return self.key.rpartition(".")[2]
 
     def fault(self, reason: str, key: str = "") -> BundleError:
-        """Error that names the bundle's file and this plugin's place in it."""
+        """Make an error that names the bundle's file and the part's key."""
         return BundleError(reason, file=self.files.manifest, key=".".join(k for k in (self.key, key) if k))
 
 
@@ -101,10 +101,10 @@ class Longitudinal:
     Attributes
     ----------
     basis : highest frequency (Hz) and stop (m from the nut) -> modes along the string with its bridge end free, made by
-        `tw.string_basis` with EA as tension.
+        `ta.string_basis` with EA as tension.
     freq_coupled : Hz, transverse modes below it take part.
-    bridge_leverage : displacement of the string's end towards the nut per displacement of the body's point, beside
-        what the string's inclination makes of it.
+    bridge_leverage : displacement of the string's end towards the nut per displacement of the body's point, in
+        addition to the projection on the inclined string.
     """
 
     basis: Callable[[float, float], ModalBasis]
@@ -133,16 +133,16 @@ class Resonator(Plugin[P]):
 
     @property
     def axial_stiffness(self) -> float:
-        """EA, N, by which the tension rises as the string stretches; 0 leaves the tension as it is.
+        """EA, N, by which the tension rises as the string stretches; 0 for a constant tension.
 
         Where it is not 0, the bases must carry ``length`` and ``tension_part`` in their metadata, as those of
-        `tw.string_basis` do.
+        `ta.string_basis` do.
         """
         return 0.0
 
     @property
     def longitudinal(self) -> Longitudinal | None:
-        """Motion along the string where it is stepped; needs an axial stiffness."""
+        """Longitudinal motion, where it is stepped; needs an axial stiffness."""
         return None
 
     @abstractmethod
@@ -175,7 +175,7 @@ class Resonator(Plugin[P]):
         """
 
     def carried(self, old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-        """One motion, coordinates q and q', from one stop to another; to be given where it is quicker than matrices."""
+        """Carry one motion, coordinates q and q', from one stop to another; override it where that is faster."""
         displacement, moving = self.transfer(old, new)
         return displacement @ q, moving @ velocity
 
@@ -187,8 +187,8 @@ class BodyPoint:
     Attributes
     ----------
     direction : unit vector along which the point's displacement is counted (x nut to bridge, y to treble, z out).
-    coordinates : where it lies, in coordinates the body's plugin names, e.g. ``u`` along the bridge.
-    driven : whether strings may end and exciters may push here; a point that is only heard may not.
+    coordinates : of the point, with names of the body's plugin, e.g. ``u`` along the bridge.
+    driven : whether strings may end and exciters may push here; False for a point that is only read.
     """
 
     direction: Vector
@@ -197,7 +197,7 @@ class BodyPoint:
 
 
 class Body(Plugin[P]):
-    """What strings are joined to."""
+    """The body that strings are joined to."""
 
     kind = "body"
     effects: ClassVar[tuple[Effect, ...]] = (BODY_MODES,)
@@ -213,12 +213,12 @@ class Body(Plugin[P]):
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """A finger's dashpot on the string, growing smoothly from `start` and let go at `stop`; takes energy only.
+    """Dashpot of a finger on the string, from `start` to `stop`; dissipates only.
 
     Attributes
     ----------
-    start, grown, stop : s.
-    damping : N s/m, reached at `grown`.
+    start, grown, stop : s; the damping grows smoothly from `start` to `grown`, and ends at `stop`.
+    damping : N s/m, from `grown` on.
     """
 
     start: float
@@ -236,13 +236,13 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What is asked of an exciter.
+    """One event for an exciter: a note, or the part of one that it plays.
 
     Attributes
     ----------
     values : parameters of the exciter that this event changes, e.g. ``force`` or ``from_bridge``.
     freq : pitch that will sound, Hz; 0 where there is none.
-    duration : s, how long the note is held; infinite if nobody says.
+    duration : s, of the note; infinite if it is not known.
     stop, stop_before : stops of the string at this event and at the one before it on this string (0 open).
     length_before : m, speaking length at `stop_before`; 0 where there is no string.
     """
@@ -257,9 +257,9 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a gesture acts: a string with its speaking length (m), or a point of the body (length 0).
+    """Place of a gesture: a string with its speaking length (m), or a point of the body (length 0).
 
-    `planes` is the number of polarizations the string moves in, `tension` (N) what it is stretched by at this stop.
+    `planes` is the number of the string's polarizations, `tension` (N) its tension at this stop.
     """
 
     name: str
@@ -277,11 +277,12 @@ class Gesture:
     segments : in time order, seconds relative to the event's time; negative times prepare it.
     from_bridge : place on the string, m; None on a body.
     angle_deg : of the force, from the first polarization towards the second.
-    hold : the finger on the string meanwhile, or None.
-    on : name of the input among those the exciter has `attach`ed that the forces enter; None is the string itself.
+    hold : dashpot of the finger on the string, or None.
+    on : input that the forces enter, one of those that the exciter has `attach`ed; None for the string itself.
     motions : of the partners of the exciter's own connections.
-    stops : course of the string's stop, like pieces of force; then it is the note's own. On a fretted string the
-        finger sounds the fret it has reached. Without it the note's stop holds from the gesture's start on.
+    stops : course of the string's stop, in segments like those of a force; after them the stop is that of the note.
+        On a fretted string it is rounded down to a fret. Without segments the note's stop holds from the gesture's
+        start on.
     touches : point the exciter has `attach`ed -> course of its place, m from the bridge; followed on the control grid.
         Points that are not named lie where `attach` has put them.
     """
@@ -297,7 +298,7 @@ class Gesture:
 
     @property
     def start(self) -> float:
-        """Begin of the gesture, s relative to the event."""
+        """Beginning of the gesture, s relative to the event."""
         begins = [s.start for s in self._pieces] + ([self.hold.start] if self.hold else [])
         return min(begins, default=0.0)
 
@@ -321,21 +322,21 @@ class Gesture:
 
 
 class Exciter(Plugin[P]):
-    """Something that plays: each event becomes a gesture."""
+    """Turns each event into a gesture."""
 
     kind = "exciter"
 
     @property
     def at(self) -> str | None:
-        """``component.point`` it always acts on; None for one that acts on the string that is played."""
+        """``component.point`` that it always acts on; None if it acts on the string of the event."""
         return None
 
     @property
     def recovery(self) -> float:
-        """Time that it needs, s, between the end of an event and its next one on the same string.
+        """Time that it needs between the end of an event and the next event on the same string, s.
 
-        A note that is followed at once ends so much earlier (but lasts half its time): a key has to rise before it can
-        be struck again.
+        A note that is followed at once ends earlier by this time, at most by half of its duration: a key has to rise
+        before it can be struck again.
         """
         return 0.0
 
@@ -353,9 +354,9 @@ class Exciter(Plugin[P]):
         return checked
 
     def attach(self, name: str, site: Site) -> Attached | None:
-        """What an exciter that reacts brings to a string: a hammer's mass and felt, a bow's hair.
+        """Components and connections that an exciter adds to a string: a hammer's mass and felt, a bow's hair.
 
-        It acts on the string's point ``pluck``, which follows the place of the gesture. None for known forces alone.
+        They act on the string's point ``pluck``, which follows the place of the gesture. None for known forces alone.
         """
         return None
 
@@ -365,18 +366,18 @@ class Exciter(Plugin[P]):
 
 
 class Attachment(Plugin[P]):
-    """What touches strings all the time: frets, a curved bridge, loose parts."""
+    """Adds contacts and masses to strings: frets, a curved bridge, loose parts."""
 
     kind = "connection"
 
     @abstractmethod
     def attach(self, name: str, site: Site) -> Attached:
-        """What it adds to a string, at a stop; `name` is the part's key in the bundle."""
+        """Places, components and connections on a string at a stop; `name` is the part's key in the bundle."""
 
 
 @dataclass(frozen=True, slots=True)
 class BridgeForce:
-    """One way a string pushes on the body.
+    """Force of a string's end on one point of the body.
 
     Attributes
     ----------
@@ -392,7 +393,7 @@ class BridgeForce:
 
 @dataclass(frozen=True)
 class Scene:
-    """What a pickup can see of an assembled instrument.
+    """Points and forces of an assembled instrument that a pickup can read.
 
     Attributes
     ----------
@@ -412,14 +413,14 @@ class Scene:
 
 @dataclass(frozen=True)
 class PickupRows:
-    """What a pickup adds to the system.
+    """Readouts and components that a pickup adds to the system.
 
     Attributes
     ----------
     readouts : one per channel, in order.
     components : one-way components of its own, short name -> basis.
-    drives : what drives them; also which body points' forces they answer to (see `body_inputs`).
-    body_inputs : body point -> (component, point, factor): where a known force on that point enters as well.
+    drives : forces of connections that drive these components.
+    body_inputs : body point -> (component, point, factor): inputs that a known force on that point drives, too.
     """
 
     readouts: tuple[Readout, ...]
@@ -446,7 +447,7 @@ class Pickup(Plugin[P]):
 
     @abstractmethod
     def rows(self, name: str, scene: Scene) -> PickupRows:
-        """Readouts of the channels; `name` is the group's and must begin the name of every component added."""
+        """Make the readouts of the channels; the name of every component added begins with the group's `name`."""
 
 
 #: kind -> base class; a plugin derives from exactly one of them
@@ -454,6 +455,6 @@ KINDS: dict[str, type[Plugin[Any]]] = {c.kind: c for c in (Resonator, Body, Exci
 
 
 def dot(a: Sequence[float], b: Sequence[float]) -> float:
-    """Scalar product of two directions; what differs from 0 by rounding only is 0."""
+    """Scalar product of two directions; 0 if it is below 1e-12."""
     value = math.fsum(x * y for x, y in zip(a, b, strict=True))
     return 0.0 if abs(value) < 1e-12 else value

@@ -9,19 +9,12 @@ moves. An effect whose bound lies within its budget may be left out; one whose b
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
-
-from tonewood.errors import TonewoodError
-
-if TYPE_CHECKING:
-    from tonewood.instrument.contract import Plugin
-    from tonewood.instrument.schema import Effects
+from typing import Literal
 
 #: cents per relative change of frequency
 _CENTS = 1200.0 / math.log(2.0)
-Mode = Literal["auto", "all", "none"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +120,7 @@ LONGITUDINAL = Effect(
     "any gesture on the string", "a bound on the phantom partials that the string's partials would "
     "drive; without them it is linear", cost=lambda n: 60.0 * n,
 )  # fmt: skip
-#: a finger that quiets the string while it draws it; for exciters whose gestures have a `tw.Hold`
+#: a finger that quiets the string while it draws it; for exciters whose gestures have a `ta.Hold`
 DAMPERS = Effect(
     "dampers", "fingers that quiet a string while they draw it", "additive", "from touch to release of each pluck",
     "nothing: no finger is on the string otherwise", cost=nothing,
@@ -147,48 +140,3 @@ def contact_effect(name: str, adds: str, *, basic: bool = False) -> Effect:
         name, adds, "additive", "always watched", "a bound on the string's motion at each point until the next look",
         cost=lambda n: 0.5 * n, basic=basic,
     )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """Which effects run, and the budgets of those that come and go.
-
-    Attributes
-    ----------
-    mode : ``auto``, ``all``, ``none``, or ``list`` for those named.
-    names : effects that may run at all.
-    budget_db, budget_cents : what leaving one out may cost.
-    """
-
-    mode: str
-    names: frozenset[str]
-    budget_db: float
-    budget_cents: float
-
-    @classmethod
-    def of(cls, wanted: Effects, declared: Mapping[str, Effect]) -> Choice:
-        """What a bundle's ``effects`` mean for the effects its parts declare.
-
-        Raises
-        ------
-        TonewoodError : a name is none of theirs.
-        """
-        basic = {name for name, effect in declared.items() if effect.basic}
-        if isinstance(wanted.mode, str):
-            names = set(declared) if wanted.mode in ("auto", "all") else basic
-            return cls(wanted.mode, frozenset(names), wanted.budget_db, wanted.budget_cents)
-        unknown = [name for name in wanted.mode if name not in declared]
-        if unknown:
-            known = ", ".join(sorted(declared)) or "none"
-            raise TonewoodError(f"there is no effect {unknown[0]!r}; auto, all, none or {known}", key="effects")
-        return cls("list", frozenset(basic | set(wanted.mode)), wanted.budget_db, wanted.budget_cents)
-
-    def keeps(self, plugin: Plugin[Any], name: str | None = None) -> bool:
-        """Whether a part runs its effect `name`, or any of its effects; what it does not declare, it always runs."""
-        own = [effect.name for effect in plugin.effects if name is None or effect.name == name]
-        return not own or any(effect in self.names for effect in own)
-
-
-def declared(plugins: Iterable[Plugin[Any]]) -> dict[str, Effect]:
-    """Name -> effect of all that an instrument's parts declare."""
-    return {effect.name: effect for plugin in plugins for effect in plugin.effects}

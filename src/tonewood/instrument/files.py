@@ -1,4 +1,4 @@
-"""Files of a bundle: found only inside its folder, tables read with their faults named."""
+"""Files of a bundle: found only inside its folder; errors in tables name line and column."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Files:
     ----------
     root : the folder, or None where there is none (parts made from values alone).
     manifest : name of the file that describes the instrument, for errors.
-    granted : files outside the folder that the person at the keyboard has named.
+    granted : files outside the folder that an override names.
     """
 
     def __init__(self, root: Path | None, manifest: Path | None = None, granted: frozenset[Path] = frozenset()):

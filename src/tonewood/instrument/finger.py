@@ -6,12 +6,12 @@ the hand presses on the board, a spring m w^2 and a dashpot 2 d m w. Seen from t
     C(s) = 1 / (k_s + r_s s) + 1 / (m s^2 + 2 d w m s + m w^2),
 
 by which a string of tension T speaks as if it were T C longer: the finger is laid so much nearer to the bridge. The
-part behind the finger goes on moving, and the finger damps both. What is pressed down counts from its pressed place:
-when the finger comes, the displacement it meets is taken away by the static shape under forces at finger and bridge,
-the projection in the energy norm that leaves the bridge where it is, so that energy can only fall. A finger that slides
-takes its deflection along: the same shape carries the u it held to its new place, so that the skin's energy stays and
-the string's changes by (u^2 - u_new^2) / 2 C_x, C_x the string's own compliance there: work of the hand, no more than
-that of the deflection it carries. Moved without this, its spring would jump from step to step and be heard.
+part behind the finger goes on moving, and the finger damps both. The finger's spring is unloaded where the string is
+pressed down: when the finger comes, the static shape under forces at finger and bridge takes the displacement away that
+it meets, the projection in the energy norm that leaves the bridge where it is, so that energy can only fall. When the
+finger slides, the same shape carries the deflection u to the new place, so that the skin's energy stays and the
+string's changes by (u^2 - u_new^2) / 2 C_x, C_x the string's own compliance there: work of the hand, no more than that
+of the deflection. Without this the force of the spring would jump from step to step, which is audible.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def fingertips(finger: Finger, site: Site, residual: float | None) -> Attached:
 
     Parameters
     ----------
-    residual : m/N, what the string's modes leave of its compliance under the finger, which yields with the skin;
-        None on an open string, where the skin has no effect.
+    residual : m/N, residual compliance of the string under the finger, in series with the skin; None on an open
+        string, where the skin has no effect.
     """
     components, connections, law = {}, [], SpringDashpot()
     if residual is not None:

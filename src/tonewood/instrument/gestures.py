@@ -1,4 +1,4 @@
-"""What exciters share: places on strings, and smooth pieces of force."""
+"""Helpers of exciters: places on strings, and smooth segments of force."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ StringPlace = Annotated[Number, Field(ge=0.0)] | Fraction
 
 
 _OPTIONAL = StringPlace | None
-#: share of the speaking length within which of its ends a string is not played
+#: share of the speaking length next to either end where a string is not played
 _NEAREST = 0.01
 
 
 def metres(place: StringPlace, on: Place) -> float:
-    """Place in metres from the bridge; between 1 % of the string from the bridge and 1 % from the stop.
+    """Place in metres from the bridge, limited to 1 % of the speaking length from either end.
 
-    A played place beyond the stop does not exist; the nearest that does is taken.
+    A place behind the stop cannot be played; the nearest place before it is taken.
     """
     if on.length <= 0:
         raise BundleError(f"{on.name} is not a string: there is no place from its bridge")
@@ -44,7 +44,7 @@ def _place_fields(kind: type[Parameters]) -> tuple[str, ...]:
 
 
 def places(parameters: Parameters, open_length: float, length: float) -> dict[str, float]:
-    """Parameter -> m from the bridge, of all that are places on a string: metres, or shares of the speaking length.
+    """Places among parameters, given in metres or as shares of the speaking length: name -> m from the bridge.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def places(parameters: Parameters, open_length: float, length: float) -> dict[st
 
 
 def is_played(x: float, length: float) -> bool:
-    """Whether a string of this speaking length (m) is played where it is asked for, x (m) from the bridge."""
+    """Whether `metres` leaves a place x (m) from the bridge unchanged on this speaking length (m)."""
     return _NEAREST * length <= x <= (1 - _NEAREST) * length
 
 

@@ -1,4 +1,4 @@
-"""What an assembled instrument is, without playing it: pitch at every stop, coupled partials, wolf notes, mobility."""
+"""Properties of an assembled instrument, without playing it: pitches, coupled partials, wolf notes, mobility."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tonewood.units import cents, t60
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-#: a string-dominated mode this far from its pitch is worth a word
+#: a string-dominated mode farther than this from its pitch is reported, cents
 TOLERANCE_CENTS = 1.0
 
 
@@ -29,9 +29,9 @@ class Pitch:
 
     Attributes
     ----------
-    string, stop : which.
+    string, stop : name of the string, number of the stop.
     note : MIDI number, fractional in other tunings.
-    wanted_freq : Hz, what the note should be.
+    wanted_freq : Hz, of the note.
     tension : N, of the first polarization.
     modes : coupled modes near the pitch, the string-dominated one first.
     wolf : a second mode that disturbs the first, or None.
@@ -82,14 +82,14 @@ class Partial:
 
 
 def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
-    """The string at one stop, tuned or as its tension stands."""
+    """Pitch of a string at one stop, tuned, or at the bundle's tension where it asks for no compensation."""
     held = model.strings[string]
     tuned = held.tuned(stop)
     return Pitch(string, stop, held.open_note + stop, held.freq(stop), tuned.tension, tuned.modes, tuned.wolf)
 
 
 def pitches(model: Model, strings: Sequence[str] | None = None) -> list[Pitch]:
-    """Every string, or those named, at every whole stop."""
+    """Pitches of all strings, or of those named, at every whole stop."""
     names = model.strings if strings is None else strings
     return [pitch(model, name, stop) for name in names for stop in range(model.strings[name].n_stops + 1)]
 
@@ -97,8 +97,7 @@ def pitches(model: Model, strings: Sequence[str] | None = None) -> list[Pitch]:
 def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> list[Partial]:
     """String-dominated coupled modes, at most `count` of them and below the string's highest mode.
 
-    Each is looked for at the partial of the same string, at its tension, on a bridge that does not move, and has its
-    number.
+    The search for each begins at the partial of that number of the same string, at its tension, on a rigid bridge.
     """
     at, coupled = pitch(model, string, stop), model.strings[string].coupled(stop)
     joint = coupled.joint(at.tension)
@@ -131,7 +130,7 @@ def held_partials(basis: ModalBasis, count: int) -> list[float]:
 
 
 def bridge_mobility(model: Model, freq: Sequence[float] | Floats) -> dict[str, Complexes]:
-    """Driving-point mobility of the body where each string ends, (m/s)/N; strings away.
+    """Driving-point mobility of the body where each string ends, (m/s)/N; without strings.
 
     Parameters
     ----------
@@ -152,7 +151,7 @@ def bridge_mobility(model: Model, freq: Sequence[float] | Floats) -> dict[str, C
 
 
 def mobility_peaks(model: Model, string: str, *, count: int = 6) -> list[tuple[float, float]]:
-    """The strongest resonances of the body where a string ends: (Hz, (m/s)/N), by frequency; strings away."""
+    """The strongest resonances of the body where a string ends: (Hz, (m/s)/N), by frequency; without strings."""
     freq = np.geomspace(20.0, 0.45 * model.fs, 20000)
     found = bridge_mobility(model, freq)
     if string not in found:

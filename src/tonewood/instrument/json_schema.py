@@ -8,6 +8,7 @@ from typing import Any
 from pydantic.json_schema import models_json_schema
 
 from tonewood.instrument import registry
+from tonewood.instrument.bundle_code import CODE_PATTERN
 from tonewood.instrument.schema import SCHEMA, Bundle, ConnectionPart, OutputPart, PluginPart, StringPart
 
 _PARTS: dict[str, tuple[str, type[PluginPart]]] = {
@@ -22,8 +23,8 @@ _PARTS: dict[str, tuple[str, type[PluginPart]]] = {
 def bundle_schema() -> dict[str, Any]:
     """JSON Schema (2020-12) of ``instrument.yaml``.
 
-    A part made by a plugin is any one of the installed plugins of its kind. Keys of a string may come from `defaults`,
-    so none is required here that the loader will miss later.
+    A part may be any installed plugin of its kind, or one in the bundle's folder, whose own keys are not known here.
+    Keys of a string may come from `defaults`, so that none is required here; the loader checks them.
     """
     schema = Bundle.model_json_schema(by_alias=True, mode="validation")
     definitions = schema.setdefault("$defs", {})
@@ -79,7 +80,22 @@ def _branches(
         if required:
             branch["required"] = sorted({*shared.get("required", []), *parameters.get("required", [])})
         out.append(branch)
+    out.append(_code_branch(kind, common))
     return out
+
+
+def _code_branch(kind: str, common: type[PluginPart]) -> dict[str, Any]:
+    """Schema of a part whose plugin lies in the bundle's folder: its own keys are not known here."""
+    _, base = models_json_schema([(common, "validation")], by_alias=True)
+    shared = copy.deepcopy(base["$defs"][common.__name__])
+    plugin = {"type": "string", "pattern": rf"^{CODE_PATTERN}$", "description": "FILE.py:CLASS"}
+    return {
+        "type": "object",
+        "title": f"{kind} in the bundle's folder",
+        "properties": {**shared["properties"], "plugin": plugin},
+        "required": ["plugin"],
+        "additionalProperties": True,
+    }
 
 
 def _prefixed(definitions: dict[str, Any], prefix: str) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Loss laws of strings: loss factor eta(omega, k) of a partial between fixed ends, sigma = omega eta / 2.
 
-That is what measurements of strings give; `tonewood.modal.string_modes` finds the loss of the modes with which the
+Measurements of strings give this loss factor; `tonewood.modal.string_modes` finds the loss of the modes with which the
 partials on a rigid bridge decay by the law. The law is chosen by its key ``law`` in a bundle: ``woodhouse``, ``sigma``
 or ``valette``.
 """
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 class StringLoss(Parameters, ABC):
-    """A loss law: numbers of its own, and the loss factor that follows."""
+    """A loss law: its parameters, and the loss factor."""
 
     @abstractmethod
     def eta(

@@ -1,4 +1,4 @@
-"""Strings on their body all at once: what a string's pitch becomes where another one shares the partial.
+"""All strings on their body at once: the pitch of a string where another string shares the partial.
 
 The tuner damps the other strings. Once they are free again, a string whose partial lies near the pitch takes part in
 its mode through the body: two modes some cents apart take the place of one, and neither need be on the note.
@@ -19,7 +19,7 @@ from tonewood.modal.modes import ModalBasis
 from tonewood.modal.receptance import Ports, Star
 from tonewood.units import cents, ratio_of_cents
 
-#: modes this near the string's own alone are looked at, cents
+#: range of the search around the mode of the string alone, cents
 REACH_CENTS = 70.0
 #: a string with less of the mode's energy than this does not share it; a mode with less of the string is not listed
 SHARED, HEARD = 0.05, 0.1

@@ -2,7 +2,7 @@
 
     strings.E2.note=D2     strings.*.bending_stiffness={scale: 2}     exciters.pluck.from_bridge={fraction: .4}
 
-A list's members are meant by their ``name``, or by number from 0.
+A member of a list is named by its ``name``, or by its number from 0.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 from tonewood.errors import BundleError
 from tonewood.yaml_io import parse_yaml
 
-#: keys of which one takes the other's place
+#: pairs of keys that exclude each other: an override of one removes the other
 _INSTEAD = {"note": "freq", "freq": "note"}
 
 
@@ -36,7 +36,7 @@ def parse_assignment(text: str) -> tuple[str, Any]:
 
 
 def apply_overrides(values: Mapping[str, Any], overrides: Mapping[str, Any], *, file: Any = None) -> dict[str, Any]:
-    """Return a copy of nested plain values with the overrides made, in their order.
+    """Return a copy of nested plain values with the overrides applied in their order.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What is installed: plugins and instruments, found by entry points alone, a third party's like our own.
+"""Installed plugins and instruments, found by entry points alone, those of third parties like the built-in ones.
 
 A distribution announces a plugin by ``NAME = "package.module:Class"`` in the group ``tonewood.plugins`` and an
 instrument by ``NAME = "package"`` in ``tonewood.instruments``, where the package's folder NAME holds the bundle.
@@ -33,8 +33,8 @@ class Entry:
     Attributes
     ----------
     name : the word used in bundles or on the command line.
-    value : what it points to.
-    distribution, version : who announces it.
+    value : of the entry point.
+    distribution, version : that announce it.
     fault : why it cannot be used: another distribution announces the same name; empty where none does.
     """
 
@@ -65,12 +65,12 @@ def entries(group: str) -> dict[str, Entry]:
 
 
 def list_plugins() -> dict[str, type[Plugin[Any]]]:
-    """Every installed plugin that can be used, by name; what is wrong with others `broken_plugins` tells."""
+    """List installed plugins that can be used: name -> class; `broken_plugins` has the others."""
     return {name: plugin(name) for name in entries(PLUGINS) if name not in broken_plugins()}
 
 
 def broken_plugins() -> dict[str, str]:
-    """Installed plugins that cannot be used: name -> reason, one line."""
+    """List installed plugins that cannot be used: name -> reason, one line."""
     found = {}
     for name in entries(PLUGINS):
         try:
@@ -81,7 +81,7 @@ def broken_plugins() -> dict[str, str]:
 
 
 def list_instruments() -> dict[str, Path]:
-    """Folder of every installed instrument, by name."""
+    """List installed instruments: name -> folder."""
     return {name: instrument_folder(name) for name, entry in entries(INSTRUMENTS).items() if not entry.fault}
 
 
@@ -110,22 +110,35 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
         check_plugin(found, f"plugin {name!r} of {entry.distribution}")
     except PluginError:
         raise
-    except (Exception, SystemExit) as fault:  # a stranger's code may raise anything
+    except (Exception, SystemExit) as fault:  # code of a third party may raise anything
         reason = f"cannot be imported: {type(fault).__name__}: {fault}"
         raise PluginError(f"plugin {name!r} of {entry.distribution} {reason}") from None
-    if kind is not None and found.kind != kind:
-        fitting = [other for other, p in list_plugins().items() if p.kind == kind]
-        raise PluginError(f"plugin {name!r} is of kind {found.kind}; a {kind} is wanted: {', '.join(fitting)}")
     checked: type[Plugin[Any]] = found
+    if kind is not None:
+        check_kind(checked, name, kind)
     return checked
 
 
-def check_plugin(found: object, who: str) -> None:
-    """Hold a class to the contract.
+def check_kind(found: type[Plugin[Any]], name: str, kind: str) -> None:
+    """Check that a plugin is of the kind that is wanted.
 
     Raises
     ------
-    PluginError : beginning with `who`.
+    PluginError : it is of another kind; names the installed ones of that kind.
+    """
+    if found.kind != kind:
+        fitting = [other for other, p in list_plugins().items() if p.kind == kind]
+        raise PluginError(
+            f"plugin {name!r} is of kind {found.kind}; one of kind {kind} is wanted: {', '.join(fitting)}"
+        )
+
+
+def check_plugin(found: object, who: str) -> None:
+    """Check a class against the contract.
+
+    Raises
+    ------
+    PluginError : one line that begins with `who`.
     """
     if not (inspect.isclass(found) and issubclass(found, Plugin)):
         raise PluginError(f"{who} is not a class derived from {', '.join(k.__name__ for k in KINDS.values())}")
@@ -180,7 +193,7 @@ def plugin_hash(name: str) -> str:
     """SHA-256 of the source file a plugin is defined in, with its distribution's version."""
     found, entry = plugin(name), entries(PLUGINS)[name]
     digest = hashlib.sha256(f"{entry.distribution} {entry.version}".encode())
-    # a class without a file is known by its distribution's version alone
+    # of a class without a file only the distribution's version counts
     with suppress(OSError, TypeError):
         digest.update(Path(inspect.getfile(found)).read_bytes())
     return digest.hexdigest()

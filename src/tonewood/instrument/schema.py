@@ -24,7 +24,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
 class Source(Parameters):
-    """Where figures come from."""
+    """Source of figures."""
 
     text: str = described("who, what, where it was published")
     doi: str | None = described("digital object identifier", default=None)
@@ -34,7 +34,7 @@ class Source(Parameters):
 
 
 class Provenance(Parameters):
-    """What kind of figures these are."""
+    """Kind and source of figures."""
 
     kind: Literal["measured", "published", "computed", "authored", "stand_in"] = described(
         "measured on the instrument; published in a text; computed from such; authored by ear or judgement; "
@@ -51,11 +51,11 @@ class PluginPart(Parameters):
     """A part made by a plugin: the plugin's name, and keys that are checked against the plugin's own parameters."""
 
     model_config = ConfigDict(extra="allow")
-    plugin: str = described("name of the plugin that makes it")
+    plugin: str = described("name of the plugin that makes it, or FILE.py:CLASS for one in the bundle's folder")
 
     @property
     def values(self) -> dict[str, Any]:
-        """Keys that are the plugin's."""
+        """Keys of the plugin itself."""
         return dict(self.model_extra or {})
 
 
@@ -91,6 +91,21 @@ class StringPart(PluginPart):
     )
     points: dict[Name, StringPoint] = described("further places on the string", default={}, max_length=MOST_PARTS)
 
+    @property
+    def ends(self) -> tuple[str, ...]:
+        """Its ends, ``body.POINT`` each."""
+        return (self.end,) if isinstance(self.end, str) else tuple(self.end)
+
+    @property
+    def body_points(self) -> tuple[str, ...]:
+        """Points of the body that it ends on."""
+        return tuple(end.partition(".")[2] for end in self.ends)
+
+    def label(self, polarization: int) -> str:
+        """Name of one of its polarizations: its direction, or p1 and p2 where that is a vector."""
+        wanted = self.polarizations[polarization]
+        return wanted if isinstance(wanted, str) else f"p{polarization + 1}"
+
     @model_validator(mode="after")
     def _pitch(self) -> StringPart:
         if (self.note is None) == (self.freq is None):
@@ -99,13 +114,13 @@ class StringPart(PluginPart):
 
 
 class ConnectionPart(PluginPart):
-    """What touches strings besides the body: frets, a curved bridge, a loose part."""
+    """Contacts and masses on strings: frets, a curved bridge, a loose part."""
 
     strings: list[Name] | None = described("those it touches; all where left out", default=None)
 
 
 class Finger(Parameters):
-    """A fingertip that stops a string: skin against the string, and behind it the mass that the hand presses down."""
+    """A fingertip that stops a string: the skin, and behind it the mass that the hand presses down."""
 
     skin_stiffness: float = quantity("N/m", low=1.0, high=1e7, default=1e5, doc="between string and fingertip")
     skin_damping: float = quantity("N s/m", low=0.0, high=1e3, default=1.0, doc="between string and fingertip")
@@ -115,7 +130,7 @@ class Finger(Parameters):
 
 
 class Stops(Parameters):
-    """How strings are stopped."""
+    """Stops of the strings."""
 
     kind: Literal["none", "frets", "continuous"] = described(
         "none: open strings; frets: whole steps of the scale; continuous: any place up to `count` steps",
@@ -129,7 +144,7 @@ class Stops(Parameters):
     finger: Finger = described("where the model is finger", default=Finger())
 
 
-class TuningPart(Parameters):
+class TuningSettings(Parameters):
     """Pitch."""
 
     reference_freq: float = quantity("Hz", low=200.0, high=1000.0, default=440.0, doc="of A4")
@@ -166,6 +181,11 @@ class Velocity(Parameters):
             raise ValueError("an exponential curve needs low and high above 0")
         return self
 
+    @property
+    def exciter(self) -> str:
+        """EXCITER of `parameter`."""
+        return self.parameter.partition(".")[0]
+
     def value(self, velocity_midi: float) -> float:
         """Parameter at a velocity of 1 .. 127; below and above the ends hold."""
         share = (min(max(velocity_midi, 1.0), 127.0) - 1.0) / 126.0
@@ -175,13 +195,13 @@ class Velocity(Parameters):
 
 
 class NoteEnd(Parameters):
-    """What happens when a note ends."""
+    """End of a note."""
 
     kind: Literal["ring", "damp"] = described("ring: nothing; damp: the string is damped", default="ring")
     t60: float = quantity("s", low=1e-3, high=100.0, default=0.12, doc="decay time of a damped string")
 
 
-class Control(Parameters):
+class ControllerMap(Parameters):
     """A controller that moves a parameter from low (0) to high (127)."""
 
     parameter: str = described("EXCITER.PARAMETER")
@@ -199,11 +219,16 @@ class Playing(Parameters):
     exciter: str | None = described("of notes that name no technique; the velocity's where left out", default=None)
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
-    controls: dict[Annotated[str, Field(pattern=_CC)], Control] = described("ccN -> parameter", default={})
+    controls: dict[Annotated[str, Field(pattern=_CC)], ControllerMap] = described("ccN -> parameter", default={})
     keyswitches: dict[str, Name] = described("key -> exciter that notes after it ask for, on its channel", default={})
     switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(
         "ccN -> exciter that notes ask for while it is at 64 or more", default={}
     )
+
+    @property
+    def default_exciter(self) -> str:
+        """Exciter of notes that name no technique."""
+        return self.exciter or self.velocity.exciter
 
 
 class OutputPart(PluginPart):
@@ -215,7 +240,7 @@ class OutputPart(PluginPart):
 
 
 class Effects(Parameters):
-    """What may be left out of a render, with a bound on what that costs."""
+    """Effects that a render may leave out, and the largest error of that."""
 
     mode: Literal["auto", "all", "none"] | list[str] = described("auto, all, none or names", default="auto")
     budget_db: float = quantity("dB", low=-300.0, high=0.0, default=-80.0, doc="for effects that add something")
@@ -237,7 +262,7 @@ class Bundle(Parameters):
         "name -> string, from bass to treble", min_length=1, max_length=MOST_STRINGS
     )
     stops: Stops = described("frets", default=Stops())
-    tuning: TuningPart = described("pitch", default=TuningPart())
+    tuning: TuningSettings = described("pitch", default=TuningSettings())
     exciters: dict[Name, PluginPart] = described("name -> what plays", min_length=1, max_length=MOST_PARTS)
     playing: Playing = described("from notes to gestures", default=Playing())
     outputs: list[OutputPart] = described(

@@ -32,13 +32,13 @@ def bundle_tables() -> str:
         ("outputs, each entry, beside the plugin's own keys", OutputPart),
     ]
     done: list[type[BaseModel]] = [model for _, model in parts]
-    text = [f"**{title}**\n\n{_table(model)}" for title, model in parts]
+    text = [f"**{title}**\n\n{parameter_table(model)}" for title, model in parts]
     for model in done:
         for field in model.model_fields.values():
             for inner in _models(field.annotation):
                 if inner not in done:
                     done.append(inner)
-                    text.append(f"**{inner.__name__}**: {_first_line(inner)}\n\n{_table(inner)}")
+                    text.append(f"**{inner.__name__}**: {_first_line(inner)}\n\n{parameter_table(inner)}")
     return "\n".join(text)
 
 
@@ -49,16 +49,17 @@ def plugin_tables() -> str:
     for name, plugin in registry.list_plugins().items():
         if registry.entries(registry.PLUGINS)[name].distribution != "tonewood":
             continue
-        text.append(f"**{name}** ({plugin.kind})\n\n{_table(plugin.Parameters)}")
+        text.append(f"**{name}** ({plugin.kind})\n\n{parameter_table(plugin.Parameters)}")
         inner = [m for field in plugin.Parameters.model_fields.values() for m in _models(field.annotation)]
         for model in dict.fromkeys(inner):
             if model not in done:
                 done.append(model)
-                text.append(f"*{name}*, {model.__name__}: {_first_line(model)}\n\n{_table(model)}")
+                text.append(f"*{name}*, {model.__name__}: {_first_line(model)}\n\n{parameter_table(model)}")
     return "\n".join(text)
 
 
-def _table(model: type[BaseModel]) -> str:
+def parameter_table(model: type[BaseModel]) -> str:
+    """Table of the fields of one model: key, value, default and meaning."""
     rows = []
     for name, field in model.model_fields.items():
         default = "required" if field.is_required() else _default(field)
@@ -102,7 +103,7 @@ def _type(annotation: Any) -> str:
     if origin is list:
         return f"list of {_type(args[0])}"
     if origin is tuple:
-        return f"{len(args)} numbers"
+        return f"list of {_type(args[0])}" if args[-1] is Ellipsis else f"{len(args)} numbers"
     if origin is dict:
         return f"NAME: {_type(args[1])}"
     if hasattr(annotation, "__metadata__"):

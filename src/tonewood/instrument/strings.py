@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, cast
 
@@ -17,123 +17,23 @@ from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Resonator
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
+from tonewood.instrument.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.tuning import StringOnBody, TunedStop, tune
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.receptance import Joint, Ports
 from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
-from tonewood.params import Vector
 from tonewood.units import cents, ratio_of_cents
 
 Floats = NDArray[np.float64]
 
 #: a note that needs this many times the bundle's tension, or this many times less, is a mistake
 _RETENSION = 5.0
-#: given and used tension further apart than this, in cents of pitch, are told of: printed tensions and a body that
-#: gives way make up to 27 (E2 of flamenco_guitar, beside a strong body mode)
-NOTICEABLE_CENTS = 30.0
-#: bases of stops between whole ones that are remembered: a slide passes hundreds
+#: cached bases of stops between whole ones: a slide passes hundreds
 _PASSING_STOPS = 32
 
 
-@dataclass(frozen=True, slots=True)
-class Polarization:
-    """One plane in which a string moves.
-
-    Attributes
-    ----------
-    component : its name in the system, ``STRING.NAME``.
-    direction : unit vector, tilt included.
-    ends : body point -> (p . d), share of that point's displacement in the string's end; without any the end is rigid.
-    detune : frequency ratio to the first polarization.
-    """
-
-    component: str
-    direction: Vector
-    ends: Mapping[str, float]
-    detune: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Along:
-    """Motion along a string.
-
-    Attributes
-    ----------
-    component : its name in the system, ``STRING.longitudinal``.
-    direction : unit vector from the bridge to the nut.
-    ends : body point -> share of that point's displacement in the string's end.
-    motion : as the resonator gives it.
-    """
-
-    component: str
-    direction: Vector
-    ends: Mapping[str, float]
-    motion: Longitudinal
-
-
-@dataclass(frozen=True, slots=True)
-class Stopping:
-    """Stops of a string.
-
-    Attributes
-    ----------
-    count : highest stop, in steps of the scale; 0 for open strings.
-    continuous : whether stops between whole steps exist.
-    freq : stop -> pitch of its note, Hz.
-    compensate : ``each_stop``, ``open_only`` or ``none``.
-    hold : ``pitch`` or ``tension``: what the open string keeps where it is compensated.
-    finger : that stops the string softly; None where the stop is its ideal end.
-    """
-
-    count: int
-    continuous: bool
-    freq: Callable[[float], float]
-    compensate: str
-    hold: str = "pitch"
-    finger: Finger | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class GivenTension:
-    """What became of the tension that the bundle gives an open string.
-
-    Attributes
-    ----------
-    string : its name.
-    given, used : N, of the first polarization.
-    held : ``pitch`` or ``tension``: which of the two was kept.
-    raised_cents : of the open string's pitch, from its note to where the tension puts it; 0 where the pitch is held.
-    """
-
-    string: str
-    given: float
-    used: float
-    held: str
-    raised_cents: float
-
-    @property
-    def cents(self) -> float:
-        """Pitch that the given tension would make, from the pitch that was asked for: 600 lg2(given / used)."""
-        return self.raised_cents if self.held == "tension" else 600.0 * math.log2(self.given / self.used)
-
-    @property
-    def noticeable(self) -> bool:
-        """Whether the two are further apart than tuning to the body makes them, `NOTICEABLE_CENTS`."""
-        return abs(self.cents) > NOTICEABLE_CENTS
-
-    def line(self) -> str:
-        """One line that says which of the two was kept."""
-        if self.held == "tension":
-            off = f"{self.cents:+.0f} cents from its note"
-            return f"{self.string}: its tension of {self.given:g} N is held; it sounds {off}"
-        return (
-            f"{self.string}: tuned to its note at {self.used:.4g} N; the {self.given:g} N given would sound "
-            f"{self.cents:+.0f} cents from it (tuning.hold: tension keeps them)"
-        )
-
-
 class StringModel:
-    """One string; immutable but for what it remembers of bases it has made.
+    """One string; immutable but for caches of the bases that it has made.
 
     Attributes
     ----------
@@ -141,8 +41,8 @@ class StringModel:
     polarizations : one or two, the first is the one kept when effects are left out.
     open_note : note number of the open string.
     stopping : its stops.
-    along : its longitudinal motion, if that is stepped.
-    pluck_from_bridge : m, where it is plucked if nobody says where.
+    longitudinal : its longitudinal motion, if that is stepped.
+    pluck_from_bridge : m, place of the pluck where a gesture gives none.
     """
 
     def __init__(
@@ -161,10 +61,10 @@ class StringModel:
         tilt_deg: float,
         pluck_from_bridge: float,
         touching: Mapping[str, Attachment[Any] | Exciter[Any]] | None = None,
-        along: Along | None = None,
+        longitudinal: LongitudinalMotion | None = None,
     ):
         self.name, self.resonator, self.polarizations = name, resonator, polarizations
-        self.along = along
+        self.longitudinal = longitudinal
         self.open_note, self.stopping, self.points = open_note, stopping, dict(points)
         self.pluck_from_bridge = pluck_from_bridge
         self._body, self._freq_upper, self._freq_limit = body, freq_upper, freq_limit
@@ -174,17 +74,22 @@ class StringModel:
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._bases: dict[float, ModalBasis] = {}
         self._gains: dict[float, float] = {}
-        self._along: dict[float, ModalBasis] = {}
+        self._longitudinal_bases: dict[float, ModalBasis] = {}
 
     @property
     def components(self) -> tuple[str, ...]:
         """Names of its components in the system, the first polarization first, longitudinal motion last."""
-        return (*(p.component for p in self.polarizations), *([self.along.component] if self.along else []))
+        return tuple(p.component for p in self.ends)
 
     @property
-    def ends(self) -> tuple[Polarization | Along, ...]:
-        """All that moves at the bridge."""
-        return (*self.polarizations, *([self.along] if self.along else []))
+    def all_components(self) -> tuple[str, ...]:
+        """Names of its components, then those that attachments, exciters and a finger add to it."""
+        return (*self.components, *(name for a in self.attached() for name in a.components))
+
+    @property
+    def ends(self) -> tuple[Polarization | LongitudinalMotion, ...]:
+        """Motions that are joined to the bridge: polarizations, then longitudinal motion."""
+        return (*self.polarizations, *([self.longitudinal] if self.longitudinal else []))
 
     @property
     def n_stops(self) -> int:
@@ -197,12 +102,12 @@ class StringModel:
         return tuple(self.freq(stop) for stop in range(self.n_stops + 1))
 
     def freq(self, stop: float = 0) -> float:
-        """Pitch a stop should sound, Hz: that of its note, raised or lowered with the open string if that is held."""
+        """Pitch that a stop should sound, Hz: its note, transposed with the open string if the tension is held."""
         return self.stopping.freq(stop) * self._raised
 
     @property
     def given_tension(self) -> GivenTension:
-        """What became of the bundle's tension."""
+        """The bundle's tension and the one used."""
         held = "tension" if self._tension_held or self.stopping.compensate == "none" else "pitch"
         return GivenTension(self.name, self.resonator.tension, self.tension(0.0), held, cents(self._raised))
 
@@ -238,28 +143,29 @@ class StringModel:
         return self.resonator.length - self.position(stop)
 
     def site(self, stop: float = 0) -> Site:
-        """The string at a stop, as what touches it sees it."""
+        """Geometry of the string at a stop, for attachments and exciters."""
         open_length = self.resonator.length
         stops = tuple(self.length(i) for i in range(self.n_stops + 1))
         polarizations = tuple((p.component, p.direction) for p in self.polarizations)
         return Site(self.name, open_length, self.length(stop), stops, polarizations)
 
     def attached(self, stop: float = 0) -> tuple[Attached, ...]:
-        """What touches the string at a stop besides the body: connections and exciters that react."""
+        """Places, components and connections that attachments, exciters and a finger add to the string at a stop."""
         if stop not in self._attached:
             site = self.site(stop)
-            found = [part.attach(name, site) for name, part in self._touching.items()]
+            # pairs: an exciter may have the name of the soft finger
+            found = [(name, part.attach(name, site)) for name, part in self._touching.items()]
             if self.stopping.finger is not None:
-                found.append(fingertips(self.stopping.finger, site, self._left_under_finger(stop)))
-            self._attached[stop] = tuple(a for a in found if a is not None)
+                found.append((POINT, fingertips(self.stopping.finger, site, self._left_under_finger(stop))))
+            self._attached[stop] = tuple(a.owned_by(self.name, part) for part, a in found if a is not None)
         return self._attached[stop]
 
     def connections(self, stop: float = 0) -> tuple[Connection, ...]:
-        """Connections of what touches it; at every stop the same, but for their laws."""
+        """Connections of `attached`; at every stop the same ones, with laws that may differ."""
         return tuple(c for a in self.attached(stop) for c in a.connections)
 
     def tuned(self, stop: float = 0) -> TunedStop:
-        """Tension and coupled modes of a stop, as the bundle's tension stands where it asks for no compensation."""
+        """Tension and coupled modes of a stop; at the bundle's tension where it asks for no compensation."""
         return self._tune(stop)[0] or self._as_it_stands(float(stop))
 
     def tension(self, stop: float = 0) -> float:
@@ -267,7 +173,7 @@ class StringModel:
         return self._tune(0.0 if self.stopping.compensate == "open_only" else stop)[1]
 
     def under(self, tension: float, stop: float = 0) -> TunedStop:
-        """Coupled modes of a stop under a tension (N) that stays as it is.
+        """Coupled modes of a stop at a given tension (N), without tuning.
 
         Raises
         ------
@@ -302,11 +208,11 @@ class StringModel:
         Parameters
         ----------
         stop : 0 is open; a fraction on a continuous string.
-        bend_cents : by which the tension is changed.
+        bend_cents : change of pitch by a change of tension.
         added_damping : 1/s, added to every mode's damping rate.
         pluck_from_bridge : m; the string's usual place where left out. Must lie on the speaking part.
-        touches : point of what touches the string -> m, where it lies elsewhere than its part says.
-        whole : keep modes that tension has raised above the limit, too.
+        touches : point that a part attaches to the string -> m, in place of the part's own place.
+        whole : keep also modes that the tension has raised above the limit.
         """
         length = self.length(stop)
         pluck = min(self.pluck_from_bridge, 0.9 * length) if pluck_from_bridge is None else pluck_from_bridge
@@ -330,8 +236,8 @@ class StringModel:
             if not whole:
                 basis = below(basis, self._freq_limit)
             out[polarization.component] = with_still_points(basis.with_places(here), beyond)
-        if self.along:
-            out[self.along.component] = self._longitudinal(end, self.along.motion)
+        if self.longitudinal:
+            out[self.longitudinal.component] = self._longitudinal(end, self.longitudinal.motion)
         return damped(out, added_damping) if added_damping else out
 
     def n_modes(self, stop: float = 0) -> int:
@@ -351,7 +257,7 @@ class StringModel:
     def transfer(self, component: str, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         """Matrices that carry modal displacement and velocity from one stop's basis to another's."""
         self._own(component)
-        if self._is_along(component):
+        if self._is_longitudinal(component):
             return string_transfer(old, new)
         if self.stopping.finger is not None:
             return laid_down(old, new)
@@ -362,7 +268,7 @@ class StringModel:
     ) -> tuple[Floats, Floats]:
         """One motion, modal coordinates q and q', carried from one stop's basis to another's."""
         self._own(component)
-        if self._is_along(component):
+        if self._is_longitudinal(component):
             return (
                 (q, velocity)
                 if old.metadata["length"] == new.metadata["length"]
@@ -373,19 +279,19 @@ class StringModel:
             return displacement @ q, moving @ velocity
         return self.resonator.carried(old, new, q, velocity)
 
-    def _is_along(self, component: str) -> bool:
-        return self.along is not None and component == self.along.component
+    def _is_longitudinal(self, component: str) -> bool:
+        return self.longitudinal is not None and component == self.longitudinal.component
 
     def _longitudinal(self, stop: float, motion: Longitudinal) -> ModalBasis:
-        """Modes along the string; few, and bends leave them as they are."""
-        if stop not in self._along:
-            if len(self._along) >= _PASSING_STOPS:
-                del self._along[next(iter(self._along))]
-            self._along[stop] = motion.basis(self._freq_limit, self.position(stop))
-        return self._along[stop]
+        """Longitudinal modes at a stop, cached; bends do not change them."""
+        if stop not in self._longitudinal_bases:
+            if len(self._longitudinal_bases) >= _PASSING_STOPS:
+                del self._longitudinal_bases[next(iter(self._longitudinal_bases))]
+            self._longitudinal_bases[stop] = motion.basis(self._freq_limit, self.position(stop))
+        return self._longitudinal_bases[stop]
 
     def _end(self, stop: float) -> float:
-        """Stop at which the string's modes end: a soft finger leaves them those of the open string."""
+        """Stop that ends the modes of the string: 0 under a soft finger, which leaves the whole string in motion."""
         return stop if self.stopping.finger is None else 0.0
 
     def _under_finger(self, stop: float, finger: Finger) -> float:
@@ -407,7 +313,7 @@ class StringModel:
         return length + bent - tension * compliance(finger, self.freq(stop)).real
 
     def _left_under_finger(self, stop: float) -> float | None:
-        """Compliance under a soft finger that the string's modes leave, m/N; None on the open string."""
+        """Residual compliance of the string under a soft finger, m/N; None on the open string."""
         finger = self.stopping.finger
         if finger is None or stop == 0:
             return None
@@ -422,12 +328,12 @@ class StringModel:
             raise ValueError(f"string {self.name} has the components {', '.join(self.components)}, not {component!r}")
 
     def _untuned(self, stop: float) -> ModalBasis:
-        """Basis of a stop before the tuner's last turn, made once."""
+        """Basis of a stop at a first guess of its tension, cached; `detuned` takes it to any other tension."""
         if stop not in self._bases:
             # the open string's tension, once known, is the best guess for every stop
             guess = self._tuned[0.0][1] if 0.0 in self._tuned else self._first_guess()
             basis = self.resonator.basis(self._freq_upper, stop=self.position(stop), tension=guess)
-            if basis.n_modes < 2:  # one alone moves with the bridge: held there, the string would have none
+            if basis.n_modes < 2:  # a single mode moves with the bridge: a string held there would have none
                 raise self.resonator.fault(
                     f"{self._freq_upper:g} Hz leave {basis.n_modes} of the modes at stop {stop:g}; "
                     f"{self.freq(stop):.2f} Hz need 2 or more: raise freq_upper, or the sampling rate",
@@ -443,7 +349,7 @@ class StringModel:
         return self._bases[stop]
 
     def _first_guess(self) -> float:
-        """Tension of a rigidly held string of this pitch: f goes with its root."""
+        """Tension of a rigidly held string of this pitch: f is proportional to the root of the tension."""
         nominal = self.resonator.tension
         if self._tension_held or self.stopping.compensate == "none":
             return nominal
@@ -458,7 +364,7 @@ class StringModel:
         return guess
 
     def _bend_gain(self, stop: float) -> float:
-        """Cents of tension per cent of pitch: not quite 1, because a bend leaves the shapes as they are."""
+        """Cents of tension per cent of pitch: not quite 1, because the shapes do not change with the tension."""
         if stop not in self._gains:
             base, tension, trial = self._untuned(stop), self.tension(stop), 50.0
             pair = (self.resonator.detuned(base, t) for t in (tension, tension * ratio_of_cents(trial) ** 2))
@@ -507,7 +413,7 @@ def held_freq(basis: ModalBasis) -> float | None:
 
 
 def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:
-    """Add points that do not move: places behind the stop, which connections at other stops act on."""
+    """Add points that do not move: places behind the stop, on which connections act at other stops."""
     if not names:
         return basis
     rows = np.zeros((len(names), basis.n_modes), dtype=np.complex128)
@@ -521,7 +427,7 @@ def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:
 
 
 def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:
-    """Modes under `freq_limit` (Hz), the others' static compliance in the residual; what a bend can make necessary."""
+    """Keep the modes below `freq_limit` (Hz), and put the static compliance of the others into the residual."""
     keep = np.flatnonzero(basis.natural_freq < freq_limit)
     if keep.size == basis.n_modes:
         return basis

@@ -1,8 +1,8 @@
-"""Tuning a string on its body: the tension at which the coupled mode sounds the note, and the notes that growl.
+"""Tuning a string on its body: the tension at which the coupled mode sounds the note, and wolf notes.
 
-A string on a body that gives way does not sound at its own frequency. The mode that is heard as its pitch is the
-string-dominated one, the mode of string and body together with the largest share of its energy in the string's first
-polarization; its frequency is Im s / 2 pi. The other strings are left out, as a tuner damps them.
+A string on a compliant body does not sound at the frequency that it has on a rigid bridge. Its pitch is the frequency
+Im s / 2 pi of the string-dominated mode: the coupled mode of string and body with the largest share of its energy in
+the string's first polarization. The other strings are left out, as if a tuner damped them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Complexes = NDArray[np.complex128]
 WOLF_CENTS, WOLF_DB = 60.0, 6.0
 #: body poles within this ratio of the pitch take part in the search for modes
 _NEAR = 1.15
-#: a tension this far from the uncoupled one is not looked for, cents of pitch
+#: range of the search for a tension, cents of pitch from the uncoupled one
 _REACH_CENTS = 120.0
 _ACCURACY_CENTS = 1e-3
 
@@ -53,7 +53,7 @@ class CoupledMode:
     def level_db(self, other: CoupledMode) -> float:
         """Level at the bridge over the whole decay, against another mode: energy a^2 / 2 sigma, dB.
 
-        A body mode answers a pluck as strongly as the string's, but is gone at once and disturbs no pitch.
+        A body mode may be as strong as the string's at first, but it decays at once and disturbs no pitch.
         """
         energy = [m.strength / math.sqrt(max(-m.pole.real, 1e-12)) for m in (self, other)]
         return decibel(energy[0] / energy[1])
@@ -76,14 +76,14 @@ class TunedStop:
 
     @property
     def error_cents(self) -> float:
-        """How far the string-dominated mode is from the pitch."""
+        """Cents of the string-dominated mode from the pitch."""
         return cents(self.modes[0].freq / self.freq)
 
     @property
     def wolf(self) -> CoupledMode | None:
         """A second mode within 60 cents and 6 dB of the first, or one that keeps the first from the pitch; or None.
 
-        The other polarization, which is near by intention, does not count.
+        The other polarization, which is tuned near on purpose, does not count.
         """
         first, *others = self.modes
         for mode in others:
@@ -101,7 +101,7 @@ class StringOnBody:
     Parameters
     ----------
     bases : tension (N) of the first polarization -> bases of all polarizations, with the point ``bridge``.
-    body : what the polarizations are joined to, as `Ports` of one row per polarization.
+    body : `Ports` of the body, one row per polarization.
     pluck : m from the bridge, for strengths.
     """
 
@@ -137,7 +137,7 @@ class StringOnBody:
         ratio = np.abs(self.body.poles) / target
         seen = np.abs(self.body.right).max(axis=0) * np.abs(self.body.left).max(axis=0) > 0
         near = seen & (self.body.poles.imag > 0) & (ratio < _NEAR) & (ratio > 1 / _NEAR)
-        # modes at the same frequency act on one string as one
+        # modes at the same frequency act on one string like a single mode
         poles = list(dict.fromkeys(complex(p) for p in self.body.poles[near]))
         starts = [complex(-1e-3 * target, target * (1 + 1e-3 * i)) for i in range(joint.size)]
         starts += [p * (1 + 1e-3) for p in poles]  # not the pole itself, where M is infinite
@@ -180,11 +180,11 @@ def tune(string: StringOnBody, freq: float, tension: float) -> TunedStop:
 
     Notes
     -----
-    One mode is followed from tension to tension (a secant rule on the logarithms of tension and pitch), then it is
-    asked again which mode dominates. Where a body mode has nearly the pitch and as much of the energy, the dominating
-    mode jumps from below the pitch to above it as the tension grows, and no tension makes it sound the note: then the
-    tension at the jump is found by bisection, on the side that is nearer, and `TunedStop.error_cents` says what is
-    left. Such a stop is a wolf note whatever the string.
+    One mode is followed from tension to tension (a secant rule on the logarithms of tension and pitch), then the
+    dominating mode is determined again. Where a body mode has nearly the pitch and as much of the energy, the
+    dominating mode jumps from below the pitch to above it as the tension grows, and no tension makes it sound the note:
+    then bisection finds the tension at the jump, on the side that is nearer, and `TunedStop.error_cents` is the error
+    that remains. Such a stop is a wolf note whatever the string.
     """
     best, least = tension, math.inf
     flat, sharp = 0.0, math.inf
@@ -231,7 +231,7 @@ def _follow(string: StringOnBody, freq: float, tension: float, pole: complex) ->
 
 
 def body_ports(body: ModalBasis, ends: Sequence[Mapping[str, float]]) -> Ports:
-    """The body as a string's polarizations meet it: one row per polarization, its shares of the body's points."""
+    """Ports of the body for a string: one row per polarization, with its shares of the body's points."""
     rows = np.zeros((len(ends), len(body.points)))
     for i, shares in enumerate(ends):
         for point, factor in shares.items():

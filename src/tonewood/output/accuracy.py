@@ -1,6 +1,6 @@
-"""Three settings of the renderer's dials, and the filter that brings an oversampled render down.
+"""Three settings of accuracy, and the decimation filter of oversampled renders.
 
-What each costs and how far it is from `reference` is measured by ``tonewood accuracy`` and told in docs/accuracy.md.
+``tonewood accuracy`` measures the cost of each and its error against `reference`; docs/accuracy.md has the figures.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import TonewoodError
+from tonewood.output.options import AccuracyName
 
 Floats = NDArray[np.float64]
 
@@ -23,19 +23,19 @@ class Accuracy:
     Attributes
     ----------
     name : of the setting.
-    oversampling : the engine runs at so many times the rate of the sound.
-    as_asked : times as often as the bundle asks for, besides.
+    oversampling : ratio of the engine's rate to that of the sound.
+    as_asked : whether the bundle's own oversampling is applied in addition.
     freq_limit : Hz, no mode is stepped above it; None is 0.45 of the engine's rate.
     """
 
-    name: str
+    name: AccuracyName
     oversampling: int = 1
     as_asked: bool = True
     freq_limit: float | None = None
 
 
-#: quick listening; what music is rendered with; what the others are measured against
-LEVELS: Mapping[str, Accuracy] = {
+#: for quick listening; for music; reference for the errors of the others
+LEVELS: Mapping[AccuracyName, Accuracy] = {
     level.name: level
     for level in (
         Accuracy("draft", as_asked=False, freq_limit=10e3),
@@ -45,24 +45,12 @@ LEVELS: Mapping[str, Accuracy] = {
 }
 
 
-def accuracy_level(name: str) -> Accuracy:
-    """A setting by its name.
-
-    Raises
-    ------
-    TonewoodError : there is no such setting.
-    """
-    if name not in LEVELS:
-        raise TonewoodError(f"is {name!r}; {', '.join(LEVELS)} are allowed", key="accuracy")
-    return LEVELS[name]
-
-
 class Decimator:
     """Streams a sound to a lower rate by a linear-phase filter, without delay: flat to 0.45 of that rate, then -110 dB.
 
     Parameters
     ----------
-    factor : 1 hands the sound through.
+    factor : ratio of the rates; 1 leaves the sound as it is.
     n_channels : columns.
     """
 
@@ -76,19 +64,19 @@ class Decimator:
             length, beta = kaiserord(110.0, 0.1 / factor)
             half = -(-(length // 2) // factor) * factor
             self._taps = firwin(2 * half + 1, 0.95 / factor, window=("kaiser", beta))
-        self.held: Floats = np.zeros((len(self._taps) - 1, n_channels))
+        self.memory: Floats = np.zeros((len(self._taps) - 1, n_channels))
 
     @property
     def lead(self) -> int:
-        """Frames of the lower rate that come out before the first frame that went in: it looks ahead so far."""
+        """Look-ahead in frames of the lower rate: so many come out before the first frame that went in."""
         return (len(self._taps) - 1) // 2 // self.factor
 
     def __call__(self, sound: Floats) -> Floats:
         """(n / factor, n_channels) from (n, n_channels); n is a multiple of the factor."""
         if self.factor == 1:
             return sound
-        joined = np.concatenate([self.held, sound])
-        self.held = joined[len(joined) - len(self.held) :]
+        joined = np.concatenate([self.memory, sound])
+        self.memory = joined[len(joined) - len(self.memory) :]
         windows = np.lib.stride_tricks.sliding_window_view(joined, len(self._taps), axis=0)[:: self.factor]
-        # by einsum: its sums do not depend on how many frames come at a time
+        # einsum, whose sums do not depend on the number of frames
         return np.asarray(np.einsum("nct,t->nc", windows, self._taps))

@@ -1,4 +1,4 @@
-"""Sound in memory and sound files: written under another name and renamed when complete."""
+"""Sound in memory, and sound files as `AtomicFile`s."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tonewood.energy.trace import EnergyTrace
 from tonewood.errors import OutputError
 from tonewood.score.note import Dropped
-from tonewood.whole_files import Part
+from tonewood.whole_files import AtomicFile
 
 Floats = NDArray[np.float64]
 
@@ -122,12 +122,12 @@ class SoundWriter:
         self.path = Path(path)
         container, self.subtype = file_format(path, subtype, float(frames) * n_channels)
         self.clipped, self.frames, self.peak = 0, 0, 0.0
-        self._part = Part(path)
+        self._new = AtomicFile(path)
         try:
-            self._file = sf.SoundFile(str(self._part.path), "w", fs, n_channels, subtype=self.subtype, format=container)
+            self._file = sf.SoundFile(str(self._new.path), "w", fs, n_channels, subtype=self.subtype, format=container)
         except (sf.LibsndfileError, OSError) as error:
-            reason = _reason(self._part.path, error)
-            self._part.discard()
+            reason = _reason(self._new.path, error)
+            self._new.discard()
             raise OutputError(f"cannot be written: {reason}", file=path) from None
 
     @property
@@ -155,7 +155,7 @@ class SoundWriter:
         try:
             self._file.write(block)
         except (sf.LibsndfileError, OSError) as error:
-            raise OutputError(f"cannot be written: {_reason(self._part.path, error)}", file=self.path) from None
+            raise OutputError(f"cannot be written: {_reason(self._new.path, error)}", file=self.path) from None
         self.frames += len(block)
 
     def __exit__(
@@ -163,20 +163,20 @@ class SoundWriter:
     ) -> None:
         try:
             self._file.close()
-            # libsndfile does not tell of a disk that filled up in its last buffer
-            complete = kind is None and sf.info(str(self._part.path)).frames == self.frames
+            # libsndfile does not report a disk that is full when it writes its last buffer
+            complete = kind is None and sf.info(str(self._new.path)).frames == self.frames
             if kind is None and not complete:
                 raise OutputError("is incomplete on disk (is it full?)", file=self.path)
             if complete:
-                self._part.complete()
+                self._new.complete()
         except (sf.LibsndfileError, OSError) as fault:
-            raise OutputError(f"cannot be written: {_reason(self._part.path, fault)}", file=self.path) from None
+            raise OutputError(f"cannot be written: {_reason(self._new.path, fault)}", file=self.path) from None
         finally:
-            self._part.discard()
+            self._new.discard()
 
 
 def _reason(path: Path, error: Exception) -> str:
-    """Why a file could not be written: libsndfile speaks of system errors, the system says which."""
+    """Reason why a file cannot be written: libsndfile reports system errors without their message."""
     try:
         with path.open("ab") as stream:
             stream.write(bytes(1 << 20))

@@ -1,4 +1,4 @@
-"""Accounts of energy to files: JSON, CSV or a picture, as the name's ending says."""
+"""Writes accounts of energy as JSON, CSV or a picture, by the suffix of the file."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pathlib import Path
 
 from tonewood.energy.trace import EnergyTrace
 from tonewood.errors import TonewoodError
-from tonewood.whole_files import Part, whole_file, write_whole
+from tonewood.whole_files import AtomicFile, whole_file, write_whole
 
 _ENDINGS = (".json", ".csv", ".png")
 _KINDS = ("stored", "supplied", "booked", "lost")
 
 
 def check_energy_file(path: Path) -> None:
-    """Find out before a long render whether an account can be written there.
+    """Check before a long render that an account can be written to a file.
 
     Raises
     ------
@@ -25,7 +25,7 @@ def check_energy_file(path: Path) -> None:
     """
     if path.suffix.lower() not in _ENDINGS:
         raise TonewoodError(f"is {path.name!r}; a name ending in {', '.join(_ENDINGS)} is allowed", key="--energy")
-    Part(path).discard()
+    AtomicFile(path).discard()
     if path.suffix.lower() == ".png":
         try:
             import matplotlib  # noqa: F401  # better to know now

@@ -67,22 +67,22 @@ class Limiter:
 
     def _gained(self, chunks: Iterable[Floats]) -> Iterator[Floats]:
         L = self._length
-        held: Floats | None = None  # samples whose gain is not known yet
+        delayed: Floats | None = None  # samples whose gain is not known yet
         needed, smooth, last = np.zeros(0), np.zeros(0), 0.0
         for chunk in chunks:
-            held = chunk if held is None else np.concatenate([held, chunk])
+            delayed = chunk if delayed is None else np.concatenate([delayed, chunk])
             peak = np.max(np.abs(chunk), axis=1, initial=0.0)
             level = 20 * np.log10(np.maximum(peak, 1e-300))
             needed = np.concatenate([needed, np.minimum(0.0, self.ceiling_db - level)])
             n = len(needed) - L
             if n <= 0:
                 continue
-            done, smooth, last = self._apply(held, needed, smooth, last, n)
-            held, needed = held[n:], needed[n:]
+            done, smooth, last = self._apply(delayed, needed, smooth, last, n)
+            delayed, needed = delayed[n:], needed[n:]
             yield done
-        if held is not None and len(held):
+        if delayed is not None and len(delayed):
             needed = np.concatenate([needed, np.zeros(L)])
-            yield self._apply(held, needed, smooth, last, len(held))[0]
+            yield self._apply(delayed, needed, smooth, last, len(delayed))[0]
 
     def _apply(self, x: Floats, needed: Floats, before: Floats, last: float, n: int) -> tuple[Floats, Floats, float]:
         """Gain n samples; returns them, the last L gains, and the gain before the mean."""
@@ -102,7 +102,7 @@ class Limiter:
 
 
 def _regular(blocks: Iterable[Floats], sizes: list[int]) -> Iterator[Floats]:
-    """The same samples in chunks of one size, the last one shorter; notes the sizes that came in."""
+    """Yield the samples in chunks of one size, the last one shorter; appends the sizes of the blocks to `sizes`."""
     parts: list[Floats] = []
     n = 0
     for block in blocks:

@@ -17,7 +17,8 @@ from tonewood.engine.ledger import Ledger, Spans
 from tonewood.errors import DroppedNotesWarning
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.contract import Plugin
-from tonewood.output.render import DEFAULT_TAIL, Renderer, Tail, with_effects
+from tonewood.output.options import RenderOptions
+from tonewood.output.render import Renderer
 from tonewood.score.note import Dropped, Score
 
 #: the sketch is made at this share of the sampling rate, but at no less than this
@@ -76,30 +77,25 @@ class Plan:
 def plan(
     score: Score,
     instrument: Instrument,
-    fs: int = 48000,
+    fs: float | None = None,
     *,
-    effects: str | Sequence[str] | None = None,
-    budget_db: float | None = None,
-    budget_cents: float | None = None,
-    outputs: Sequence[str] | None = None,
-    tail: Tail = DEFAULT_TAIL,
-    max_duration: float | None = None,
+    options: RenderOptions | None = None,
     progress: Callable[[float], None] | None = None,
+    **settings: Any,
 ) -> Plan:
-    """Foresee a render; the parameters are those of `Renderer`, which warns of dropped notes."""
-    chosen = with_effects(instrument, effects, budget_db, budget_cents)
-    options: Mapping[str, Any] = {"outputs": outputs, "tail": tail}
-    low = max(fs // _SKETCH, min(_LEAST_FS, fs))
+    """Foresee a render; `Renderer` has the same options, and warns of dropped notes."""
+    options = RenderOptions.of(options, fs, settings)
+    low = max(options.fs // _SKETCH, min(_LEAST_FS, options.fs))
     # what is imported and kept the first time belongs to no second of sound
-    first_second = _TIMED if max_duration is None else min(_TIMED, max_duration)
-    for _ in Renderer(score, chosen, low, max_duration=first_second, **options).blocks(4096):
+    first_second = _TIMED if options.max_duration is None else min(_TIMED, options.max_duration)
+    for _ in Renderer(score, instrument, options=options.at(fs=low, max_duration=first_second)).blocks(4096):
         pass
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DroppedNotesWarning)  # the first one has told
-        sketch = Renderer(score, chosen, low, max_duration=max_duration, **options)
+        sketch = Renderer(score, instrument, options=options.at(fs=low))
     sketch.engine.watching = True
     # with fewer modes at fewer samples the same sleep is worth less
-    sketch.engine.sleeper.worth *= (low / fs) ** 2
+    sketch.engine.sleeper.worth *= (low / options.fs) ** 2
     first = Spent()
     for _ in sketch.blocks(512):
         if sketch.time <= _TIMED:
@@ -109,7 +105,7 @@ def plan(
     seconds = sketch.summary().duration_s
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DroppedNotesWarning)
-        timed = Renderer(score, chosen, fs, max_duration=min(_TIMED, seconds), **options)
+        timed = Renderer(score, instrument, options=options.at(max_duration=min(_TIMED, seconds)))
     for _ in timed.blocks(4096):
         pass
     rising = _rising(timed.engine)

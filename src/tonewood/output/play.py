@@ -1,4 +1,4 @@
-"""The same blocks into a sound card."""
+"""Playing the blocks of a renderer on a sound card."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
+from tonewood.instrument.bundle import Instrument
 from tonewood.output.limiter import Limiter
+from tonewood.output.options import RenderOptions
 from tonewood.output.render import Renderer
+from tonewood.score.note import Score
 
 Floats = NDArray[np.float64]
 
@@ -22,12 +25,12 @@ _AHEAD = 8
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """What was played.
+    """Summary of a playback.
 
     Attributes
     ----------
     frames : how many.
-    underruns : times the card got silence because no block was ready, or told of a gap itself.
+    underruns : times that no block was ready and the card got silence, or that the card reported a gap.
     clipped : samples beyond full scale.
     """
 
@@ -37,27 +40,41 @@ class Playback:
 
 
 def play(
-    renderer: Renderer,
+    source: Renderer | Score,
+    instrument: Instrument | None = None,
+    fs: float | None = None,
     *,
+    options: RenderOptions | None = None,
     block_size: int = 1024,
     device: Any = None,
     stream: Any = None,
     limiter: Limiter | None = None,
+    **settings: Any,
 ) -> Playback:
-    """Play a renderer to its end.
+    """Play a score on an instrument, or a renderer to its end.
 
     Parameters
     ----------
-    renderer : its channels become the device's; one channel is played on both sides.
+    source : a score, played on `instrument`; or a renderer, which has an instrument and options already. Its channels
+        become the device's; one channel is played on both sides.
+    fs, options : as for `Renderer`, single options as keywords too.
     block_size : frames per block.
     device : as sounddevice names it; None is the default.
-    limiter : holds peaks below full scale; without it they are clipped.
     stream : class with sounddevice's ``OutputStream`` interface, instead of that one.
+    limiter : holds peaks below full scale; without it they are clipped.
 
     Raises
     ------
     OutputError : there is no PortAudio or no such device, in one line.
     """
+    if isinstance(source, Renderer):
+        if instrument is not None or fs is not None or options is not None or settings:
+            raise TypeError("a renderer has its instrument and options already")
+        renderer = source
+    elif instrument is None:
+        raise TypeError("a score is played on an instrument")
+    else:
+        renderer = Renderer(source, instrument, options=RenderOptions.of(options, fs, settings))
     make = stream or _output_stream()
     n_channels = max(2, len(renderer.channels))
     blocks: queue.Queue[Floats | None] = queue.Queue(maxsize=_AHEAD)
@@ -76,7 +93,7 @@ def play(
                     primed.set()
                 if done.is_set():
                     return
-        except Exception as error:  # whatever it is must reach the caller's thread
+        except Exception as error:  # re-raised in the caller's thread
             failed.append(error)
         finally:
             primed.set()
@@ -103,7 +120,7 @@ def play(
     filler = threading.Thread(target=fill, daemon=True)
     filler.start()
     try:
-        # the card starts with the queue full, not with underruns
+        # the stream starts when the queue is full, so that it does not begin with underruns
         primed.wait()
         with make(
             samplerate=renderer.fs, blocksize=block_size, channels=n_channels, dtype="float32",

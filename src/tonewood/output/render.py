@@ -1,4 +1,4 @@
-"""Scores to sound: `Renderer.blocks` streams, everything else stands on it."""
+"""Renders scores: `Renderer.blocks` yields the sound block by block; `render` and `play` use it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,44 +21,27 @@ from tonewood.engine.playing import Performance, perform
 from tonewood.errors import DroppedNotesWarning, TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.strings import GivenTension
-from tonewood.output.accuracy import Decimator, accuracy_level
+from tonewood.instrument.string_setup import GivenTension
+from tonewood.output.accuracy import LEVELS, Decimator
 from tonewood.output.audio import Audio, decibels
+from tonewood.output.options import RenderOptions
 from tonewood.score.note import Dropped, Score
 
 Floats = NDArray[np.float64]
 
-#: ticks of the control grid from one look at the tail to the next, whatever the blocks asked for
+#: ticks of the control grid between checks whether the sound has decayed, whatever the block size
 _TICKS = 8
-#: frames at a time where nobody asks for any
+#: frames of a block in `render`
 _BLOCK = 4096
-#: s over which the decayed tail is judged
+#: s for which the sound must have stayed below the level of the tail
 _WINDOW = 0.2
-#: s over which a step at the first frame is smoothed, and longest lead-in
-_SMOOTHING, LONGEST_LEAD_IN = 5e-3, 60.0
-FS_RANGE = (8000, 768000)
-
-
-@dataclass(frozen=True, slots=True)
-class Tail:
-    """When a render ends after the last event.
-
-    Attributes
-    ----------
-    level_db : the sound has decayed when a fifth of a second stays this far below the loudest sample.
-    cap : s, longest tail.
-    """
-
-    level_db: float = -60.0
-    cap: float = 10.0
-
-
-DEFAULT_TAIL = Tail()
+#: s over which a step at the first frame is smoothed
+_SMOOTHING = 5e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a render did.
+    """Summary of a render.
 
     Attributes
     ----------
@@ -66,14 +50,14 @@ class Summary:
     realtime_factor : seconds of sound per second of computing.
     n_modes : modes that were stepped, at most at a time.
     notes : notes played.
-    notes_dropped : what could not be played, and why.
+    notes_dropped : notes that could not be played, and why.
     peak_dbfs : largest sample re full scale.
     end : why it ended: decayed, tail cap or maximum duration.
     warnings : one line each.
     effects : what ran and what was left out, one per effect and component.
-    ignored : kind of MIDI message or controller that nothing was made of -> how many there were.
+    ignored : kind of MIDI message or controller without effect -> number of them.
     zero_frame : frame of score time 0: the lead-in's length.
-    tensions : strings whose given tension and the one used are noticeably apart, and which of tension and pitch won.
+    tensions : strings whose given and used tension differ noticeably.
     onset_step_dbfs : largest sample at the first frame before it was smoothed; None if nothing sounded before it.
     """
 
@@ -100,7 +84,7 @@ class Checkpoint:
     """Snapshot of a renderer between two blocks."""
 
     engine: Snapshot
-    held: Floats
+    memory: Floats
     pending: Floats
     frames: int
     loudest: float
@@ -112,29 +96,19 @@ class Checkpoint:
 class Renderer:
     """Streams a score on an instrument.
 
-    Frame 0 is score time 0: what is needed before it (the ramp of a pluck that sounds at once) is computed and
-    discarded, unless a lead-in is asked for. Discarding it would leave a step at the first frame: the value that the
-    past leaves there is subtracted, fading over 5 ms, (1 + cos(pi t / 5 ms)) / 2. The note's own attack is not scaled.
-    Samples do not depend on the block size, to the last bit.
+    Frame 0 is score time 0. Sound before it (the ramp of a pluck at time 0) is computed and discarded, unless a lead-in
+    is asked for. This would leave a step at the first frame; the value of the first frame is therefore subtracted with
+    a fade of 5 ms, (1 + cos(pi t / 5 ms)) / 2. The note's own attack is not scaled. Samples do not depend on the block
+    size, to the last bit.
 
-    Notes that cannot be played are in `dropped`, and one `DroppedNotesWarning` tells of them.
+    `dropped` lists the notes that cannot be played, and one `DroppedNotesWarning` is issued.
 
     Parameters
     ----------
     score : notes and controllers.
     instrument : a loaded instrument.
     fs : sampling rate, Hz.
-    accuracy : ``draft``, ``standard`` or ``reference``: settings of the engine's dials, see `output.accuracy`.
-    outputs : names of output groups; by default the instrument's first.
-    tail : when to end after the last event.
-    max_duration : s of score time, hard end.
-    gain_db : on all channels.
-    channel_per_string : MIDI channel 1 plays the first string, and so on.
-    lead_in : s of sound before score time 0, which then is frame `zero_frame`; ``auto`` for as much as comes before it.
-    effects : ``auto``, ``all``, ``none`` or names of effects that run; the bundle's choice where left out.
-    budget_db, budget_cents : what leaving an effect out may cost; the bundle's where left out.
-    energy : keep an account of energy, in `energy`; many times slower, with the same samples. Balances close to
-        rounding.
+    options : of the render; single ones may be given as keywords instead.
 
     Raises
     ------
@@ -147,54 +121,38 @@ class Renderer:
         self,
         score: Score,
         instrument: Instrument,
-        fs: int = 48000,
+        fs: float | None = None,
         *,
-        accuracy: str = "standard",
-        outputs: Sequence[str] | None = None,
-        tail: Tail = DEFAULT_TAIL,
-        max_duration: float | None = None,
-        gain_db: float = 0.0,
-        channel_per_string: bool = False,
-        lead_in: float | str = 0.0,
-        effects: str | Sequence[str] | None = None,
-        budget_db: float | None = None,
-        budget_cents: float | None = None,
-        energy: bool = False,
+        options: RenderOptions | None = None,
+        **settings: Any,
     ):
-        low, high = FS_RANGE
-        if not low <= fs <= high:
-            raise TonewoodError(f"is {fs} Hz; {low} to {high} are allowed", key="fs")
-        level = accuracy_level(accuracy)
-        if max_duration is not None and not max_duration > 0:
-            raise TonewoodError(f"is {max_duration} s; more than 0 is allowed", key="max_duration")
-        if lead_in != "auto" and not (isinstance(lead_in, (int, float)) and 0 <= lead_in <= LONGEST_LEAD_IN):
-            raise TonewoodError(f"is {lead_in!r}; auto or 0 to {LONGEST_LEAD_IN:g} s are allowed", key="lead_in")
-        self.fs, self.tail, self.max_duration = int(fs), tail, max_duration
+        self.options = options = RenderOptions.of(options, fs, settings)
+        self.fs, level = options.fs, LEVELS[options.accuracy]
         # an instrument may need finer steps to be as accurate as others are
         finer = level.oversampling * (instrument.spec.oversampling if level.as_asked else 1)
         engine_fs = finer * self.fs
         limit = None if level.freq_limit is None else min(level.freq_limit, FREQ_LIMIT * engine_fs)
-        chosen = with_effects(instrument, effects, budget_db, budget_cents)
-        self.model = assemble(chosen, engine_fs, freq_limit=limit, outputs=outputs)
-        self.performance: Performance = perform(score, self.model, channel_per_string=channel_per_string)
-        self.engine = Engine(self.model, self.performance.timeline, energy=energy)
+        self.model = assemble(options.applied_to(instrument), engine_fs, freq_limit=limit, outputs=options.outputs)
+        self.performance: Performance = perform(score, self.model, channel_per_string=options.channel_per_string)
+        self.engine = Engine(self.model, self.performance.timeline, energy=options.energy)
         groups = self.model.outputs
         columns = [i for group in groups for i in group.readouts]
         whole = columns == list(range(len(self.model.system.readouts)))
         self._columns: slice | list[int] = slice(None) if whole else columns
-        gain = 10 ** (gain_db / 20)
+        gain = 10 ** (options.gain_db / 20)
         scales = [group.full_scale for group in groups for _ in group.channels]
         self._scale = gain / (scales[0] if len(set(scales)) == 1 else np.array(scales))
         self._decimator = Decimator(finer, len(columns))
         earliest = self.performance.timeline.start
-        self.zero_frame = math.ceil(-earliest * self.fs) if lead_in == "auto" else round(float(lead_in) * self.fs)
-        if tail.level_db < self.model.choice.budget_db:
+        auto = options.lead_in == "auto"
+        self.zero_frame = math.ceil(-earliest * self.fs) if auto else round(float(options.lead_in) * self.fs)
+        if options.tail_level_db < self.model.choice.budget_db:
             end = self.expected_duration - self.zero_frame / self.fs  # in score time
             self.engine.sleeper.tail = max(end - self.performance.timeline.stop, 0.0)
-        # the first frame that comes out of the decimator, which looks ahead; silence where the lead-in is longer
+        # first frame out of the decimator, which looks ahead; silence before it where the lead-in is longer
         first = self.engine.state.sample // finer - self._decimator.lead
         self._pending = np.zeros((max(0, first + self.zero_frame), len(columns)))
-        #: what stands at the first frame because the past is cut off there; None until that frame is computed
+        #: value of the first frame where earlier sound was discarded; None until that frame is computed
         self._step: Floats | None = None if earliest * self.fs < -self.zero_frame else np.zeros(len(columns))
         n = round(_SMOOTHING * self.fs)
         self._fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(n) / n)
@@ -223,8 +181,8 @@ class Renderer:
     @property
     def expected_duration(self) -> float:
         """Upper bound of the length in s: lead-in, last event and the tail's cap."""
-        longest = self.performance.timeline.stop + self.tail.cap
-        longest = longest if self.max_duration is None else min(longest, self.max_duration)
+        longest = self.performance.timeline.stop + self.options.tail
+        longest = longest if self.options.max_duration is None else min(longest, self.options.max_duration)
         return longest + self.zero_frame / self.fs
 
     @property
@@ -251,7 +209,7 @@ class Renderer:
             yield block
 
     def summary(self) -> Summary:
-        """What was done so far."""
+        """Summary of the frames so far."""
         duration = self._frames / self.fs
         return Summary(
             frames=self._frames,
@@ -273,10 +231,10 @@ class Renderer:
         )
 
     def snapshot(self) -> Checkpoint:
-        """Copy of all that moves, to `restore` later in this renderer or another one made alike."""
+        """Copy of the whole state, to `restore` later in this renderer or in one made from the same arguments."""
         return Checkpoint(
             self.engine.snapshot(),
-            self._decimator.held.copy(),
+            self._decimator.memory.copy(),
             self._pending.copy(),
             self._frames,
             self._loudest,
@@ -286,19 +244,20 @@ class Renderer:
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go back to a snapshot; what follows is the same to the last bit."""
+        """Restore a snapshot; the samples that follow are the same to the last bit."""
         self.engine.restore(checkpoint.engine)
-        self._decimator.held = checkpoint.held.copy()
+        self._decimator.memory = checkpoint.memory.copy()
         self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
         self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
         self._step = checkpoint.step
 
     def _fill(self, frames: int) -> None:
-        """Step on for some frames; one span after another from where the sound may be found to have ended."""
+        """Step at least `frames` frames, in whole spans; one span at a time where the render may end."""
         factor, span = self._decimator.factor, _TICKS * GRID
-        # the first frame that comes out of the decimator, which looks ahead
+        # first frame out of the decimator, which looks ahead
         first = self.engine.state.sample // factor - self._decimator.lead
-        room = math.inf if self.max_duration is None else round(self.max_duration * self.fs) - max(first, 0)
+        longest = self.options.max_duration
+        room = math.inf if longest is None else round(longest * self.fs) - max(first, 0)
         lively = int(self.performance.timeline.stop * self.model.fs) - self.engine.state.sample - span
         spans = max(1, min(math.ceil(min(frames, room) * factor / span), lively // span))
         began = time.perf_counter()
@@ -312,7 +271,7 @@ class Renderer:
         self._watch(float(np.max(np.abs(sound), initial=0.0)))
 
     def _begun(self, sound: Floats, first: int) -> Floats:
-        """Cut off what lies before the first frame, and smooth the step that this leaves; `first` is sound's frame."""
+        """Discard the sound before the first frame, and smooth the step that this leaves; `first` is sound's frame."""
         sound, first = sound[max(0, -first) :], max(0, first)
         if self._step is None and len(sound):
             self._step = sound[0].copy()
@@ -323,7 +282,7 @@ class Renderer:
         return sound
 
     def _watch(self, peak: float) -> None:
-        """Notice when the sound has decayed."""
+        """End the render when the sound has decayed."""
         now = self.engine.state.sample // self._decimator.factor
         self._loudest = max(self._loudest, peak)
         self._recent.append((now, peak))
@@ -332,14 +291,14 @@ class Renderer:
             self._recent.pop(0)
         if self._end or not self.engine.done or since_end < _WINDOW:
             return
-        if max(p for _, p in self._recent) <= self._loudest * 10 ** (self.tail.level_db / 20):
+        if max(p for _, p in self._recent) <= self._loudest * 10 ** (self.options.tail_level_db / 20):
             self._end = "decayed"
-        elif since_end >= self.tail.cap:
+        elif since_end >= self.options.tail:
             self._end = "tail cap"
 
 
 def _warn_of(dropped: Sequence[Dropped]) -> None:
-    """One warning, at the line outside this package that asked for the render."""
+    """Issue one warning, at the line outside this package that called the render."""
     if not dropped:
         return
     level, frame = 1, sys._getframe()
@@ -351,73 +310,27 @@ def _warn_of(dropped: Sequence[Dropped]) -> None:
     warnings.warn(DroppedNotesWarning(text), stacklevel=level)
 
 
-def with_effects(
-    instrument: Instrument,
-    effects: str | Sequence[str] | None,
-    budget_db: float | None,
-    budget_cents: float | None,
-) -> Instrument:
-    """Return the instrument with another choice of effects; None leaves a thing to the bundle.
-
-    Raises
-    ------
-    TonewoodError : a name or a budget is not allowed; one line.
-    """
-    if isinstance(effects, str) and effects not in ("auto", "all", "none"):
-        effects = [effects]
-    given = {"mode": effects, "budget_db": budget_db, "budget_cents": budget_cents}
-    changes = {
-        f"effects.{key}": value if isinstance(value, (str, float, int)) else list(value)
-        for key, value in given.items()
-        if value is not None
-    }
-    return instrument.replace(changes)
-
-
 def render(
     score: Score,
     instrument: Instrument,
-    fs: int = 48000,
+    fs: float | None = None,
     *,
-    accuracy: str = "standard",
-    outputs: Sequence[str] | None = None,
-    tail: Tail = DEFAULT_TAIL,
-    max_duration: float | None = None,
-    gain_db: float = 0.0,
-    channel_per_string: bool = False,
-    lead_in: float | str = 0.0,
-    effects: str | Sequence[str] | None = None,
-    budget_db: float | None = None,
-    budget_cents: float | None = None,
-    energy: bool = False,
+    options: RenderOptions | None = None,
     progress: Callable[[float], None] | None = None,
+    **settings: Any,
 ) -> Audio:
-    """Render a whole score in memory; see `Renderer` for the parameters.
+    """Render a whole score in memory.
 
     Parameters
     ----------
+    score, instrument, fs, options : as for `Renderer`, single options as keywords too.
     progress : called with the score time reached (s) after every block.
 
     Returns
     -------
     The sound, with the notes that could not be played; with `energy` it carries the account of energy, too.
     """
-    renderer = Renderer(
-        score,
-        instrument,
-        fs,
-        accuracy=accuracy,
-        outputs=outputs,
-        tail=tail,
-        max_duration=max_duration,
-        gain_db=gain_db,
-        channel_per_string=channel_per_string,
-        lead_in=lead_in,
-        effects=effects,
-        budget_db=budget_db,
-        budget_cents=budget_cents,
-        energy=energy,
-    )
+    renderer = Renderer(score, instrument, options=RenderOptions.of(options, fs, settings))
     blocks = []
     for block in renderer.blocks(_BLOCK):
         blocks.append(block)

@@ -1,1 +1,1 @@
-"""Notes, scores, scales and who plays what: plain data, nothing of instruments."""
+"""Notes, scores, scales and their assignment to strings: plain data, without instruments."""

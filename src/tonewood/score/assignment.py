@@ -1,7 +1,7 @@
-"""Who plays what: notes to strings and stops, playable by one left hand, at the least cost over the whole piece.
+"""Assigns notes to strings and stops, playable by one left hand, at the least cost over the whole piece.
 
-What is asked of a note (a pitch, a string, a stop) gives its options; notes that begin together form a chord, whose
-notes go to different strings; `fingering` then chooses among all ways through the piece. A string holds one note at
+The pitch, string or stop of a note gives its options; notes that begin together form a chord, whose notes go to
+different strings; `fingering` then chooses among all ways through the piece. A string holds one note at
 a time: a new one ends the earlier. Voices (MIDI channels) that meet on a pitch at the same moment share one pluck, as
 a player reads them; twice the same pitch in one voice asks for two strings. A note that has no option, or is one too
 many for the strings at its moment, is dropped with a reason. A wide stretch or a long shift is never a reason: it
@@ -51,7 +51,7 @@ class PlayableString:
         return cls(name, tuple(open_note + i for i in range(n_stops + 1)))
 
     def stop_for(self, pitch: float) -> float:
-        """The stop nearest to a pitch; how near is for the caller to judge."""
+        """The stop nearest to a pitch, however far."""
         if self.continuous:
             return min(max(pitch, self.pitches[0]), self.pitches[-1]) - self.pitches[0]
         return min(range(len(self.pitches)), key=lambda i: abs(self.pitches[i] - pitch))
@@ -72,7 +72,7 @@ class PlayableString:
 
 @dataclass(frozen=True, slots=True)
 class Assigned:
-    """A note on a string: `cents` is what the stop is below the pitch asked for, `end` (s) when it stops sounding."""
+    """A note on a string: `cents` is the pitch asked for minus that of the stop, `end` (s) the end of its sound."""
 
     note: Note
     string: str
@@ -83,7 +83,7 @@ class Assigned:
 
 @dataclass(frozen=True)
 class Assignment:
-    """Who plays what.
+    """Assignment of all notes.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Assignment:
         (as loud as the louder, as long as the longer of them).
     dropped : notes that cannot be played, with the reason.
     n_cut : how many notes were ended by another pitch on their string.
-    cost : what was minimised, see `fingering`.
+    cost : minimised, see `fingering`.
     """
 
     notes: tuple[Assigned, ...]
@@ -150,7 +150,7 @@ def assign(
 
 
 class _Resolver:
-    """Turns what a note asks for into the places where it can be played."""
+    """Finds the places where a note can be played."""
 
     def __init__(self, strings: Sequence[PlayableString], tuning: Tuning, channel_per_string: bool):
         self._strings = strings
@@ -177,7 +177,7 @@ class _Resolver:
         return self._everywhere(pitch)
 
     def cents(self, note: Note, option: Option) -> float:
-        """What the pitch asked for lies above the stop."""
+        """Cents of the pitch asked for above the stop."""
         sounding = self._strings[option.string].pitch_at(option.stop)
         pitch = self._tuning.note(note.freq) if note.note is None and note.freq is not None else note.note
         if pitch is None or sounding is None or pitch == sounding:
@@ -231,7 +231,7 @@ class _Resolver:
 
 
 def _share_plucks(notes: Sequence[Note]) -> tuple[list[Note], list[Note]]:
-    """Let notes of different channels at the same pitch and moment be one; notes that name a string stay apart."""
+    """Merge notes of different channels with the same pitch and time; notes that name a string are not merged."""
     plucks: list[Note] = []
     doubled: list[Note] = []
     latest: dict[float, tuple[int, set[int]]] = {}  # pitch: its last pluck and the channels that share it
@@ -260,7 +260,7 @@ _Voices = list[tuple[Note, list[Option]]]
 
 
 def _chords(playable: _Voices, n_strings: int, dropped: list[Dropped]) -> list[_Voices]:
-    """Notes that begin together, each chord playable on different strings; what is one too many is dropped.
+    """Group notes that begin together into chords that can be played on different strings; drop the others.
 
     Notes within `SIMULTANEOUS` cannot follow one another on a string. Those that begin within `CHORD_WINDOW` are one
     chord if there are strings for all of them, else they follow.
@@ -347,7 +347,7 @@ def _chord(voices: _Voices) -> Chord:
 def _ends(
     pairs: Sequence[tuple[Note, Option]], strings: Sequence[PlayableString], resolver: _Resolver
 ) -> tuple[tuple[Assigned, ...], int]:
-    """Let each note end at the next one on its string, if that comes first; count the ends by another pitch."""
+    """End each note at the next one on its string, if that comes first; count those ended by another pitch."""
     following: dict[int, tuple[float, float]] = {}  # string: time and stop of the note after
     assigned: list[Assigned] = []
     n_cut = 0

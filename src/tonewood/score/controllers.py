@@ -1,4 +1,4 @@
-"""What a controller is at: controls in time order, found by bisection, per kind and channel."""
+"""Values of controllers over time, found by bisection, per kind and channel."""
 
 from __future__ import annotations
 

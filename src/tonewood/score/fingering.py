@@ -1,4 +1,4 @@
-"""The least costly way to finger a sequence of chords: a beam search over what the hand does and what rings.
+"""Fingering of least cost for a sequence of chords: a beam search over positions of the hand and ringing strings.
 
 The cost of a piece is the sum over its chords of
 
@@ -217,7 +217,7 @@ def _advance(
     total = states.cost[:, None] + ways.cost + costs.shift * np.abs(hand - states.hand[:, None])
     total += costs.cut * lost.sum(axis=2)
 
-    # more than are kept, as equal states will be merged
+    # more than the beam keeps, as equal states will be merged
     flat = total.ravel()
     n_first = min(4 * BEAM_WIDTH, flat.size)
     first = np.argpartition(flat, n_first - 1)[:n_first] if n_first < flat.size else np.arange(flat.size)

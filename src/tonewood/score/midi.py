@@ -1,6 +1,6 @@
 """MIDI files to scores and back: tempo, keys and pedals, controllers, bends, excerpts.
 
-Readings decided here, because the format leaves them open or files get them wrong:
+Decisions where the format leaves a choice, or files are often wrong:
 
 - Format 2 holds independent patterns: they are played one after the other, each with its own tempo map.
 - The k-th note-off of a key ends the k-th note-on still held; striking a key again ends what only the pedal holds.
@@ -8,7 +8,7 @@ Readings decided here, because the format leaves them open or files get them wro
   sounds longer.
 - Silence longer than `LONG_GAP` is reported; `MAX_SILENCE` of it in all is refused, and so is a piece beyond
   `MAX_TIME`. An excerpt (`start`, `stop`) is judged by itself, so it is always a way out.
-- Programs, pressure and system exclusive messages say nothing to a string; they are counted in `Score.ignored`.
+- Programs, pressure and system exclusive messages have no effect; they are counted in `Score.ignored`.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def _excerpt(
 def _check_time(notes: Sequence[Note], path: Path, findings: Findings) -> None:
     """Report silence between notes, and refuse too much of it, or too long a piece."""
     silence = sounding = 0.0
-    way_out = "tw.read_midi takes a part of it, by start and stop"
+    way_out = "tw.read_midi reads an excerpt with start and stop"
     for note in notes:
         gap = note.time - sounding
         if gap > LONG_GAP:
@@ -176,7 +176,7 @@ def write_midi(score: Score, path: str | os.PathLike[str], *, bpm: float = 120.0
 
     Times are rounded to the tick, 60 / (bpm · ticks_per_beat) s; choose `bpm` so that the beats of the piece fall on
     ticks. A note needs a whole MIDI number in `note`; `velocity_midi` None is written as 80, `channel` None as the
-    first. What MIDI cannot say (string, force, place, technique) is not written.
+    first. String, force, place and technique have no MIDI message and are not written.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The one event type: a note. Scores of every kind become a list of these before anything is played."""
+"""Notes, controls and scores: every score format is read into these."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """One note of a score; what is not given is decided by the instrument.
+    """One note of a score; the instrument decides on attributes that are None.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Control:
 
 @dataclass(frozen=True, slots=True)
 class Dropped:
-    """A note that cannot be played, and why: nothing is lost without this."""
+    """A note that cannot be played, and why."""
 
     time: float
     note: float | None
@@ -111,7 +111,7 @@ class Dropped:
 
 @dataclass(frozen=True)
 class Score:
-    """Notes and controllers in time order, with what was dropped, mended or ignored (kind -> number) while reading."""
+    """Notes and controls in time order, with notes dropped, warnings, and kinds of messages ignored while reading."""
 
     notes: Sequence[Note]
     controls: Sequence[Control] = ()

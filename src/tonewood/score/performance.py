@@ -1,4 +1,4 @@
-"""Sixteen MIDI channels at play: messages in time order become notes with an end, and controls."""
+"""MIDI messages in time order, on sixteen channels, to notes with an end, and controls."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BEND_RANGE = (0, 0)
 
 @dataclass
 class _Channel:
-    """What a MIDI channel remembers between messages; notes are indices into the performance's list."""
+    """State of a MIDI channel between messages; notes are indices into the performance's list."""
 
     held: dict[int, list[int]] = field(default_factory=dict)
     pedalled: dict[int, int] = field(default_factory=dict)
@@ -38,7 +38,7 @@ class Performance:
     notes : (time in s, channel, key, velocity) in time order.
     ends : s, one per note.
     controls : ``bend`` in cents, ``ccN`` from 0 to 1; only changes.
-    ignored : (time in s, kind) of messages that say nothing to a string.
+    ignored : (time in s, kind) of messages without effect.
     """
 
     def __init__(self, findings: Findings):
@@ -71,7 +71,7 @@ class Performance:
                     self.ignored.append((time, _IGNORED[kind]))
 
     def finish(self, time: float) -> None:
-        """End what still sounds at the end of a pattern; controllers and bends stay as they are."""
+        """End notes that still sound at the end of a pattern; controllers and bends keep their values."""
         for number, channel in enumerate(self._channels):
             for key, notes in channel.held.items():
                 for _ in notes:
@@ -101,7 +101,7 @@ class Performance:
         self._release(time, channel, key, held.pop(0))
 
     def _release(self, time: float, channel: _Channel, key: int, note: int) -> None:
-        """The key comes up: the note ends, or is left to the pedal, which holds one per key."""
+        """Release a key: its note ends, or is left to the pedal, which holds one note per key."""
         self.ends[note] = time
         if channel.pedal:
             if key in channel.pedalled:
@@ -124,7 +124,7 @@ class Performance:
         channel.held.clear()
 
     def _silence(self, time: float, channel: _Channel) -> None:
-        """End every note, held by key or pedal; the pedal itself stays where it is."""
+        """End every note, held by key or pedal; the pedal keeps its position."""
         self._all_notes_off(time, channel)
         self._end_pedalled(time, channel)
 
@@ -133,7 +133,7 @@ class Performance:
             channel.pedal = True
         elif a == 64:
             self._lift_pedal(time, channel)
-        elif a in (98, 99):  # a non-registered parameter: data entry is not ours until a registered one is chosen
+        elif a in (98, 99):  # a non-registered parameter: data entry is ignored until a registered one is chosen
             channel.parameter = _NO_PARAMETER
         elif a in (100, 101):
             low, high = channel.parameter
@@ -157,7 +157,7 @@ class Performance:
     def _mode_message(self, time: float, number: int, channel: _Channel, a: int) -> None:
         if a == 120:
             self._silence(time, channel)
-        elif a == 121:  # what RP-015 resets: not the volume, not the range of the bend
+        elif a == 121:  # RP-015 resets neither the volume nor the range of the bend
             self._lift_pedal(time, channel)
             channel.parameter = _NO_PARAMETER
             channel.bend = 0

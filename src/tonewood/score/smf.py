@@ -1,9 +1,9 @@
-"""Standard MIDI Files byte by byte: chunks, tracks, events, and a list of what was wrong with them.
+"""Standard MIDI Files byte by byte: chunks, tracks, events, and a list of their errors.
 
 The reader is this project's own, not mido's: a damaged file must still give what can be read of it. mido gives up
 the whole file at the first fault, with whichever exception the fault happens to raise, and takes SMPTE division for
-a number of ticks per beat. Here a track that loses its thread is kept up to that byte, and the next chunk is looked
-for; only a file without header or tracks is refused. Every byte is looked at a bounded number of times.
+a number of ticks per beat. Here a track that cannot be parsed is kept up to that byte, and the next chunk is searched
+for; only a file without header or tracks is refused. Every byte is read a bounded number of times.
 
 Format: The Complete MIDI 1.0 Detailed Specification, "Standard MIDI Files 1.0" (RP-001), MIDI Manufacturers
 Association 1996.

@@ -42,11 +42,22 @@ def test_crossed_conditions_in_the_manifest_s_order() -> None:
 def test_levels_become_overrides_and_render_settings() -> None:
     factors = fakes.BASE["factors"] | {
         "rate": {"path": "render.fs", "levels": {"half": 24000, "full": 48000}},
-        "tail": {"path": "render.tail.cap", "levels": {"short": 2.0}},
+        "tail": {"path": "render.tail", "levels": {"short": 2.0}},
     }
     first = conditions(factors=factors)[0]
     assert first.overrides == {"body.t60": 0.5, "body.detune": 1.0}
-    assert (first.render.fs, first.render.tail.cap, first.render.tail.energy_db) == (24000, 2.0, -90.0)
+    assert (first.render.fs, first.render.tail, first.render.tail_level_db) == (24000, 2.0, -90.0)
+
+
+def test_earlier_spellings_of_render_settings_mean_the_same() -> None:
+    now = {"outputs": ["tailpiece"], "tail": 3.0, "tail_level_db": -40.0}
+    before = {"output": "tailpiece", "tail": {"energy_db": -40.0, "cap": 3.0}}
+    a, b = (conditions(render=render)[0].render for render in (now, before))
+    assert a == b
+    assert (a.outputs, a.tail, a.tail_level_db) == (("tailpiece",), 3.0, -40.0)
+    factor = {"path": "render.tail.cap", "levels": {"short": 2.0}}
+    c = conditions(render=before, factors=fakes.BASE["factors"] | {"tail": factor})[0].render
+    assert (c.tail, c.tail_level_db) == (2.0, -40.0)
 
 
 def test_exclusion_takes_out_matching_subsets() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 import tonewood as tw
 from tonewood.energy.trace import EnergyTrace
+from tonewood.errors import OutputError
 from tonewood.output.energy import save_energy
 
 #: a stop change, a pluck on a ringing string, bends and ends of notes, at odd times
@@ -135,6 +136,6 @@ def test_account_goes_to_files(tmp_path: Path) -> None:
     assert stored == pytest.approx(trace.total.tolist(), rel=1e-12)
     with pytest.raises(tw.TonewoodError, match="ending in"):
         save_energy(trace, tmp_path / "e.txt")
-    with pytest.raises(tw.OutputError, match="no folder"):
+    with pytest.raises(OutputError, match="no folder"):
         save_energy(trace, tmp_path / "none" / "e.json")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["e.csv", "e.json"]

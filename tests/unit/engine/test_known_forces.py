@@ -7,8 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 import tonewood as tw
+import tonewood.authoring as ta
 from tonewood.engine.engine import Engine
 from tonewood.engine.timeline import Play, Timeline
+from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.contract import Gesture
 from tonewood.instrument.gestures import smooth_step
 
@@ -18,7 +20,7 @@ LENGTH, TENSION, PLUCKED, READ = 0.9, 58.8, 0.15, 0.155
 SLOW, FORCE = 1.0, 2.0
 
 
-def scene(freq_upper: float, quantity: str, at: float = PLUCKED) -> tw.Model:
+def scene(freq_upper: float, quantity: str, at: float = PLUCKED) -> Model:
     """The monochord's string without bending stiffness, all but rigidly held, read at a place."""
     changes = {
         "strings.A2.bending_stiffness": 0.0,
@@ -31,12 +33,12 @@ def scene(freq_upper: float, quantity: str, at: float = PLUCKED) -> tw.Model:
         "stops.kind": "none",
         "outputs": [{"name": "p", "plugin": "point_pickup", "quantity": quantity, "at": "A2.here", "full_scale": 1.0}],
     }
-    return tw.assemble(tw.load_instrument("monochord").replace(changes), FS)
+    return assemble(tw.load_instrument("monochord").replace(changes), FS)
 
 
-def drawn(model: tw.Model, duration: float) -> Floats:
+def drawn(model: Model, duration: float) -> Floats:
     """Read while a force grows smoothly to FORCE within SLOW seconds and stays."""
-    pull = (*smooth_step(0.0, SLOW, 0.0, FORCE), tw.Segment(SLOW, 10.0, FORCE))
+    pull = (*smooth_step(0.0, SLOW, 0.0, FORCE), ta.Segment(SLOW, 10.0, FORCE))
     play = Play(0.0, Gesture(pull, PLUCKED), string="A2")
     return Engine(model, Timeline([], [play])).advance(round(duration * FS / 64))[:, 0]
 

@@ -10,20 +10,22 @@ import pytest
 
 import tonewood as tw
 from tonewood.engine.playing import Performance, perform
+from tonewood.errors import ScoreError
+from tonewood.instrument.assembly import Model, assemble
 from tonewood.score.controllers import Controllers, History
 
 
 @pytest.fixture(scope="module")
-def guitar() -> tw.Model:
-    return tw.assemble(tw.load_instrument("classical_guitar"), 48000)
+def guitar() -> Model:
+    return assemble(tw.load_instrument("classical_guitar"), 48000)
 
 
 @pytest.fixture(scope="module")
-def harp() -> tw.Model:
-    return tw.assemble(tw.load_instrument("african_harp"), 48000)
+def harp() -> Model:
+    return assemble(tw.load_instrument("african_harp"), 48000)
 
 
-def test_a_pluck_draws_before_its_time_and_lets_go_on_it(guitar: tw.Model) -> None:
+def test_a_pluck_draws_before_its_time_and_lets_go_on_it(guitar: Model) -> None:
     played = perform(tw.Score([tw.Note(1.0, 0.5, note=64, force=3.0)]), guitar)
     (play,) = played.timeline.plays
     assert play.time == 1.0
@@ -35,7 +37,7 @@ def test_a_pluck_draws_before_its_time_and_lets_go_on_it(guitar: tw.Model) -> No
     assert all(a <= b for a, b in itertools.pairwise(rise))
 
 
-def test_velocity_becomes_force_by_the_bundles_curve(guitar: tw.Model) -> None:
+def test_velocity_becomes_force_by_the_bundles_curve(guitar: Model) -> None:
     """0.4 (4 / 0.4)^((v - 1) / 126) N."""
     notes = [tw.Note(float(i), 0.5, note=60, velocity_midi=v) for i, v in enumerate((1, 64, 127))]
     forces = [p.gesture.force(0.0) for p in perform(tw.Score(notes), guitar).timeline.plays]
@@ -44,7 +46,7 @@ def test_velocity_becomes_force_by_the_bundles_curve(guitar: tw.Model) -> None:
     assert perform(quieter, guitar).timeline.plays[0].gesture.force(0.0) == pytest.approx(1.0)
 
 
-def test_a_damped_string_is_damped_at_the_end_of_its_note_and_let_go_later(guitar: tw.Model) -> None:
+def test_a_damped_string_is_damped_at_the_end_of_its_note_and_let_go_later(guitar: Model) -> None:
     changes = perform(tw.Score([tw.Note(0.5, 1.0, note=47, force=1.0)]), guitar).timeline.changes
     stopped, damped, open_again = changes
     assert (stopped.stop, stopped.added_damping) == (2, 0.0)
@@ -55,12 +57,12 @@ def test_a_damped_string_is_damped_at_the_end_of_its_note_and_let_go_later(guita
     assert (open_again.stop, open_again.added_damping) == (0, 0.0)
 
 
-def test_a_string_that_rings_is_left_alone(harp: tw.Model) -> None:
+def test_a_string_that_rings_is_left_alone(harp: Model) -> None:
     changes = perform(tw.Score([tw.Note(0.5, 0.1, string="s4", force=1.0)]), harp).timeline.changes
     assert [c.added_damping for c in changes] == [0.0]
 
 
-def test_a_note_that_follows_at_once_ends_no_pluck_before_its_time(guitar: tw.Model) -> None:
+def test_a_note_that_follows_at_once_ends_no_pluck_before_its_time(guitar: Model) -> None:
     notes = [tw.Note(0.1 + 0.008 * i, 0.1, string="E4", stop=i, force=2.0) for i in range(5)]
     plays = perform(tw.Score(notes), guitar).timeline.plays
     assert len(plays) == 5
@@ -72,7 +74,7 @@ def test_a_note_that_follows_at_once_ends_no_pluck_before_its_time(guitar: tw.Mo
         assert np.abs(np.diff(force)).max() < 0.05  # no step
 
 
-def test_bends_follow_their_channel_and_glide(guitar: tw.Model) -> None:
+def test_bends_follow_their_channel_and_glide(guitar: Model) -> None:
     score = tw.Score(
         [tw.Note(0.1, 1.0, note=64, force=1.0, channel=0), tw.Note(0.1, 1.0, note=55, force=1.0, channel=1)],
         [tw.Control(0.5, "bend", 400.0, 0), tw.Control(0.7, "bend", 0.0, 0), tw.Control(0.05, "bend", -30.0, 1)],
@@ -89,7 +91,7 @@ def test_bends_follow_their_channel_and_glide(guitar: tw.Model) -> None:
     assert start.cents == -30.0
 
 
-def test_plucking_place_follows_its_controller(guitar: tw.Model) -> None:
+def test_plucking_place_follows_its_controller(guitar: Model) -> None:
     """cc74 from 0.03 m to 0.25 m; the note's own place counts more."""
     score = tw.Score(
         [
@@ -103,23 +105,23 @@ def test_plucking_place_follows_its_controller(guitar: tw.Model) -> None:
     assert places == pytest.approx([0.105, 0.25, 0.2])
 
 
-def test_a_technique_may_play_the_body(guitar: tw.Model) -> None:
+def test_a_technique_may_play_the_body(guitar: Model) -> None:
     played = perform(tw.Score([tw.Note(0.1, 0.2, technique="tap", force=7.0)]), guitar)
     (tap,) = played.timeline.plays
     assert (tap.string, tap.at) == (None, "body.bridge_G3")
     assert max(tap.gesture.force(t) for t in np.linspace(0, 1e-3, 101)) == pytest.approx(7.0)
-    with pytest.raises(tw.ScoreError, match="technique 'kick' is not one of the instrument's: pluck, tap"):
+    with pytest.raises(ScoreError, match="technique 'kick' is not one of the instrument's: pluck, tap"):
         perform(tw.Score([tw.Note(0.1, technique="kick")]), guitar)
 
 
-def test_what_cannot_be_played_is_listed(guitar: tw.Model) -> None:
+def test_what_cannot_be_played_is_listed(guitar: Model) -> None:
     notes = [tw.Note(0.1 * i, 0.2, note=n, force=1.0, channel=3) for i, n in enumerate((20, 64, 110))]
     played = perform(tw.Score(notes), guitar)
     assert [(d.note, d.channel) for d in played.dropped] == [(20, 3), (110, 3)]
     assert [a.note.note for a in played.notes] == [64]
 
 
-def test_one_channel_per_string(guitar: tw.Model) -> None:
+def test_one_channel_per_string(guitar: Model) -> None:
     notes = [tw.Note(0.1, 0.2, note=60, force=1.0, channel=c) for c in (2, 3)]
     played = perform(tw.Score(notes), guitar, channel_per_string=True)
     names = list(guitar.strings)
@@ -153,7 +155,7 @@ def test_controls_cost_n_log_n(instrument: str, kind: str) -> None:
     """Each of n notes has 20 bends, or changes of a controller that chooses the technique."""
     base = tw.load_instrument(instrument)
     exciter = base.spec.playing.exciter or next(iter(base.exciters))
-    model = tw.assemble(base.replace({"playing.switches": {"cc64": exciter}}), 48000)
+    model = assemble(base.replace({"playing.switches": {"cc64": exciter}}), 48000)
     pitch = base.open_note(base.string_names[0])
 
     def compared(n: int) -> int:
@@ -169,7 +171,7 @@ def test_controls_cost_n_log_n(instrument: str, kind: str) -> None:
         assert 0 < compared(n) < 8 * 20 * n + 8 * n * math.log2(20 * n)
 
 
-def test_a_controller_is_at_its_latest_value_of_the_note_s_channel(guitar: tw.Model) -> None:
+def test_a_controller_is_at_its_latest_value_of_the_note_s_channel(guitar: Model) -> None:
     line = [tw.Control(1.0, "cc1", 0.1, 0), tw.Control(2.0, "cc1", 0.2), tw.Control(2.0, "cc1", 0.3, 1)]
     line += [tw.Control(3.0, "cc1", 0.4, 0), tw.Control(0.5, "cc2", 0.5, 3)]
     at = Controllers(line).at
@@ -186,7 +188,7 @@ def test_bends_between_two_times() -> None:
     assert [c.value for c in history.between(0.0, 9.0)] == [1.0, 2.0, 3.0, 4.0]
 
 
-def test_places_are_refused_beyond_the_string_and_told_where_they_are_moved(guitar: tw.Model) -> None:
+def test_places_are_refused_beyond_the_string_and_told_where_they_are_moved(guitar: Model) -> None:
     """E2 is 0.65 m long; stopped at 12 it speaks over 0.325 m."""
 
     def played(stop: int, x: float) -> Performance:
@@ -200,11 +202,11 @@ def test_places_are_refused_beyond_the_string_and_told_where_they_are_moved(guit
         moved = played(stop, x)
         assert moved.timeline.plays[0].gesture.from_bridge == pytest.approx(at)
         assert "1 notes are played at another place than asked for" in moved.warnings[0]
-    with pytest.raises(tw.ScoreError, match=r"exciters\.pluck: the note at 0 s on string E2: from_bridge is 0\.66 m"):
+    with pytest.raises(ScoreError, match=r"exciters\.pluck: the note at 0 s on string E2: from_bridge is 0\.66 m"):
         played(0, 0.66)
 
 
-def test_what_nobody_reads_is_counted(guitar: tw.Model) -> None:
+def test_what_nobody_reads_is_counted(guitar: Model) -> None:
     controls = [tw.Control(0.1 * i, kind, 0.1 * i, 0) for i in range(3) for kind in ("cc1", "cc7", "cc64", "bend")]
     score = tw.Score([tw.Note(0.0, 0.1, note=50)], controls, ignored={"channel pressure": 2, "controller 1": 4})
     assert perform(score, guitar).ignored == {"channel pressure": 2, "controller 1": 7}

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 import tonewood as tw
 from sounds import cents, partial
+from tonewood.instrument.assembly import assemble
 from tonewood.instrument.inspection import partials
 
 Floats = NDArray[np.float64]
@@ -38,7 +39,7 @@ def monochord() -> tw.Instrument:
 @pytest.mark.parametrize("fs", [22050, 48000, 96000])
 def test_pitch_and_decay_are_those_of_the_coupled_modes_at_every_rate(monochord: tw.Instrument, fs: int) -> None:
     x = sound(monochord, [tw.Note(0.0, 5.0, note=45, force=1.0)], 0.9, fs)[round(0.05 * fs) :, 0]
-    expected = {p.number: p for p in partials(tw.assemble(monochord, 96000.0), "A2", count=8)}
+    expected = {p.number: p for p in partials(assemble(monochord, 96000.0), "A2", count=8)}
     for number in (1, 2, 3, 5, 8):
         freq, rate = partial(x, fs, expected[number].freq)
         assert cents(freq, expected[number].freq) == pytest.approx(0.0, abs=0.03)
@@ -63,7 +64,7 @@ def test_a_bend_turns_the_pitch_by_its_cents_and_keeps_the_string_ringing(monoch
 def test_tapping_the_body_gives_the_receptance_of_string_and_body_together(monochord: tw.Instrument) -> None:
     """Laplace transforms at s = a + i w of force and displacement, against H_body H_string / (H_body + H_string)."""
     fs = 48000
-    model = tw.assemble(monochord, fs)
+    model = assemble(monochord, fs)
     x = sound(monochord, [tw.Note(0.0, 1.0, technique="tap", force=1.0)], 1.0)[:, 0] * 1e-4
     bases = {name: c.basis for name, c in zip(model.system.names, model.system.compiled, strict=True)}
     t = np.arange(len(x)) / fs

@@ -150,7 +150,7 @@ def test_time_between_two_samples_is_kept(monochord: tw.Instrument) -> None:
 def test_memory_does_not_grow_with_the_piece(monochord: tw.Instrument) -> None:
     def peak(n_notes: int) -> int:
         notes = [tw.Note(0.2 * i, 0.15, note=45 + i % 5, force=1.0) for i in range(n_notes)]
-        renderer = tw.Renderer(tw.Score(notes), monochord, tail=tw.Tail(cap=0.1))
+        renderer = tw.Renderer(tw.Score(notes), monochord, tail=0.1)
         tracemalloc.start()
         for block in renderer.blocks(4096):
             assert np.isfinite(block).all()
@@ -165,7 +165,7 @@ def test_memory_does_not_grow_with_the_piece(monochord: tw.Instrument) -> None:
 def test_it_ends_when_it_has_decayed(monochord: tw.Instrument) -> None:
     """From 60 dB of the loudest on; sigma of the fundamental says when that is."""
     short = monochord.replace({"strings.A2.loss.sigma0": 20.0})
-    renderer = tw.Renderer(tw.Score([tw.Note(0.0, 0.1, note=45, force=1.0)]), short, tail=tw.Tail(-60.0, 20.0))
+    renderer = tw.Renderer(tw.Score([tw.Note(0.0, 0.1, note=45, force=1.0)]), short, tail=20.0, tail_level_db=-60.0)
     samples = whole(renderer)
     assert renderer.summary().end == "decayed"
     loudest = np.abs(samples).max()
@@ -179,7 +179,7 @@ def test_where_it_ends_does_not_depend_on_the_block_size(monochord: tw.Instrumen
     score = tw.Score([tw.Note(0.0, 0.1, note=45, force=1.0), tw.Note(0.31, 0.05, note=50, force=0.2)])
     ends = []
     for block in (64, 1000, 1 << 20):
-        renderer = tw.Renderer(score, short, tail=tw.Tail(-60.0, 20.0))
+        renderer = tw.Renderer(score, short, tail=20.0, tail_level_db=-60.0)
         samples = whole(renderer, block)
         ends.append((len(samples), renderer.engine.state.sample, float(np.abs(samples).sum())))
         assert renderer.summary().end == "decayed"
@@ -188,7 +188,7 @@ def test_where_it_ends_does_not_depend_on_the_block_size(monochord: tw.Instrumen
 
 def test_it_ends_at_the_cap_or_the_maximum_duration(monochord: tw.Instrument) -> None:
     score = tw.Score([tw.Note(0.0, 0.1, note=45, force=1.0)])
-    capped = tw.Renderer(score, monochord, tail=tw.Tail(-200.0, 0.5))
+    capped = tw.Renderer(score, monochord, tail=0.5, tail_level_db=-200.0)
     n = len(whole(capped))
     assert capped.summary().end == "tail cap"
     assert n / 48000 == pytest.approx(0.5, abs=0.02)

@@ -11,12 +11,13 @@ import pytest
 
 import tonewood as tw
 from tonewood.engine import transfer
+from tonewood.instrument.assembly import assemble
 from tonewood.instrument.registry import instrument_folder
 
 
 @pytest.fixture(scope="module")
 def body() -> transfer.Compiled:
-    system = tw.assemble(tw.load_instrument("classical_guitar"), 48000).system
+    system = assemble(tw.load_instrument("classical_guitar"), 48000).system
     return system.compiled[system.slot("body")]
 
 
@@ -55,7 +56,7 @@ def test_memory_grows_with_frequencies_plus_modes(tmp_path: Path) -> None:
     shutil.copytree(instrument_folder("monochord"), folder)
     rows = "\n".join(f"{f},30,10,1" for f in np.linspace(60, 20000, 1500))
     (folder / "body.csv").write_text(f"f_Hz,Q,modal_mass,bridge\n{rows}\n")
-    model = tw.assemble(tw.load_instrument(folder), 48000)
+    model = assemble(tw.load_instrument(folder), 48000)
     tracemalloc.start()
     try:
         found = transfer.Transfer(model)

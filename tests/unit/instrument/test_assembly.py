@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
+import tonewood as tw
 from tonewood.coupling.connections import Rigid, SpringDashpot, Term
 from tonewood.errors import BundleError
 from tonewood.instrument.assembly import Model, assemble
@@ -38,6 +39,29 @@ def test_names_and_joints(model: Model) -> None:
     assert joints["A2.y.hold"].law == SpringDashpot(0.0, 0.0)
     assert model.inputs == {"body.bridge": (("body", "bridge", 1.0),), "body.wing": (("body", "wing", 1.0),)}
     assert (model.default_exciter, model.place("A2").length) == ("pluck", pytest.approx(0.65))
+
+
+@pytest.mark.parametrize("name", sorted(tw.list_instruments()))
+def test_every_connection_and_component_names_its_string_and_part(name: str) -> None:
+    """Fields and names agree, which are made apart: names by each plugin, fields by the assembly."""
+    model = assemble(tw.load_instrument(name), 12000.0)
+    parts = {*model.instrument.attachments, *model.exciters, "finger"}
+    for c in model.system.connections:
+        string, second, *_ = c.name.split(".")
+        expected = {"bridge": "", "hold": "", "attached": second}
+        assert (c.owner, c.part) == (string, expected[c.role])
+        assert c.role == "attached" or c.name.endswith(f".{c.role}")
+        assert c.role != "attached" or c.part in parts
+    system = model.system
+    assert system.owners == {n: n.split(".")[0] for n in system.names if n.split(".")[0] in model.strings}
+
+
+def test_an_exciter_may_be_called_finger_beside_a_soft_finger(make: Make, values: dict[str, Any]) -> None:
+    values["stops"]["model"] = "finger"
+    touch = {"plugin": "stopping_finger", "touch": {"fraction": 0.5}, "from_bridge": 0.1}
+    values["exciters"]["finger"] = touch
+    names = {c.name for c in assemble(make(values), FS).system.connections if c.part == "finger"}
+    assert {"D3.finger.skin1", "D3.finger.skin11"} <= names
 
 
 def test_directions_without_data_are_rigid(make: Make) -> None:

@@ -23,7 +23,7 @@ def whole(model: Model, string: str, stop: int) -> CoupledModes:
     components = {"body": model.system.compiled[0].basis}
     for name, held in model.strings.items():
         components |= held.bases(stop if name == string else 0)
-    return coupled_modes(components, [c for c in model.system.connections if c.name.endswith(".bridge")])
+    return coupled_modes(components, [c for c in model.system.connections if c.role == "bridge"])
 
 
 @pytest.mark.parametrize(("string", "stop"), [("A2", 5), ("A2", 0), ("A2", 12), ("D3", 7), ("D3", 2)])

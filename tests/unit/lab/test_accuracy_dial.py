@@ -88,10 +88,10 @@ def test_limits_are_told_apart() -> None:
 
 def test_a_coarser_rate_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of the modes and half of the rate as `standard`: the limits are not kept everywhere."""
-    from tonewood.output import accuracy
+    from tonewood.output import accuracy, render
 
     poor = {**accuracy.LEVELS, "standard": accuracy.Accuracy("standard", freq_limit=2e3)}
-    for module in (accuracy, dial):
+    for module in (render, dial):
         monkeypatch.setattr(module, "LEVELS", poor)
     instrument = tw.load_instrument("tanpura")
     (standard,) = (p for p in dial.measure(instrument, "C3", nudge=False) if p.accuracy == "standard")

@@ -9,6 +9,7 @@ import pytest
 import soundfile as sf
 
 import tonewood as tw
+from tonewood.errors import OutputError
 from tonewood.output.audio import SoundWriter, file_format
 
 
@@ -75,10 +76,10 @@ def test_clipped_samples_are_counted_and_cut(tmp_path: Path) -> None:
 def test_not_a_number_is_never_written(tmp_path: Path) -> None:
     x = tone()
     x[100, 1] = np.nan
-    with pytest.raises(tw.OutputError, match="not a finite number"):
+    with pytest.raises(OutputError, match="not a finite number"):
         tw.Audio(x, 48000).save(tmp_path / "a.wav")
     x[100, 1] = np.inf
-    with pytest.raises(tw.OutputError, match="not a finite number"):
+    with pytest.raises(OutputError, match="not a finite number"):
         tw.Audio(x, 48000).save(tmp_path / "a.wav")
     assert list(tmp_path.iterdir()) == []
 
@@ -113,7 +114,7 @@ def test_the_name_appears_only_when_all_is_written(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_written_is_said_in_one_line(tmp_path: Path, name: str, subtype: str | None, said: str) -> None:
-    with pytest.raises(tw.OutputError, match=said) as error:
+    with pytest.raises(OutputError, match=said) as error:
         tw.Audio(tone(), 48000).save(tmp_path / name, subtype)
     assert "\n" not in str(error.value)
     assert str(tmp_path / name) in str(error.value)
@@ -122,7 +123,7 @@ def test_what_cannot_be_written_is_said_in_one_line(tmp_path: Path, name: str, s
 
 def test_a_folder_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "a.wav").mkdir()
-    with pytest.raises(tw.OutputError, match="is a folder"):
+    with pytest.raises(OutputError, match="is a folder"):
         tw.Audio(tone(), 48000).save(tmp_path / "a.wav")
 
 

@@ -7,6 +7,8 @@ import warnings
 import pytest
 
 import tonewood as tw
+from tonewood.errors import NothingPlayedError
+from tonewood.score.note import Dropped
 
 PLAYABLE, TOO_LOW = tw.Note(0.0, 0.1, note=45, force=1.0), tw.Note(0.1, 0.1, note=20, force=1.0)
 
@@ -33,10 +35,10 @@ def test_no_warning_where_all_is_played() -> None:
 
 
 def test_a_score_of_which_nothing_can_sound_is_an_error() -> None:
-    with pytest.raises(tw.NothingPlayedError, match=r"^score: none of 2 notes can be played: .* reach"):
+    with pytest.raises(NothingPlayedError, match=r"^score: none of 2 notes can be played: .* reach"):
         tw.render(tw.Score([TOO_LOW, TOO_LOW]), tw.load_instrument("monochord"), 16000)
-    already = tw.Score([], dropped=[tw.Dropped(0.0, 20, None, "too low")])
-    with pytest.raises(tw.NothingPlayedError, match="the one note cannot be played: too low"):
+    already = tw.Score([], dropped=[Dropped(0.0, 20, None, "too low")])
+    with pytest.raises(NothingPlayedError, match="the one note cannot be played: too low"):
         tw.render(already, tw.load_instrument("monochord"), 16000)
 
 

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 import tonewood as tw
 from midi_bytes import Event, bend, bend_range, control, note, off, on, write
+from tonewood.errors import ScoreError
+from tonewood.output.render import Summary
 
 Floats = NDArray[np.float64]
 FS = 16000
@@ -134,7 +136,7 @@ def test_it_sounds_sane(oddity: Callable[[], list[Event]], tmp_path: Path, guita
     assert np.abs(samples.mean(axis=0)).max() < 0.01 * peak
 
 
-def _shared(summary: tw.Summary) -> range:
+def _shared(summary: Summary) -> range:
     line = next((w for w in summary.warnings if "share another voice's pluck" in w), "0 ")
     return range(int(line.split()[0]))
 
@@ -162,5 +164,5 @@ def test_silence_for_a_note_without_force(guitar: tw.Instrument) -> None:
 
 
 def test_an_empty_score_is_refused(guitar: tw.Instrument) -> None:
-    with pytest.raises(tw.ScoreError, match="no notes"):
+    with pytest.raises(ScoreError, match="no notes"):
         tw.Renderer(tw.Score([]), guitar)

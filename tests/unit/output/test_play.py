@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import tonewood as tw
+from tonewood.errors import NumericalError, OutputError
 from tonewood.output.limiter import Limiter
 
 
@@ -70,6 +71,19 @@ def test_the_card_gets_the_very_samples(monochord: tw.Instrument) -> None:
     assert not got[len(wanted) :].any()
 
 
+def test_a_score_is_played_with_the_options_of_a_render(monochord: tw.Instrument) -> None:
+    score = tw.Score([tw.Note(0.0, 0.1, note=45, force=1.0)])
+    wanted = tw.render(score, monochord, 16000, max_duration=0.1, gain_db=-6.0).samples
+    played = tw.play(score, monochord, 16000, max_duration=0.1, gain_db=-6.0, block_size=100, stream=FakeStream)
+    assert played.frames == len(wanted) == 1600
+    got = np.concatenate([block for block in FakeStream.last.got if block.any()])
+    assert np.array_equal(got[:1600], np.repeat(wanted, 2, axis=1).astype(np.float32))
+    with pytest.raises(TypeError, match="already"):
+        tw.play(renderer(monochord), gain_db=-6.0, stream=FakeStream)
+    with pytest.raises(TypeError, match="instrument"):
+        tw.play(score, stream=FakeStream)
+
+
 def test_a_block_that_comes_late_is_counted(monochord: tw.Instrument) -> None:
     slow = renderer(monochord)
     blocks = slow.blocks
@@ -104,15 +118,15 @@ def test_an_error_while_rendering_reaches_the_caller(monochord: tw.Instrument) -
 
     def fails(size: int) -> Any:
         yield np.zeros((size, 1))
-        raise tw.NumericalError("no longer finite")
+        raise NumericalError("no longer finite")
 
     broken.blocks = fails  # type: ignore[method-assign]  # in place of the renderer's own
-    with pytest.raises(tw.NumericalError, match="no longer finite"):
+    with pytest.raises(NumericalError, match="no longer finite"):
         tw.play(broken, stream=FakeStream)
 
 
 def test_without_sounddevice_or_portaudio_one_line(monochord: tw.Instrument, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(tw.OutputError, match=r"pip install 'tonewood\[play\]'"):
+    with pytest.raises(OutputError, match=r"pip install 'tonewood\[play\]'"):
         tw.play(renderer(monochord))
 
     class NoPortAudio:
@@ -122,7 +136,7 @@ def test_without_sounddevice_or_portaudio_one_line(monochord: tw.Instrument, mon
 
     monkeypatch.delitem(sys.modules, "sounddevice")
     monkeypatch.setattr(sys, "meta_path", [NoPortAudio(), *sys.meta_path])
-    with pytest.raises(tw.OutputError, match="needs the PortAudio library"):
+    with pytest.raises(OutputError, match="needs the PortAudio library"):
         tw.play(renderer(monochord))
 
 
@@ -137,5 +151,5 @@ def test_a_device_that_is_not_there_one_line(monochord: tw.Instrument, monkeypat
 
     fake.PortAudioError, fake.OutputStream, fake.CallbackStop = PortAudioError, refuse, StopIteration  # type: ignore[attr-defined]  # a module of these names
     monkeypatch.setitem(sys.modules, "sounddevice", fake)
-    with pytest.raises(tw.OutputError, match="cannot open the sound device: no device 99"):
+    with pytest.raises(OutputError, match="cannot open the sound device: no device 99"):
         tw.play(renderer(monochord), device=99)

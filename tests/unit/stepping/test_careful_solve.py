@@ -8,12 +8,12 @@ from geometric_scenes import AXIAL, BENDING, TENSION, along, plucked, transverse
 from geometric_scenes import held_string as stretching_string
 from nonlinear_scenes import pulled, tense_guitar
 
-from tonewood.coupling import geometric, law_solve
+from tonewood.coupling import geometric_solve, law_solve
 from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.geometric import GeometricSolve
-from tonewood.coupling.law_solve import Drives, Grip, find_forces, stiffness
+from tonewood.coupling.geometric_solve import GeometricSolve
+from tonewood.coupling.law_solve import Grip, Partners, find_forces, stiffness
 from tonewood.coupling.laws import Contact, Friction
-from tonewood.coupling.tension import TensionPart
+from tonewood.coupling.tension import TensionShare
 from tonewood.energy.stored import stored_energy
 from tonewood.errors import NumericalError
 from tonewood.stepping import stepper
@@ -66,7 +66,7 @@ def test_tensions_by_brackets_are_those_of_newton(monkeypatch):
     expected, forces, before = run(system, pulled(system, 50.0), 20)
     kappa = system.compiled[system.slot("s0a")].tension.kappa
     monkeypatch.setattr(stepper, "MAX_TENSION_ITERATIONS", 12)
-    monkeypatch.setattr(TensionPart, "slope", lambda *_: 0.45 / kappa)
+    monkeypatch.setattr(TensionShare, "slope", lambda *_: 0.45 / kappa)
     out, found, statistics = run(system, pulled(system, 50.0), 20)
     assert before.redone == 0
     assert statistics.redone > 10
@@ -92,16 +92,16 @@ def test_stiffness_is_the_slope_of_the_forces_found():
     A = rng.normal(size=(5, 5))
     Z, free = 1e-6 * (A @ A.T + np.eye(5)), -1e-4 * rng.uniform(0.2, 1.0, 5)
     gap, dt, none = np.zeros(5), 2e-5, np.zeros(5)
-    drives = Drives(
+    partners = Partners(
         none, none, np.array([law.velocity if isinstance(law, Friction) else 0.0 for law in laws]), none + 1
     )
     grips = {j: Grip(law, 1.0, 0.0) for j, law in enumerate(laws) if isinstance(law, Friction)}
-    f = find_forces(laws, Z, free, gap, dt, drives, none, grips).forces
+    f = find_forces(laws, Z, free, gap, dt, partners, none, grips).forces
     assert {grip.branch for grip in grips.values()} == {"stuck", "behind"}
-    K, step = stiffness(laws, Z, free, gap, dt, drives, f, grips), 1e-10
+    K, step = stiffness(laws, Z, free, gap, dt, partners, f, grips), 1e-10
 
     def forces(j, by):
-        return find_forces(laws, Z, free - by * np.eye(5)[j], gap, dt, drives, f, grips).forces
+        return find_forces(laws, Z, free - by * np.eye(5)[j], gap, dt, partners, f, grips).forces
 
     numeric = np.transpose([(forces(j, step) - forces(j, -step)) / (2 * step) for j in range(5)])
     np.testing.assert_allclose(K, numeric, atol=1e-5 * np.abs(numeric).max(), rtol=0)
@@ -116,7 +116,7 @@ def test_strings_that_stretch_are_found_from_the_linear_one_on(monkeypatch):
     """Damped Newton that may not go far ends nowhere; raising the potential bit by bit ends where it would have."""
     system = stretching(16, 4)
     expected, _, _ = run(system, plucked(system, 0.1, ("y", "z")), 3)
-    monkeypatch.setattr(geometric, "MAX_ITERATIONS", 4)
+    monkeypatch.setattr(geometric_solve, "MAX_ITERATIONS", 4)
     out, _, statistics = run(system, plucked(system, 0.1, ("y", "z")), 3)
     assert statistics.most_tension_iterations > 20
     close(out, expected, 1e-8)

@@ -8,7 +8,8 @@ from geometric_scenes import AXIAL, BENDING, DENSITY, LENGTH, TENSION, along, he
 from numpy.typing import NDArray
 
 from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.geometric import GeometricSolve, GeometricStretch, GeometricString, cosine_products
+from tonewood.coupling.geometric import GeometricStretch, GeometricString, cosine_products
+from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.laws import Contact
 from tonewood.coupling.system import State, System
 from tonewood.coupling.tension import TensionModulation

@@ -14,40 +14,40 @@ from collections.abc import Mapping
 
 import numpy as np
 
-import tonewood as tw
+import tonewood.authoring as ta
 
 
-class PlatePoint(tw.Parameters):
+class PlatePoint(ta.Parameters):
     """A place on the plate."""
 
-    x: float = tw.quantity("m", low=0.0, doc="from one corner along the length")
-    y: float = tw.quantity("m", low=0.0, doc="from that corner along the width")
+    x: float = ta.quantity("m", low=0.0, doc="from one corner along the length")
+    y: float = ta.quantity("m", low=0.0, doc="from that corner along the width")
 
 
-class PlateParameters(tw.Parameters):
+class PlateParameters(ta.Parameters):
     """Of the plate."""
 
-    length: float = tw.quantity("m", low=0.01, high=5.0, doc="side along x")
-    width: float = tw.quantity("m", low=0.01, high=5.0, doc="side along y")
-    thickness: float = tw.quantity("m", low=1e-4, high=0.05, doc="of the plate")
-    density: float = tw.quantity("kg/m^3", low=10.0, high=2e4, doc="of the material")
-    young_modulus: float = tw.quantity("Pa", low=1e6, high=1e12, doc="of the material")
-    poisson_ratio: float = tw.quantity("1", low=0.0, high=0.49, default=0.3, doc="of the material")
-    damping_ratio: float = tw.quantity("1", low=1e-5, high=0.5, default=0.01, doc="of every mode")
-    points: dict[str, PlatePoint] = tw.described("name -> place; motion is counted along z", min_length=1)
+    length: float = ta.quantity("m", low=0.01, high=5.0, doc="side along x")
+    width: float = ta.quantity("m", low=0.01, high=5.0, doc="side along y")
+    thickness: float = ta.quantity("m", low=1e-4, high=0.05, doc="of the plate")
+    density: float = ta.quantity("kg/m^3", low=10.0, high=2e4, doc="of the material")
+    young_modulus: float = ta.quantity("Pa", low=1e6, high=1e12, doc="of the material")
+    poisson_ratio: float = ta.quantity("1", low=0.0, high=0.49, default=0.3, doc="of the material")
+    damping_ratio: float = ta.quantity("1", low=1e-5, high=0.5, default=0.01, doc="of every mode")
+    points: dict[str, PlatePoint] = ta.described("name -> place; motion is counted along z", min_length=1)
 
 
-class RectangularPlate(tw.Body[PlateParameters]):
+class RectangularPlate(ta.Body[PlateParameters]):
     """The plate; see the module."""
 
     api = 1
     Parameters = PlateParameters
 
-    def points(self) -> Mapping[str, tw.BodyPoint]:
+    def points(self) -> Mapping[str, ta.BodyPoint]:
         """Every point moves along z; where it lies is told in its coordinates."""
-        return {name: tw.BodyPoint((0.0, 0.0, 1.0), {"x": p.x, "y": p.y}) for name, p in self.parameters.points.items()}
+        return {name: ta.BodyPoint((0.0, 0.0, 1.0), {"x": p.x, "y": p.y}) for name, p in self.parameters.points.items()}
 
-    def basis(self, freq_upper: float) -> tw.ModalBasis:
+    def basis(self, freq_upper: float) -> ta.ModalBasis:
         """Modes below `freq_upper` (Hz), by ascending frequency."""
         p = self.parameters
         for name, at in p.points.items():
@@ -67,4 +67,4 @@ class RectangularPlate(tw.Body[PlateParameters]):
         omega = np.sqrt(rigidity / mass) * (kx**2 + ky**2)
         size = 2 / np.sqrt(mass * p.length * p.width)
         shapes = {name: size * np.sin(kx * at.x) * np.sin(ky * at.y) for name, at in p.points.items()}
-        return tw.ModalBasis.real(omega, p.damping_ratio * omega, shapes)
+        return ta.ModalBasis.real(omega, p.damping_ratio * omega, shapes)

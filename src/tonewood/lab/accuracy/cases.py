@@ -269,8 +269,7 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
         out = []
         first: set[str] = set()
         for index, joint in enumerate(problem.constraints):
-            component = joint.name.removesuffix(".bridge")
-            string = component.partition(".")[0]
+            component, string = joint.terms[0].component, joint.owner
             if string in first or (strings is not None and string not in strings):
                 continue
             first.add(string)

@@ -1,4 +1,4 @@
-"""One line out of a failed validation: the dotted key, and what is wrong with it."""
+"""One line for a failed validation: the dotted key, and what is wrong with its value."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CONTAINERS = (dict, list, tuple, Mapping, Sequence)
 _RAISED = re.compile(r"^(Value error|Assertion failed), ")
 
 
-def first_fault(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
+def first_message(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
     """Dotted key and reason of the first fault of a validation against `model`.
 
     Parts of a location that are not keys of the file (the tags pydantic puts in for members of a union) are left

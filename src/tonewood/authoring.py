@@ -1,0 +1,132 @@
+"""Everything that the author of a plugin needs: one import for a package, or for a file inside of a bundle.
+
+>>> import tonewood.authoring as ta
+>>> class LumpParameters(ta.Parameters):
+...     mass: float = ta.quantity("kg", low=1e-3, doc="of the lump")
+>>> class Lump(ta.Body[LumpParameters]):
+...     Parameters = LumpParameters
+...     def points(self):
+...         return {"top": ta.BodyPoint((0.0, 0.0, 1.0))}
+...     def basis(self, freq_upper):
+...         return ta.ModalBasis.real([100.0], [1.0], {"top": [1.0]}, modal_mass=self.parameters.mass)
+>>> Lump.from_values({"mass": 0.5}).basis(1e3)
+ModalBasis(1 real modes, 15.9155 to 15.9155 Hz, points top)
+
+Kinds of plugins and what they return, declared parameters, modal bases, connections and their laws, effects, errors;
+and what shows the part at work in an instrument: `assemble`, `partials`, `pitches`.
+"""
+
+from tonewood.coupling.connections import Connection, SpringDashpot, Term
+from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
+from tonewood.coupling.layout import Drive, Probe, Readout
+from tonewood.errors import BundleError, PassivityError, PluginError, TonewoodError
+from tonewood.instrument.assembly import Model, assemble
+from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
+from tonewood.instrument.contract import (
+    Attachment,
+    Body,
+    BodyPoint,
+    BridgeForce,
+    Event,
+    Exciter,
+    Gesture,
+    Hold,
+    Longitudinal,
+    Pickup,
+    PickupRows,
+    Place,
+    Plugin,
+    Resonator,
+    Scene,
+    dot,
+)
+from tonewood.instrument.directions import Direction, unit_vector
+from tonewood.instrument.effects import (
+    DAMPERS,
+    LONGITUDINAL,
+    TENSION_MODULATION,
+    Effect,
+    Norms,
+    contact_effect,
+)
+from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
+from tonewood.instrument.inspection import partials, pitch, pitches
+from tonewood.instrument.losses import LossLaw
+from tonewood.modal.damping import with_damping_case
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.string_modes import string_basis, wavenumber
+from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
+from tonewood.params import Number, Parameters, Vector, described, quantity
+from tonewood.passivity.basis import check_basis, repair_basis
+from tonewood.stepping.forcing import Segment
+
+__all__ = [
+    "DAMPERS",
+    "LONGITUDINAL",
+    "TENSION_MODULATION",
+    "Attached",
+    "Attachment",
+    "Body",
+    "BodyPoint",
+    "BridgeForce",
+    "BundleError",
+    "CompiledPotential",
+    "Connection",
+    "Contact",
+    "Direction",
+    "Drive",
+    "Effect",
+    "Event",
+    "Exciter",
+    "Fraction",
+    "Friction",
+    "Gesture",
+    "HardeningSpring",
+    "Hold",
+    "Longitudinal",
+    "LossLaw",
+    "ModalBasis",
+    "Model",
+    "Motion",
+    "Norms",
+    "Number",
+    "Parameters",
+    "PassivityError",
+    "Pickup",
+    "PickupRows",
+    "Place",
+    "Plugin",
+    "PluginError",
+    "Probe",
+    "Readout",
+    "Resonator",
+    "SampledPotential",
+    "Scene",
+    "Segment",
+    "Site",
+    "SpringDashpot",
+    "StringPlace",
+    "Term",
+    "TonewoodError",
+    "Vector",
+    "assemble",
+    "check_basis",
+    "contact_effect",
+    "described",
+    "dot",
+    "loose_mass",
+    "metres",
+    "partials",
+    "pitch",
+    "pitches",
+    "quantity",
+    "repair_basis",
+    "retuned",
+    "smooth_step",
+    "string_basis",
+    "string_carry",
+    "string_transfer",
+    "unit_vector",
+    "wavenumber",
+    "with_damping_case",
+]

@@ -1,0 +1,29 @@
+"""The list of commands, and exceptions that end a command besides errors."""
+
+from __future__ import annotations
+
+#: command -> module and function
+COMMANDS = {
+    "render": "render:render",
+    "play": "play:play",
+    "list": "listing:list_installed",
+    "plan": "plan:plan",
+    "check": "check:check",
+    "modes": "modes:modes",
+    "schema": "schema:schema",
+    "batch": "batch:batch",
+    "results": "results:results",
+    "validate": "validate:validate",
+    "accuracy": "accuracy:accuracy",
+}
+
+
+class InterruptError(Exception):
+    """Ctrl-C inside a command: typer would turn a KeyboardInterrupt into an exit code without a message.
+
+    Its text names the files that remain.
+    """
+
+
+class ReaderGoneError(Exception):
+    """Standard output was closed by its reader, as behind ``| head``; typer would turn that into an exit code."""

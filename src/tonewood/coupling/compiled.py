@@ -1,0 +1,187 @@
+"""Data of a stepper: compiled components, known forces, prescribed motion of partners, and the state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.coupling.geometric import GeometricShare
+from tonewood.coupling.tension import TensionShare
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.propagator import RealForm, impulse_series
+
+Floats = NDArray[np.float64]
+
+#: samples that the kernel steps at a time: the reach of `Compiled.history`
+BLOCK_SIZE = 16
+#: modes of a component are padded to a multiple of this in the state
+PADDING = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """One component ready to be stepped by dt.
+
+    Attributes
+    ----------
+    basis : the modes.
+    dt : s, step.
+    form : their real 2 x 2 blocks.
+    ports : (n_ports,) rows of `basis.points` that connections act on, in order of their names.
+    E : (n_modes, 2, 2) propagator of one step.
+    W : (n_ports, n_modes, 2) state added by a unit force held over one step.
+    rows : (n_rows, n_modes, 2) displacement rows of the ports, then the readouts' rows.
+    history : (BLOCK_SIZE, n_ports, n_rows) response of every row k steps after a unit force held over one step;
+        history[0, :, :n_ports] is the port compliance Z.
+    readouts : (n_rows - n_ports,) channel that each further row adds to.
+    difference : (n_rows - n_ports,) whether the row is read as (y(t + h) - y(t)) / h.
+    gaps : (g,) connections that its ports have a share in; none for a driven component.
+    shares : (g, n_ports) these shares.
+    compliance, residual : (g, g) m/N, its share of these gaps' compliance over one step, and of their residual
+        compliance.
+    tension : its share of a tension, if it belongs to one.
+    geometric : its share of a string whose longitudinal motion is stepped, likewise.
+    """
+
+    basis: ModalBasis
+    dt: float
+    form: RealForm
+    ports: NDArray[np.intp]
+    E: Floats
+    W: Floats
+    rows: Floats
+    history: Floats
+    readouts: NDArray[np.intp]
+    difference: NDArray[np.bool_]
+    gaps: NDArray[np.intp]
+    shares: Floats
+    compliance: Floats
+    residual: Floats
+    tension: TensionShare | None = None
+    geometric: GeometricShare | None = None
+    _impulses: dict[str, Floats] = field(init=False, repr=False, default_factory=dict)
+
+    def impulses(self, point: str) -> Floats:
+        """`propagator.impulse_series` of a named point, kept for use again."""
+        if point not in self._impulses:
+            self._impulses[point] = impulse_series(self.basis, self.form, self.basis.index(point), self.dt)
+        return self._impulses[point]
+
+    @cached_property
+    def gap_velocity(self) -> Floats:
+        """(g, 2 n_modes) what its modes' numbers, (2, n_modes), add to the velocities of its gaps."""
+        rows = self.form.rows("velocity", self.ports).swapaxes(1, 2)
+        return np.asarray(self.shares @ rows.reshape(len(self.ports), 2 * self.basis.n_modes))
+
+    @cached_property
+    def gap_push(self) -> Floats:
+        """(g, 2 n_modes) what an impulse of 1 N s across each gap adds to these numbers."""
+        B = self.form.B[self.ports].swapaxes(1, 2)
+        return np.asarray(self.shares @ B.reshape(len(self.ports), 2 * self.basis.n_modes))
+
+    @cached_property
+    def gap_mobility(self) -> Floats:
+        """(g, g) m/s of each gap (first index) per impulse of 1 N s across another."""
+        return np.asarray(self.gap_velocity @ self.gap_push.T)
+
+
+@dataclass(eq=False)
+class State:
+    """State of a system: plain arrays, owned by the caller of the stepper.
+
+    Attributes
+    ----------
+    modes : (2, capacity) the two numbers of every mode, component after component, padded.
+    forces : (m,) N, connection forces of the step before.
+    sample : steps taken since time 0.
+    series : (m,) m, displacement of the residual compliance in series with nonlinear connections; empty is rest.
+    slip : (m,) m/s, relative velocity of friction connections over the step before, 0 when sticking; empty is rest.
+    tension : (n_tensions, 3) N, mean additional tension of the last three steps, latest first; empty is rest.
+    """
+
+    modes: Floats
+    forces: Floats
+    sample: int = 0
+    series: Floats = field(default_factory=lambda: np.zeros(0))
+    slip: Floats = field(default_factory=lambda: np.zeros(0))
+    tension: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def copy(self) -> State:
+        """Return an independent copy."""
+        return State(
+            self.modes.copy(),
+            self.forces.copy(),
+            self.sample,
+            self.series.copy(),
+            self.slip.copy(),
+            self.tension.copy(),
+        )
+
+    def restore(self, other: State) -> None:
+        """Take over all of another state."""
+        self.modes[:], self.forces[:], self.sample = other.modes, other.forces, other.sample
+        self.series, self.slip, self.tension = other.series.copy(), other.slip.copy(), other.tension.copy()
+
+
+@dataclass(frozen=True, eq=False)
+class Injection:
+    """A known force, compiled: x_u(n) += sum_k vectors[k] values[k, n - start] for the modes of one component.
+
+    Attributes
+    ----------
+    component : its name.
+    start : absolute sample of the first step it acts in.
+    vectors : (n_vectors, n_modes, 2).
+    values : (n_vectors, n_steps).
+    """
+
+    component: str
+    start: int
+    vectors: Floats
+    values: Floats
+
+    @property
+    def stop(self) -> int:
+        """Absolute sample after the last step it acts in."""
+        return self.start + int(self.values.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Control:
+    """Moves or scales a nonlinear connection's partner sample by sample, in place of its law's constants.
+
+    What it does to the partner is work from outside: only f (g+ - g) is balanced by the law.
+
+    Attributes
+    ----------
+    connection : its name.
+    start : absolute sample of the first step it acts in.
+    offset : (n_steps + 1,) m, gap of zero compression at the beginning of each step and the end of the last.
+    velocity : (n_steps,) m/s, of the partner in a `Friction`, mean over each step.
+    scale : (n_steps,) factor, not negative, on the force of the law: a bow's pressure, a finger's weight.
+    """
+
+    connection: str
+    start: int
+    offset: Floats | None = None
+    velocity: Floats | None = None
+    scale: Floats | None = None
+
+    def __post_init__(self) -> None:
+        lengths = {len(a) for a in (self.velocity, self.scale) if a is not None}
+        lengths |= {len(self.offset) - 1} if self.offset is not None else set()
+        if len(lengths) != 1 or min(lengths) < 0:
+            raise ValueError(f"a control of {self.connection!r} needs arrays of one number of steps")
+        if self.scale is not None and not np.all(self.scale >= 0.0):
+            raise ValueError(f"a control of {self.connection!r} has a negative scale")
+
+    @property
+    def stop(self) -> int:
+        """Absolute sample after the last step it acts in."""
+        for array, extra in ((self.velocity, 0), (self.scale, 0), (self.offset, 1)):
+            if array is not None:
+                return self.start + len(array) - extra
+        return self.start

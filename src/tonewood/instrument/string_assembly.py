@@ -1,0 +1,157 @@
+"""The strings of an instrument, tuned on their body."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from tonewood.errors import BundleError
+from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.choice import Choice
+from tonewood.instrument.contract import Attachment, BodyPoint, Exciter, Longitudinal, Resonator, dot
+from tonewood.instrument.directions import unit_vector
+from tonewood.instrument.gestures import Fraction
+from tonewood.instrument.registry import MANIFEST
+from tonewood.instrument.schema import StringPart
+from tonewood.instrument.string_setup import LongitudinalMotion, Polarization, Stopping
+from tonewood.instrument.strings import StringModel
+from tonewood.instrument.tuning import body_ports
+from tonewood.modal.modes import ModalBasis
+from tonewood.params import Vector
+from tonewood.units import ratio_of_cents
+
+#: strings' modes stay this share below the limit, so that tuning does not lose the highest, on which pitch depends
+TUNING_ROOM = 0.98
+
+
+def string_models(
+    instrument: Instrument, body: ModalBasis, body_points: Mapping[str, BodyPoint], limit: float, choice: Choice
+) -> dict[str, StringModel]:
+    """Make every string of an instrument.
+
+    Parameters
+    ----------
+    body, body_points : the body's modes below the limit, and its points.
+    limit : Hz, no mode is stepped above it.
+    choice : effects that may run.
+
+    Returns
+    -------
+    name -> string, from bass to treble.
+
+    Raises
+    ------
+    BundleError : a point of a string does not lie on its speaking part at the last stop.
+    """
+    return {name: _string(instrument, name, body, body_points, limit, choice) for name in instrument.string_names}
+
+
+def _string(
+    instrument: Instrument,
+    name: str,
+    body: ModalBasis,
+    body_points: Mapping[str, BodyPoint],
+    limit: float,
+    choice: Choice,
+) -> StringModel:
+    part, resonator = instrument.spec.strings[name], instrument.resonators[name]
+    polarizations = tuple(
+        Polarization(
+            component=f"{name}.{part.label(i)}",
+            direction=direction,
+            ends=_transverse_ends(direction, part.body_points, body_points),
+            detune=ratio_of_cents(part.split_cents) if i else 1.0,
+        )
+        for i, direction in enumerate(instrument.polarizations(name))
+        if i == 0 or choice.keeps(resonator, "second_polarization")
+    )
+    points = {point: _metres(at.from_bridge, resonator) for point, at in part.points.items()}
+    exciter = instrument.exciters[instrument.spec.playing.default_exciter]
+    string = StringModel(
+        name,
+        resonator,
+        polarizations,
+        open_note=instrument.open_note(name),
+        stopping=_stopping(instrument, name),
+        body=body_ports(body, [p.ends for p in polarizations]),
+        freq_upper=min(part.freq_upper, TUNING_ROOM * limit),
+        freq_limit=limit,
+        end_compliance=part.end_compliance,
+        points=points,
+        tilt_deg=part.tilt_deg,
+        touching=_touching(instrument, name, choice),
+        pluck_from_bridge=_metres(getattr(exciter.parameters, "from_bridge", 0.1 * resonator.length), resonator),
+        longitudinal=_longitudinal(part, name, resonator, body_points, choice),
+    )
+    shortest = string.length(string.n_stops)
+    for point, x in points.items():
+        if point in ("bridge", "pluck") or not 0 <= x <= shortest:
+            raise BundleError(
+                f"lies {x:g} m from the bridge; places from 0 to {shortest:g} m (the last stop) are allowed, and names "
+                "other than bridge and pluck",
+                file=instrument.folder / MANIFEST,
+                key=f"strings.{name}.points.{point}",
+            )
+    return string
+
+
+def _metres(place: Any, resonator: Resonator[Any]) -> float:
+    """Distance from the bridge of a place on the open string, m."""
+    return place.fraction * resonator.length if isinstance(place, Fraction) else float(place)
+
+
+def _stopping(instrument: Instrument, name: str) -> Stopping:
+    spec, part = instrument.spec, instrument.spec.strings[name]
+    note, tuning, stops = instrument.open_note(name), instrument.tuning, spec.stops
+    count = stops.count if part.stops is None else part.stops
+    return Stopping(
+        count=0 if stops.kind == "none" else count,
+        continuous=stops.kind == "continuous",
+        freq=lambda stop: tuning.freq(note + stop),
+        compensate=spec.tuning.at if spec.tuning.compensate == "coupled" else "none",
+        hold=spec.tuning.hold,
+        finger=stops.finger if stops.model == "finger" else None,
+    )
+
+
+def _touching(instrument: Instrument, name: str, choice: Choice) -> dict[str, Attachment[Any] | Exciter[Any]]:
+    """Attachments on a string, and exciters that may add components to it."""
+    parts = instrument.spec.connections
+    attachments = {
+        key: attachment
+        for key, attachment in instrument.attachments.items()
+        if name in (parts[key].strings or [name]) and choice.keeps(attachment)
+    }
+    return {**attachments, **{key: e for key, e in instrument.exciters.items() if e.at is None}}
+
+
+def _longitudinal(
+    part: StringPart, name: str, resonator: Resonator[Any], body_points: Mapping[str, BodyPoint], choice: Choice
+) -> LongitudinalMotion | None:
+    motion = resonator.longitudinal
+    if motion is None or not choice.keeps(resonator, "longitudinal"):
+        return None
+    x, y, z = unit_vector(part.axis)
+    to_nut = (-x, -y, -z)
+    ends = _longitudinal_ends(to_nut, part.body_points, body_points, motion)
+    return LongitudinalMotion(f"{name}.longitudinal", to_nut, ends, motion)
+
+
+def _transverse_ends(direction: Vector, ends: Sequence[str], body_points: Mapping[str, BodyPoint]) -> dict[str, float]:
+    """Body point -> (p . d); an end is rigid in directions in which the body has no data."""
+    shares = {point: dot(direction, body_points[point].direction) for point in ends}
+    return {point: factor for point, factor in shares.items() if factor != 0.0}
+
+
+def _longitudinal_ends(
+    to_nut: Vector, ends: Sequence[str], body_points: Mapping[str, BodyPoint], motion: Longitudinal
+) -> dict[str, float]:
+    """Body point -> share of its displacement in the string's end, along the string.
+
+    The share is the projection on the string's direction. The point that moves most across the string also turns about
+    the bridge, which adds the resonator's leverage.
+    """
+    shares = {point: dot(to_nut, body_points[point].direction) for point in ends}
+    most = min(ends, key=lambda point: abs(shares[point]))
+    shares[most] += motion.bridge_leverage
+    return {point: factor for point, factor in shares.items() if abs(factor) > 1e-12}
