@@ -108,7 +108,7 @@ class RenderSettings(_Part):
 
     #: keys of earlier versions, and what is said of them (`faults.first_fault`)
     removed: ClassVar[dict[str, str]] = {
-        "precision": "was removed in 0.2: samples are always computed in double precision; `tonewood migrate` removes it"
+        "precision": "was removed in 0.2: samples are always computed in double precision; `tonewood migrate` helps"
     }
 
     fs: int = Field(default=48000, ge=8000, le=768000, description="Hz")
