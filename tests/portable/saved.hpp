@@ -27,7 +27,7 @@ public:
     explicit File(const std::string& path) {
         std::ifstream stream(path, std::ios::binary);
         std::string line, name, type;
-        if (!std::getline(stream, line) || line != "tonewood-arrays/1") throw std::runtime_error(path + ": no such file");
+        if (!std::getline(stream, line) || line != "tonewood-arrays/1") throw std::runtime_error(path + ": not a file of arrays");
         while (std::getline(stream, line)) {
             std::istringstream words(line);
             Array array;
