@@ -1,8 +1,10 @@
 #!/usr/bin/env bash
 # Runs the tests of arrays and lab, and `tonewood validate`, as other machines would: under each processor kernel of
-# OpenBLAS, each instruction set of the kernel, and BLAS's default number of threads, one of these changed at a time.
-# Names those this processor lacks, and leaves out what the plain test command runs anyway. The environment that is
-# active needs tonewood with its extra `test`. Arguments go to pytest, in place of the default choice of tests.
+# OpenBLAS, under each instruction set of the kernel, and under BLAS's default number of threads. A processor kernel is
+# run together with the instruction set of its time, so that three runs meet all of them; which of the two a failure is
+# of, the same tests under one alone say. Names those this processor lacks, and leaves out what the plain test command
+# runs anyway. The environment that is active needs tonewood with its extra `test`. Arguments go to pytest, in place of
+# the default choice of tests.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -29,28 +31,30 @@ here=$("$python" -c "from tonewood.blas import blas_libraries; print(*blas_libra
 sets=$("$python" -c "from tonewood import _kernel; print(*_kernel.instruction_sets())")
 echo "here: BLAS $here; instruction sets $sets"
 lacking=()
-while read -r core flags; do
+threads=(-u OMP_NUM_THREADS -u OPENBLAS_NUM_THREADS) # of the first run alone: threads change sums of arrays
+run=${sets%% *} # instruction sets that were run; the first is the one taken by default
+while read -r core isa flags; do
+    settings=()
     # shellcheck disable=SC2086  # flags are words
     if ! has $flags; then
         lacking+=("OPENBLAS_CORETYPE=$core")
     elif [[ $here != *" $core"* ]]; then
-        under "OPENBLAS_CORETYPE=$core"
+        settings+=("OPENBLAS_CORETYPE=$core")
     fi
-done <<'TABLE'
-Prescott pni
-Haswell avx2 fma
-Zen avx2 fma
-SkylakeX avx512f avx512dq avx512bw avx512vl
-TABLE
-for isa in avx512 avx2 baseline; do
     if [[ " $sets " != *" $isa "* ]]; then
         lacking+=("TONEWOOD_ISA=$isa")
-    elif [[ $sets != "$isa"* ]]; then # the first is the one taken by default
-        under "TONEWOOD_ISA=$isa"
+    elif [[ " $run " != *" $isa "* ]]; then
+        settings+=("TONEWOOD_ISA=$isa")
+        run+=" $isa"
     fi
-done
-if [ $# -eq 0 ]; then # threads change sums of arrays; lab only reads them
-    tests=(-n 2 tests/unit/{modal,coupling,stepping,energy,passivity})
-fi
-under -u OMP_NUM_THREADS -u OPENBLAS_NUM_THREADS
+    if [ ${#settings[@]} -gt 0 ]; then
+        under "${threads[@]}" "${settings[@]}"
+        threads=()
+    fi
+done <<'TABLE'
+Zen avx2 avx2 fma
+Haswell avx2 avx2 fma
+Prescott baseline pni
+SkylakeX avx512 avx512f avx512dq avx512bw avx512vl
+TABLE
 echo "not run, as this processor lacks it: ${lacking[*]:-nothing}"

@@ -16,6 +16,7 @@ SOURCES = ROOT / "src" / "tonewood"
 LAYERS = (
     {"errors", "validation_messages", "_kernel", "_methods"},
     {"units", "params", "yaml_io", "whole_files", "blas"},
+    {"yaml_edit"},
     {"modal"},
     {"coupling", "passivity"},
     {"stepping"},

@@ -16,6 +16,10 @@ class DroppedNotesWarning(UserWarning):
     """Some notes of a score cannot be played; the render's `dropped` lists them."""
 
 
+class OldFormatWarning(FutureWarning):
+    """A file of an earlier schema was read; the next version will refuse it. The text says what to run."""
+
+
 class TonewoodError(Exception):
     """A fault the user can mend, told in one line.
 

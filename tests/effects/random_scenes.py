@@ -93,7 +93,7 @@ def instrument_of(
 
     return tw.Instrument.from_values(
         {
-            "schema": "tonewood-instrument/1",
+            "schema": "tonewood-instrument/2",
             "name": "random_scene",
             "title": "random scene",
             "licence": "CC-BY-4.0",

@@ -40,7 +40,7 @@ def instrument(folder: Path, string: Mapping[str, Any] | None = None, **parts: A
     """The string S with other keys, and parts of the bundle in place of a mere pluck."""
     (folder / "body.csv").write_text("f_Hz,Q,modal_mass,bridge\n30,5,1e5,1\n")
     values: dict[str, Any] = {
-        "schema": "tonewood-instrument/1",
+        "schema": "tonewood-instrument/2",
         "name": "touched",
         "title": "One string",
         "licence": "CC-BY-4.0",

@@ -35,7 +35,7 @@ STRINGS = {"E2": (80.0, 6e-3), "A3": (75.0, 1.1e-3), "E4": (70.0, 4e-4)}
 ONE = body(2, DAMPING["medium"])
 KEPT = ONE.truncated()
 VALUES: dict[str, Any] = {
-    "schema": "tonewood-instrument/1",
+    "schema": "tonewood-instrument/2",
     "name": "broken",
     "title": "A body cut out of a larger one",
     "licence": "CC0-1.0",

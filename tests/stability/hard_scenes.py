@@ -200,7 +200,7 @@ def invented(rng: Rng, folder: Path, fs: int) -> Instrument:
     }  # fmt: skip
     model = str(rng.choice(["ideal", "finger"]))
     values = {
-        "schema": "tonewood-instrument/1", "name": "random", "title": "Random", "licence": "CC0-1.0", "sources": {},
+        "schema": "tonewood-instrument/2", "name": "random", "title": "Random", "licence": "CC0-1.0", "sources": {},
         "body": {
             "plugin": "modal_table", "table": "body.csv", "shapes": "points",
             "points": {"bridge": {"direction": [0.0, 0.6, 0.8]}},

@@ -110,7 +110,7 @@ class RenderSettings(RenderOptions):
 
     #: key of an earlier version -> message (`validation_messages.first_message`)
     removed: ClassVar[dict[str, str]] = {
-        "precision": "precision was removed in 0.2; samples are always computed in double precision"
+        "precision": "was removed in 0.2: samples are always computed in double precision; `tonewood migrate` helps"
     }
 
     tail: float = quantity("s", low=0.0, high=600.0, default=12.0, doc="longest ring after the last note")

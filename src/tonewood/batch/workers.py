@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, TypeVar
 
-from tonewood.errors import TonewoodError
+from tonewood.errors import OldFormatWarning, TonewoodError
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -93,4 +93,5 @@ class Workers:
 def _in_folder(folder: str, function: Callable[[T], R], item: T) -> R:
     """Call a function in the caller's current folder: worker processes may be left from a call made in another one."""
     os.chdir(folder)
+    warnings.simplefilter("ignore", OldFormatWarning)  # the caller's process has shown it
     return function(item)

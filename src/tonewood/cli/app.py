@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable
 from functools import wraps
 from importlib import import_module
@@ -11,6 +12,8 @@ from typing import Annotated, Any
 import typer
 
 from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
+from tonewood.cli.common import warn
+from tonewood.errors import OldFormatWarning
 
 # typer may carry its own copy of click: its errors are found through it
 _UsageError = typer.BadParameter.__bases__[0]
@@ -37,8 +40,18 @@ def application(first: str | None) -> typer.Typer:
 def _command(command: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(command)
     def wrapped(*args: Any, **options: Any) -> Any:
+        show = warnings.showwarning
+
+        def show_in_one_line(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            if issubclass(category, OldFormatWarning):
+                warn([str(message)])
+            else:
+                show(message, category, *place, **more)
+
         try:
-            code = command(*args, **options)
+            with warnings.catch_warnings():
+                warnings.showwarning = show_in_one_line
+                code = command(*args, **options)
             sys.stdout.flush()
         except KeyboardInterrupt as error:
             raise InterruptError(*error.args) from None

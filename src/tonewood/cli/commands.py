@@ -11,6 +11,7 @@ COMMANDS = {
     "check": "check:check",
     "modes": "modes:modes",
     "schema": "schema:schema",
+    "migrate": "migrate:migrate",
     "batch": "batch:batch",
     "results": "results:results",
     "validate": "validate:validate",

@@ -5,22 +5,25 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import BundleError, PluginError, ScoreError
+from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError
 from tonewood.instrument import registry
 from tonewood.instrument.bundle_code import code_hash, code_plugin, is_code
 from tonewood.instrument.contract import Attachment, Body, Exciter, Pickup, Plugin, Resonator
 from tonewood.instrument.directions import polarization_vectors
 from tonewood.instrument.files import Files
+from tonewood.instrument.migration import bundle_edits
 from tonewood.instrument.overrides import apply_overrides
 from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance
 from tonewood.params import Vector, validated
 from tonewood.score.scales import Tuning, note_number, read_tuning
+from tonewood.yaml_edit import apply_edits
 from tonewood.yaml_io import load_yaml
 
 
@@ -68,6 +71,10 @@ class Instrument:
         Raises
         ------
         BundleError, PluginError : one line with file, key and reason.
+
+        Warns
+        -----
+        OldFormatWarning : the bundle is of an earlier schema; it is read as `tonewood migrate` would rewrite it.
         """
         folder = registry.instrument_folder(name_or_path)
         manifest = folder / registry.MANIFEST
@@ -85,6 +92,10 @@ class Instrument:
         """Make one from nested plain values; tables are read from `folder`, and of other files only those `granted`."""
         root = Path(folder)
         files = Files(root, root / registry.MANIFEST, granted)
+        if edits := bundle_edits(values, files.manifest):
+            what = f"{files.manifest}: schema: {values['schema']} is deprecated; run: tonewood migrate {root}"
+            warnings.warn(what, OldFormatWarning, stacklevel=3)
+            values = apply_edits(values, edits)
         spec = validated(Bundle, _merged(values, files), key="", file=files.manifest)
 
         def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:

@@ -1,4 +1,4 @@
-"""The bundle format as JSON Schema, for editors: `tonewood-instrument/1` with the keys of every installed plugin."""
+"""The bundle format as JSON Schema, for editors: `tonewood-instrument/2` with the keys of every installed plugin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bundle format ``tonewood-instrument/1``: every key an ``instrument.yaml`` may have.
+"""The bundle format ``tonewood-instrument/2``: every key an ``instrument.yaml`` may have.
 
 SI throughout; other units only where the key says so (``_deg``, ``_cents``, ``_db``). A part that a plugin makes has
 the keys of that plugin beside those listed here.
@@ -14,7 +14,7 @@ from tonewood.instrument.directions import Direction
 from tonewood.instrument.gestures import StringPlace
 from tonewood.params import Number, Parameters, Vector, described, quantity
 
-SCHEMA = "tonewood-instrument/1"
+SCHEMA = "tonewood-instrument/2"
 
 #: parts of one kind that an instrument may have; a piano has 230 strings
 MOST_STRINGS, MOST_PARTS = 256, 100
@@ -250,7 +250,7 @@ class Effects(Parameters):
 class Bundle(Parameters):
     """An instrument."""
 
-    schema_: Literal["tonewood-instrument/1"] = Field(alias="schema", description="version of this format")
+    schema_: Literal["tonewood-instrument/2"] = Field(alias="schema", description="version of this format")
     name: Name = described("as it is called on the command line")
     title: str = described("one line")
     description: str | None = described("what to know about it", default=None)

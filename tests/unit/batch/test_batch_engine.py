@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import tonewood as tw
 from tonewood.batch import rendering
 from tonewood.batch.conditions import Condition, Draw, expand
 from tonewood.batch.manifest import check_manifest
@@ -48,6 +49,7 @@ def test_identity_is_json_and_follows_what_is_asked() -> None:
     assert content_key(ENGINE.identity(low)) == content_key(ENGINE.identity(low))
     assert content_key(ENGINE.identity(low)) != content_key(ENGINE.identity(high))
     identity = json.loads(json.dumps(ENGINE.identity(high), allow_nan=False))
+    assert identity["version"] == tw.__version__
     before = ENGINE.identity(low)["parameters"]["strings"]["A2"]["loss"]["eta_a"]
     assert identity["parameters"]["strings"]["A2"]["loss"]["eta_a"] == pytest.approx(30 * before)
     assert set(identity["plugins"]) >= {"stiff_string", "modal_table"}

@@ -177,11 +177,11 @@ def test_a_folder_beside_the_manifest_needs_no_dot(tmp_path: Path) -> None:
         ({"stimuly": {}}, "m.yaml: stimuly: is not a known key; did you mean stimuli? allowed: schema, name,"),
         (
             {"render": {"precision": "f64"}},
-            "m.yaml: render.precision: precision was removed in 0.2; samples are always computed in double precision",
+            "m.yaml: render.precision: was removed in 0.2: samples are always computed in double precision; `tonewood",
         ),
         (
             {"factors": fakes.BASE["factors"] | {"f": {"path": "render.precision", "levels": {"x": "f32"}}}},
-            "m.yaml: factors.f.levels.x: precision was removed in 0.2",
+            "m.yaml: factors.f.levels.x: was removed in 0.2",
         ),
         ({"stimuli": {"fade": {"inn": 1.0}}}, "m.yaml: stimuli.fade.inn: is not a known key; did you mean in?"),
         ({"stimuli": {"duration": -1.0}}, "m.yaml: stimuli.duration: Input should be 'page_max'; or"),

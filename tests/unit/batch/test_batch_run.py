@@ -147,7 +147,11 @@ def test_finished_renders_are_used_again(tmp_path: Path) -> None:
     assert (again.rendered, again.reused) == (0, 3)
     assert len(log.read_text().splitlines()) == 3
     assert sounds(out) == before
-    assert run_batch(path, out, FakeRenderer(log=log, version="2")).rendered == 3
+    other = run_batch(path, out, FakeRenderer(log=log, version="2"))
+    assert other.rendered == 3
+    (note,) = [n for n in other.notes if "not used" in n]
+    assert note.startswith(f"3 renders in {out / 'work'} are not used: they were made of something else (parameters,")
+    assert "version" in note
 
 
 def test_a_damaged_render_is_made_again(tmp_path: Path) -> None:

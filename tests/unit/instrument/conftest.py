@@ -14,7 +14,7 @@ from tonewood.instrument.bundle import Instrument
 BODY = "f_Hz,Q,modal_mass,bridge,wing\n182,25,0.60,1,0.4\n315,30,0.40,1,-0.7\n640,35,0.30,1,0.2\n"
 LOSS = {"law": "sigma", "sigma0": 0.6, "sigma1": 2e-4}
 SMALL: dict[str, Any] = {
-    "schema": "tonewood-instrument/1",
+    "schema": "tonewood-instrument/2",
     "name": "small",
     "title": "Two strings on a box",
     "licence": "CC-BY-4.0",

@@ -59,7 +59,8 @@ def put(values: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("path", "value", "reason"),
     [
-        ("schema", "tonewood-instrument/2", "schema: Input should be 'tonewood-instrument/1'"),
+        ("schema", "tonewood-instrument/3", "schema: tonewood-instrument/3 is of a later version of tonewood"),
+        ("schema", "instrument", "schema: Input should be 'tonewood-instrument/2', not 'instrument'"),
         ("title", None, "title: is missing"),
         ("tittle", "x", "tittle: is not a known key; did you mean title? allowed: schema, name, title"),
         ("strings.A2.tension", "tight", "strings.A2.tension: Input should be a valid number, not 'tight'"),

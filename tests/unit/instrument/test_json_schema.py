@@ -33,7 +33,7 @@ def test_built_in_bundles_pass(validator: Any, name: str) -> None:
         (("body", "shapes"), "round"),
         (("exciters", "pluck", "plugin"), "no_such"),
         (("exciters", "pluck", "force"), -1.0),
-        (("schema",), "tonewood-instrument/2"),
+        (("schema",), "tonewood-instrument/3"),
         (("licence",), None),
     ],
 )

@@ -191,7 +191,7 @@ class RealModes:
             [np.stack([np.ones(pair.sum()), np.zeros(pair.sum())], -1), np.stack([poles.real, -poles.imag], -1)[pair]],
             axis=1,
         )
-        back = sla.inv(read)
+        back = inverses(read)
         # a displacement row of (q, q') has only q in it
         return cls(
             np.concatenate([b.stiffness for b in bases]),
@@ -200,6 +200,11 @@ class RealModes:
             through(flat.out, back)[..., 0],
             read,
         )
+
+
+def inverses(blocks: Floats) -> Floats:
+    """Inverses of (n, 2, 2) blocks, one by one: SciPy before 1.17 inverts no stacks."""
+    return np.array([sla.inv(block) for block in blocks]).reshape(blocks.shape)
 
 
 def through(rows: Floats, blocks: Floats) -> Floats:

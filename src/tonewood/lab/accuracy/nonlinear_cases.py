@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.coupling.connections import Connection, Term
 from tonewood.coupling.laws import Contact, HardeningSpring
 from tonewood.coupling.tension import TensionModulation
-from tonewood.lab.accuracy.flat import Flat, RealModes
+from tonewood.lab.accuracy.flat import Flat, RealModes, inverses
 from tonewood.lab.accuracy.nonlinear import NonlinearCase
 from tonewood.lab.methods.problem import Problem
 from tonewood.lab.string_end import ExactString
@@ -123,7 +122,7 @@ def klosner_case() -> NonlinearCase:
         rigid = int(np.argmin(sub.stiffness))
         q[flat.starts["sub"]] = 0.0
         q[flat.starts["sub"].start + rigid] = level / float(sub.right[sub.index("foot"), rigid].real)
-        x[:] = apply(sla.inv(m.read), np.stack([q, np.zeros_like(q)], axis=-1))
+        x[:] = apply(inverses(m.read), np.stack([q, np.zeros_like(q)], axis=-1))
         return x
 
     return NonlinearCase(

@@ -20,7 +20,7 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.coupling.connections import scaled_pinv
-from tonewood.lab.accuracy.flat import Flat, RealModes, product, through
+from tonewood.lab.accuracy.flat import Flat, RealModes, inverses, product, through
 from tonewood.lab.accuracy.scheme import Scheme
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT, Newmark
 from tonewood.modal.propagator import apply
@@ -193,7 +193,7 @@ def verlet(flat: Flat, dt: float) -> Scheme:
     r = RealModes.of(flat)
     m = len(r.gaps)
     G = scaled_pinv(r.gaps @ r.gaps.T)
-    back = sla.inv(r.read)
+    back = inverses(r.read)
 
     def begin(x: Floats) -> tuple[Floats, Floats]:
         q, v = apply(r.read, x).T
@@ -231,7 +231,7 @@ def newmark(flat: Flat, dt: float, method: Newmark) -> Scheme:
     lead = 1 + w * g * loss + w * b * stiff
     p = dt**2 * r.gaps / lead
     G = scaled_pinv(r.gaps @ p.T)
-    back = sla.inv(r.read)
+    back = inverses(r.read)
 
     def begin(x: Floats) -> tuple[Floats, Floats]:
         q, v = apply(r.read, x).T
