@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from tonewood.coupling.system import Drive as Drive
     from tonewood.coupling.system import Probe as Probe
     from tonewood.coupling.system import Readout as Readout
-    from tonewood.engine.ledger import EffectReport as EffectReport
+    from tonewood.engine.effects.base import EffectReport as EffectReport
     from tonewood.errors import BundleError as BundleError
     from tonewood.errors import DroppedNotesWarning as DroppedNotesWarning
     from tonewood.errors import NothingPlayedError as NothingPlayedError
@@ -114,7 +114,7 @@ if TYPE_CHECKING:
     __version__: str
 
 _MODULES = {
-    "engine.ledger": ("EffectReport",),
+    "engine.effects.base": ("EffectReport",),
     "errors": (
         "BundleError", "DroppedNotesWarning", "NothingPlayedError", "NumericalError", "OutputError", "PassivityError",
         "PluginError", "ScoreError", "TonewoodError",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from effect_scenes import duet, sound
+from effect_scenes import TENSION, duet, sound
 
 import tonewood as tw
 from tonewood.cli.main import run as run_and_exit
@@ -34,7 +34,7 @@ def test_switches_are_foreseen() -> None:
     planned = {e.component: e for e in foreseen.effects if e.name == "tension_modulation"}
     assert set(planned) == {"B3", "E4"}
     for name, effect in planned.items():
-        there = stream.engine.ledger.tense[name].all
+        there = stream.engine.usage.spans[TENSION, name].all
         assert len(effect.spans_s) == len(there)
         assert effect.spans_s
         for (start, stop), (first, last) in zip(effect.spans_s, there, strict=True):

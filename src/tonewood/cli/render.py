@@ -33,7 +33,7 @@ from tonewood.units import decibel
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from tonewood.engine.ledger import EffectReport
+    from tonewood.engine.effects.base import EffectReport
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer, Summary
 
@@ -238,7 +238,7 @@ def _bounds(reports: Sequence[EffectReport]) -> Iterator[tuple[list[float], str]
 def _report(
     renderer: Renderer, output: Path, clipped: int, peak: float, load_s: float, warnings: list[str]
 ) -> dict[str, Any]:
-    from tonewood.engine.ledger import finite
+    from tonewood.engine.effect_usage import finite
 
     s, account = renderer.summary(), renderer.energy
     return {

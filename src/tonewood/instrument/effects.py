@@ -1,9 +1,9 @@
-"""What a render may leave out, and what that costs at most: declared by the plugin that makes it.
+"""Effects: what a render may leave out, declared by the plugin that adds it, with a bound on the error.
 
 An *additive* effect adds sound: its bound is the largest sample it can add, in dB re the loudest one. A *detuning*
-effect moves partials: its bound is in cents. The two budgets, ``budget_db`` and ``budget_cents``, are judged apart.
-The bound is asked for twice: before, with what the score says will be set in motion, and while it runs, with what
-moves. An effect whose bound lies within its budget may be left out; one whose bound does not is stepped.
+effect moves partials: its bound is in cents. The two budgets, ``budget_db`` and ``budget_cents``, are compared with
+their own bounds only. An effect may be left out while its bound is within its budget. The bound is computed from the
+motion while the effect is left out, and from the score for the gesture that is about to begin.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Mode = Literal["auto", "all", "none"]
 
 @dataclass(frozen=True, slots=True)
 class Norms:
-    """How much of something there is, at most; forecast from the score or measured in the state.
+    """Upper bounds on what an effect acts on; foreseen from the score or computed from the motion.
 
     Attributes
     ----------
@@ -44,33 +44,33 @@ class Norms:
 
 
 def level_db(norms: Norms) -> float:
-    """What would be missing, in dB re the loudest sample."""
+    """Level of what would be missing, in dB re the loudest sample."""
     return 20 * math.log10(norms.level) if norms.level > 0 else -math.inf
 
 
 def rise_of_tension(norms: Norms) -> float:
-    """By how much a string of energy E sounds sharper for its stretch, at most, in the mean over a period (cents).
+    """Upper bound on the rise of pitch of a string of energy E by its stretch, cents, mean over a period.
 
-    With S = int u_x^2 dx = E / T in the mean (half of the energy is potential), dT = EA S / (2 L) and df/f = dT / 2T;
-    half as much again for a partial's own share, whose tension pulls in step with it.
+    With the mean S = int u_x^2 dx = E / T (half of the energy is potential), dT = EA S / (2 L) and df/f = dT / 2T;
+    half as much again for a partial's own share, whose tension pulls in phase with it.
     """
     rise = norms.axial_stiffness * norms.energy / (2 * norms.length * norms.tension)
     return 1.5 * _CENTS * rise / (2 * norms.tension)
 
 
 def nothing(n: int) -> float:
-    """Costs nothing by itself."""
+    """Cost of an effect that takes no steps of its own: 0."""
     return 0.0
 
 
 def modes(n: int) -> float:
-    """Modes that are stepped."""
+    """Cost of stepping n modes: n."""
     return float(n)
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """Something that may be left out.
+    """Declaration of something that may be left out.
 
     Attributes
     ----------
@@ -82,6 +82,9 @@ class Effect:
     bound : what leaving it out costs at most: dB re the loudest sample, or cents.
     cost : what it takes per sample, in units of one mode stepped linearly; given the number of modes or of points.
     basic : whether it belongs to the plain instrument, which ``none`` and lists of names do not reduce.
+    runtime : makes of (model, effect, component -> plugin) what the engine steps, counts and reports: a
+        `RuntimeEffect`, or a `SwitchedEffect` that is switched on and off while the engine steps; see
+        `tonewood.engine.effects.base`. None for effects that always run, and for contacts.
     """
 
     name: str
@@ -92,6 +95,7 @@ class Effect:
     bound: Callable[[Norms], float] = level_db
     cost: Callable[[int], float] = modes
     basic: bool = False
+    runtime: Callable[..., Any] | None = None
 
     @property
     def unit(self) -> str:
@@ -99,19 +103,9 @@ class Effect:
         return "dB" if self.kind == "additive" else "cents"
 
 
-HIGH_MODES = Effect(
-    "high_modes", "a string's partials up to the highest that the sampling rate allows", "additive",
-    "always, until they have decayed", "an estimate of what they, and what the body puts into them, "
-    "would add: octaves of them sleep while it is within the budget", basic=True,
-)  # fmt: skip
 SECOND_POLARIZATION = Effect(
     "second_polarization", "motion across the first plane: two decays in one sound", "additive",
     "always, where a string has two planes", "nothing: it is stepped or not from the beginning",
-)  # fmt: skip
-SYMPATHETIC_STRINGS = Effect(
-    "sympathetic_strings", "strings that ring with others, and what they do to others' pitch and decay", "additive",
-    "always, while anything is heard of them", "the estimate of high modes: a string of which nothing is heard is left "
-    "its static shape", basic=True,
 )  # fmt: skip
 #: rising tension of a string; for plugins whose strings have it
 TENSION_MODULATION = Effect(

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from tonewood.blas import one_blas_thread
 from tonewood.energy.trace import EnergyTrace
+from tonewood.engine.effects.base import EffectReport
 from tonewood.engine.engine import GRID, Engine, Snapshot
-from tonewood.engine.ledger import EffectReport
 from tonewood.engine.playing import Performance, perform
 from tonewood.errors import DroppedNotesWarning, TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
@@ -188,9 +188,6 @@ class Renderer:
         self._decimator = Decimator(finer, len(columns))
         earliest = self.performance.timeline.start
         self.zero_frame = math.ceil(-earliest * self.fs) if lead_in == "auto" else round(float(lead_in) * self.fs)
-        if tail.level_db < self.model.choice.budget_db:
-            end = self.expected_duration - self.zero_frame / self.fs  # in score time
-            self.engine.sleeper.tail = max(end - self.performance.timeline.stop, 0.0)
         # the first frame that comes out of the decimator, which looks ahead; silence where the lead-in is longer
         first = self.engine.state.sample // finer - self._decimator.lead
         self._pending = np.zeros((max(0, first + self.zero_frame), len(columns)))
@@ -218,7 +215,7 @@ class Renderer:
     @property
     def energy(self) -> EnergyTrace | None:
         """Account of energy so far, an entry per 64 samples of the engine's rate; None if it was not asked for."""
-        return None if self.engine.books is None else self.engine.books.trace()
+        return None if self.engine.energy_budget is None else self.engine.energy_budget.trace()
 
     @property
     def expected_duration(self) -> float:
@@ -265,7 +262,7 @@ class Renderer:
             peak_dbfs=decibels(self._loudest),
             end=self._end or "not ended",
             warnings=[*self.model.warnings, *self.performance.warnings],
-            effects=self.engine.ledger.reports(),
+            effects=[report for effect in self.engine.effects for report in effect.report(self.engine.usage)],
             ignored=self.performance.ignored,
             zero_frame=self.zero_frame,
             tensions=[t for s in self.model.strings.values() if (t := s.given_tension).noticeable],
