@@ -27,7 +27,15 @@ if TYPE_CHECKING:
     from tonewood.coupling.system import Drive as Drive
     from tonewood.coupling.system import Probe as Probe
     from tonewood.coupling.system import Readout as Readout
+    from tonewood.engine.effect_usage import Bound as Bound
     from tonewood.engine.effects.base import EffectReport as EffectReport
+    from tonewood.engine.effects.base import Moment as Moment
+    from tonewood.engine.effects.base import RuntimeEffect as RuntimeEffect
+    from tonewood.engine.effects.base import SwitchedEffect as SwitchedEffect
+    from tonewood.engine.effects.base import Switching as Switching
+    from tonewood.engine.effects.base import Watched as Watched
+    from tonewood.engine.effects.base import next_multiple as next_multiple
+    from tonewood.engine.effects.connections import SwitchedConnections as SwitchedConnections
     from tonewood.errors import BundleError as BundleError
     from tonewood.errors import DroppedNotesWarning as DroppedNotesWarning
     from tonewood.errors import NothingPlayedError as NothingPlayedError
@@ -114,7 +122,11 @@ if TYPE_CHECKING:
     __version__: str
 
 _MODULES = {
-    "engine.effects.base": ("EffectReport",),
+    "engine.effect_usage": ("Bound",),
+    "engine.effects.base": (
+        "EffectReport", "Moment", "RuntimeEffect", "SwitchedEffect", "Switching", "Watched", "next_multiple",
+    ),
+    "engine.effects.connections": ("SwitchedConnections",),
     "errors": (
         "BundleError", "DroppedNotesWarning", "NothingPlayedError", "NumericalError", "OutputError", "PassivityError",
         "PluginError", "ScoreError", "TonewoodError",

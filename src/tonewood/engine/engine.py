@@ -7,6 +7,7 @@ the engine stops depend only on what is played, so its samples are the same howe
 
 from __future__ import annotations
 
+import bisect
 import math
 import time
 from collections.abc import Collection, Mapping, Sequence
@@ -29,6 +30,7 @@ from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.stepping.kernel import KernelStepper
 from tonewood.stepping.motion import share_velocities
+from tonewood.units import decibel
 
 __all__ = ["GRID", "Counters", "Engine", "Snapshot"]
 
@@ -50,6 +52,7 @@ class Snapshot:
     holds: dict[str, float]
     switchings: dict[str, Switching]
     peak: Floats
+    recent: Floats
     next_change: int
     next_play: int
 
@@ -87,6 +90,8 @@ class Engine:
     switchings : switched effect -> components on which it runs: all that moves of it.
     usage : what ran, and what was left out.
     peak : (n_readouts,) largest sample of each readout so far, where any effect is watched.
+    recent : (n_readouts,) that of the last run.
+    tail_level : dB re the peak at which the sound counts as decayed after the last event.
     only_watch : do not switch effects, but count them in `usage` as if they were.
     """
 
@@ -104,6 +109,7 @@ class Engine:
         self.stepper = KernelStepper(self.system)
         self.state = self.stepper.start()
         self.peak = np.zeros(len(model.system.readouts))
+        self.recent, self.tail_level = self.peak.copy(), -math.inf
         self.fingerboard, self.connections = Fingerboard(model), GestureConnections(model)
         self.active: list[Active] = []
         self.injections: list[Injection] = []
@@ -120,6 +126,12 @@ class Engine:
         self._next_change = self._next_play = 0
         self._change_samples = [samples(change.time, self.dt) for change in timeline.changes]
         self._play_samples = [samples(play.start, self.dt) for play in timeline.plays]
+        #: string -> samples at which it is changed or played
+        self._due_samples: dict[str, list[float]] = {name: [] for name in model.strings}
+        strings = [*(change.string for change in timeline.changes), *(play.string for play in timeline.plays)]
+        for string, sample in zip(strings, self._change_samples + self._play_samples, strict=True):
+            if string is not None:
+                bisect.insort(self._due_samples[string], sample)
         self._dampers = all(model.choice.keeps(e, "dampers") for e in model.exciters.values())
         self.state.sample = int(np.floor(timeline.start / self.dt / GRID)) * GRID
         self.energy_budget = EnergyBudget(self.system, self.state, model) if energy else None
@@ -141,7 +153,8 @@ class Engine:
         """Copy all that moves; an energy budget begins anew where the copy is restored."""
         return Snapshot(
             self.state.copy(), dict(self.frettings), list(self.active), list(self.injections), list(self.controls),
-            dict(self.holds), dict(self.switchings), self.peak.copy(), self._next_change, self._next_play,
+            dict(self.holds), dict(self.switchings), self.peak.copy(), self.recent.copy(),
+            self._next_change, self._next_play,
         )  # fmt: skip
 
     @one_blas_thread
@@ -150,7 +163,7 @@ class Engine:
         s = snapshot
         self.state, self.frettings, self.holds = s.state.copy(), dict(s.frettings), dict(s.holds)
         self.active, self.injections, self.controls = list(s.active), list(s.injections), list(s.controls)
-        self.switchings, self.peak = dict(s.switchings), s.peak.copy()
+        self.switchings, self.peak, self.recent = dict(s.switchings), s.peak.copy(), s.recent.copy()
         self._next_change, self._next_play = s.next_change, s.next_play
         system = self._with_effects(self._fretted(self.system, self.frettings, self.frettings))
         self.system = self.connections.with_holds(self.connections.with_moved(system, self.active), self.holds)
@@ -185,7 +198,8 @@ class Engine:
             out.append(sound)
             if self._watched:
                 # the rows of channels in one piece: several times quicker
-                np.maximum(self.peak, np.abs(np.ascontiguousarray(sound.T)).max(axis=1), out=self.peak)
+                self.recent = np.abs(np.ascontiguousarray(sound.T)).max(axis=1)
+                np.maximum(self.peak, self.recent, out=self.peak)
             self._count(start, steps, acted, stepped - ready)
             self.injections = [i for i in self.injections if i.stop > self.state.sample]
             self.controls = [c for c in self.controls if c.stop > self.state.sample]
@@ -241,7 +255,7 @@ class Engine:
         busy = {active.play.string or "" for active in self.active}
         for effect in self._watched:
             before = self.switchings[effect.name]
-            moment = Moment(self.system, self.state, self.frettings, self.peak, moved, fresh, busy)
+            moment = Moment(self.system, self.state, self.frettings, self.peak, moved, fresh, busy, self._until)
             found = effect.watch(moment, before)
             if found is None:
                 continue
@@ -254,6 +268,22 @@ class Engine:
             if after.on != before.on:
                 effect.reset(self.system, self.state, after.on ^ before.on)
                 self._exchange(effect.apply(self.system, after.on, self.frettings), f"{effect.name} switched")
+
+    def _until(self, string: str) -> float:
+        """Seconds until the next change of a string or gesture on it, or until the sound has decayed to `tail_level`.
+
+        After the last event the sound is taken to have fallen from its peak by so many dB per second, and to go on so.
+        """
+        due, now = self._due_samples[string], self.state.sample
+        following = bisect.bisect_left(due, now + GRID)
+        if following < len(due):
+            return (due[following] - now) * self.dt
+        since = now * self.dt - self.timeline.stop
+        heard = self.peak > 0.0
+        level = decibel(float((self.recent[heard] / self.peak[heard]).max(initial=0.0)))
+        if since <= 0.0 or level >= 0.0 or self.tail_level == -math.inf:
+            return math.inf
+        return since * max(level - self.tail_level, 0.0) / -level if level > -math.inf else 0.0
 
     def _with_effects(self, system: System) -> System:
         """A system with every switched effect as it is; switches that are only watched stay as they began."""

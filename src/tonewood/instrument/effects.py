@@ -82,6 +82,7 @@ class Effect:
     bound : what leaving it out costs at most: dB re the loudest sample, or cents.
     cost : what it takes per sample, in units of one mode stepped linearly; given the number of modes or of points.
     basic : whether it belongs to the plain instrument, which ``none`` and lists of names do not reduce.
+    title : in words, for summaries; the name if empty.
     runtime : makes of (model, effect, component -> plugin) what the engine steps, counts and reports: a
         `RuntimeEffect`, or a `SwitchedEffect` that is switched on and off while the engine steps; see
         `tonewood.engine.effects.base`. None for effects that always run, and for contacts.
@@ -95,6 +96,7 @@ class Effect:
     bound: Callable[[Norms], float] = level_db
     cost: Callable[[int], float] = modes
     basic: bool = False
+    title: str = ""
     runtime: Callable[..., Any] | None = None
 
     @property
@@ -113,13 +115,13 @@ TENSION_MODULATION = Effect(
     "a gesture's force bends the string so far that its tension would rise by more than the budget; every gesture that "
     "moves a mass, a bow or a finger",
     "the string's energy, which bounds the mean rise of its tension; its partials, which bound the sidebands",
-    bound=rise_of_tension, cost=lambda n: 8.0 * n,
+    bound=rise_of_tension, cost=lambda n: 8.0 * n, title="rising tension",
 )  # fmt: skip
 #: motion of a string along itself; for plugins whose strings have it
 LONGITUDINAL = Effect(
     "longitudinal", "motion along the string: partials at sums of transverse ones", "additive",
     "any gesture on the string", "a bound on the phantom partials that the string's partials would "
-    "drive; without them it is linear", cost=lambda n: 60.0 * n,
+    "drive; without them it is linear", cost=lambda n: 60.0 * n, title="phantom partials",
 )  # fmt: skip
 #: a finger that quiets the string while it draws it; for exciters whose gestures have a `tw.Hold`
 DAMPERS = Effect(

@@ -121,7 +121,7 @@ class SwitchedRate:
 
     @classmethod
     def fitted(cls, none: float, some: float, every: float, loads: tuple[float, float]) -> SwitchedRate:
-        """From seconds per sample with the effect on none, some and all of its components, and the loads of the latter."""
+        """From seconds per sample with the effect on none, some and all of its components, and both loads."""
         few, many = loads
         if many <= few:
             return cls(0.0, max(every - none, 0.0) / max(many, 1.0))
@@ -143,7 +143,7 @@ def predicted(timed: Spent, extra: float, first: Spent, whole: Spent) -> float:
 
 
 def _computing(rates: Mapping[str, SwitchedRate], usage: EffectUsage) -> dict[tuple[str, str], float]:
-    """(effect, component) -> seconds that steps of switched effects take; what any of an effect takes, in equal shares."""
+    """(effect, component) -> seconds that steps of switched effects take."""
     out: dict[tuple[str, str], float] = {}
     for name, rate in rates.items():
         loads = usage.loads[name]

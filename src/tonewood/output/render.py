@@ -178,6 +178,7 @@ class Renderer:
         self.model = assemble(chosen, engine_fs, freq_limit=limit, outputs=outputs)
         self.performance: Performance = perform(score, self.model, channel_per_string=channel_per_string)
         self.engine = Engine(self.model, self.performance.timeline, energy=energy)
+        self.engine.tail_level = tail.level_db
         groups = self.model.outputs
         columns = [i for group in groups for i in group.readouts]
         whole = columns == list(range(len(self.model.system.readouts)))

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,6 +84,7 @@ class Moment:
     moved : strings that are held otherwise from now on.
     fresh : gestures that begin now.
     busy : strings on which a gesture acts.
+    until : string -> s until its next change or gesture, or until the sound has decayed, as far as can be told.
     """
 
     system: System
@@ -93,6 +94,7 @@ class Moment:
     moved: Collection[str] = ()
     fresh: Sequence[Play] = ()
     busy: Collection[str] = ()
+    until: Callable[[str], float] = lambda string: math.inf
 
     @property
     def sample(self) -> int:
@@ -136,6 +138,7 @@ class EffectReport:
     unit : dB re the loudest sample, or cents.
     bound_db : of an effect in cents, besides `bound`: what was missing at the outputs, dB re the loudest sample; None
         as there.
+    title : the effect in words.
     """
 
     name: str
@@ -145,6 +148,7 @@ class EffectReport:
     bound: float | None
     unit: str
     bound_db: float | None = None
+    title: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +244,8 @@ class RuntimeEffect:
         bound: float | None = None,
         bound_db: float | None = None,
     ) -> EffectReport:
-        return EffectReport(self.name, component, seconds_active, saved, bound, self.effect.unit, bound_db)
+        title = self.effect.title or self.name.replace("_", " ")
+        return EffectReport(self.name, component, seconds_active, saved, bound, self.effect.unit, bound_db, title)
 
 
 class SwitchedEffect(RuntimeEffect, ABC):
@@ -299,7 +304,10 @@ class SwitchedEffect(RuntimeEffect, ABC):
         for component in self.components:
             spans, bound = usage.spans[self.name, component], usage.left_out.get((self.name, component))
             cents, level = (None, None) if bound is None else (bound.cents, in_decibels(bound.level))
-            first, second = (level, None) if self.effect.kind == "additive" else (cents, level)
+            if self.effect.kind == "additive":
+                first, second = 0.0 if bound is not None and bound.level == 0.0 else level, None
+            else:
+                first, second = cents, level
             if self.kept:
                 saved = usage.saved(self.name, component)
             else:

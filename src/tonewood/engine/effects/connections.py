@@ -37,28 +37,32 @@ class SwitchedConnections(SwitchedEffect, ABC):
 
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
         super().__init__(model, effect, plugins)
-        self._places: dict[str, list[int]] = defaultdict(list)
+        places: dict[str, list[int]] = defaultdict(list)
         for j, connection in enumerate(model.system.connections):
             if connection.name.split(".")[1] in plugins:
-                self._places[string_of(connection.name)].append(j)
+                places[string_of(connection.name)].append(j)
+        self._places = dict(places)
         self._laws: dict[tuple[str, float], list[Law]] = {}
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Strings that have such connections."""
-        return tuple(self._places)
+        """Strings that have such connections; the parts themselves where they are left out by choice."""
+        return tuple(self._places) if self.kept else tuple(self.plugins)
+
+    def names(self, string: str) -> list[str]:
+        """Names of a string's connections, ``STRING.PART.NAME``."""
+        return [self.model.system.connections[j].name for j in self._places[string]]
 
     def laws(self, string: str, fretting: Fretting) -> list[Law]:
-        """Laws of a string's connections at its stop while they are on, in the order of the model's connections."""
+        """Laws of a string's connections at its stop while they are on, in the order of `names`."""
         key = string, fretting.stop
         if key not in self._laws:
             here = {c.name: c.law for c in self.model.strings[string].connections(fretting.stop)}
-            names = (self.model.system.connections[j].name for j in self._places[string])
-            self._laws[key] = [here[name] for name in names]
+            self._laws[key] = [here[name] for name in self.names(string)]
         return self._laws[key]
 
     def excursion(self, system: System, state: State, string: str) -> Floats:
-        """Bound on the share of a string's planes in the gaps of its connections, (n_connections,) m.
+        """Bound on the share of a string's planes in the gaps of its connections, in the order of `names`, m.
 
         A motion of energy E displaces a point by sqrt(2 E C) at most, C = sum phi^2 / omega^2 the static compliance of
         its modes there (inequality of Cauchy and Schwarz). The bound holds until the string is given energy.
@@ -112,4 +116,4 @@ class SwitchedConnections(SwitchedEffect, ABC):
 
     def load(self, component: str) -> float:
         """Number of connections."""
-        return float(len(self._places[component]))
+        return float(len(self._places.get(component, ())))

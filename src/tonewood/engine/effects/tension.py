@@ -2,7 +2,8 @@
 
 A string is stepped with its tension at rest, bends included, while two bounds are within their budgets: the rise of
 its pitch, which follows from its energy (`instrument.effects.rise_of_tension`), and the sidebands that the beating
-tension would give to its partials (`effects.sidebands`). The next pluck is foreseen: the static energy of its pull
+tension would give to its partials (`effects.sidebands`). It is not switched off if its next gesture is so near that the
+switches would cost more than they save. The next pluck is foreseen: the static energy of its pull
 adds to that of the string as amplitudes add, sqrt E <= sqrt E0 + sqrt(F^2 C / 2), and so do partials. The phantom
 partials (`effects.phantoms`) of a string whose longitudinal motion is coupled count with its sidebands.
 
@@ -45,6 +46,9 @@ Floats = NDArray[np.float64]
 #: points of the control grid between two looks at energies while some tensions rise and others do not, and between
 #: two looks at all bounds, after which tensions may be left out
 LOOK, SELDOM = 16, 64
+#: s, shortest time for which a rise is left out: two switches and the bounds before them cost some 5 ms, a rise saves
+#: some 20 ms/s (a steel guitar's string at 48 kHz)
+SHORTEST = 0.3
 #: share of the budget below which a rise is left out; above the whole of it, it comes back
 _LEAVE = 0.9
 #: share of the additive budget that sidebands may take; the rest is left to other effects that are left out
@@ -136,18 +140,22 @@ class TensionEffect(SwitchedEffect):
 
     def watch(self, moment: Moment, switching: Switching) -> Watched | None:
         """Compare bounds with the budgets: of all strings, of those held otherwise, of those about to be played."""
-        whole = moment.sample % (GRID * SELDOM) == 0
+        on, whole = switching.on, moment.sample % (GRID * SELDOM) == 0
         look = whole or (self._some(switching) and moment.sample % (GRID * LOOK) == 0)
         moved = [name for name in moment.moved if name in self.components]
         fresh = [play for play in moment.fresh if play.string in self.components]
         if not (look or moved or fresh or switching.pending):
             return None
+        wanted = on | switching.pending
+        kept = {name for name in wanted if not whole or name in moment.busy or moment.until(name) < SHORTEST}
+        if len(kept) == len(self.components) and not (fresh or switching.pending):
+            return None  # all rise, and none is to be switched off
         energies = dict(zip(self.components, self.energies(moment.system, moment.state).tolist(), strict=True))
-        wanted = switching.on | switching.pending
         seen: list[tuple[str, Bound, bool]] = []
         if look or moved:
-            bounds = self.bounds(moment, energies, self.components if whole else moved)
-            wanted = self.wanted(bounds, wanted, moment.busy if whole else self.components)
+            others = {name: energy for name, energy in energies.items() if name not in kept}
+            bounds = self.bounds(moment, others, [name for name in others if whole or name in moved])
+            wanted = self.wanted(bounds, wanted) | kept
             seen += [(name, bound, name not in wanted) for name, bound in bounds.items()]
         for play in fresh:
             name = play.string or ""
@@ -204,7 +212,7 @@ class TensionEffect(SwitchedEffect):
         return np.asarray(np.bincount(self._owner, each, len(self.components)), dtype=np.float64)
 
     def bounds(self, moment: Moment, energies: Mapping[str, float], names: Collection[str]) -> dict[str, Bound]:
-        """Bound on what leaving out each string's rise would cost: cents of all strings, levels of `names`.
+        """Bound on what leaving out strings' rise would cost: cents, and levels of `names`.
 
         The strings with the least level share the budget: a string's level is the sum of its own and of all lower
         ones. A string beyond the budget of cents is not looked at further, its level is infinite.
@@ -233,7 +241,7 @@ class TensionEffect(SwitchedEffect):
 
     def sidebands(self, name: str, system: System, fretting: Fretting) -> Sidebands:
         """Sidebands of a string as it is held now."""
-        # where it is touched and plucked changes none of them
+        # the places where it is touched and plucked change none of them
         key = name, replace(fretting, place=None, touches=())
         if key not in self._sidebands:
             if len(self._sidebands) >= _KEPT:
@@ -285,24 +293,19 @@ class TensionEffect(SwitchedEffect):
             self._held[name] = known = compiled, tension, float(cast(float, length))
         return known[1], known[2]
 
-    def wanted(self, bounds: Mapping[str, Bound], on: Collection[str], busy: Collection[str]) -> frozenset[str]:
-        """Strings whose tension is to rise.
+    def wanted(self, bounds: Mapping[str, Bound], on: Collection[str]) -> frozenset[str]:
+        """Strings whose tension is to rise: those beyond a budget, or beyond 0.9 of it if they rise now.
 
         Parameters
         ----------
         bounds : string -> bound without its rise.
         on : those that rise now.
-        busy : those that a gesture acts on: none of them is switched off.
         """
 
         def beyond(bound: Bound, share: float) -> bool:
             return bound.cents > share * self.budget or bound.level > share * self.budget_level
 
-        return frozenset(
-            name
-            for name, bound in bounds.items()
-            if (name in on and name in busy) or beyond(bound, _LEAVE if name in on else 1.0)
-        )
+        return frozenset(name for name, bound in bounds.items() if beyond(bound, _LEAVE if name in on else 1.0))
 
     def foreseen(self, play: Play, moment: Moment, energy: float) -> Bound:
         """Bound after a gesture on a string of `energy` (J); infinite if unknown."""
