@@ -1,4 +1,4 @@
-"""A slack thread tied from a string to the frame: it pulls the string back where it is displaced by more than the slack.
+"""A slack thread tied from a string to the frame: it pulls the string back beyond the slack.
 
     V(d) = 0 for |d| <= s,    k/2 (|d| - s)^2 beyond,
 

@@ -84,7 +84,7 @@ class Moment:
     moved : strings that are held otherwise from now on.
     fresh : gestures that begin now.
     busy : strings on which a gesture acts.
-    until : string -> s until its next change or gesture, or until the sound has decayed, as far as can be told.
+    until : string -> s until its next change or gesture, or until the sound has decayed, as estimated.
     """
 
     system: System
@@ -161,7 +161,7 @@ class PlannedEffect:
     component : string, ``body``, part or output group.
     spans_s : (start, stop) of the times it will run, s of score time; of a contact, when it will touch.
     why : one line.
-    predicted_s : of computing, None where it is not told apart from the rest.
+    predicted_s : of computing, None where its share is not known.
     """
 
     name: str
@@ -214,7 +214,7 @@ class RuntimeEffect:
 
     @property
     def components(self) -> tuple[str, ...]:
-        """What it is told apart by: strings, parts, output groups or ``body``."""
+        """What it is reported for: strings, parts, output groups or ``body``."""
         return tuple(self.plugins)
 
     def running(self, run: Run) -> Collection[str]:

@@ -366,7 +366,7 @@ def potential(system: System, state: State, name: str) -> float:
     return 0.5 * kappa * stretch**2
 
 
-#: forms of strings as they are held: large, and asked for again
+#: forms of strings as they are held: large, and needed again
 _coupled = lru_cache(maxsize=32)(GeometricString)
 
 
