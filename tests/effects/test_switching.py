@@ -10,7 +10,7 @@ from effect_scenes import FS, TENSION, compared, duet, moment, renderer, sound, 
 
 import tonewood as tw
 from tonewood.energy.stored import stored_energy
-from tonewood.engine.effects.base import pay
+from tonewood.engine.effects.base import Switching, pay, switch
 from tonewood.engine.effects.tension import LOOK
 from tonewood.engine.engine import GRID
 from tonewood.instrument.assembly import assemble
@@ -198,3 +198,23 @@ def test_what_a_hammer_brings_is_seen_before_it_strikes() -> None:
         sounds.append(sound(stream))
         assert stream.engine.usage.spans[TENSION, "C4"].all[0][0] <= 0
     np.testing.assert_array_equal(*sounds)
+
+
+@pytest.mark.parametrize("wanted", [("E4", "B3"), ("B3", "E4")])
+def test_switches_are_paid_in_the_strings_order(wanted: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the order of a set: payments change the state one after another, and samples must not depend on it."""
+    model = assemble(duet(mode="auto"), FS)
+    effect, asked = tension_effect(model), []
+    monkeypatch.setattr(effect, "cost", lambda moment, component, on: asked.append(component) or 0.0)
+    after = switch(effect, moment(model.system, model.system.start()), Switching(), wanted)
+    assert after == Switching(frozenset(wanted))
+    assert asked == list(effect.components)
+
+
+def test_a_switch_that_cannot_be_paid_is_pending(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = assemble(duet(mode="auto"), FS)
+    effect, at_rest = tension_effect(model), moment(model.system, model.system.start())
+    monkeypatch.setattr(effect, "cost", lambda moment, component, on: 1e-6 if on else 0.0)
+    after = switch(effect, at_rest, Switching(frozenset({"B3"})), {"E4"})
+    assert after == Switching(frozenset(), frozenset({"E4"}))
+    assert effect.next_watch(128, after) == 128 + GRID
