@@ -100,7 +100,7 @@ class Engine:
         self.effects = runtime_effects(model)
         switched = [effect for effect in self.effects if isinstance(effect, SwitchedEffect)]
         self.switchings = {effect.name: effect.start() for effect in switched}
-        self._switched = [effect for effect in switched if effect.kept]
+        self._switched = [effect for effect in switched if effect.chosen]
         self._watched = [effect for effect in switched if effect.watched]
         self.only_watch = False
         self.frettings = {name: Fretting() for name in model.strings}
@@ -217,7 +217,7 @@ class Engine:
         self.usage.count(start, n, running, self._modes, seconds)
 
     @property
-    def _pending(self) -> float:
+    def _next_due(self) -> float:
         """Sample at which the next change or gesture is due; infinite if none is."""
         changes, plays = self._change_samples, self._play_samples
         change = changes[self._next_change] if self._next_change < len(changes) else math.inf
@@ -228,9 +228,9 @@ class Engine:
         now = self.state.sample
         grid = now // GRID * GRID + GRID
         times = [grid + (_LONGEST - 1) * GRID, *(active.stop for active in self.active)]
-        if self._pending < math.inf:
+        if self._next_due < math.inf:
             # what is due is done at the last grid point before its time, which need not be a whole sample
-            times.append(self._pending // GRID * GRID)
+            times.append(self._next_due // GRID * GRID)
         times += [effect.next_watch(now, self.switchings[effect.name]) for effect in self._watched]
         due = math.ceil(min(times) / GRID) * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]

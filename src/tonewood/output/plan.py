@@ -157,7 +157,7 @@ def _switched_rates(engine: Engine) -> dict[str, SwitchedRate]:
     """What switched effects take, each timed on the state an engine is in with all others as they are."""
     out: dict[str, SwitchedRate] = {}
     for effect in engine.effects:
-        if not (isinstance(effect, SwitchedEffect) and effect.kept and effect.components):
+        if not (isinstance(effect, SwitchedEffect) and effect.chosen and effect.components):
             continue
         names = effect.components
         chosen: dict[str, Sequence[str]] = {"none": (), "some": names[:1], "every": names}

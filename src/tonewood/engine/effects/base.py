@@ -205,7 +205,7 @@ class RuntimeEffect:
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
         self.model, self.effect, self.plugins = model, effect, plugins
         #: whether it may run at all; what is left out by choice is not in the model
-        self.kept = effect.name in model.choice.names
+        self.chosen = effect.name in model.choice.names
 
     @property
     def name(self) -> str:
@@ -223,12 +223,12 @@ class RuntimeEffect:
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
         """What ran, what was left out and the bound."""
-        whole = usage.seconds(usage.samples) if self.kept else 0.0
+        whole = usage.seconds(usage.samples) if self.chosen else 0.0
         return [self._report(component, whole) for component in self.components]
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
         """When it will run, and why."""
-        spans, why = (((0.0, foreseen.seconds),), self.effect.before) if self.kept else ((), self._left_out)
+        spans, why = (((0.0, foreseen.seconds),), self.effect.before) if self.chosen else ((), self._left_out)
         return [PlannedEffect(self.name, component, spans, why, None) for component in self.components]
 
     @property
@@ -257,11 +257,11 @@ class SwitchedEffect(RuntimeEffect, ABC):
     @property
     def watched(self) -> bool:
         """Whether there is anything to switch."""
-        return self.model.choice.mode == "auto" and self.kept and bool(self.components)
+        return self.model.choice.mode == "auto" and self.chosen and bool(self.components)
 
     def start(self) -> Switching:
         """State before anything has moved."""
-        return Switching(frozenset(self.components if self.kept and not self.watched else ()))
+        return Switching(frozenset(self.components if self.chosen and not self.watched else ()))
 
     @abstractmethod
     def next_watch(self, sample: int, switching: Switching) -> int:
@@ -308,7 +308,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
                 first, second = 0.0 if bound is not None and bound.level == 0.0 else level, None
             else:
                 first, second = cents, level
-            if self.kept:
+            if self.chosen:
                 saved = usage.saved(self.name, component)
             else:
                 saved = usage.saved_as_declared(self.effect.cost(round(self.load(component))))
@@ -317,7 +317,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
         """When it will be on, why, and what its steps will take."""
-        if not self.kept:
+        if not self.chosen:
             return super().plan(foreseen)
         out = []
         for component in self.components:

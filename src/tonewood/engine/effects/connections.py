@@ -47,7 +47,7 @@ class SwitchedConnections(SwitchedEffect, ABC):
     @property
     def components(self) -> tuple[str, ...]:
         """Strings that have such connections; the parts themselves where they are left out by choice."""
-        return tuple(self._places) if self.kept else tuple(self.plugins)
+        return tuple(self._places) if self.chosen else tuple(self.plugins)
 
     def names(self, string: str) -> list[str]:
         """Names of a string's connections, ``STRING.PART.NAME``."""

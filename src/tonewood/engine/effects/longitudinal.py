@@ -40,7 +40,7 @@ class LongitudinalEffect(RuntimeEffect):
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
         """When the coupling will be on."""
-        if not self.kept:
+        if not self.chosen:
             return super().plan(foreseen)
         why = f"as long as its tension rises or its phantom partials pass {self.model.choice.budget_db:g} dB"
         usage = foreseen.usage

@@ -96,7 +96,7 @@ class TensionEffect(SwitchedEffect):
         self.budget_level = 10 ** (model.choice.budget_db / 20) * (1.0 if system.stretches else _SHARE)
         self._laws = {t.name: t for t in system.rising}
         stiff = (name for name in plugins if model.strings[name].resonator.axial_stiffness > 0)
-        self._strings = tuple(self._laws) if self.kept else tuple(stiff)
+        self._strings = tuple(self._laws) if self.chosen else tuple(stiff)
         #: strings whose longitudinal motion is coupled
         self.along = {g.name: g for g in system.stretches if g.longitudinal is not None}
         # what moves at a string, a hammer on its way, may give its energy to the string at the next moment
@@ -104,7 +104,7 @@ class TensionEffect(SwitchedEffect):
         self._slots = [system.slot(c) for _, c in parts]
         self._owner = np.array([i for i, _ in parts], dtype=np.intp)
         self._planes = {t.name: [system.slot(c) for c in t.components] for t in system.rising}
-        # kept for use again: tension and length, responses, bounds of strings as they are held
+        # computed once: tension and length, responses, bounds of strings as they are held
         self._held: dict[str, tuple[tuple[Compiled, ...], float, float]] = {}
         self._response: BridgeResponse | None = None
         self._phantoms: dict[tuple[str, Fretting], Phantoms] = {}
@@ -147,15 +147,15 @@ class TensionEffect(SwitchedEffect):
         if not (look or moved or fresh or switching.pending):
             return None
         wanted = on | switching.pending
-        kept = {name for name in wanted if not whole or name in moment.busy or moment.until(name) < SHORTEST}
-        if len(kept) == len(self.components) and not (fresh or switching.pending):
+        staying = {name for name in wanted if not whole or name in moment.busy or moment.until(name) < SHORTEST}
+        if len(staying) == len(self.components) and not (fresh or switching.pending):
             return None  # all rise, and none is to be switched off
         energies = dict(zip(self.components, self.energies(moment.system, moment.state).tolist(), strict=True))
         seen: list[tuple[str, Bound, bool]] = []
         if look or moved:
-            others = {name: energy for name, energy in energies.items() if name not in kept}
+            others = {name: energy for name, energy in energies.items() if name not in staying}
             bounds = self.bounds(moment, others, [name for name in others if whole or name in moved])
-            wanted = self.wanted(bounds, wanted) | kept
+            wanted = self.wanted(bounds, wanted) | staying
             seen += [(name, bound, name not in wanted) for name, bound in bounds.items()]
         for play in fresh:
             name = play.string or ""
@@ -225,8 +225,8 @@ class TensionEffect(SwitchedEffect):
         cents = {name: self.rise(name, system, energy) for name, energy in energies.items()}
         alone: dict[str, float] = {}
         for name in names:
-            if cents[name] > self.budget:
-                alone[name] = math.inf
+            if cents[name] > self.budget or energies[name] == 0.0:  # beyond the budget, or at rest
+                alone[name] = math.inf if energies[name] else 0.0
                 continue
             moving = {c: motion(system, state, c) for c in self._laws[name].components}
             alone[name] = self.sidebands(name, system, moment.frettings[name]).level(moving, peak)

@@ -27,7 +27,7 @@ class SecondPolarizationEffect(RuntimeEffect):
     def report(self, usage: EffectUsage) -> list[EffectReport]:
         """Its declared cost is saved where it is left out."""
         reports = super().report(usage)
-        if self.kept:
+        if self.chosen:
             return reports
         system, out = self.model.system, []
         for report in reports:
@@ -73,11 +73,11 @@ class OccasionalEffect(RuntimeEffect):
         for name in self.strings(usage):
             samples = usage.spans[self.name, name].samples
             out.append(self._report(name, usage.seconds(samples), bound=0.0 if samples < usage.samples else None))
-        return out + ([] if self.kept else [self._report(part, 0.0) for part in self.plugins])
+        return out + ([] if self.chosen else [self._report(part, 0.0) for part in self.plugins])
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
         """When it will act."""
-        if not self.kept:
+        if not self.chosen:
             return super().plan(foreseen)
         out = []
         for name in self.strings(foreseen.usage):
