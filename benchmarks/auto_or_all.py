@@ -5,8 +5,8 @@
 
 Renders take turns, in one process or, with `--commands`, each as a `tonewood render` of its own. A line has the medians
 of both, the median of their ratios round by round, and an upper bound of that median: the order statistic that lies
-above it with a probability of 95 % whatever the distribution (for 15 rounds the 12th, for 5 the largest). "watched"
-tells whether a rest was long enough for modes to be culled at all; "bits" whether both renders are the same samples.
+above it with a probability of 95 % whatever the distribution (for 15 rounds the 12th, for 5 the largest). "bits"
+tells whether both renders are the same samples.
 Rows are printed as they are done; rounds stop early, from 5 on, when `--limit` s of a line are over.
 """
 
@@ -39,12 +39,12 @@ def upper(ratios: NDArray[np.float64]) -> float:
     return float(np.sort(ratios)[n - max(above, 1)])
 
 
-def rendered(score: tw.Score, name: str, mode: str, seconds: float | None) -> tuple[NDArray[np.float32], bool, float]:
-    """Sound, whether strings were watched, and seconds of the processor, set-up included."""
+def rendered(score: tw.Score, name: str, mode: str, seconds: float | None) -> tuple[NDArray[np.float32], float]:
+    """Sound, and seconds of the processor, set-up included."""
     began = time.process_time()
     stream = tw.Renderer(score, tw.load_instrument(name), 48000, max_duration=seconds, effects=mode)
     sound = np.concatenate([np.asarray(block, dtype=np.float32) for block in stream.blocks(4096)])
-    return sound, stream.engine.sleeper.worthwhile, time.process_time() - began
+    return sound, time.process_time() - began
 
 
 def commanded(path: Path, name: str, mode: str, seconds: float | None, out: Path) -> float:
@@ -64,7 +64,6 @@ def row(path: Path, name: str, args: argparse.Namespace) -> str:
     """One line of the table."""
     score = tw.read_midi(path)
     sounds = {mode: rendered(score, name, mode, args.seconds) for mode in MODES}
-    watched = "yes" if sounds["auto"][1] else "no"
     bits = "same" if np.array_equal(sounds["auto"][0], sounds["all"][0]) else "differ"
     times: list[list[float]] = []
     began = time.perf_counter()
@@ -74,7 +73,7 @@ def row(path: Path, name: str, args: argparse.Namespace) -> str:
             if args.commands:
                 taken = {m: commanded(path, name, m, args.seconds, Path(folder) / f"{m}.wav") for m in turn}
             else:
-                taken = {m: rendered(score, name, m, args.seconds)[2] for m in turn}
+                taken = {m: rendered(score, name, m, args.seconds)[1] for m in turn}
             times.append([taken[m] for m in MODES])
             if len(times) >= 5 and time.perf_counter() - began > args.limit:
                 break
@@ -82,7 +81,7 @@ def row(path: Path, name: str, args: argparse.Namespace) -> str:
     ratio = auto / every
     return (
         f"{np.median(auto):.3f} | {np.median(every):.3f} | {np.median(ratio):.3f} | {upper(ratio):.3f} "
-        f"| {len(times)} | {watched} | {bits}"
+        f"| {len(times)} | {bits}"
     )
 
 
@@ -95,7 +94,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=None, help="of each score; all of it where left out")
     parser.add_argument("--commands", action="store_true", help="each render as a command of its own")
     args = parser.parse_args()
-    columns = ["instrument", "score", "auto, s", "all, s", "auto / all", "upper", "rounds", "watched", "bits"]
+    columns = ["instrument", "score", "auto, s", "all, s", "auto / all", "upper", "rounds", "bits"]
     print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}", flush=True)
     for name in args.instruments:
         for path in args.scores:

@@ -1,12 +1,11 @@
 """What leaving effects out saves and costs: one table over scores and instruments.
 
     python benchmarks/effects.py SCORE.mid ... [--seconds 8] [--instruments steel_guitar african_harp]
-    python benchmarks/effects.py --law --instruments classical_guitar african_harp
 
 Each score, or its first seconds, is rendered with effects `all`, `auto` and none but the second polarization (linear),
 a block of each in turn, on one core; times are seconds of the processor. `nylon_guitar` is the classical guitar with
 all there is: rising tensions and frets; `steel_guitar` is taken with frets, too. With `_along` after their names
-their strings move along themselves, too: ten times slower than they sound. `awake` is the share of modes stepped.
+the longitudinal motion of their strings is coupled, too: ten times slower than they sound.
 Errors are those of `auto` against `all`: the largest sample difference with rising tension always on, over the first
 seconds, in dB re the peak (additive effects alone), and by how much the fundamentals of the notes are off while they
 sound, in cents: 95 % of the windows of 50 ms in which they are within 20 dB of their loudest, and the note that is off
@@ -28,7 +27,6 @@ from numpy.typing import NDArray
 from scipy.signal import firwin, lfilter, oaconvolve
 
 import tonewood as tw
-from tonewood.engine.rungs import BANDS
 
 Floats = NDArray[np.float64]
 FS = 48000
@@ -175,8 +173,6 @@ def row(score: tw.Score, made: tw.Instrument, seconds: float | None, predict: bo
     m = min(len(exact), len(whole))
     difference = float(abs(exact[:m] - whole[:m]).max() / abs(whole[:m]).max())
     db = f"{20 * np.log10(difference):.0f}" if difference > 0 else "same bits"
-    ledger = stream.engine.ledger
-    awake = ledger.mode_samples / ledger.samples / stream.model.n_modes
     on = [r.seconds_active for r in stream.summary().effects if r.name == "tension_modulation"]
     duration = stream.summary().duration_s
     share = f"{100 * np.mean(on) / duration:.0f} %" if on else "-"
@@ -187,7 +183,7 @@ def row(score: tw.Score, made: tw.Instrument, seconds: float | None, predict: bo
     all_cents = np.concatenate(windows)
     return (
         f"{duration:.0f} | {auto.seconds:.1f} | {every.seconds / auto.seconds:.2f} "
-        f"| {auto.seconds / linear.seconds:.2f} | {share} | {100 * awake:.0f} % "
+        f"| {auto.seconds / linear.seconds:.2f} | {share} "
         f"| {db} | {np.quantile(all_cents, 0.95):.3f} | {worst:.2f} | {foreseen}"
     )
 
@@ -204,48 +200,14 @@ class Told:
             print(f"\r{self.what}: {seconds:.0f} s ", end="", file=sys.stderr, flush=True)
 
 
-def law(name: str) -> str:
-    """What a sample takes with all strings at every level of sleep, and the straight line through that; in ns."""
-    engine = tw.Renderer(tw.Score([tw.Note(0.0, 1.0, note=60)]), tw.load_instrument(name), FS).engine
-    engine.advance(32)
-    systems = []
-    for level in range(BANDS + 1):
-        bases: dict[str, Any] = {}
-        for string, fretting in engine.frettings.items():
-            bases |= engine.sleeper.compiled(string, fretting, level)
-        systems.append(engine.system.with_compiled(bases))
-    modes = np.array([sum(c.basis.n_modes for c in system.compiled) for system in systems])
-    times = np.full((9, len(systems)), np.inf)
-    for taken in times:
-        for i, system in enumerate(systems):
-            engine.stepper.exchange(system)
-            state = system.start()
-            engine.stepper.advance(state, 256)
-            began = time.thread_time()
-            engine.stepper.advance(state, 4096)
-            taken[i] = (time.thread_time() - began) / 4096 * 1e9
-    least = times.min(axis=0)
-    slope, fixed = np.polyfit(modes, least, 1)
-    off = 100 * (least / (fixed + slope * modes) - 1)
-    return (
-        f"{name}: {fixed:.0f} ns + {slope:.2f} ns per mode; modes {', '.join(map(str, modes))}: "
-        f"{', '.join(f'{t:.0f} ({o:+.0f} %)' for t, o in zip(least, off, strict=True))}"
-    )
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scores", nargs="*", type=Path)
-    parser.add_argument("--law", action="store_true", help="what a sample takes against the modes that are awake")
     parser.add_argument("--seconds", type=float, default=None, help="of each score; all of it where left out")
     parser.add_argument("--instruments", nargs="+", default=["nylon_guitar", "steel_guitar", "african_harp"])
     parser.add_argument("--no-plan", action="store_true")
     args = parser.parse_args()
     began = time.perf_counter()
-    if args.law:
-        for name in args.instruments:
-            print(law(name), flush=True)
-        return
     columns = [
         "instrument",
         "score",
@@ -254,7 +216,6 @@ def main() -> None:
         "all / auto",
         "auto / linear",
         "tension on",
-        "awake",
         "dB",
         "cents 95 %",
         "worst note",

@@ -73,7 +73,7 @@ _MOVED = {
         "BundleError", "NothingPlayedError", "NumericalError", "OutputError", "PassivityError", "PluginError",
         "ScoreError",
     ),
-    "tonewood.engine.ledger": ("EffectReport",),
+    "tonewood.engine.effects.base": ("EffectReport",),
     "tonewood.output.options": ("Tail",),
     "tonewood.output.plan": ("Plan",),
     "tonewood.output.play": ("Playback",),

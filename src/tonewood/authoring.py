@@ -19,6 +19,9 @@ and what shows the part at work in an instrument: `assemble`, `partials`, `pitch
 from tonewood.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.coupling.layout import Drive, Probe, Readout
+from tonewood.engine.effect_usage import Bound
+from tonewood.engine.effects.base import Moment, RuntimeEffect, SwitchedEffect, Switching, Watched, next_multiple
+from tonewood.engine.effects.connections import SwitchedConnections
 from tonewood.errors import BundleError, PassivityError, PluginError, TonewoodError
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
@@ -68,6 +71,7 @@ __all__ = [
     "Attachment",
     "Body",
     "BodyPoint",
+    "Bound",
     "BridgeForce",
     "BundleError",
     "CompiledPotential",
@@ -87,6 +91,7 @@ __all__ = [
     "LossLaw",
     "ModalBasis",
     "Model",
+    "Moment",
     "Motion",
     "Norms",
     "Number",
@@ -100,15 +105,20 @@ __all__ = [
     "Probe",
     "Readout",
     "Resonator",
+    "RuntimeEffect",
     "SampledPotential",
     "Scene",
     "Segment",
     "Site",
     "SpringDashpot",
     "StringPlace",
+    "SwitchedConnections",
+    "SwitchedEffect",
+    "Switching",
     "Term",
     "TonewoodError",
     "Vector",
+    "Watched",
     "assemble",
     "check_basis",
     "contact_effect",
@@ -116,6 +126,7 @@ __all__ = [
     "dot",
     "loose_mass",
     "metres",
+    "next_multiple",
     "partials",
     "pitch",
     "pitches",

@@ -8,9 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tonewood as tw
+from tonewood.coupling.system import State, System
+from tonewood.engine.effects import runtime_effects
+from tonewood.engine.effects.base import Moment
+from tonewood.engine.effects.tension import TensionEffect
+from tonewood.instrument.assembly import Model
 
 Floats = NDArray[np.float64]
 FS = 24000
+TENSION = "tension_modulation"
 PITCH = {"B3": 59, "E4": 64}
 
 
@@ -26,6 +32,17 @@ def duet(**effects: Any) -> tw.Instrument:
     values["playing"] = {**values["playing"], "note_end": {"kind": "ring"}}
     values["effects"] = {**values["effects"], **effects}
     return tw.Instrument.from_values(values, guitar.folder)
+
+
+def tension_effect(model: Model) -> TensionEffect:
+    """The rising tensions of a model."""
+    (found,) = (effect for effect in runtime_effects(model) if isinstance(effect, TensionEffect))
+    return found
+
+
+def moment(system: System, state: State) -> Moment:
+    """What effects see of a motion, with nothing heard or played."""
+    return Moment(system, state, {}, np.zeros(len(system.readouts)))
 
 
 def renderer(notes: list[tw.Note], seconds: float, instrument: tw.Instrument, fs: int = FS) -> tw.Renderer:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 import tonewood as tw
+from tonewood.engine.effects.base import EffectReport
 from tonewood.engine.engine import Engine
-from tonewood.engine.ledger import EffectReport
 from tonewood.score.note import Control
 
 Floats = NDArray[np.float64]
@@ -84,7 +84,6 @@ def deviations(seed: int, **effects: float) -> tuple[float, float, list[EffectRe
         tw.Renderer(score, guitar(name, (string,), mode=mode, **effects), FS, max_duration=SECONDS + 1)
         for mode in ("all", "auto")
     )
-    auto.engine.sleeper.enabled = False  # modes that sleep have a budget of their own
     a, b = (forces(renderer.engine, SECONDS)[1] for renderer in (every, auto))
     cents, levels = [0.0], [0.0]
     for here, pitch in pieces(auto, score, bends):

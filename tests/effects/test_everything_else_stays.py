@@ -1,17 +1,20 @@
-"""`auto` against `all` on every instrument: the same but for rising tension, and for what nobody hears."""
+"""`auto` against `all` on every instrument: the same but for rising tension."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from effect_scenes import compared, detuned, sound
 
 import tonewood as tw
+from tonewood.coupling.system import State, System
 from tonewood.errors import NothingPlayedError
 from tonewood.instrument.registry import list_instruments
 from tonewood.score.midi import read_midi
+from tonewood.stepping.kernel import KernelStepper
 
 SCORES = sorted((Path(__file__).parents[2] / "examples" / "scores").glob("*.mid"))
 INSTRUMENTS = sorted(list_instruments())
@@ -32,7 +35,7 @@ def check(score: tw.Score, name: str, seconds: float | None, fs: int, moments: b
     same = a
     if auto.model.system.rising:
         same = sound(tw.Renderer(score, tw.load_instrument(name), fs, max_duration=seconds, budget_cents=0.0))
-    # what is not heard may sleep, and the tail be judged decayed a moment sooner or later
+    # the tail may be judged decayed a moment sooner or later
     n = min(len(same), len(b))
     assert abs(n - max(len(same), len(b))) <= 0.3 * fs
     assert abs(same[:n] - b[:n]).max() <= 10 ** (auto.model.choice.budget_db / 20) * abs(b).max()
@@ -79,6 +82,32 @@ def test_whole_pieces(name: str, score: Path) -> None:
         check(read_midi(score), name, None, 24000, moments=False)
     except NothingPlayedError as fault:
         pytest.skip(str(fault))
+
+
+@pytest.mark.parametrize("name", ["classical_guitar", "african_harp", "buzzing_monochord", "tanpura"])
+def test_auto_takes_the_steps_of_all_where_nothing_is_switched(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same runs of the same systems' modes, and the same exchanges between them."""
+    did: list[tuple[str, int, int]] = []
+    advance, exchange = KernelStepper.advance, KernelStepper.exchange
+
+    def stepped(self: KernelStepper, state: State, n: int, *rest: Any) -> Any:
+        did.append(("steps", n, sum(c.basis.n_modes for c in self.system.compiled)))
+        return advance(self, state, n, *rest)
+
+    def exchanged(self: KernelStepper, system: System) -> None:
+        did.append(("exchange", 0, 0))
+        exchange(self, system)
+
+    monkeypatch.setattr(KernelStepper, "advance", stepped)
+    monkeypatch.setattr(KernelStepper, "exchange", exchanged)
+    score, found = next(s for s in map(read_midi, SCORES) if playable(s, name)), []
+    for stream in pair(score, name, 1.5, 16000):
+        did.clear()
+        samples = sound(stream)
+        found.append((list(did), samples))
+    assert len(found[0][0]) > 3
+    assert found[0][0] == found[1][0]
+    assert np.array_equal(found[0][1], found[1][1])
 
 
 def test_a_slow_swell_into_fret_buzz() -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_scenes import FS, compared, duet, renderer, sound
+from effect_scenes import FS, TENSION, compared, duet, moment, renderer, sound, tension_effect
 
 import tonewood as tw
 from tonewood.coupling.system import State
 from tonewood.energy.stored import stored_energy
+from tonewood.engine.effect_usage import Bound
+from tonewood.engine.effects.base import pay
+from tonewood.engine.effects.bridge_response import BridgeResponse
+from tonewood.engine.effects.phantoms import Phantoms
+from tonewood.engine.effects.tension import LOOK, potential
 from tonewood.engine.engine import GRID
-from tonewood.engine.phantoms import Phantoms
-from tonewood.engine.switching import LOOK, TensionSwitch, may_rest, string_energy
-from tonewood.engine.transfer import Transfer
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.modal.held_modes import HeldModes
 from tonewood.stepping.kernel import KernelStepper
@@ -47,7 +49,7 @@ def partials(model: Model, rng: np.random.Generator, amplitudes: dict[int, float
 def bounds(model: Model) -> Phantoms:
     law = model.system.stretches[0]
     compiled = {name: model.system.compiled[model.system.slot(name)] for name in law.parts}
-    return Phantoms.of(law, compiled, model.strings["B3"].tension(0), Transfer(model))
+    return Phantoms.of(law, compiled, model.strings["B3"].tension(0), BridgeResponse(model))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -92,20 +94,21 @@ def test_slopes_are_those_of_the_partials() -> None:
 def test_switches_lose_no_more_than_the_budget_and_gain_no_energy() -> None:
     options = {"mode": "auto", "budget_db": -40.0, "budget_cents": 2.0}
     engine, other = (renderer(NOTES, 3.0, along(**options)).engine for _ in range(2))
-    other._switch = lambda now, moved, fresh: None  # type: ignore[method-assign]  # never switches
+    other._switch = lambda moved, fresh: None  # type: ignore[method-assign]  # never switches
     peak, left, energies, ways = 0.0, [], [], set()
     while engine.state.sample < 2.0 * FS:
-        before, tense = engine.snapshot(), engine.tense
+        before, tense = engine.snapshot(), engine.running(TENSION)
         out = engine.advance(LOOK // 2)
         peak = max(peak, abs(out).max())
         if engine.done:
             energies.append(stored_energy(engine.system, engine.state).total)
-        if engine.tense != tense:
-            if engine.tense < tense:
+        now = engine.running(TENSION)
+        if now != tense:
+            if now < tense:
                 other.restore(before)
-                n = LOOK // 2 if "B3" in tense - engine.tense else 1  # the other's pitch parts from what it was
+                n = LOOK // 2 if "B3" in tense - now else 1  # the other's pitch parts from what it was
                 left.append((abs(other.advance(n) - out[: n * GRID]).max(), peak))
-            ways |= {("rises" if name in engine.tense else "rests", name) for name in engine.tense ^ tense}
+            ways |= {("rises" if name in now else "rests", name) for name in now ^ tense}
     assert {("rises", "B3"), ("rests", "B3"), ("rises", "E4")} <= ways
     assert len(left) > 1
     assert all(lost <= 1e-2 * loudest for lost, loudest in left)
@@ -127,7 +130,7 @@ def test_auto_keeps_the_pitch_of_all() -> None:
 def test_a_string_that_nobody_plays_is_linear_from_the_beginning() -> None:
     quiet = renderer([tw.Note(0.0, 1, note=64, force=0.02)], 0.3, along(mode="auto", budget_db=-60.0))
     sound(quiet)
-    assert not quiet.engine.ledger.tense["B3"].samples
+    assert not quiet.engine.usage.spans[TENSION, "B3"].samples
     assert not quiet.engine.system.geometric
 
 
@@ -135,7 +138,7 @@ def test_a_soft_pluck_is_coupled_from_the_beginning() -> None:
     """Its rise is within the budget of cents; whether its phantoms are heard is only known once they sound."""
     soft = renderer([tw.Note(0.0, 1, note=59, force=0.05)], 0.2, along(mode="auto"))
     sound(soft)
-    assert soft.engine.ledger.tense["B3"].all[0][0] <= 0
+    assert soft.engine.usage.spans[TENSION, "B3"].all[0][0] <= 0
 
 
 def test_a_coupling_that_would_set_energy_free_is_paid_or_kept() -> None:
@@ -149,19 +152,23 @@ def test_a_coupling_that_would_set_energy_free_is_paid_or_kept() -> None:
         trial = state.copy()
         system.modes_of(trial, "B3.longitudinal")[0, 0] += shift
         share_velocities(system, trial)
-        stored, before = string_energy(system, trial, "B3")[1], stored_energy(system, trial).total
+        stored, before = potential(system, trial, "B3"), stored_energy(system, trial).total
         signs.add(np.sign(stored))
-        rests = may_rest(system, trial, "B3")
+        rests = pay(tension_effect(model), moment(system, trial), "B3", False)
         assert rests or stored < 0.0
         if rests:
             assert stored_energy(system.with_tensions([]), trial).total <= before * (1 + 1e-12)
     assert signs == {-1.0, 1.0}
 
 
-def test_the_budget_is_shared_from_the_quietest_on() -> None:
-    switch = TensionSwitch(assemble(along(mode="auto"), FS))
-    rises = {"B3": 0.1, "E4": 0.1}
-    assert switch.wanted(rises, {"B3": 0.5e-4}, set(), set()) == frozenset()
-    assert switch.wanted(rises, {"B3": 1.1e-4}, set(), set()) == {"B3"}
-    assert switch.wanted(rises, {"B3": 0.95e-4}, {"B3"}, set()) == {"B3"}
-    assert switch.wanted(rises, {"B3": 0.5e-4}, {"B3"}, {"B3"}) == {"B3"}
+def test_a_tension_is_left_out_below_nine_tenths_of_the_budget() -> None:
+    effect = tension_effect(assemble(along(mode="auto"), FS))
+
+    def wanted(level: float, on: set[str]) -> frozenset[str]:
+        return effect.wanted({"B3": Bound(0.1, level), "E4": Bound(0.1)}, on)
+
+    assert wanted(0.5e-4, set()) == frozenset()
+    assert wanted(1.1e-4, set()) == {"B3"}
+    assert wanted(0.95e-4, set()) == frozenset()
+    assert wanted(0.95e-4, {"B3"}) == {"B3"}
+    assert wanted(0.5e-4, {"B3"}) == frozenset()

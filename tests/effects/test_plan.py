@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
-from effect_scenes import duet, sound
+from effect_scenes import TENSION, duet, sound
 
 import tonewood as tw
 from tonewood.cli.main import run as run_and_exit
@@ -34,7 +35,7 @@ def test_switches_are_foreseen() -> None:
     planned = {e.component: e for e in foreseen.effects if e.name == "tension_modulation"}
     assert set(planned) == {"B3", "E4"}
     for name, effect in planned.items():
-        there = stream.engine.ledger.tense[name].all
+        there = stream.engine.usage.spans[TENSION, name].all
         assert len(effect.spans_s) == len(there)
         assert effect.spans_s
         for (start, stop), (first, last) in zip(effect.spans_s, there, strict=True):
@@ -109,7 +110,7 @@ def test_a_render_tells_what_ran(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert run([*arguments, "--json"]) == 0
     effects = json.loads(capsys.readouterr().out)["effects"]
     for effect in effects:
-        assert set(effect) == {"name", "component", "seconds_active", "seconds_saved", "bound", "unit", "bound_db"}
+        assert set(effect) == {f.name for f in fields(tw.EffectReport)}
         assert np.isfinite(effect["seconds_active"])
     assert {"name": "body_modes", "component": "body"}.items() <= next(
         e for e in effects if e["name"] == "body_modes"

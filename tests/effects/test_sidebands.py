@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_scenes import FS
+from effect_scenes import FS, tension_effect
 from numpy.typing import NDArray
 from scipy.signal.windows import blackmanharris
 from tension_scenes import guitar
 
 from tonewood.coupling.system import State
+from tonewood.engine.effects.sidebands import Sidebands
 from tonewood.engine.fretting import Fretting
-from tonewood.engine.sidebands import Sidebands
-from tonewood.engine.switching import TensionSwitch
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.modal.held_modes import HeldModes
 from tonewood.stepping.kernel import KernelStepper
@@ -58,12 +57,12 @@ def partials(model: Model, name: str, rng: np.random.Generator, cents: dict[int,
 
 
 def bounds(model: Model, name: str, state: State) -> tuple[Sidebands, dict[str, tuple[Floats, Floats]]]:
-    switch, system = TensionSwitch(model), model.system
+    system = model.system
     motion = {
         c: to_motion(system.compiled[system.slot(c)].basis, np.array(system.modes_of(state, c)))
         for c in model.strings[name].components
     }
-    return switch._held_sidebands(name, system, Fretting()), motion
+    return tension_effect(model).sidebands(name, system, Fretting()), motion
 
 
 def line(y: Floats, freq: float, fs: float = FS) -> float:

@@ -6,12 +6,13 @@ import itertools
 
 import numpy as np
 import pytest
-from effect_scenes import FS, compared, duet, renderer, sound
+from effect_scenes import FS, TENSION, compared, duet, moment, renderer, sound, tension_effect
 
 import tonewood as tw
 from tonewood.energy.stored import stored_energy
+from tonewood.engine.effects.base import Switching, pay, switch
+from tonewood.engine.effects.tension import LOOK
 from tonewood.engine.engine import GRID
-from tonewood.engine.switching import LOOK, affordable
 from tonewood.instrument.assembly import assemble
 from tonewood.stepping.motion import from_motion, share_velocities, to_motion
 
@@ -88,7 +89,7 @@ def test_a_gesture_a_hair_before_a_grid_point_does_not_see_the_blocks(mode: str)
         for _ in range(12):
             engine.advance(1)
         assert np.array_equal(engine.state.modes, far.state.modes)
-    assert engine.ticker.strings_played
+    assert engine.counters.strings_played
 
 
 def test_a_snapshot_between_switches_continues() -> None:
@@ -99,7 +100,7 @@ def test_a_snapshot_between_switches_continues() -> None:
     for _ in itertools.islice(blocks, 14):
         pass
     for _ in range(25):
-        kept.append((stream.snapshot(), stream.engine.tense))
+        kept.append((stream.snapshot(), stream.engine.running(TENSION)))
         next(blocks)
     assert len({tense for _, tense in kept}) > 1
     rest = np.concatenate(list(blocks))
@@ -117,7 +118,7 @@ def test_energy_falls_through_switches() -> None:
         engine.advance(LOOK // 4)
         if engine.done:
             course.append(stored_energy(engine.system, engine.state).total)
-            tense.append(engine.tense)
+            tense.append(engine.running(TENSION))
     assert len(set(tense)) > 1
     assert np.all(np.diff(course) <= 1e-12 * course[0])
 
@@ -125,7 +126,8 @@ def test_energy_falls_through_switches() -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_a_tension_that_comes_back_is_paid_for(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    system = assemble(duet(mode="all"), FS).system
+    model = assemble(duet(mode="all"), FS)
+    system = model.system
     off, on = system.with_tensions([]), system.with_tensions(["E4"])
     state = off.start()
     for name in ("E4.z", "E4.y", "body"):
@@ -133,7 +135,7 @@ def test_a_tension_that_comes_back_is_paid_for(seed: int) -> None:
         modes[:] = rng.normal(size=modes.shape) * 1e-6 * 10.0 ** rng.uniform(-2, 1.5) / np.arange(1, modes.shape[1] + 1)
     share_velocities(off, state)
     before, still = stored_energy(off, state).total, state.copy()
-    paid = affordable(off, state, "E4")
+    paid = pay(tension_effect(model), moment(off, state), "E4", True)
     if paid:
         assert stored_energy(on, state).total <= before * (1 + 1e-12)
         assert stored_energy(on, still).total > before
@@ -145,19 +147,20 @@ def test_a_tension_that_comes_back_is_paid_for(seed: int) -> None:
 
 
 def test_a_string_at_its_turning_point_waits() -> None:
-    system = assemble(duet(mode="all"), FS).system
+    model = assemble(duet(mode="all"), FS)
+    system = model.system
     state = system.start()
     system.modes_of(state, "B3.z")[0, 1] = 1e-6  # bent, and still but for the other number of its damped mode
     basis = system.compiled[system.slot("B3.z")].basis
     q, v = to_motion(basis, system.modes_of(state, "B3.z"))
     system.modes_of(state, "B3.z")[:] = from_motion(basis, q, 0 * v)
-    assert not affordable(system, state, "B3")
+    assert not pay(tension_effect(model), moment(system, state), "B3", True)
 
 
 def test_switching_follows_the_grid() -> None:
     stream = renderer(SCENES["quiet and loud in turn"][0], 1.5, duet())
     sound(stream)
-    spans = [span for found in stream.engine.ledger.tense.values() for span in found.all]
+    spans = [span for (name, _), found in stream.engine.usage.spans.items() if name == TENSION for span in found.all]
     assert len(spans) > 2
     assert all(start % GRID == 0 and stop % GRID == 0 for start, stop in spans)
 
@@ -166,16 +169,16 @@ def test_switches_do_not_click() -> None:
     """Just after a switch the sound is what it would be without; then it drifts apart, as another pitch does."""
     notes = SCENES["quiet and loud in turn"][0]
     engine, other = (renderer(notes, 2.0, duet()).engine for _ in range(2))
-    other._switch = lambda now, moved, fresh: None  # type: ignore[method-assign]  # never switches
+    other._switch = lambda moved, fresh: None  # type: ignore[method-assign]  # never switches
     peak, clicks, ways = 0.0, [], set()
     while engine.state.sample < 1.9 * FS:
-        before, tense = engine.snapshot(), engine.tense
+        before, tense = engine.snapshot(), engine.running(TENSION)
         out = engine.advance(1)
         peak = max(peak, abs(out).max())
-        if engine.tense != tense:
+        if engine.running(TENSION) != tense:
             other.restore(before)
             clicks.append(abs(other.advance(1) - out)[:8].max())
-            ways.add(len(engine.tense) > len(tense))
+            ways.add(len(engine.running(TENSION)) > len(tense))
     assert ways == {True, False}
     assert max(clicks) < 1e-4 * peak
 
@@ -193,5 +196,25 @@ def test_what_a_hammer_brings_is_seen_before_it_strikes() -> None:
     for mode in ("all", "auto"):
         stream = renderer([NOTE(0.0, 1.0, note=60)], 0.3, piano.replace({"effects.mode": mode}))
         sounds.append(sound(stream))
-        assert stream.engine.ledger.tense["C4"].all[0][0] <= 0
+        assert stream.engine.usage.spans[TENSION, "C4"].all[0][0] <= 0
     np.testing.assert_array_equal(*sounds)
+
+
+@pytest.mark.parametrize("wanted", [("E4", "B3"), ("B3", "E4")])
+def test_switches_are_paid_in_the_strings_order(wanted: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the order of a set: payments change the state one after another, and samples must not depend on it."""
+    model = assemble(duet(mode="auto"), FS)
+    effect, asked = tension_effect(model), []
+    monkeypatch.setattr(effect, "cost", lambda moment, component, on: asked.append(component) or 0.0)
+    after = switch(effect, moment(model.system, model.system.start()), Switching(), wanted)
+    assert after == Switching(frozenset(wanted))
+    assert asked == list(effect.components)
+
+
+def test_a_switch_that_cannot_be_paid_is_pending(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = assemble(duet(mode="auto"), FS)
+    effect, at_rest = tension_effect(model), moment(model.system, model.system.start())
+    monkeypatch.setattr(effect, "cost", lambda moment, component, on: 1e-6 if on else 0.0)
+    after = switch(effect, at_rest, Switching(frozenset({"B3"})), {"E4"})
+    assert after == Switching(frozenset(), frozenset({"E4"}))
+    assert effect.next_watch(128, after) == 128 + GRID

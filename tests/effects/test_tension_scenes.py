@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_scenes import FS
+from effect_scenes import FS, TENSION
 from tension_scenes import SECONDS, deviations, followed, forces, guitar
 
 import tonewood as tw
+from tonewood.engine.effects.tension import TensionEffect
 from tonewood.score.note import Control
 
 BUDGET = 0.5
@@ -51,14 +52,15 @@ def test_a_bend_of_a_ringing_string_is_looked_at_at_once() -> None:
     made = guitar("steel_guitar", ("G3",), mode="auto", budget_db=0.0, budget_cents=0.1)
     renderer = tw.Renderer(score, made, FS, max_duration=SECONDS)
     engine, rises = renderer.engine, []
+    (effect,) = (e for e in engine.effects if isinstance(e, TensionEffect))
     while engine.state.sample < 1.1 * FS:
         engine.advance(1)
-        if "G3" not in engine.tense and engine.state.sample > 0.2 * FS:
-            energy = dict(zip(engine.switch.strings, engine.switch.energies(engine.system, engine.state), strict=True))
-            rises.append(engine.switch.rise("G3", engine.system, float(energy["G3"])))
+        if "G3" not in engine.running(TENSION) and engine.state.sample > 0.2 * FS:
+            (energy,) = effect.energies(engine.system, engine.state)
+            rises.append(effect.rise("G3", engine.system, float(energy)))
     assert rises
     assert 0.02 < max(rises) < 0.11
-    assert "G3" in engine.tense
+    assert "G3" in engine.running(TENSION)
 
 
 def test_bounds_that_were_not_used_are_none() -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -34,28 +32,6 @@ def test_the_monochord_shown_is_the_one_that_ships() -> None:
 def test_tables_are_up_to_date() -> None:
     """Mended by ``python -m tonewood.instrument.schema_table docs/make_an_instrument.md``."""
     assert inserted(PAGE) == PAGE
-
-
-@pytest.fixture
-def plate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The example package as if it were installed: its source on the path, its entry points announced."""
-    example = ROOT / "examples" / "third_party_plugin"
-    project = tomllib.loads((example / "pyproject.toml").read_text())["project"]
-    info = tmp_path / "tonewood_plate-0.1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
-    lines = []
-    for group, points in project["entry-points"].items():
-        lines += [f"[{group}]", *(f"{name} = {value}" for name, value in points.items())]
-    (info / "entry_points.txt").write_text("\n".join(lines))
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.syspath_prepend(str(example / "src"))
-    caches = (registry.entries, registry.plugin, registry.plugin_hash)
-    for cached in caches:
-        cached.cache_clear()
-    yield
-    for cached in caches:
-        cached.cache_clear()
 
 
 @pytest.mark.usefixtures("plate")

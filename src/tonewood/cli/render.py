@@ -32,7 +32,7 @@ from tonewood.units import decibel
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from tonewood.engine.ledger import EffectReport
+    from tonewood.engine.effects.base import EffectReport
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer, Summary
 
@@ -114,7 +114,7 @@ def render(
     if summary.onset_step_dbfs is not None:
         step = f"{summary.onset_step_dbfs:.0f} dBFS"
         print(f"  a step of {step} at the first frame was smoothed: sound before it was cut off (see --lead-in)")
-    for line in _told(summary):
+    for line in _left_out(summary):
         print(line)
     if account is not None:
         print(
@@ -167,36 +167,35 @@ def _write(
         return final.clipped, final.peak
 
 
-def _told(summary: Summary) -> list[str]:
-    """Lines of effects that did not run all the time, one each."""
+def _left_out(summary: Summary) -> list[str]:
+    """One line per effect that was left out for some time with a bound that is not 0; ``--json`` has all effects."""
     lines = []
-    by_name: dict[str, list[EffectReport]] = {}
-    for effect in summary.effects:
-        by_name.setdefault(effect.name, []).append(effect)
-    for name, reports in by_name.items():
-        saved = sum(r.seconds_saved for r in reports)
-        touched = sum(r.seconds_active for r in reports) / len(reports)
-        if all(r.seconds_active >= summary.duration_s for r in reports) or not (saved or touched):
-            continue
-        bounds = [f"{max(b):.2g} {unit}" for b, unit in _bounds(reports)]
-        bound = f"; left out, at most {' and '.join(bounds)}" if bounds else ""
-        gain = f"; {saved:.1f} s of computing saved" if saved else ""
-        lines.append(f"  {name}: {touched:.2f} s of {summary.duration_s:.2f} s, mean of {len(reports)}{bound}{gain}")
+    by_title: dict[str, list[EffectReport]] = {}
+    for report in summary.effects:
+        if report.bound is not None and report.bound != 0.0 and report.seconds_active < summary.duration_s:
+            by_title.setdefault(report.title, []).append(report)
+    for title, reports in by_title.items():
+        seconds = [summary.duration_s - report.seconds_active for report in reports]
+        where = reports[0].component if len(reports) == 1 else f"{len(reports)} strings"
+        span = f"{max(seconds):.2g} s" if len(reports) == 1 else f"{min(seconds):.2g} to {max(seconds):.2g} s"
+        bounds = [f"{max(values):.2g} {unit}" for values, unit in _bounds(reports)]
+        lines.append(f"  Left out: {title} of {where} for {span}, at most {' and '.join(bounds)}.")
     return lines
 
 
 def _bounds(reports: Sequence[EffectReport]) -> Iterator[tuple[list[float], str]]:
-    """Bounds of one effect other than 0, of each unit."""
-    for values, unit in (([r.bound for r in reports], reports[0].unit), ([r.bound_db for r in reports], "dB")):
-        used = [value for value in values if value is not None and value != 0.0]
+    """Bounds of one effect, of each unit."""
+    unit = {"cents": "cent"}.get(reports[0].unit, reports[0].unit)
+    for values, name in (([r.bound for r in reports], unit), ([r.bound_db for r in reports], "dB")):
+        used = [value for value in values if value is not None]
         if used:
-            yield used, unit
+            yield used, name
 
 
 def _report(
     renderer: Renderer, output: Path, clipped: int, peak: float, load_s: float, warnings: list[str]
 ) -> dict[str, Any]:
-    from tonewood.engine.ledger import finite
+    from tonewood.engine.effect_usage import finite
 
     s, account = renderer.summary(), renderer.energy
     return {

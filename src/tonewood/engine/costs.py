@@ -1,70 +1,89 @@
-"""What steps take on this machine, fitted to the clock while they are made."""
+"""What steps cost on this machine, fitted to the processor's clock while they are made."""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.instrument.effects import TENSION_MODULATION
-
 Floats = NDArray[np.float64]
 
-#: weight of the declared costs beside what was measured: they tell where nothing was
+#: weight of the declared costs beside the measured times: they decide where nothing was measured
 _DECLARED = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """Seconds.
+    """Seconds of the processor.
 
     Attributes
     ----------
-    mode : of one step of one mode.
-    tense : more, of a sample in which any tension rises.
-    tense_mode : more, of one step of a mode of a string whose tension rises.
+    mode : per step of one mode.
+    running : effect -> per sample in which it runs on any component, besides.
+    load : effect -> per sample and unit of its load (`SwitchedEffect.load`), besides.
     """
 
     mode: float = 0.0
-    tense: float = 0.0
-    tense_mode: float = 0.0
+    running: Mapping[str, float] = field(default_factory=dict)
+    load: Mapping[str, float] = field(default_factory=dict)
 
 
 class Costs:
-    """Least squares of the times of runs over what was stepped in them; no rate is negative."""
+    """Least squares of the times of runs over what was stepped in them; no rate is negative.
 
-    def __init__(self) -> None:
-        # how much was stepped with as many modes, and as many of strings whose tension rose: samples, seconds
-        self._runs: dict[tuple[int, int], list[float]] = {}
+    Parameters
+    ----------
+    declared : switched effect -> its declared cost per unit of load, in steps of one mode.
+    """
 
-    def add(self, seconds: float, samples: int, modes: int, tense_modes: int) -> None:
-        """Enter a run: how many modes were stepped, and of strings whose tension rose."""
-        known = self._runs.setdefault((modes, tense_modes), [0.0, 0.0])
+    def __init__(self, declared: Mapping[str, float]):
+        self.declared = dict(declared)
+        # modes and loads -> samples that were stepped with them, and the seconds that took
+        self._runs: dict[tuple[float, ...], list[float]] = {}
+        self._found: Rates | None = None
+
+    def add(self, seconds: float, samples: int, modes: int, loads: Sequence[float]) -> None:
+        """Enter a run: how many modes were stepped, and the load of every effect, 0 where it did not run."""
+        known = self._runs.setdefault((modes, *loads), [0.0, 0.0])
         known[0] += samples
         known[1] += seconds
+        self._found = None
 
     def rates(self) -> Rates:
         """Best fit of all runs so far."""
-        modes, tense = np.array(list(self._runs), dtype=float).reshape(-1, 2).T
+        if self._found is None:
+            self._found = self._fitted()
+        return self._found
+
+    def _fitted(self) -> Rates:
+        zeros = dict.fromkeys(self.declared, 0.0)
+        modes, *loads = np.array(list(self._runs), dtype=float).reshape(-1, 1 + len(zeros)).T
         samples, seconds = np.array(list(self._runs.values())).reshape(-1, 2).T
         if not np.any(samples * modes) or not np.any(seconds > 0.0):
-            return Rates()
-        each = np.stack([modes, tense > 0.0, tense])
+            return Rates(0.0, zeros, zeros)
+        each = np.stack([modes, *(row for load in loads for row in (load > 0.0, load))])
         steps, squares = each @ samples, (samples * modes) @ modes
-        declared = np.array([1.0, 0.0, TENSION_MODULATION.cost(1)])
+        declared = np.array([1.0, *(row for cost in self.declared.values() for row in (0.0, cost))])
         declared *= seconds.sum() / (steps @ declared)
-        weight = _DECLARED * np.array([squares, steps[0] ** 2 / squares, squares])
-        found = _not_negative((samples * each) @ each.T + np.diag(weight), each @ seconds + weight * declared)
-        return Rates(*(float(rate) for rate in found))
+        weight = _DECLARED * np.array([squares] + [steps[0] ** 2 / squares, squares] * len(zeros))
+        matrix = (samples * each) @ each.T + np.diag(weight)
+        found = not_negative(matrix, each @ seconds + weight * declared).tolist()
+        names = list(zeros)
+        return Rates(found[0], dict(zip(names, found[1::2], strict=True)), dict(zip(names, found[2::2], strict=True)))
 
 
-def _not_negative(matrix: Floats, right: Floats) -> Floats:
-    """Where x M x / 2 - b x is least with no x below 0: of all choices which are not 0, the best that is allowed.
+def not_negative(matrix: Floats, right: Floats) -> Floats:
+    """Minimum of x M x / 2 - b x over x >= 0: the best of all choices of unknowns that are not 0.
 
-    For a few unknowns; the general method is in a part of SciPy whose import takes longer than a short render's sums.
+    For a few unknowns. `scipy.optimize.nnls` is general, but importing it takes longer than the sums of a short render.
+
+    Parameters
+    ----------
+    matrix, right : (n, n) positive definite, and (n,).
     """
     best, least = np.zeros(right.size), 0.0
     scale = 1 / np.sqrt(matrix.diagonal())

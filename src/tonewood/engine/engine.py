@@ -1,12 +1,13 @@
-"""Model, state and timeline in; sound out, on a control grid that output blocks know nothing of.
+"""Model, state and timeline to samples, on a control grid that does not depend on output blocks.
 
-Every change (a stop, a bend, a damper) takes effect at a multiple of 64 samples counted from sample 0; a finger
-tightens its hold at whole samples, and known forces act at any fraction of a sample. Where the engine stops to look
-depends on what is played alone, so its samples are the same however they are asked for.
+Every change (a stop, a bend, a damper, an effect switched) takes effect at a multiple of 64 samples counted from sample
+0; a finger tightens its hold at whole samples, and known forces act at any fraction of a sample. The points at which
+the engine stops depend only on what is played, so its samples are the same however they are asked for.
 """
 
 from __future__ import annotations
 
+import bisect
 import math
 import time
 from collections.abc import Collection, Mapping, Sequence
@@ -18,21 +19,25 @@ from numpy.typing import NDArray
 from tonewood.blas import one_blas_thread
 from tonewood.coupling.connections import Connection
 from tonewood.coupling.system import Compiled, Control, Injection, State, System
-from tonewood.engine.books import Books
+from tonewood.engine.effect_usage import EffectUsage
+from tonewood.engine.effects import runtime_effects
+from tonewood.engine.effects.base import Moment, Run, SwitchedEffect, Switching, switch
+from tonewood.engine.energy_budget import EnergyBudget
 from tonewood.engine.fretting import Fingerboard, Fretting, pulls
+from tonewood.engine.gesture_connections import GestureConnections, holds_at
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, quasi_static, samples
-from tonewood.engine.ledger import Ledger
-from tonewood.engine.sleeping import Asleep, Sleeper
-from tonewood.engine.surroundings import Surroundings, holds_at, string_of
-from tonewood.engine.switching import LOOK, SELDOM, TensionSwitch, affordable, may_rest, string_energy
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.stepping.kernel import KernelStepper
 from tonewood.stepping.motion import share_velocities
+from tonewood.units import decibel
 
-__all__ = ["GRID", "Engine", "Snapshot", "Ticker"]
+__all__ = ["GRID", "Counters", "Engine", "Snapshot"]
 
 Floats = NDArray[np.float64]
+
+#: points of the control grid after which the engine stops at the latest
+_LONGEST = 64
 
 
 @dataclass(eq=False)
@@ -45,19 +50,25 @@ class Snapshot:
     injections: list[Injection]
     controls: list[Control]
     holds: dict[str, float]
-    tense: frozenset[str]
-    awaited: frozenset[str]
-    asleep: Asleep
+    switchings: dict[str, Switching]
+    peak: Floats
+    recent: Floats
     next_change: int
     next_play: int
 
 
 @dataclass(eq=False)
-class Ticker:
-    """What an engine did, for summaries; seconds of the processor in steps and between them."""
+class Counters:
+    """What an engine did.
+
+    Attributes
+    ----------
+    exchanges : bases of strings that were exchanged.
+    strings_played : names.
+    stepping_s, control_s : seconds of the processor in steps and between them.
+    """
 
     exchanges: int = 0
-    peak_modes: int = 0
     strings_played: set[str] = field(default_factory=set)
     stepping_s: float = 0.0
     control_s: float = 0.0
@@ -70,71 +81,95 @@ class Engine:
     ----------
     model : assembled instrument.
     timeline : what happens.
-    energy : keep an account of energy, in `books`; slower by far, with the same samples.
+    energy : keep an `energy_budget`; many times slower, with the same samples.
+
+    Attributes
+    ----------
+    system, state : what is stepped, and its motion.
+    effects : of the model.
+    switchings : switched effect -> components on which it runs: all that moves of it.
+    usage : what ran, and what was left out.
+    peak : (n_readouts,) largest sample of each readout so far, where any effect is watched.
+    recent : (n_readouts,) that of the last run.
+    tail_level : dB re the peak at which the sound counts as decayed after the last event.
+    only_watch : do not switch effects, but count them in `usage` as if they were.
     """
 
     def __init__(self, model: Model, timeline: Timeline, *, energy: bool = False):
         self.model, self.timeline = model, timeline
-        self.switch = TensionSwitch(model)
-        #: strings whose tension rises now, and those that are to as soon as they can afford it
-        self.tense = frozenset(() if self.switch.enabled else self.switch.strings)
-        self.awaited: frozenset[str] = frozenset()
-        self.system: System = model.system.with_tensions(self.tense)
+        self.effects = runtime_effects(model)
+        switched = [effect for effect in self.effects if isinstance(effect, SwitchedEffect)]
+        self.switchings = {effect.name: effect.start() for effect in switched}
+        self._switched = [effect for effect in switched if effect.chosen]
+        self._watched = [effect for effect in switched if effect.watched]
+        self.only_watch = False
+        self.frettings = {name: Fretting() for name in model.strings}
+        self.system: System = self._with_effects(model.system)
         self.dt = self.system.dt
         self.stepper = KernelStepper(self.system)
         self.state = self.stepper.start()
-        self.fingerboard, self.surroundings = Fingerboard(model), Surroundings(model)
-        self.sleeper = Sleeper(model, self.fingerboard, timeline)
-        self.frettings = {name: Fretting() for name in model.strings}
+        self.peak = np.zeros(len(model.system.readouts))
+        self.recent, self.tail_level = self.peak.copy(), -math.inf
+        self.fingerboard, self.connections = Fingerboard(model), GestureConnections(model)
+        self._owner_of = {connection.name: connection.owner for connection in model.system.connections}
         self.active: list[Active] = []
         self.injections: list[Injection] = []
         self.controls: list[Control] = []
         self.holds: dict[str, float] = {}
-        self._unheard: list[Floats] = []
-        #: look only: no tension rises, but the ledger tells when it would
-        self.watching = False
-        self.ticker, self.ledger = Ticker(), Ledger(model)
+        self.counters = Counters()
+        self.usage = EffectUsage(
+            model.fs,
+            {effect.name: {c: effect.load(c) for c in effect.components} for effect in self._switched},
+            {effect.name: effect.effect.cost(1) for effect in self._switched},
+        )
+        self._compiled: tuple[Compiled, ...] = ()
+        self._modes = 0
         self._next_change = self._next_play = 0
         self._change_samples = [samples(change.time, self.dt) for change in timeline.changes]
         self._play_samples = [samples(play.start, self.dt) for play in timeline.plays]
+        #: string -> samples at which it is changed or played
+        self._due_samples: dict[str, list[float]] = {name: [] for name in model.strings}
+        strings = [*(change.string for change in timeline.changes), *(play.string for play in timeline.plays)]
+        for string, sample in zip(strings, self._change_samples + self._play_samples, strict=True):
+            if string is not None:
+                bisect.insort(self._due_samples[string], sample)
         self._dampers = all(model.choice.keeps(e, "dampers") for e in model.exciters.values())
         self.state.sample = int(np.floor(timeline.start / self.dt / GRID)) * GRID
-        self.sleeper.state.last = self.state.sample
-        self.books = Books(self.system, self.state, model) if energy else None
+        self.energy_budget = EnergyBudget(self.system, self.state, model) if energy else None
 
     @property
     def done(self) -> bool:
-        """Whether nothing more is going to happen than that the instrument rings."""
+        """Whether every change and gesture is over: the instrument only rings."""
         return (
             self._next_change >= len(self._change_samples)
             and self._next_play >= len(self._play_samples)
             and not self.active
         )
 
+    def running(self, effect: str) -> frozenset[str]:
+        """Components on which a switched effect runs now."""
+        return self.switchings[effect].on
+
     def snapshot(self) -> Snapshot:
-        """Copy of all that moves; an account of energy begins anew where it is restored."""
+        """Copy all that moves; an energy budget begins anew where the copy is restored."""
         return Snapshot(
             self.state.copy(), dict(self.frettings), list(self.active), list(self.injections), list(self.controls),
-            dict(self.holds), self.tense, self.awaited, self.sleeper.state.copy(), self._next_change, self._next_play,
+            dict(self.holds), dict(self.switchings), self.peak.copy(), self.recent.copy(),
+            self._next_change, self._next_play,
         )  # fmt: skip
 
     @one_blas_thread
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back to a snapshot of this engine (or of one with the same model and timeline)."""
+        """Go back to a snapshot of this engine, or of one with the same model and timeline."""
         s = snapshot
         self.state, self.frettings, self.holds = s.state.copy(), dict(s.frettings), dict(s.holds)
         self.active, self.injections, self.controls = list(s.active), list(s.injections), list(s.controls)
-        self.tense, self.awaited = s.tense, s.awaited
+        self.switchings, self.peak, self.recent = dict(s.switchings), s.peak.copy(), s.recent.copy()
         self._next_change, self._next_play = s.next_change, s.next_play
-        self.sleeper.state = s.asleep.copy()
-        system = self._fretted(self.system.with_tensions(s.tense), self.frettings, self.frettings)
-        changes: dict[str, Compiled] = {}
-        for name, level in self.sleeper.sleeping.items():
-            changes |= self.sleeper.compiled(name, self.frettings[name], level)
-        system = system.with_compiled(changes) if changes else system
-        self.system = self.surroundings.held(self.surroundings.woken(system, self.active), self.holds)
-        if self.books:
-            self.books = Books(self.system, self.state, self.model)
+        system = self._with_effects(self._fretted(self.system, self.frettings, self.frettings))
+        self.system = self.connections.with_holds(self.connections.with_moved(system, self.active), self.holds)
+        if self.energy_budget:
+            self.energy_budget = EnergyBudget(self.system, self.state, self.model)
 
     @one_blas_thread
     def advance(self, n_ticks: int) -> Floats:
@@ -143,144 +178,123 @@ class Engine:
         while self.state.sample < end:
             began = time.thread_time()
             self._control()
-            steps = min(self._next_event(), end) - self.state.sample
-            before = self.state.copy() if self.books else None
+            start = self.state.sample
+            steps = min(self._next_event(), end) - start
+            before = self.state.copy() if self.energy_budget else None
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)
             ready = time.thread_time()
             pushes: Floats | None = None
-            if self.books:
+            if self.energy_budget:
                 sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
                 acted = np.flatnonzero(np.any(pushes, axis=0))
             else:
                 sound, acted = self.stepper.advance(self.state, steps, self.injections, self.controls)
             stepped = time.thread_time()
-            if self.books and before and pushes is not None:
-                self.books.follow(before, self.state, pushes, self.injections, self.controls, self.active)
-            added = quasi_static(self.active, self.model, self.system, self.state.sample - steps, steps)
+            if self.energy_budget and before and pushes is not None:
+                self.energy_budget.follow(before, self.state, pushes, self.injections, self.controls, self.active)
+            added = quasi_static(self.active, self.model, self.system, start, steps)
             if added is not None:
                 sound = sound + added
             out.append(sound)
-            touched = self.ledger.count(
-                self.state.sample - steps,
-                steps,
-                acted,
-                self.tense,
-                self.holds,
-                self.system,
-                self._missing,
-                stepped - ready,
-            )
-            self._unheard.append(sound)
-            self.sleeper.state.touched |= touched
+            if self._watched:
+                # the rows of channels in one piece: several times quicker
+                self.recent = np.abs(np.ascontiguousarray(sound.T)).max(axis=1)
+                np.maximum(self.peak, self.recent, out=self.peak)
+            self._count(start, steps, acted, stepped - ready)
             self.injections = [i for i in self.injections if i.stop > self.state.sample]
             self.controls = [c for c in self.controls if c.stop > self.state.sample]
-            self.ticker.stepping_s += stepped - ready
-            self.ticker.control_s += ready - began + time.thread_time() - stepped
-        self._hear()
+            self.counters.stepping_s += stepped - ready
+            self.counters.control_s += ready - began + time.thread_time() - stepped
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
 
-    def _hear(self) -> None:
-        """Tell the sleeper what has sounded since it was last told."""
-        if (self.sleeper.worthwhile or self.switch.enabled) and self._unheard:
-            self.sleeper.heard(np.concatenate(self._unheard))
-        self._unheard = []
+    def _count(self, start: int, n: int, acted: NDArray[np.intp], seconds: float) -> None:
+        """Enter a run into the usage of effects."""
+        run = Run(start, n, self.system, acted, self.holds.keys(), self.switchings)
+        running = {effect.name: effect.running(run) for effect in self.effects}
+        if self.system.compiled is not self._compiled:
+            self._compiled = self.system.compiled
+            self._modes = sum(compiled.basis.n_modes for compiled in self._compiled)
+        self.usage.count(start, n, running, self._modes, seconds)
 
     @property
-    def _look(self) -> int:
-        """Samples between looks at the strings."""
-        return GRID * (LOOK if self.tense else SELDOM)
-
-    @property
-    def _missing(self) -> dict[str, tuple[int, int]]:
-        """Strings that sleep -> their level, and how many modes do."""
-        sleeper = self.sleeper
-        return {n: (level, sleeper.missing(n, self.frettings[n], level)) for n, level in sleeper.sleeping.items()}
-
-    @property
-    def _sleeps(self) -> bool:
-        return self.sleeper.promising(self.state.sample, self._pending * self.dt)
-
-    @property
-    def _pending(self) -> float:
+    def _next_due(self) -> float:
         """Sample at which the next change or gesture is due; infinite if none is."""
         changes, plays = self._change_samples, self._play_samples
         change = changes[self._next_change] if self._next_change < len(changes) else math.inf
         return min(change, plays[self._next_play]) if self._next_play < len(plays) else change
 
     def _next_event(self) -> int:
-        """First sample after now at which something has to be looked at: a grid point, or a finger's next step."""
+        """First sample after now at which the engine has to stop: a grid point, or the next step of a finger's hold."""
         now = self.state.sample
         grid = now // GRID * GRID + GRID
-        times = [grid + 63 * GRID, *(active.stop for active in self.active)]
-        if self._pending < math.inf:
-            # a thing is done at the last grid point before its time, which need not be a whole sample
-            times.append(self._pending // GRID * GRID)
-        if self.switch.enabled:
-            times.append(grid if self.awaited else now // self._look * self._look + self._look)
-        if self._sleeps:
-            times.append(self.sleeper.state.following)
+        times = [grid + (_LONGEST - 1) * GRID, *(active.stop for active in self.active)]
+        if self._next_due < math.inf:
+            # what is due is done at the last grid point before its time, which need not be a whole sample
+            times.append(self._next_due // GRID * GRID)
+        times += [effect.next_watch(now, self.switchings[effect.name]) for effect in self._watched]
         due = math.ceil(min(times) / GRID) * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
         # back to the grid first: the kernel counts from where a run begins
         return min([max(due, grid) if now % GRID == 0 else grid, *steps])
 
     def _control(self) -> None:
-        """Take what is due: at a grid point bases and injections are exchanged, between them fingers' dashpots only."""
+        """Do what is due: at a grid point bases, injections and effects, between them fingers' dashpots only."""
         now = self.state.sample
         if now % GRID == 0:
-            before = len(self.active)
             moved, fresh = self._take(now)
-            over = len(self.active) < before + len(fresh)
-            self._exchange(self.surroundings.woken(self.system, self.active), "partners that come and go")
-            if self.switch.enabled:
-                self._switch(now, moved, fresh)
-            if (fresh or over or now >= self.sleeper.state.following) and self._sleeps:
-                self._look_after_sleepers(now, fresh)
+            self._exchange(self.connections.with_moved(self.system, self.active), "partners that come and go")
+            if self._watched:
+                self._switch(moved, fresh)
         wanted = holds_at(self.active, now)
         if wanted != self.holds:
             self.holds = wanted
-            self._exchange(self.surroundings.held(self.system, wanted), "holds")
+            self._exchange(self.connections.with_holds(self.system, wanted), "holds")
 
-    def _switch(self, now: int, moved: Collection[str], fresh: Sequence[Play]) -> None:
-        """Let tensions rise that gestures or what moves call for, and leave out those that do not matter."""
-        switch = self.switch
-        whole, look = now % (GRID * SELDOM) == 0, now % self._look == 0
-        moved = [name for name in moved if name in switch.strings]
-        fresh = [play for play in fresh if play.string in switch.strings]
-        if not (whole or look or moved or fresh or self.awaited):
-            return
-        energies = dict(zip(switch.strings, switch.energies(self.system, self.state).tolist(), strict=True))
-        wanted = self.tense | self.awaited
-        self._hear()
-        peak = self.sleeper.state.peak
-        if whole or look or moved:
-            names = switch.strings if whole else moved
-            cents, levels = switch.bounds(self.system, self.state, self.frettings, energies, peak, names)
-            busy = {a.play.string or "" for a in self.active} if whole else switch.strings
-            wanted = switch.wanted(cents, levels, wanted, busy)
-            self.ledger.rises(cents, levels, wanted)
-        for play in fresh:
-            name = play.string or ""
-            rise, level = switch.foreseen(play, self.system, self.state, self.frettings[name], energies[name], peak)
-            if rise > switch.budget or level > switch.budget_level:
-                wanted |= {name}
-            self.ledger.rise(name, rise, level, name not in wanted)
-        if self.watching:
-            self.tense = wanted
-            return
-        admitted = {name for name in wanted - self.tense if affordable(self.system, self.state, name)}
-        resting = {name for name in self.tense - wanted if may_rest(self.system, self.state, name)}
-        tense = (self.tense - resting) | admitted
-        self.awaited = wanted - tense
-        if tense != self.tense:
-            if self.system.tensions:
-                self.state.tension[[name in tense ^ self.tense for name in self.switch.strings]] = 0.0
-            self.tense = tense
-            self._exchange(self.system.with_tensions(tense), "tension let rise or left out")
+    def _switch(self, moved: Collection[str], fresh: Sequence[Play]) -> None:
+        """Switch effects on where they are wanted, and off where what is missing is within the budget."""
+        busy = {active.play.string or "" for active in self.active}
+        for effect in self._watched:
+            before = self.switchings[effect.name]
+            moment = Moment(self.system, self.state, self.frettings, self.peak, moved, fresh, busy, self._until)
+            found = effect.watch(moment, before)
+            if found is None:
+                continue
+            self.usage.enter(effect.name, found.bounds)
+            if self.only_watch:
+                self.switchings[effect.name] = Switching(found.wanted)
+                continue
+            after = switch(effect, moment, before, found.wanted)
+            self.switchings[effect.name] = after
+            if after.on != before.on:
+                effect.reset(self.system, self.state, after.on ^ before.on)
+                self._exchange(effect.apply(self.system, after.on, self.frettings), f"{effect.name} switched")
+
+    def _until(self, string: str) -> float:
+        """Seconds until the next change of a string or gesture on it, or until the sound has decayed to `tail_level`.
+
+        After the last event the sound is taken to have fallen from its peak by so many dB per second, and to go on so.
+        """
+        due, now = self._due_samples[string], self.state.sample
+        following = bisect.bisect_left(due, now + GRID)
+        if following < len(due):
+            return (due[following] - now) * self.dt
+        since = now * self.dt - self.timeline.stop
+        heard = self.peak > 0.0
+        level = decibel(float((self.recent[heard] / self.peak[heard]).max(initial=0.0)))
+        if since <= 0.0 or level >= 0.0 or self.tail_level == -math.inf:
+            return math.inf
+        return since * max(level - self.tail_level, 0.0) / -level if level > -math.inf else 0.0
+
+    def _with_effects(self, system: System) -> System:
+        """A system with every switched effect as it is; switches that are only watched stay as they began."""
+        for effect in self._switched:
+            switching = effect.start() if self.only_watch else self.switchings[effect.name]
+            system = effect.apply(system, switching.on, self.frettings)
+        return system
 
     def _take(self, now: int) -> tuple[Collection[str], list[Play]]:
-        """Hold strings as they are due to be held, and begin the gestures due to begin; both are returned."""
+        """Do the changes and begin the gestures that are due; returns the strings that changed, and the gestures."""
         moved, fresh = self._due(now)
         if moved or fresh:
             self._touch(moved, fresh, now)
@@ -288,20 +302,18 @@ class Engine:
         return moved.keys(), fresh
 
     def _touch(self, moved: Mapping[str, Fretting], fresh: Sequence[Play], now: int) -> None:
-        """Hold strings otherwise, and begin gestures."""
+        """Change how strings are held, and begin gestures."""
         taken = {play.string for play in fresh if play.string is not None}
         called = taken | moved.keys()
-        if risen := {name: 0 for name in self.sleeper.sleeping if name in called}:
-            self._rest(risen)
         if moved:
             self._refret(moved)
-        # a string is held by one finger at a time: a new gesture ends the one before it; a gesture whose string changed
-        # under it is compiled anew for what is left of it
+        # a string is held by one finger at a time: a new gesture ends the one before it. The rest of a gesture whose
+        # string changes meanwhile is compiled anew
         again = [a.play for a in self.active if a.play.string in moved.keys() - taken]
         self.active = [a for a in self.active if a.play.string not in taken]
-        self.injections = [cut(i, now) if string_of(i.component) in called else i for i in self.injections]
+        self.injections = [cut(i, now) if self.system.owners.get(i.component) in called else i for i in self.injections]
         self.injections = [i for i in self.injections if i.stop > max(now, i.start)]
-        self.controls = [c for c in self.controls if string_of(c.connection) not in called]
+        self.controls = [c for c in self.controls if self._owner_of[c.connection] not in called]
         for play in (*again, *fresh):
             self.injections += forces(play, self.model, self.system, now)
             self.controls += courses(play, self.dt, now)
@@ -310,7 +322,7 @@ class Engine:
             self.active.append(Active(play, samples(play.stop, self.dt), holds))
 
     def _due(self, now: int) -> tuple[dict[str, Fretting], list[Play]]:
-        """Strings that are to be held otherwise, and gestures that begin, before the next point of the grid."""
+        """Changes of strings and gestures that are due before the next point of the grid."""
         wanted: dict[str, Fretting] = {}
         changes, plays = self.timeline.changes, self.timeline.plays
         while self._next_change < len(changes) and self._change_samples[self._next_change] < now + GRID:
@@ -326,12 +338,12 @@ class Engine:
             if play.string is not None:
                 before = wanted.get(play.string, self.frettings[play.string])
                 wanted[play.string] = replace(before, place=play.gesture.from_bridge)
-                self.ticker.strings_played.add(play.string)
+                self.counters.strings_played.add(play.string)
         frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in wanted.items()}
         return {name: fretting for name, fretting in frettings.items() if fretting != self.frettings[name]}, fresh
 
     def _refret(self, wanted: Mapping[str, Fretting]) -> None:
-        """Give strings other bases and carry their motion over."""
+        """Exchange the bases of strings, and project their motion to the new ones."""
         carried: dict[str, Floats] = {}
         restopped = {}
         pull = pulls(self.system, self.state)
@@ -344,73 +356,25 @@ class Engine:
                 restopped[name] = fretting
         self.frettings |= wanted
         self.system = self._fretted(self.system, wanted, restopped)
+        if restopped:
+            self.system = self._with_effects(self.system)
         self._put(carried)
         if restopped:
             share_velocities(self.system, self.state)
-        self.ticker.exchanges += len(wanted)
-        if self.books:
-            self.books.changed("stops, bends and dampers", self.system, self.state)
+        self.counters.exchanges += len(wanted)
+        if self.energy_budget:
+            self.energy_budget.changed("stops, bends and dampers", self.system, self.state)
 
     def _put(self, carried: Mapping[str, Floats]) -> None:
-        """Write the motion of components that have other bases now."""
+        """Write the motion of components whose bases were exchanged into the state."""
         for component, modes in carried.items():
             slot = self.system.slot(component)
             start = self.system.offsets[slot]
             self.state.modes[:, start : start + self.system.capacities[slot]] = 0.0
             self.system.modes_of(self.state, component)[:] = modes
 
-    def _look_after_sleepers(self, now: int, fresh: Sequence[Play]) -> None:
-        """Let bands of strings fall asleep that are not heard, and wake those that might be."""
-        self._hear()
-        plays = [active.play for active in self.active]
-        if self.sleeper.shaken(now, plays):
-            wanted = self.sleeper.all_awake(now)
-        else:
-            busy = {play.string or "" for play in plays} | set(self.holds)
-            wanted = self.sleeper.look(now, self.system, self.state, self.frettings, busy, self.tense, fresh)
-        self.sleeper.state.touched = False
-        self.ledger.unheard = self.sleeper.largest
-        if wanted:
-            self._rest(wanted)
-
-    def _rest(self, levels: Mapping[str, int]) -> None:
-        """Take strings to other levels of sleep."""
-        changes: dict[str, Compiled] = {}
-        carried: dict[str, Floats] = {}
-        stored = {
-            name: sum(string_energy(self.system, self.state, name))
-            for name in levels
-            if name in self.tense and not self.watching
-        }
-        deeper = {name for name, level in levels.items() if level > self.sleeper.state.level[name]}
-        for name, level in levels.items():
-            modes = {
-                c: np.array(self.system.modes_of(self.state, c), dtype=np.float64)
-                for c in self.model.strings[name].components
-            }
-            carried |= self.sleeper.carried(name, self.frettings[name], level, modes)
-            changes |= self.sleeper.compiled(name, self.frettings[name], level)
-            self.sleeper.moved(name, level)
-        self.system = self.system.with_compiled(changes)
-        self._put(carried)
-        if deeper:
-            joints = [string_of(c.name) in deeper and c.name.endswith(".bridge") for c in self.system.connections]
-            share_velocities(self.system, self.state, np.array(joints, dtype=bool))
-        # a string's stretch is not quite the same for fewer modes: what it takes more is paid, or waited for
-        poor = set()
-        for name, before in stored.items():
-            if not affordable(self.system, self.state, name, before - string_energy(self.system, self.state, name)[0]):
-                poor.add(name)
-        if poor:
-            self.tense -= poor
-            self.awaited |= poor
-            self.system = self.system.with_tensions(self.tense)
-        self.ticker.exchanges += len(levels)
-        if self.books:
-            self.books.changed("strings that sleep and wake", self.system, self.state)
-
     def _fretted(self, system: System, frettings: Mapping[str, Fretting], restopped: Mapping[str, Fretting]) -> System:
-        """A system with strings held like this; `restopped` ones get the laws of their stop, too."""
+        """Return a system with strings held like this; `restopped` ones get the laws of their stop, too."""
         changes: dict[str, Compiled] = {}
         laws: dict[str, Connection] = {}
         for name, fretting in frettings.items():
@@ -423,5 +387,5 @@ class Engine:
     def _exchange(self, system: System, why: str) -> None:
         if system is not self.system:
             self.system = system
-            if self.books:
-                self.books.changed(why, system, self.state)
+            if self.energy_budget:
+                self.energy_budget.changed(why, system, self.state)

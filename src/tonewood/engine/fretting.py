@@ -1,4 +1,4 @@
-"""How strings are held, the bases that go with it, and how motion carries over when it changes."""
+"""How strings are held: their bases, and the projection of their motion when that changes."""
 
 from __future__ import annotations
 
@@ -22,13 +22,22 @@ Floats = NDArray[np.float64]
 #: component -> force of its bridge on a string's end, N
 Pull = Callable[[str], float]
 
-#: compiled stops that are kept for use again
+#: compiled bases that are kept for use again
 _CACHE = 96
 
 
 @dataclass(frozen=True, slots=True)
 class Fretting:
-    """How a string is held now: stop, bend in cents, added damping (1/s), place of the plucking finger (m), touches."""
+    """How a string is held now.
+
+    Attributes
+    ----------
+    stop : number of the stop, 0 open; a fraction where stops are continuous.
+    cents : bend from the stop's own pitch.
+    added_damping : 1/s, added to every mode's decay rate.
+    place : m from the bridge, of the plucking finger; None for the usual one.
+    touches : (point, m from the bridge), ...: points of the string that lie elsewhere than their part says.
+    """
 
     stop: float = 0.0
     cents: float = 0.0
@@ -37,7 +46,7 @@ class Fretting:
     touches: tuple[tuple[str, float], ...] = ()
 
     def changed(self, change: Change) -> Fretting:
-        """What a change of the left hand makes of it."""
+        """Return it after a change of the left hand."""
         return replace(
             self,
             stop=self.stop if change.stop is None else change.stop,
@@ -48,18 +57,18 @@ class Fretting:
 
 
 class Fingerboard:
-    """A model's strings as they can be held; compiled when they are wanted and kept for a while."""
+    """A model's strings as they can be held: bases are compiled when first wanted, and the last ones are kept."""
 
     def __init__(self, model: Model):
         self.model, system = model, model.system
-        # the model's own strings are open ones that nobody has touched yet
+        # the strings of the model are open and untouched
         self._compiled: dict[tuple[str, Fretting], dict[str, Compiled]] = {
             (name, Fretting()): {c: system.compiled[system.slot(c)] for c in string.components}
             for name, string in model.strings.items()
         }
 
     def playable(self, name: str, fretting: Fretting) -> Fretting:
-        """The finger's place only where it lies on the string's speaking part, and is not the usual one."""
+        """Return it without the finger's place where that is the usual one, or not on the string's speaking part."""
         if fretting.place is None:
             return fretting
         string = self.model.strings[name]
@@ -68,7 +77,7 @@ class Fingerboard:
         return replace(fretting, place=None) if usual or fretting.place > length else fretting
 
     def bases(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
-        """Component -> what is stepped of a string."""
+        """Return component -> compiled basis of a string as it is held."""
         key = (name, fretting)
         if key not in self._compiled:
             made = {c: self.model.system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
@@ -89,19 +98,19 @@ class Fingerboard:
         )
 
     def laws(self, name: str, fretting: Fretting) -> dict[str, Connection]:
-        """Laws of what always touches a string, at its stop."""
+        """Return the connections that always touch a string, with their laws at its stop."""
         touching = self.model.strings[name].connections(fretting.stop)
         return {c.name: c for c in touching if c.name not in self.model.resting}
 
     def carried(
         self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], pull: Pull
     ) -> dict[str, Floats]:
-        """The motion of a string when it is held otherwise.
+        """Project the motion of a string to the bases of another way to hold it.
 
         Parameters
         ----------
         modes : component -> (2, n_modes) as it is stepped before.
-        pull : component -> N, of the bridge on its end, see `pulls`; asked only where modes come back.
+        pull : component -> N, of the bridge on its end, see `pulls`; called only where modes come back.
 
         Returns
         -------
@@ -121,7 +130,7 @@ class Fingerboard:
         return out
 
     def _whole(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:
-        """Bases with the modes that lie above the limit at this tension."""
+        """Return the bases with those modes that lie above the limit at this tension."""
         compiled = {c: part.basis for c, part in self.bases(name, fretting).items()}
         string = self.model.strings[name]
         whole = string.n_modes(fretting.stop)
@@ -131,7 +140,7 @@ class Fingerboard:
 
 
 def pulls(system: System, state: State) -> Pull:
-    """Forces of bridges on strings' ends, as the residual compliance holds them; all found when one is asked for."""
+    """Return the forces of bridges on strings' ends, N, from the residual compliance; all are solved for at once."""
 
     @cache
     def found() -> dict[str, float]:
@@ -145,10 +154,10 @@ def pulls(system: System, state: State) -> Pull:
 
 
 def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, component: str, pull: Pull) -> Floats:
-    """Numbers of the same shapes at other frequencies or decay rates.
+    """Return the modes' numbers for the same shapes at other frequencies or decay rates.
 
-    Modes that leave the basis take their energy along and leave their compliance in the residual. Modes that come
-    back are bent as the residual was under the `pull` on the string's end (N), so that no energy comes with them.
+    Modes that leave the basis lose their energy, and their compliance goes into the residual. Modes that come back are
+    displaced as the residual was under the `pull` on the string's end (N), so that they bring no energy.
     """
     n = min(old.n_modes, new.n_modes)
     if old is new:

@@ -1,4 +1,4 @@
-"""Gestures made ready to be stepped: forces as injections, courses of partners as controls, fingers as dashpots."""
+"""Gestures compiled for the steppers: forces to injections, courses of partners to controls, fingers to dashpots."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from tonewood.stepping.forcing import Course, course
 
 Floats = NDArray[np.float64]
 
-#: a finger's growing dashpot is followed in this many steps
+#: steps in which a finger's dashpot grows
 _HOLD_LEVELS = 3
-#: when the smooth step 3 s^2 - 2 s^3 passes between them
+#: times at which the smooth step 3 s^2 - 2 s^3 passes half way between two of them
 _RISE = tuple(0.5 - math.sin(math.asin(1 - 2 * (i + 0.5) / _HOLD_LEVELS) / 3) for i in range(_HOLD_LEVELS))
 
 
@@ -30,7 +30,7 @@ class Active:
     ----------
     play : the gesture.
     stop : sample at which it is over.
-    holds : from which sample on its finger damps the string how much (N s/m).
+    holds : (sample, N s/m), ...: the damping of its finger from that sample on.
     """
 
     play: Play
@@ -39,12 +39,12 @@ class Active:
 
 
 def samples(time: float, dt: float) -> float:
-    """Time in samples, rid of the rounding that would put it on the wrong side of a grid point."""
+    """Convert s to samples, rounded to 1e-6 so that a time on a grid point stays there."""
     return round(time / dt, 6)
 
 
 def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
-    """Component, point and factor of each place where a gesture's forces enter."""
+    """Return component, point and factor of each place where a gesture's forces enter."""
     if play.string is None or play.gesture.on is not None:
         return model.inputs[play.gesture.on or play.at or ""]
     weights = model.strings[play.string].weights(play.gesture.angle_deg)
@@ -52,7 +52,7 @@ def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
 
 
 def forces(play: Play, model: Model, system: System, first: int) -> list[Injection]:
-    """Injections of a gesture's known forces from sample `first` on."""
+    """Compile a gesture's known forces from sample `first` on."""
     course = Course.of(play.gesture.segments, system.dt, time=play.time, first=first)
     out: list[Injection] = []
     for component, point, factor in places(play, model):
@@ -62,11 +62,11 @@ def forces(play: Play, model: Model, system: System, first: int) -> list[Injecti
 
 
 def quasi_static(active: Sequence[Active], model: Model, system: System, start: int, n: int) -> Floats | None:
-    """What modes that are not stepped add to readouts of a component on which gestures' known forces act.
+    """Add what modes above the limit contribute to readouts of a component on which known forces act.
 
-    Those modes follow a force F(t) by their compliance: y = R F with R = `ModalBasis.residual` between the point that
-    is read and the point that is pushed. Velocities take R F'; accelerations, means over a step, R (F'(t + h) - F'(t))
-    / h.
+    Those modes are not stepped. They follow a force F(t) by their compliance: y = R F with R = `ModalBasis.residual`
+    between the point that is read and the point on which the force acts. Velocities take R F'; accelerations, means
+    over a step, R (F'(t + h) - F'(t)) / h.
 
     Returns
     -------
@@ -92,13 +92,13 @@ def quasi_static(active: Sequence[Active], model: Model, system: System, start: 
 
 
 def courses(play: Play, dt: float, first: int) -> list[Control]:
-    """The course of a gesture's partners, sample by sample from `first` until the gesture is looked at as over."""
+    """Compile the course of a gesture's partners, sample by sample from `first` until the gesture ends on the grid."""
     out = []
     for motion in play.gesture.motions:
         if not motion.segments:
             continue
         n = max(math.ceil(samples(play.stop, dt) / GRID) * GRID - first, 0)
-        # an offset is wanted at both ends of every step, the others as means: at its middle
+        # offsets are given at both ends of every step, other quantities at its middle, as means
         if motion.quantity == "offset":
             times = (first + np.arange(n + 1)) * dt - play.time
         else:
@@ -109,9 +109,9 @@ def courses(play: Play, dt: float, first: int) -> list[Control]:
 
 
 def hold_steps(play: Play, dt: float) -> tuple[tuple[int, float], ...]:
-    """The finger's growing dashpot in a few steps, each at the sample where the smooth one passes between them.
+    """Replace the finger's smoothly growing dashpot by a few steps, each at a whole sample.
 
-    A finger that drags a string along pushes it; steps on the control grid would make the sound depend on the phase of
+    A finger on a moving string exerts a force; steps on the control grid would make the sound depend on the phase of
     the grid by -31 dB.
     """
     hold = play.gesture.hold
@@ -123,6 +123,6 @@ def hold_steps(play: Play, dt: float) -> tuple[tuple[int, float], ...]:
 
 
 def cut(injection: Injection, sample: int) -> Injection:
-    """The same injection until a sample."""
+    """Return the injection up to a sample."""
     keep = max(0, min(sample - injection.start, injection.values.shape[1]))
     return replace(injection, values=injection.values[:, :keep])

@@ -1,4 +1,4 @@
-"""From notes to what hands do: strings, stops, bends, plucks with their forces, and the ends of notes."""
+"""Notes to actions of hands: strings, stops, bends, plucks with their forces, and the ends of notes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tonewood.score.controllers import Controllers, History
 from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
 from tonewood.stepping.forcing import Segment
 
-#: a damped string is let go when it has decayed this many times by 60 dB: from then on it may ring with the others
+#: a damped string is released after this many times its T60; then it rings with the others
 _LET_GO_AFTER = 1.5
 #: s, for the preparation of a pluck that follows another at once
 _SHORTEST_PREPARATION = 1e-3
@@ -39,8 +39,8 @@ class Performance:
     timeline : what happens.
     notes : every note played, with its string and stop.
     dropped : notes that cannot be played, and why.
-    warnings : what else is worth knowing, one line each.
-    ignored : kind of message or controller that the instrument makes nothing of -> how many there were.
+    warnings : one line each.
+    ignored : kind of message or controller that the instrument does not use -> how many there were.
     """
 
     timeline: Timeline

@@ -1,4 +1,4 @@
-"""How a score asks for techniques, and the courses a technique gives to fingers: of the stop, and of what touches."""
+"""Techniques that a score asks for, and the courses of the stop and of touching points that they give."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tonewood.score.controllers import Controllers
 from tonewood.score.note import Score
 from tonewood.score.scales import note_number
 
-#: stops of a slide are told to this many parts of a step
+#: stops of a slide are rounded to this fraction of a step
 _FINEST = 1000
 
 

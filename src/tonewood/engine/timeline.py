@@ -1,4 +1,4 @@
-"""What happens in a performance, as plain data in time order: the engine's only input besides the model."""
+"""Events of a performance, plain data in time order: the engine's only input besides the model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GRID = 64
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What the left hand does to a string; None leaves a thing as it is.
+    """An action of the left hand on a string; None leaves a value as it is.
 
     Attributes
     ----------

@@ -32,10 +32,8 @@ from tonewood.errors import BundleError
 from tonewood.instrument.attached import Attached, Motion, Site
 from tonewood.instrument.effects import (
     BODY_MODES,
-    HIGH_MODES,
     OUTPUTS,
     SECOND_POLARIZATION,
-    SYMPATHETIC_STRINGS,
     Effect,
 )
 from tonewood.instrument.files import Files
@@ -119,7 +117,7 @@ class Resonator(Plugin[P]):
     """
 
     kind = "resonator"
-    effects: ClassVar[tuple[Effect, ...]] = (HIGH_MODES, SECOND_POLARIZATION, SYMPATHETIC_STRINGS)
+    effects: ClassVar[tuple[Effect, ...]] = (SECOND_POLARIZATION,)
 
     @property
     @abstractmethod

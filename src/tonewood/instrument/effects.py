@@ -1,9 +1,9 @@
-"""What a render may leave out, and what that costs at most: declared by the plugin that makes it.
+"""Effects: what a render may leave out, declared by the plugin that adds it, with a bound on the error.
 
 An *additive* effect adds sound: its bound is the largest sample it can add, in dB re the loudest one. A *detuning*
-effect moves partials: its bound is in cents. The two budgets, ``budget_db`` and ``budget_cents``, are judged apart.
-The bound is asked for twice: before, with what the score says will be set in motion, and while it runs, with what
-moves. An effect whose bound lies within its budget may be left out; one whose bound does not is stepped.
+effect moves partials: its bound is in cents. The two budgets, ``budget_db`` and ``budget_cents``, are compared with
+their own bounds only. An effect may be left out while its bound is within its budget. The bound is computed from the
+motion while the effect is left out, and from the score for the gesture that is about to begin.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 #: cents per relative change of frequency
 _CENTS = 1200.0 / math.log(2.0)
@@ -19,7 +19,7 @@ _CENTS = 1200.0 / math.log(2.0)
 
 @dataclass(frozen=True, slots=True)
 class Norms:
-    """How much of something there is, at most; forecast from the score or measured in the state.
+    """Upper bounds on what an effect acts on; foreseen from the score or computed from the motion.
 
     Attributes
     ----------
@@ -37,33 +37,33 @@ class Norms:
 
 
 def level_db(norms: Norms) -> float:
-    """What would be missing, in dB re the loudest sample."""
+    """Level of what would be missing, in dB re the loudest sample."""
     return 20 * math.log10(norms.level) if norms.level > 0 else -math.inf
 
 
 def rise_of_tension(norms: Norms) -> float:
-    """By how much a string of energy E sounds sharper for its stretch, at most, in the mean over a period (cents).
+    """Upper bound on the rise of pitch of a string of energy E by its stretch, cents, mean over a period.
 
-    With S = int u_x^2 dx = E / T in the mean (half of the energy is potential), dT = EA S / (2 L) and df/f = dT / 2T;
-    half as much again for a partial's own share, whose tension pulls in step with it.
+    With the mean S = int u_x^2 dx = E / T (half of the energy is potential), dT = EA S / (2 L) and df/f = dT / 2T;
+    half as much again for a partial's own share, whose tension pulls in phase with it.
     """
     rise = norms.axial_stiffness * norms.energy / (2 * norms.length * norms.tension)
     return 1.5 * _CENTS * rise / (2 * norms.tension)
 
 
 def nothing(n: int) -> float:
-    """Costs nothing by itself."""
+    """Cost of an effect that takes no steps of its own: 0."""
     return 0.0
 
 
 def modes(n: int) -> float:
-    """Modes that are stepped."""
+    """Cost of stepping n modes: n."""
     return float(n)
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """Something that may be left out.
+    """Declaration of something that may be left out.
 
     Attributes
     ----------
@@ -75,6 +75,10 @@ class Effect:
     bound : what leaving it out costs at most: dB re the loudest sample, or cents.
     cost : what it takes per sample, in units of one mode stepped linearly; given the number of modes or of points.
     basic : whether it belongs to the plain instrument, which ``none`` and lists of names do not reduce.
+    title : in words, for summaries; the name if empty.
+    runtime : makes of (model, effect, component -> plugin) what the engine steps, counts and reports: a
+        `RuntimeEffect`, or a `SwitchedEffect` that is switched on and off while the engine steps; see
+        `tonewood.engine.effects.base`. None for effects that always run, and for contacts.
     """
 
     name: str
@@ -85,6 +89,8 @@ class Effect:
     bound: Callable[[Norms], float] = level_db
     cost: Callable[[int], float] = modes
     basic: bool = False
+    title: str = ""
+    runtime: Callable[..., Any] | None = None
 
     @property
     def unit(self) -> str:
@@ -92,19 +98,9 @@ class Effect:
         return "dB" if self.kind == "additive" else "cents"
 
 
-HIGH_MODES = Effect(
-    "high_modes", "a string's partials up to the highest that the sampling rate allows", "additive",
-    "always, until they have decayed", "an estimate of what they, and what the body puts into them, "
-    "would add: octaves of them sleep while it is within the budget", basic=True,
-)  # fmt: skip
 SECOND_POLARIZATION = Effect(
     "second_polarization", "motion across the first plane: two decays in one sound", "additive",
     "always, where a string has two planes", "nothing: it is stepped or not from the beginning",
-)  # fmt: skip
-SYMPATHETIC_STRINGS = Effect(
-    "sympathetic_strings", "strings that ring with others, and what they do to others' pitch and decay", "additive",
-    "always, while anything is heard of them", "the estimate of high modes: a string of which nothing is heard is left "
-    "its static shape", basic=True,
 )  # fmt: skip
 #: rising tension of a string; for plugins whose strings have it
 TENSION_MODULATION = Effect(
@@ -112,13 +108,13 @@ TENSION_MODULATION = Effect(
     "a gesture's force bends the string so far that its tension would rise by more than the budget; every gesture that "
     "moves a mass, a bow or a finger",
     "the string's energy, which bounds the mean rise of its tension; its partials, which bound the sidebands",
-    bound=rise_of_tension, cost=lambda n: 8.0 * n,
+    bound=rise_of_tension, cost=lambda n: 8.0 * n, title="rising tension",
 )  # fmt: skip
 #: motion of a string along itself; for plugins whose strings have it
 LONGITUDINAL = Effect(
     "longitudinal", "motion along the string: partials at sums of transverse ones", "additive",
     "any gesture on the string", "a bound on the phantom partials that the string's partials would "
-    "drive; without them it is linear", cost=lambda n: 60.0 * n,
+    "drive; without them it is linear", cost=lambda n: 60.0 * n, title="phantom partials",
 )  # fmt: skip
 #: a finger that quiets the string while it draws it; for exciters whose gestures have a `ta.Hold`
 DAMPERS = Effect(

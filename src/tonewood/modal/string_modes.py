@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.modal.modes import ModalBasis
+from tonewood.modal.secular import secular_roots
 
 Floats = NDArray[np.float64]
 #: eta(omega rad/s, k 1/m) -> loss factor; the decay rate of a partial is sigma = omega eta / 2
@@ -229,9 +230,7 @@ def _solve(
 
         F(y) = K_r y - M_r - sum_n (b_n^2 / M_n) p_n / (y - p_n),
 
-    which grows from -inf to inf between every two p_n, below the least (from 0) and above the largest (to the trace).
-    Newton's method on F times the distances to the poles at both ends, which is nearly straight; bisection where it
-    would leave the bracket. y is kept as its distance from the nearer p_n, so that no difference y - p_n loses digits.
+    one between every two p_n, one below the least (from 0) and one above the largest (to the trace).
     """
     k = np.arange(1, n_sines + 1) * np.pi / length
     mass, ramp_mass = linear_density * length / 2, linear_density * length / 3
@@ -241,25 +240,7 @@ def _solve(
     high = np.concatenate([[2 * (ramp_mass / ramp_stiffness + pole.sum())], pole])
     low = np.concatenate([pole, [0.0]])
     y = 4 / (1 / np.sqrt(high) + 1 / np.sqrt(np.maximum(low, 0.3 * high))) ** 2  # omega half way between both ends
-    first, last = np.arange(n_sines + 1) == 0, np.arange(n_sines + 1) == n_sines
-    rising = ramp_stiffness * y - ramp_mass - (weight / (y[:, None] - pole)).sum(axis=1) < 0
-    origin = np.where(~first & (last | rising), high, low)
-    lower, upper, x = low - origin, high - origin, y - origin
-    gap = origin[:, None] - pole
-    for _ in range(80):
-        inverse = 1 / (gap + x[:, None])
-        value = ramp_stiffness * (origin + x) - ramp_mass - inverse @ weight
-        slope = ramp_stiffness + inverse**2 @ weight
-        lower, upper = np.where(value < 0, x, lower), np.where(value < 0, upper, x)
-        up, down = np.where(first, 1.0, high - origin - x), np.where(last, 1.0, x - (low - origin))
-        turn = np.where(last, 0.0, up) - np.where(first, 0.0, down)
-        new = x - value * up * down / (slope * up * down + value * turn)
-        new = np.where((new >= lower) & (new <= upper), new, 0.5 * (lower + upper))
-        done = np.abs(new - x) <= 1e-9 * np.abs(new)  # convergence is quadratic
-        x = new
-        if done.all():
-            break
-    y = origin + x
-    sines = (coupling / mass * pole)[:, None] / (gap + x[:, None]).T
+    y, distance = secular_roots(pole, weight, low, high, y, slope=ramp_stiffness, constant=ramp_mass)
+    sines = (coupling / mass * pole)[:, None] / distance.T
     ramp = 1 / np.sqrt(y * (ramp_stiffness + stiffness @ sines**2))
     return 1 / y, np.concatenate([np.ones((1, n_sines + 1)), sines]) * ramp

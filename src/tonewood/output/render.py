@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from tonewood.blas import one_blas_thread
 from tonewood.energy.trace import EnergyTrace
+from tonewood.engine.effects.base import EffectReport
 from tonewood.engine.engine import GRID, Engine, Snapshot
-from tonewood.engine.ledger import EffectReport
 from tonewood.engine.playing import Performance, perform
 from tonewood.errors import DroppedNotesWarning, TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
@@ -135,6 +135,7 @@ class Renderer:
         self.model = assemble(options.applied_to(instrument), engine_fs, freq_limit=limit, outputs=options.outputs)
         self.performance: Performance = perform(score, self.model, channel_per_string=options.channel_per_string)
         self.engine = Engine(self.model, self.performance.timeline, energy=options.energy)
+        self.engine.tail_level = options.tail_level_db
         groups = self.model.outputs
         columns = [i for group in groups for i in group.readouts]
         whole = columns == list(range(len(self.model.system.readouts)))
@@ -146,10 +147,7 @@ class Renderer:
         earliest = self.performance.timeline.start
         auto = options.lead_in == "auto"
         self.zero_frame = math.ceil(-earliest * self.fs) if auto else round(float(options.lead_in) * self.fs)
-        if options.tail_level_db < self.model.choice.budget_db:
-            end = self.expected_duration - self.zero_frame / self.fs  # in score time
-            self.engine.sleeper.tail = max(end - self.performance.timeline.stop, 0.0)
-        # first frame out of the decimator, which looks ahead; silence before it where the lead-in is longer
+        # the first frame out of the decimator, which looks ahead; silence before it where the lead-in is longer
         first = self.engine.state.sample // finer - self._decimator.lead
         self._pending = np.zeros((max(0, first + self.zero_frame), len(columns)))
         #: value of the first frame where earlier sound was discarded; None until that frame is computed
@@ -176,7 +174,7 @@ class Renderer:
     @property
     def energy(self) -> EnergyTrace | None:
         """Account of energy so far, an entry per 64 samples of the engine's rate; None if it was not asked for."""
-        return None if self.engine.books is None else self.engine.books.trace()
+        return None if self.engine.energy_budget is None else self.engine.energy_budget.trace()
 
     @property
     def expected_duration(self) -> float:
@@ -223,7 +221,7 @@ class Renderer:
             peak_dbfs=decibels(self._loudest),
             end=self._end or "not ended",
             warnings=[*self.model.warnings, *self.performance.warnings],
-            effects=self.engine.ledger.reports(),
+            effects=[report for effect in self.engine.effects for report in effect.report(self.engine.usage)],
             ignored=self.performance.ignored,
             zero_frame=self.zero_frame,
             tensions=[t for s in self.model.strings.values() if (t := s.given_tension).noticeable],

@@ -100,9 +100,9 @@ def test_no_account_is_kept_unasked() -> None:
 
 
 def test_a_work_that_is_not_entered_leaves_the_balance_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tonewood.engine.books import Books
+    from tonewood.engine.energy_budget import EnergyBudget
 
-    monkeypatch.setattr(Books, "_known", lambda self, active: [])
+    monkeypatch.setattr(EnergyBudget, "_known", lambda self, active: [])
     trace = rendered("monochord", energy=True).energy
     assert trace is not None
     assert trace.worst_residual > 1e-4

@@ -1,22 +1,22 @@
-"""Sidebands that a rising tension gives to a string's partials: a bound on what is missing without them.
+"""Bound on the sidebands that a rising tension gives to a string's partials, which are missing without it.
 
-Partial m, of stretch S_m in the mean, makes the tension dT_m (1 + cos 2 w_m t) with dT_m = EA S_m / (2 L). The mean is
-a matter of pitch (`instrument.effects.rise_of_tension`). The rest gives partial n, of amplitude A_n and force F_n on
-the bridge, sidebands at w = |w_n - 2 w_m| and w_n + 2 w_m. They are those of an oscillator whose stiffness beats; at
-the bridge the tension's own beat is taken from them:
+Partial m, of mean stretch S_m, makes the tension dT_m (1 + cos 2 w_m t) with dT_m = EA S_m / (2 L). The mean raises
+the pitch (`instrument.effects.rise_of_tension`). The rest gives partial n, of amplitude A_n and force F_n on the
+bridge, sidebands at w = |w_n - 2 w_m| and w_n + 2 w_m. They are those of an oscillator whose stiffness beats; at the
+bridge the tension's own beat is subtracted:
 
     A / A_n = (dT_m / 2T) w_n^2 / |w_n^2 - w^2|,      F / F_n = (dT_m / 2T) w^2 / |w_n^2 - w^2|.
 
 Where n and m are one partial, in the same plane or in both, 2 w_m - w_n is w_n: this sideband is the partial itself,
-shifted in pitch and level, and not counted here. In tune with a partial k other than n, a force on the bridge moves
-that partial through the bridge, which shifts it by d_k = g_k^2 |Y| / (2 w_k^2) rad/s, Y the bridge's mobility; and
-tension does so by itself where the stretch is not quite the sum of those of the partials, but has terms c sqrt(S_n S_k)
-besides (c is 2e-4 to 2e-3 in guitars). With a force that decays as s_n + 2 s_m, and a partial as s_k, that adds
+shifted in pitch and level, and is not counted here. In tune with a partial k other than n, a sideband's force drives
+that partial through the bridge, which shifts it by d_k = g_k^2 |Y| / (2 w_k^2) rad/s, Y the bridge's mobility. The
+tension drives it, too, since the stretch has terms c sqrt(S_n S_k) besides those of the single partials (c is 2e-4 to
+2e-3 in guitars). With a force that decays as s_n + 2 s_m, and a partial as s_k, both add
 
     (|F / F_n| d_k + (dT_m / 2T) c w_k / 2) / max(s_k + s_n + 2 s_m, |w - w_k| - d_k)    re F_n.
 
-Amplitudes are
-added up as if all were in step, with the click of the risen tension's pull at the bridge if it stopped now.
+Amplitudes are added up as if all were in phase, with the click of the risen tension's pull at the bridge if it stopped
+now.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from numpy.typing import NDArray
 
 from tonewood.coupling.system import Compiled, System
 from tonewood.coupling.tension import stretch_weights
-from tonewood.engine.transfer import Transfer
+from tonewood.engine.effects.bridge_response import BridgeResponse
 from tonewood.modal.held_modes import HeldModes
 from tonewood.modal.modes import ModalBasis
 
 Floats = NDArray[np.float64]
 
-#: partials whose beats are told apart; those above are taken together
+#: lowest partials whose beats are counted one by one; those above are taken together
 _BEATING = 12
-#: partials that are told apart
-_TOLD = 32
+#: lowest partials that are counted one by one
+_SINGLE = 32
 #: relative; partials drift by so much at most: 2 cents
 _DRIFT = 0.0012
 _POWER = {"velocity": 1, "acceleration": 2}
@@ -48,7 +48,7 @@ _POWER = {"velocity": 1, "acceleration": 2}
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """Partials of one component, the lowest ones told apart.
+    """Partials of one component, the lowest ones counted one by one.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Plane:
     stopped: Floats
 
     @classmethod
-    def of(cls, component: str, basis: ModalBasis, held: HeldModes, system: System, transfer: Transfer) -> Plane:
+    def of(cls, component: str, basis: ModalBasis, held: HeldModes, system: System, response: BridgeResponse) -> Plane:
         """Of a component and its modes with the bridge held."""
         w, g, s = held.freq_rad, held.force, held.damping_rate
         n, m = w[:, None, None], w[None, :_BEATING, None]
@@ -80,9 +80,9 @@ class Plane:
         own = np.arange(min(len(w), _BEATING))
         answer[own, own, 0] = pull[own, own, 0] = 0.0
         decay = s[:, None, None] + 2 * s[None, :_BEATING, None] + np.zeros(2)
-        force = (g / w)[:, None, None] * _resonant(component, basis, held, transfer, lines, decay, pull)
-        heard = transfer.heard_at(component, lines.ravel()).reshape(-1, *lines.shape) * force
-        top = transfer.heard[:, transfer.components.index(component)].max(axis=1)
+        force = (g / w)[:, None, None] * _resonant(component, basis, held, response, lines, decay, pull)
+        heard = response.heard_at(component, lines.ravel()).reshape(-1, *lines.shape) * force
+        top = response.heard[:, response.components.index(component)].max(axis=1)
         # beats far above a partial pull at the bridge alone; those close to it are as strong as its number
         rest = np.outer(top, (g / w) * (2.0 + w / w[0]))
         for r, readout in enumerate(system.readouts):
@@ -95,16 +95,16 @@ class Plane:
         each = np.zeros((*rest.shape, _BEATING + 1))
         each[..., : len(own)], each[..., -1] = heard.sum(axis=-1), rest
         bent = held.vectors * held.stiffness / w[:, None]
-        told = min(_TOLD, len(w))
+        single = min(_SINGLE, len(w))
         return cls(
             held.stiffness,
             held.shape,
-            np.ascontiguousarray(bent[:told]),
-            np.ascontiguousarray(held.vectors[:told]),
+            np.ascontiguousarray(bent[:single]),
+            np.ascontiguousarray(held.vectors[:single]),
             (g / w) @ bent,
-            np.ascontiguousarray(each[:, :told]),
-            np.sqrt(np.sum(each[:, told:] ** 2, axis=1)),
-            transfer.stopped_at(component, transfer.freq_rad[:1])[:, 0],
+            np.ascontiguousarray(each[:, :single]),
+            np.sqrt(np.sum(each[:, single:] ** 2, axis=1)),
+            response.stopped_at(component, response.freq_rad[:1])[:, 0],
         )
 
     def energies(self, q: Floats, v: Floats) -> tuple[float, float]:
@@ -117,17 +117,23 @@ class Plane:
 
 
 def _resonant(
-    component: str, basis: ModalBasis, held: HeldModes, transfer: Transfer, lines: Floats, decay: Floats, pull: Floats
+    component: str,
+    basis: ModalBasis,
+    held: HeldModes,
+    response: BridgeResponse,
+    lines: Floats,
+    decay: Floats,
+    pull: Floats,
 ) -> Floats:
-    """Sizes of sidebands on the bridge with what the string's partials make of them.
+    """Magnitudes of sidebands on the bridge, with the string's partials that they drive.
 
     Parameters
     ----------
-    lines, decay, pull : (n, m, 2) rad/s, 1/s, and sizes by themselves.
+    lines, decay, pull : (n, m, 2) rad/s, 1/s, and magnitudes without these partials.
     """
-    i, end = transfer.components.index(component), basis.index("bridge")
+    i, end = response.components.index(component), basis.index("bridge")
     w = held.freq_rad
-    mobility = np.interp(w, transfer.freq_rad, transfer.mobility[i, i]) + w * abs(basis.residual[end, end])
+    mobility = np.interp(w, response.freq_rad, response.mobility[i]) + w * abs(basis.residual[end, end])
     shift = held.force**2 * mobility / (2 * w**2)
     low = held.vectors[:_BEATING]
     form = (low * cast(Floats, stretch_weights(basis))) @ low.T
@@ -140,7 +146,7 @@ def _resonant(
 
 @dataclass(frozen=True, eq=False)
 class Sidebands:
-    """Those of one string as it is held now.
+    """Sidebands of one string as it is held now.
 
     Attributes
     ----------
@@ -152,13 +158,13 @@ class Sidebands:
     rise: float
 
     @classmethod
-    def of(cls, compiled: Mapping[str, Compiled], rise: float, system: System, transfer: Transfer) -> Sidebands:
+    def of(cls, compiled: Mapping[str, Compiled], rise: float, system: System, response: BridgeResponse) -> Sidebands:
         """Of a string's transverse components."""
         planes = {}
         for name, part in compiled.items():
             if part.basis.n_modes > 1:
                 held = HeldModes.of(part.basis, "bridge")
-                planes[name] = Plane.of(name, part.basis, held, system, transfer)
+                planes[name] = Plane.of(name, part.basis, held, system, response)
         return cls(planes, rise)
 
     def level(
@@ -183,8 +189,8 @@ class Sidebands:
             higher = max(energy - float(squares.sum()), 0.0)
             bending += potential
             all_ += float(squares.sum()) + higher
-            told = squares[:_BEATING]
-            beats[: len(told)] += told
+            lowest = squares[:_BEATING]
+            beats[: len(lowest)] += lowest
             sizes.append((plane, size, math.sqrt(2 * higher), abs(float(plane.pull @ q))))
         shares = self.rise * np.append(beats, max(all_ - float(beats.sum()), 0.0))
         heard = np.zeros(len(peak))

@@ -1,4 +1,4 @@
-"""How much of a string's motion along itself is heard: a bound from the partials that drive it.
+"""Bound on the phantom partials of a string, which are missing while its longitudinal motion is not coupled.
 
 Partials i and j of a string, of slopes C_i cos(i pi x / L) cos(w_i t + ...), put C_i C_j H_n,ij / 4 into s_n, the n-th
 cosine of the squared slope, at the frequencies w_i + w_j and |w_i - w_j| (H_n: `coupling.geometric`). At such a
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from tonewood.coupling.geometric import GeometricStretch, cosine_products
 from tonewood.coupling.system import Compiled
-from tonewood.engine.transfer import Transfer
+from tonewood.engine.effects.bridge_response import BridgeResponse
 from tonewood.modal.held_modes import HeldModes
 
 Floats = NDArray[np.float64]
@@ -35,8 +35,8 @@ _CENTS = 600.0 / np.log(2.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
-    """Partials of a component, as slopes.
+class PartialSlopes:
+    """Slopes of a component's partials.
 
     Attributes
     ----------
@@ -48,20 +48,20 @@ class Held:
     moving: Floats
 
     @classmethod
-    def of(cls, compiled: Compiled, held: HeldModes) -> Held:
+    def of(cls, compiled: Compiled, held: HeldModes) -> PartialSlopes:
         """Of a transverse component and its modes with the bridge held."""
         part, n = compiled.geometric, held.n_modes
         if part is None:
-            raise ValueError("a component that no motion along the string goes with")
+            raise ValueError("the component is no part of a string with longitudinal motion")
         shapes = part.slopes @ held.vectors[:, : part.n].T
         # a held mode is one sine but for what bending and the bridge's ramp make of it
         slope = np.sqrt(np.sum(shapes**2, axis=0))[:n]
         rows = held.vectors * held.stiffness / held.freq_rad[:, None] ** 2
         return cls(slope[:, None] * rows, (slope / held.freq_rad)[:, None] * rows)
 
-    def first(self, n: int) -> Held:
+    def first(self, n: int) -> PartialSlopes:
         """The lowest n partials."""
-        return Held(self.displaced[:n], self.moving[:n])
+        return PartialSlopes(self.displaced[:n], self.moving[:n])
 
     def amplitudes(self, q: Floats, velocity: Floats) -> Floats:
         """(n,) slopes of partials in a motion."""
@@ -70,22 +70,22 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Phantoms:
-    """Those of one string as it is held now.
+    """Phantom partials of one string as it is held now.
 
     Attributes
     ----------
-    parts : transverse component -> its partials, n that take part.
+    parts : transverse component -> slopes of its n lowest partials.
     heard : (R, n, n) M of each readout.
     detuning : (n, n) N, cents.
     """
 
-    parts: Mapping[str, Held]
+    parts: Mapping[str, PartialSlopes]
     heard: Floats
     detuning: Floats
 
     @classmethod
     def of(
-        cls, law: GeometricStretch, compiled: Mapping[str, Compiled], tension: float, transfer: Transfer
+        cls, law: GeometricStretch, compiled: Mapping[str, Compiled], tension: float, response: BridgeResponse
     ) -> Phantoms:
         """Of a string under a tension (N).
 
@@ -101,13 +101,13 @@ class Phantoms:
         lines = np.stack([np.abs(np.subtract.outer(freq, freq)), np.add.outer(freq, freq)])
         audible = np.stack([~np.eye(n, dtype=bool), np.ones((n, n), dtype=bool)])
         end = law.longitudinal or ""
-        per_newton = transfer.heard_at(end, lines.ravel()).reshape(len(transfer.heard), *lines.shape)
-        own_per_newton = transfer.heard_at(end, own.freq_rad)
+        per_newton = response.heard_at(end, lines.ravel()).reshape(len(response.heard), *lines.shape)
+        own_per_newton = response.heard_at(end, own.freq_rad)
         heard, moved = np.zeros((len(per_newton), n, n)), np.zeros((n, n))
         for order in range(own.n_modes + 1):
             # the partial of place i is the cosine i + 1
             driven = 0.25 * law.axial_stiffness * np.abs(cosine_products(order, n + 1)[1:, 1:])
-            answer, after = np.ones(lines.shape), transfer.stopped_at(end, transfer.freq_rad[:1])[:, 0]
+            answer, after = np.ones(lines.shape), response.stopped_at(end, response.freq_rad[:1])[:, 0]
             if order:
                 W, s = own.freq_rad[order - 1], own.damping_rate[order - 1]
                 away = np.maximum(np.abs(W**2 - lines**2) - 2 * _DRIFT * lines**2, 0.0)
@@ -118,7 +118,7 @@ class Phantoms:
             bent = 2.0 + (answer.sum(axis=0) if order else 0.0)
             heard += driven * (np.sum(per_newton * answer * audible, axis=1) + after[:, None, None] * bent)
         return cls(
-            {name: Held.of(compiled[name], h).first(n) for name, h in held.items()},
+            {name: PartialSlopes.of(compiled[name], h).first(n) for name, h in held.items()},
             heard,
             _CENTS / tension * moved,
         )
@@ -129,7 +129,7 @@ class Phantoms:
         return np.asarray(np.sqrt(np.sum(squares, axis=0)))
 
     def cents(self, slopes: Floats) -> float:
-        """By how much a partial may be off without them, beside what the mean tension makes of it."""
+        """Detuning of a partial without them at most, cents, besides that of the mean tension."""
         return float(slopes @ self.detuning @ slopes)
 
     def level(self, slopes: Floats, peak: Floats) -> float:

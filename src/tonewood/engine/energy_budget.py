@@ -1,4 +1,4 @@
-"""The account of energy of an engine: what is stored where, what gestures put in, what is lost, what changes cost."""
+"""Energy budget of an engine: what is stored where, the work of gestures, losses, and the cost of changes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tonewood.instrument.assembly import Model
 Floats = NDArray[np.float64]
 
 
-class Books:
+class EnergyBudget:
     """Keeps an `EnergyAccount` while an engine steps; it reads the engine's state and never writes it.
 
     Parameters
     ----------
     system, state : where it begins.
     model : of the engine.
-    interval : steps to one entry.
+    interval : steps per entry.
     """
 
     def __init__(self, system: System, state: State, model: Model, interval: int = 64):
@@ -34,7 +34,7 @@ class Books:
         self.account = EnergyAccount(system, state.copy(), interval, driven_points=driven)
 
     def changed(self, label: str, system: System, state: State) -> None:
-        """Go on with another system or state; what the change put in is entered under `label`."""
+        """Go on with a changed system or state, and enter the energy that the change added under `label`."""
         self.account.exchange(system)
         self.account.settle(label, state)
 

@@ -1,4 +1,4 @@
-"""What a force at a string's end does at the outputs, and at the ends of the other strings: bounds for what sleeps."""
+"""Responses of the outputs and of the strings' ends to the forces that strings exert on their bridges."""
 
 from __future__ import annotations
 
@@ -14,27 +14,24 @@ Complexes = NDArray[np.complex128]
 #: frequencies per octave besides the body's own resonances
 _PER_OCTAVE = 24
 _LOWEST = 2 * np.pi * 20.0
-#: complex numbers held at a time for responses
+#: complex numbers kept at a time for responses
 _AT_ONCE = 500_000
 _POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
-def frequency_bins(dt: float) -> Floats:
-    """(F + 1,) rad/s, edges of narrow bands of frequency up to half the rate."""
-    top = np.pi / dt
-    return np.geomspace(_LOWEST, top, int(_PER_OCTAVE * np.log2(top / _LOWEST)))
+class BridgeResponse:
+    """Magnitudes of frequency responses to the forces of strings on their bridges; strings themselves are left out.
 
-
-class Transfer:
-    """Sizes of frequency responses from the forces that strings exert on their bridges, strings themselves left out.
+    Parameters
+    ----------
+    model : assembled instrument.
 
     Attributes
     ----------
-    components : of strings, C of them.
+    components : components of strings, C of them.
     freq_rad : (f,) rad/s, the body's resonances among them.
     heard : (n_readouts, C, f) of each readout per N.
-    mobility : (C, C, f) m/s of each end (first index) along its polarization per N at another.
-    bins : (F + 1,) rad/s, edges of narrow bands of frequency.
+    mobility : (C, f) m/s of each end along its polarization per N there.
     stopped : (n_readouts, C, f) bound on the click when a force of each frequency stops at once, of each readout per N.
     """
 
@@ -42,7 +39,7 @@ class Transfer:
         system = model.system
         self.components = tuple(c for string in model.strings.values() for c in string.components)
         top = np.pi / system.dt
-        self.bins = grid = frequency_bins(system.dt)
+        grid = np.geomspace(_LOWEST, top, int(_PER_OCTAVE * np.log2(top / _LOWEST)))
         body = system.compiled[system.slot("body")]
         own = np.abs(body.basis.poles.imag)
         self.freq_rad = np.unique(np.concatenate([grid, own[(own > _LOWEST) & (own < top)]]))
@@ -55,7 +52,7 @@ class Transfer:
         rows, direct = _readout_rows(system, "body", body)
         respond = response(body, self.freq_rad, np.vstack([entry, rows]), entry)
         n = len(ends)
-        self.mobility = np.abs(respond[:n] * self.freq_rad)
+        self.mobility = np.abs(np.einsum("iif->if", respond[:n]) * self.freq_rad)
         heard = respond[n:] * (1j * self.freq_rad) ** direct[:, None, None]
         names = [end.name for end in ends]
         for r, readout in enumerate(system.readouts):
@@ -85,22 +82,6 @@ class Transfer:
     def _at(self, sizes: Floats, component: str, freq_rad: Floats) -> Floats:
         rows = sizes[:, self.components.index(component)]
         return np.array([np.interp(freq_rad, self.freq_rad, row) for row in rows]).reshape(len(rows), len(freq_rad))
-
-    def binned(self, sizes: Floats) -> Floats:
-        """(..., F) largest of (..., f) sizes in every bin and in those beside it: strings move a body's resonances."""
-        most = np.maximum.reduceat(sizes, np.searchsorted(self.freq_rad, self.bins[:-1]), axis=-1)
-        padded = np.concatenate([most[..., :1], most, sizes[..., -1:]], axis=-1)
-        return np.asarray(np.maximum(np.maximum(padded[..., :-2], padded[..., 2:]), most))
-
-    def bin_of(self, freq_rad: Floats) -> NDArray[np.intp]:
-        """Bins of frequencies; the first and the last hold all that lies beyond."""
-        return np.clip(np.searchsorted(self.bins, freq_rad, side="right") - 1, 0, len(self.bins) - 2)
-
-    def between(self, sizes: Floats, low: float, high: float) -> Floats:
-        """Largest of (..., f) sizes between two frequencies, rad/s."""
-        inside = (self.freq_rad >= low) & (self.freq_rad < high)
-        inside[np.searchsorted(self.freq_rad, [low, min(high, self.freq_rad[-1])]).clip(max=inside.size - 1)] = True
-        return np.asarray(sizes[..., inside].max(axis=-1))
 
 
 def _stopped(size: Floats, freq_rad: Floats) -> Floats:

@@ -1,0 +1,52 @@
+"""Effects of a model while it is stepped: which there are, when they run, what is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from tonewood.engine.effects.base import RuntimeEffect
+from tonewood.engine.effects.longitudinal import LongitudinalEffect
+from tonewood.engine.effects.tension import TensionEffect
+from tonewood.engine.effects.unswitched import ContactEffect, DamperEffect, PickupEffect, SecondPolarizationEffect
+from tonewood.instrument.assembly import Model
+from tonewood.instrument.contract import Plugin
+from tonewood.instrument.effects import DAMPERS, LONGITUDINAL, SECOND_POLARIZATION, TENSION_MODULATION, Effect
+
+#: makes the runtime effect of a declared one, see `RuntimeEffect`
+Maker = Callable[[Model, Effect, Mapping[str, Plugin[Any]]], RuntimeEffect]
+
+#: of effects that are declared below the engine and so cannot name their own; `Effect.runtime` does for all others
+_BUILT_IN: Mapping[str, Maker] = {
+    TENSION_MODULATION.name: TensionEffect,
+    LONGITUDINAL.name: LongitudinalEffect,
+    SECOND_POLARIZATION.name: SecondPolarizationEffect,
+    DAMPERS.name: DamperEffect,
+}
+#: kind of plugin -> what its effects are if nothing else is said; those of strings and bodies always run
+_BY_KIND: Mapping[str, Maker] = {"connection": ContactEffect, "exciter": ContactEffect, "pickup": PickupEffect}
+
+
+def runtime_effects(model: Model) -> tuple[RuntimeEffect, ...]:
+    """Make the runtime effects of everything that a model's plugins declare, one per effect and kind of plugin."""
+    plugins: dict[tuple[str, str], dict[str, Plugin[Any]]] = {}
+    effects: dict[tuple[str, str], Effect] = {}
+    for component, plugin in _plugins(model):
+        for effect in plugin.effects:
+            key = effect.name, plugin.kind
+            effects.setdefault(key, effect)
+            plugins.setdefault(key, {})[component] = plugin
+    return tuple(_maker(effect, kind)(model, effect, plugins[name, kind]) for (name, kind), effect in effects.items())
+
+
+def _plugins(model: Model) -> Iterator[tuple[str, Plugin[Any]]]:
+    """(string, part, ``body`` or output group, its plugin)."""
+    yield from ((name, string.resonator) for name, string in model.strings.items())
+    yield from model.instrument.attachments.items()
+    yield from model.exciters.items()
+    yield "body", model.instrument.body
+    yield from model.instrument.pickups.items()
+
+
+def _maker(effect: Effect, kind: str) -> Maker:
+    return effect.runtime or _BUILT_IN.get(effect.name) or _BY_KIND.get(kind, RuntimeEffect)

@@ -1,0 +1,378 @@
+"""Rising tension, switched on and off string by string with the string's amplitude.
+
+A string is stepped with its tension at rest, bends included, while two bounds are within their budgets: the rise of
+its pitch, which follows from its energy (`instrument.effects.rise_of_tension`), and the sidebands that the beating
+tension would give to its partials (`effects.sidebands`). It is not switched off if its next gesture is so near that the
+switches would cost more than they save. The next pluck is foreseen: the static energy of its pull
+adds to that of the string as amplitudes add, sqrt E <= sqrt E0 + sqrt(F^2 C / 2), and so do partials. The phantom
+partials (`effects.phantoms`) of a string whose longitudinal motion is coupled count with its sidebands.
+
+Leaving a rise out takes its potential EA/(8 L) S^2 away. Coming back, the potential would appear without work: the
+string pays it from its kinetic energy (a ten-thousandth of it), and the switch waits while there is too little. The
+potential of a coupling to the longitudinal motion may be negative; then leaving it out is paid for.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.coupling.geometric import GeometricStretch, GeometricString
+from tonewood.coupling.system import Compiled, State, System
+from tonewood.coupling.tension import TensionModulation, stretch_weights
+from tonewood.engine.effect_usage import Bound, EffectUsage
+from tonewood.engine.effects.base import Moment, SwitchedEffect, Switching, Watched, motion, next_multiple
+from tonewood.engine.effects.bridge_response import BridgeResponse
+from tonewood.engine.effects.phantoms import Phantoms
+from tonewood.engine.effects.sidebands import Sidebands
+from tonewood.engine.fretting import Fretting
+from tonewood.engine.gestures import places
+from tonewood.engine.timeline import GRID, Play
+from tonewood.instrument.assembly import Model
+from tonewood.instrument.contract import Plugin
+from tonewood.instrument.effects import Effect, Norms
+from tonewood.stepping.forcing import Segment
+from tonewood.stepping.motion import to_motion
+
+Floats = NDArray[np.float64]
+
+#: points of the control grid between two looks at energies while some tensions rise and others do not, and between
+#: two looks at all bounds, after which tensions may be left out
+LOOK, SELDOM = 16, 64
+#: s, shortest time for which a rise is left out: two switches and the bounds before them cost some 5 ms, a rise saves
+#: some 20 ms/s (a steel guitar's string at 48 kHz)
+SHORTEST = 0.3
+#: share of the budget below which a rise is left out; above the whole of it, it comes back
+_LEAVE = 0.9
+#: share of the additive budget that sidebands may take; the rest is left to other effects that are left out
+_SHARE = 0.5
+#: a string that is drawn aside stretches by 2 E / T, twice as much as one that swings, and 1.5 of that are in the bound
+_DRAWN = 4 / 3
+#: strings as they are held whose sidebands and phantom partials are kept
+_KEPT = 128
+#: re full scale, the loudest sample before there is any
+_SILENT = 1e-150
+#: 1/N, of a string without modes
+_TINY = 1e-300
+
+
+@dataclass(frozen=True, slots=True)
+class Forms:
+    """Energy of a component's modes (x, y) as a quadratic form, sum xx x^2 + xy x y + yy y^2 (J)."""
+
+    xx: Floats
+    xy: Floats
+    yy: Floats
+
+    @classmethod
+    def of(cls, compiled: Compiled) -> Forms:
+        """Of real modes."""
+        basis = compiled.basis
+        one, none = np.ones(basis.n_modes), np.zeros(basis.n_modes)
+        (qx, vx), (qy, vy) = (to_motion(basis, np.stack(unit)) for unit in ((one, none), (none, one)))
+        k = basis.stiffness
+        return cls(0.5 * (vx**2 + k * qx**2), vx * vy + k * qx * qy, 0.5 * (vy**2 + k * qy**2))
+
+
+class TensionEffect(SwitchedEffect):
+    """Decides which strings' tensions rise.
+
+    Its components are strings with axial stiffness. A string whose longitudinal motion is coupled is one of them: the
+    coupling is switched with its tension.
+    """
+
+    def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
+        super().__init__(model, effect, plugins)
+        system = model.system
+        self.budget = model.choice.budget_cents
+        #: what may be missing at the outputs, ratio to the loudest sample
+        self.budget_level = 10 ** (model.choice.budget_db / 20) * (1.0 if system.stretches else _SHARE)
+        self._laws = {t.name: t for t in system.rising}
+        stiff = (name for name in plugins if model.strings[name].resonator.axial_stiffness > 0)
+        self._strings = tuple(self._laws) if self.chosen else tuple(stiff)
+        #: strings whose longitudinal motion is coupled
+        self.along = {g.name: g for g in system.stretches if g.longitudinal is not None}
+        # what moves at a string, a hammer on its way, may give its energy to the string at the next moment
+        parts = [(i, c) for i, t in enumerate(system.rising) for c in (*t.components, *_partners(system, t))]
+        self._slots = [system.slot(c) for _, c in parts]
+        self._owner = np.array([i for i, _ in parts], dtype=np.intp)
+        self._planes = {t.name: [system.slot(c) for c in t.components] for t in system.rising}
+        # computed once: tension and length, responses, bounds of strings as they are held
+        self._held: dict[str, tuple[tuple[Compiled, ...], float, float]] = {}
+        self._response: BridgeResponse | None = None
+        self._phantoms: dict[tuple[str, Fretting], Phantoms] = {}
+        self._sidebands: dict[tuple[str, Fretting], Sidebands] = {}
+        # the forms of all components in one array, in the order of `_slots`, each with its room in the state
+        self._places = np.concatenate(
+            [np.zeros(0, dtype=np.intp)]
+            + [np.arange(system.capacities[s]) + system.offsets[s] for s in self._slots]
+        )  # fmt: skip
+        sizes = [system.capacities[s] for s in self._slots]
+        self._starts = np.cumsum([0, *sizes[:-1]]).astype(np.intp)
+        self._forms = np.zeros((3, len(self._places)))
+        self._formed: list[Compiled | None] = [None] * len(self._slots)
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Strings with axial stiffness."""
+        return self._strings
+
+    def next_watch(self, sample: int, switching: Switching) -> int:
+        """Return the next look.
+
+        Energies tell when a string's tension has to rise. Where all rise already, or none does, they are looked at
+        with everything else.
+        """
+        if switching.pending:
+            return next_multiple(sample, 1)
+        return next_multiple(sample, LOOK if self._some(switching) else SELDOM)
+
+    def _some(self, switching: Switching) -> bool:
+        """Whether some tensions rise and others do not."""
+        return 0 < len(switching.on) < len(self.components)
+
+    def watch(self, moment: Moment, switching: Switching) -> Watched | None:
+        """Compare bounds with the budgets: of all strings, of those held otherwise, of those about to be played."""
+        on, whole = switching.on, moment.sample % (GRID * SELDOM) == 0
+        look = whole or (self._some(switching) and moment.sample % (GRID * LOOK) == 0)
+        moved = [name for name in moment.moved if name in self.components]
+        fresh = [play for play in moment.fresh if play.string in self.components]
+        if not (look or moved or fresh or switching.pending):
+            return None
+        wanted = on | switching.pending
+        staying = {name for name in wanted if not whole or name in moment.busy or moment.until(name) < SHORTEST}
+        if len(staying) == len(self.components) and not (fresh or switching.pending):
+            return None  # all rise, and none is to be switched off
+        energies = dict(zip(self.components, self.energies(moment.system, moment.state).tolist(), strict=True))
+        seen: list[tuple[str, Bound, bool]] = []
+        if look or moved:
+            others = {name: energy for name, energy in energies.items() if name not in staying}
+            bounds = self.bounds(moment, others, [name for name in others if whole or name in moved])
+            wanted = self.wanted(bounds, wanted) | staying
+            seen += [(name, bound, name not in wanted) for name, bound in bounds.items()]
+        for play in fresh:
+            name = play.string or ""
+            bound = self.foreseen(play, moment, energies[name])
+            if bound.cents > self.budget or bound.level > self.budget_level:
+                wanted |= {name}
+            seen.append((name, bound, name not in wanted))
+        return Watched(wanted, seen)
+
+    def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
+        """Switch the tensions of these strings on, and all others off."""
+        same = all((t.name in on) == is_on for t, is_on in zip(system.rising, system.is_on, strict=True))
+        return system if same else system.with_tensions([t.name for t in system.rising if t.name in on])
+
+    def cost(self, moment: Moment, component: str, on: bool) -> float:
+        """Potential of a string's rising tension, J, with the sign of the switch; see the module."""
+        return (1.0 if on else -1.0) * potential(moment.system, moment.state, component)
+
+    def payers(self, component: str) -> Sequence[str]:
+        """Transverse components of the string."""
+        return self._laws[component].components
+
+    def reset(self, system: System, state: State, changed: Collection[str]) -> None:
+        """Forget the additional tensions of the last steps."""
+        if system.tensions:
+            state.tension[[t.name in changed for t in system.tensions]] = 0.0
+
+    def load(self, component: str) -> float:
+        """Modes of the open string."""
+        system = self.model.system
+        return sum(system.compiled[system.slot(c)].basis.n_modes for c in self.model.strings[component].components)
+
+    def why(self, usage: EffectUsage, component: str) -> str:
+        """By how much the tension rises, against the budget."""
+        if self.model.choice.mode != "auto":
+            return super().why(usage, component)
+        bound = usage.largest.get((self.name, component), Bound())
+        rises = f"its tension rises by up to {bound.cents:.2g} cents" if bound.cents < 1e9 else "a gesture moves it"
+        return f"{rises}; the budget is {self.model.choice.budget_cents:g}"
+
+    def energies(self, system: System, state: State) -> Floats:
+        """(n_strings,) J, energy of each string's modes, and of what moves at it."""
+        for i, slot in enumerate(self._slots):
+            compiled = system.compiled[slot]
+            if self._formed[i] is not compiled:
+                start, n = self._starts[i], compiled.basis.n_modes
+                forms = Forms.of(compiled)
+                self._forms[:, start : start + system.capacities[slot]] = 0.0
+                self._forms[:, start : start + n] = forms.xx, forms.xy, forms.yy
+                self._formed[i] = compiled
+        x, y = state.modes[:, self._places]
+        xx, xy, yy = self._forms
+        each = np.add.reduceat((xx * x + xy * y) * x + yy * y * y, self._starts)
+        return np.asarray(np.bincount(self._owner, each, len(self.components)), dtype=np.float64)
+
+    def bounds(self, moment: Moment, energies: Mapping[str, float], names: Collection[str]) -> dict[str, Bound]:
+        """Bound on what leaving out strings' rise would cost: cents, and levels of `names`.
+
+        The strings with the least level share the budget: a string's level is the sum of its own and of all lower
+        ones. A string beyond the budget of cents is not looked at further, its level is infinite.
+
+        Parameters
+        ----------
+        energies : string -> J.
+        """
+        system, state, peak = moment.system, moment.state, np.maximum(moment.peak, _SILENT)
+        cents = {name: self.rise(name, system, energy) for name, energy in energies.items()}
+        alone: dict[str, float] = {}
+        for name in names:
+            if cents[name] > self.budget or energies[name] == 0.0:  # beyond the budget, or at rest
+                alone[name] = math.inf if energies[name] else 0.0
+                continue
+            moving = {c: motion(system, state, c) for c in self._laws[name].components}
+            alone[name] = self.sidebands(name, system, moment.frettings[name]).level(moving, peak)
+            if name in self.along:
+                phantoms = self.phantoms(name, system, moment.frettings[name])
+                slopes = phantoms.slopes(moving)
+                cents[name] += phantoms.cents(slopes)
+                alone[name] += phantoms.level(slopes, peak)
+        quietest = sorted(alone, key=lambda name: alone[name])
+        levels = dict(zip(quietest, itertools.accumulate(alone[name] for name in quietest), strict=True))
+        return {name: Bound(cents[name], levels.get(name, 0.0)) for name in cents}
+
+    def sidebands(self, name: str, system: System, fretting: Fretting) -> Sidebands:
+        """Sidebands of a string as it is held now."""
+        # the places where it is touched and plucked change none of them
+        key = name, replace(fretting, place=None, touches=())
+        if key not in self._sidebands:
+            if len(self._sidebands) >= _KEPT:
+                del self._sidebands[next(iter(self._sidebands))]
+            compiled = {c: system.compiled[system.slot(c)] for c in self._laws[name].components}
+            tension, length = self._tension_and_length(name, system)
+            rise = self._laws[name].axial_stiffness / (4 * length * tension**2)
+            self._sidebands[key] = Sidebands.of(compiled, rise, system, self._responses())
+        return self._sidebands[key]
+
+    def phantoms(self, name: str, system: System, fretting: Fretting) -> Phantoms:
+        """Phantom partials of a string as it is held now."""
+        key = name, fretting
+        if key not in self._phantoms:
+            if len(self._phantoms) >= _KEPT:
+                del self._phantoms[next(iter(self._phantoms))]
+            law = self.along[name]
+            compiled = {c: system.compiled[system.slot(c)] for c in law.parts}
+            tension, _ = self._tension_and_length(name, system)
+            self._phantoms[key] = Phantoms.of(law, compiled, tension, self._responses())
+        return self._phantoms[key]
+
+    def _responses(self) -> BridgeResponse:
+        """From strings' ends to outputs; found when first wanted."""
+        if self._response is None:
+            self._response = BridgeResponse(self.model)
+        return self._response
+
+    def rise(self, name: str, system: System, energy: float) -> float:
+        """Largest mean rise of a string's tension at an energy (J), in cents of its pitch, as it is stepped now."""
+        tension, length = self._tension_and_length(name, system)
+        stiffness = self._laws[name].axial_stiffness
+        return self.effect.bound(Norms(energy=energy, tension=tension, axial_stiffness=stiffness, length=length))
+
+    def _tension_and_length(self, name: str, system: System) -> tuple[float, float]:
+        """Tension (N), bends included, and speaking length (m) of a string as it is stepped.
+
+        The tension is the least that any mode's frequency gives: a tension dT raises the square w^2 of the frequency by
+        a dT, and a stiff string has w^2 = T a + EI b.
+        """
+        law = self._laws[name]
+        compiled = tuple(system.compiled[slot] for slot in self._planes[name])
+        known = self._held.get(name)
+        if known is None or any(a is not b for a, b in zip(known[0], compiled, strict=True)):
+            parts = [part.basis for part in compiled]
+            per_newton = [cast(Floats, stretch_weights(basis)) / basis.stiffness for basis in parts]
+            length = law.length if isinstance(law, TensionModulation) and law.length else parts[0].metadata["length"]
+            tension = 1.0 / float(np.max(np.concatenate(per_newton), initial=_TINY))
+            self._held[name] = known = compiled, tension, float(cast(float, length))
+        return known[1], known[2]
+
+    def wanted(self, bounds: Mapping[str, Bound], on: Collection[str]) -> frozenset[str]:
+        """Strings whose tension is to rise: those beyond a budget, or beyond 0.9 of it if they rise now.
+
+        Parameters
+        ----------
+        bounds : string -> bound without its rise.
+        on : those that rise now.
+        """
+
+        def beyond(bound: Bound, share: float) -> bool:
+            return bound.cents > share * self.budget or bound.level > share * self.budget_level
+
+        return frozenset(name for name, bound in bounds.items() if beyond(bound, _LEAVE if name in on else 1.0))
+
+    def foreseen(self, play: Play, moment: Moment, energy: float) -> Bound:
+        """Bound after a gesture on a string of `energy` (J); infinite if unknown."""
+        gesture, name, system = play.gesture, play.string or "", moment.system
+        if gesture.motions or gesture.on is not None or not gesture.segments or name in self.along:
+            return Bound(math.inf, math.inf)  # the phantom partials that a pluck will drive are not known beforehand
+        fretting = moment.frettings[name]
+        force = max(largest(s) for s in gesture.segments)
+        compliance = self.compliance(name, system, fretting)
+        foreseen = (math.sqrt(max(energy, 0.0)) + force * math.sqrt(0.5 * compliance)) ** 2
+        cents = _DRAWN * self.rise(name, system, foreseen)
+        if cents > self.budget:
+            return Bound(cents, math.inf)
+        components = self._laws[name].components
+        pulled = dict.fromkeys(components, np.zeros(0))
+        for component, point, factor in places(play, self.model):
+            basis = system.compiled[system.slot(component)].basis
+            pulled[component] = force * factor * basis.right[basis.index(point)].real / basis.stiffness
+        moving = {c: motion(system, moment.state, c) for c in components}
+        level = self.sidebands(name, system, fretting).level(moving, np.maximum(moment.peak, _SILENT), pulled)
+        return Bound(cents, level)
+
+    def compliance(self, name: str, system: System, fretting: Fretting) -> float:
+        """Static compliance of a string between fixed ends where it is plucked, x (L - x) / (T L) in m/N."""
+        tension, length = self._tension_and_length(name, system)
+        pluck = self.model.strings[name].pluck_from_bridge
+        x = min(pluck, 0.9 * length) if fretting.place is None else fretting.place
+        return x * (length - x) / (tension * length)
+
+
+def _partners(system: System, law: TensionModulation | GeometricStretch) -> list[str]:
+    """Components of what touches a string: hammers, fingers, rings."""
+    own = law.parts if isinstance(law, GeometricStretch) else law.components
+    there = [n for n in system.names if system.owners.get(n) == law.name and n not in own]
+    return [n for n in there if system.compiled[system.slot(n)].basis.is_real]
+
+
+def potential(system: System, state: State, name: str) -> float:
+    """Energy that a string's rising tension stores besides its modes when it is on, J.
+
+    Without longitudinal motion EA/(8 L) S^2; with it, the energy of the coupling, which may be negative.
+    """
+    law = next(t for t in system.rising if t.name == name)
+    parts = law.parts if isinstance(law, GeometricStretch) else law.components
+    stretch = kappa = 0.0
+    shares, coordinates = [], []
+    for component in parts:
+        compiled = system.compiled[system.slot(component)]
+        x = np.asarray(system.modes_of(state, component), dtype=np.float64)
+        if compiled.tension is not None:
+            stretch += compiled.tension.stretch(x.T)
+            kappa = compiled.tension.kappa
+        if compiled.geometric is not None:
+            shares.append(compiled.geometric)
+            coordinates.append(compiled.geometric.coordinates(x.T))
+    if shares:
+        return _coupled(tuple(shares)).energy(np.concatenate(coordinates))
+    return 0.5 * kappa * stretch**2
+
+
+#: forms of strings as they are held: large, and needed again
+_coupled = lru_cache(maxsize=32)(GeometricString)
+
+
+def largest(piece: Segment) -> float:
+    """Largest |F| of a piece of force, N."""
+    length = piece.stop - piece.start
+    turn = -piece.c1 / (2 * piece.c2) if piece.c2 else 0.0
+    times = np.array([0.0, length, turn if 0.0 < turn < length else 0.0])
+    return float(np.max(np.abs(piece.c0 + times * (piece.c1 + times * piece.c2))))

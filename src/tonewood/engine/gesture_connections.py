@@ -1,0 +1,60 @@
+"""Connections whose laws change while gestures last: fingers' dashpots, and connections that are idle otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from tonewood.coupling.connections import Law, SpringDashpot
+from tonewood.coupling.system import System
+from tonewood.engine.gestures import Active
+from tonewood.instrument.assembly import Model
+
+
+def holds_at(active: Sequence[Active], now: int) -> dict[str, float]:
+    """String -> damping (N s/m) of the finger that holds it at a sample."""
+    wanted: dict[str, float] = {}
+    for gesture in active:
+        reached = [size for sample, size in gesture.holds if sample <= now]
+        if reached and reached[-1] > 0 and gesture.play.string is not None:
+            wanted[gesture.play.string] = reached[-1]
+    return wanted
+
+
+class GestureConnections:
+    """The connections of a model that gestures change, and their laws with and without a gesture.
+
+    Parameters
+    ----------
+    model : whose `resting` connections, and dashpots with the role hold, are meant.
+    """
+
+    def __init__(self, model: Model):
+        connections = list(enumerate(model.system.connections))
+        # place, law without a gesture, and the connection with one
+        self._idle = [(j, c.law, model.resting[c.name]) for j, c in connections if c.name in model.resting]
+        # place, law without a finger, and the string
+        self._holds = [(j, c.law, c.owner) for j, c in connections if c.role == "hold"]
+
+    def with_holds(self, system: System, holds: Mapping[str, float]) -> System:
+        """Return the system with fingers' dashpots as in `holds`; itself if they are so already."""
+        laws = {string: SpringDashpot(damping=damping) for string, damping in holds.items()}
+        return with_laws(system, [(j, laws.get(string, none)) for j, none, string in self._holds])
+
+    def with_moved(self, system: System, active: Sequence[Active]) -> System:
+        """Return the system with those connections in effect that gestures move; itself if they are so already."""
+        if not self._idle:
+            return system
+        moved = {m.connection for a in active for m in a.play.gesture.motions}
+        return with_laws(system, [(j, c.law if c.name in moved else none) for j, none, c in self._idle])
+
+
+def with_laws(system: System, wanted: Sequence[tuple[int, Law]]) -> System:
+    """Return the system with these laws at these places; itself if they are there already."""
+    now = system.connections
+    laws = {
+        now[j].name: replace(now[j], law=law)
+        for j, law in wanted
+        if law is not now[j].law and law != now[j].law
+    }
+    return system.with_laws(laws) if laws else system

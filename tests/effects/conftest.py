@@ -1,0 +1,13 @@
+"""Fixtures of scenes in which tensions are switched."""
+
+from __future__ import annotations
+
+import pytest
+
+from tonewood.engine.effects import tension
+
+
+@pytest.fixture(autouse=True)
+def _whatever_it_saves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Switch wherever the budgets allow it, also where so short a time saves nothing."""
+    monkeypatch.setattr(tension, "SHORTEST", 0.0)
