@@ -156,9 +156,9 @@ NonlinearDescription nonlinear(const Reader& in) {
 }
 
 Shortcuts shortcuts(const Reader& in) {
-    return {in.get<bool>("direct_step"), in.get<bool>("block_culling"), in.get<bool>("group_bound"),
-            in.get<bool>("fine_bound"), in.get<bool>("tension_lanes"), in.get<bool>("tension_windows"),
-            in.get<bool>("combined_pass"),
+    return {in.get<bool>("fused_pass"), in.get<bool>("direct_step"), in.get<bool>("block_culling"),
+            in.get<bool>("group_bound"), in.get<bool>("fine_bound"), in.get<bool>("tension_lanes"),
+            in.get<bool>("tension_windows"), in.get<bool>("combined_pass"),
             in.get<bool>("fixed_compliances"), in.get<bool>("folded_laws"), in.get<bool>("kept_inverse")};
 }
 

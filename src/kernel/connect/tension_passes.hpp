@@ -11,7 +11,6 @@
 namespace tonewood {
 namespace {
 
-constexpr int kWindow = 4;  // blocks over which scaled modes and predictions are kept
 
 class TensionPasses {
     using V = Simd::V;

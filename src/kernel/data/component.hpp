@@ -9,6 +9,7 @@
 namespace tonewood {
 
 constexpr int kBlock = 16;    // samples between two modal passes
+constexpr int kWindow = 4;    // blocks after which every mode stands in its own two numbers again
 constexpr int kPadding = 16;  // modes per component are a multiple of this
 constexpr int kGranule = 32;  // modes that use the same recurrence
 constexpr int kLane = 8;      // rows and ports in `Layout` are padded to this
@@ -46,6 +47,23 @@ struct ContactPorts {
     std::vector<double> peak;    // (n): |row| <= peak sqrt(norm)
     std::vector<double> tension_reach;  // (n): |row| moves by <= tension_reach * T/2 sqrt(sum a (y+ + y)^2)
     Array<double> reach;         // (all ports, all ports), fixed ones first: |row| per sum of |force| over a block
+};
+
+// The port-recurrence form (modal/fused_pass.hpp) of modes that are read by one row each: chunks of kChunk neighbouring
+// modes of one row that use the same recurrence.
+constexpr int kChunk = 8;
+
+struct PortRecurrence {
+    struct Chunk {
+        int first, count, row;
+        bool slow;
+    };
+    static constexpr std::size_t basis_step = 8 * kChunk;
+    int n_ports = 0;
+    std::size_t step = 0;       // numbers per chunk in `numbers`
+    std::vector<Chunk> chunks;  // empty where a mode's state does not follow from what its row reads
+    Array<double> numbers;      // per chunk: trace or kappa, det, the two moving numbers, two responses per port
+    Array<double> basis;        // per chunk: (2, 2) from the modes' two numbers to the moving ones, (2, 2) back
 };
 
 // A string's polarization under rising tension, in mass-normalised coordinates y (coupling/tension.py).
@@ -90,6 +108,7 @@ struct Component {
     std::vector<std::vector<Share>> shares;  // by port
     std::vector<int> channels;               // by readout row
     std::vector<char> difference;            // by readout row: y+ - y instead of y
+    PortRecurrence recurrence;
     ContactPorts contact;
     TensionModulation tension;
 };

@@ -28,6 +28,7 @@ constexpr int kMostLinear = 16;    // laws, if all are linear, whose inverse is 
 
 // Which approximation-free shortcuts a run takes; docs/kernel.md derives each one.
 struct Shortcuts {
+    bool fused_pass = true;        // modes in port-recurrence form: one pass moves and reads them
     bool direct_step = true;       // port forces in one product, contact-free samples without the general step
     bool block_culling = true;     // contacts are stepped only where a bound cannot exclude them
     bool group_bound = true;       // one bound for all contacts of a group first

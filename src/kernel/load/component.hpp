@@ -61,6 +61,64 @@ inline void derive_recurrences(Component& c) {
     c.slopes = slopes_of(n, e, c.rows.data(), c.n_rows), c.w_slope = w_slopes_of(c, c.w.data(), c.n_ports);
 }
 
+// Derives the tables of modal/fused_pass.hpp; none if a mode has several rows, or does not follow from what its row reads.
+inline void derive_port_recurrence(Component& c) {
+    constexpr std::size_t chunk = kChunk;
+    const std::size_t n = c.n;
+    const double *const e = c.e.data(), *const rows = c.rows.data(), *const w = c.w.data();
+    if (c.n_ports < 1 || c.n_ports > 2 || c.n_rows == 0) return;
+    PortRecurrence out;
+    out.n_ports = c.n_ports, out.step = (4 + 2 * c.n_ports) * chunk;
+    std::vector<int> row(n, -1);
+    for (std::size_t k = 0; k < n; ++k) {
+        bool padding = true;
+        for (int i = 0; i < 4; ++i) padding = padding && e[i * n + k] == 0.0;
+        for (int r = 0; r < c.n_rows; ++r)
+            if (rows[2 * r * n + k] != 0.0 || rows[(2 * r + 1) * n + k] != 0.0) {
+                if (row[k] >= 0) return;
+                row[k] = r;
+            }
+        if (row[k] < 0 && !padding) return;
+    }
+    for (std::size_t k = 0; k < n;) {
+        if (row[k] < 0) {
+            ++k;
+            continue;
+        }
+        std::size_t end = k;
+        bool slow = false;
+        for (; end < std::min(k + chunk, n) && row[end] == row[k]; ++end) slow = slow || c.kappa[end] < 0.02;
+        const std::size_t first = k, at = out.chunks.size();
+        out.chunks.push_back({int(k), int(end - k), row[k], slow});
+        out.numbers.resize((at + 1) * out.step, 0.0);
+        out.basis.resize((at + 1) * PortRecurrence::basis_step, 0.0);
+        for (; k < end; ++k) {
+            double* const numbers = out.numbers.data() + at * out.step + k - first;
+            double* const basis = out.basis.data() + (at * PortRecurrence::basis_step + k - first);
+            const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
+            const double rx = rows[2 * row[k] * n + k], ry = rows[(2 * row[k] + 1) * n + k], one = slow;
+            const double tx = rx * (a - one) + ry * g, ty = rx * b + ry * (d - one);
+            numbers[0] = slow ? c.kappa[k] : c.trace[k], numbers[chunk] = c.det[k];
+            bool first_only = b == 0.0 && g == 0.0 && ry == 0.0;
+            for (int p = 0; p < c.n_ports; ++p) {
+                const double wx = w[2 * p * n + k], wy = w[(2 * p + 1) * n + k];
+                first_only = first_only && wy == 0.0;
+                numbers[(4 + 2 * p) * chunk] = rx * wx + ry * wy, numbers[(5 + 2 * p) * chunk] = tx * wx + ty * wy;
+            }
+            basis[0] = rx, basis[chunk] = ry, basis[2 * chunk] = tx, basis[3 * chunk] = ty;
+            if (first_only) {  // a real pole: its second number stays zero
+                basis[4 * chunk] = 1 / rx;
+                continue;
+            }
+            const double det = rx * ty - ry * tx;
+            if (std::abs(det) < 0.02 * (std::abs(rx * ty) + std::abs(ry * tx)) || det == 0.0) return;
+            basis[4 * chunk] = ty / det, basis[5 * chunk] = -ry / det;
+            basis[6 * chunk] = -tx / det, basis[7 * chunk] = rx / det;
+        }
+    }
+    c.recurrence = std::move(out);
+}
+
 // (kBlock, ports, rows) with the samples last
 inline Array<double> by_pair(const View& h) {
     const std::size_t pairs = h.shape[1] * h.shape[2];
@@ -163,6 +221,7 @@ inline Component load_component(const ComponentDescription& d, std::size_t slot,
     c.n = int(n), c.n_ports = int(n_ports), c.n_rows = int(n_rows), c.offset = d.offset, c.driven = d.driven;
     c.e = d.e.copy(), c.rows = d.rows.copy(), c.w = d.w.copy(), c.response = d.response.copy();
     derive_recurrences(c);
+    derive_port_recurrence(c);
     c.shares.resize(n_ports);
     for (std::size_t j = 0; j < n_connections; ++j)
         for (std::size_t p = 0; p < n_ports; ++p)

@@ -30,6 +30,13 @@ struct Block {
     double* y(int i) const { return job.modes[1] + model.components[i].offset; }
     bool modulated(int i) const { return model.components[i].tension.on; }
 
+    // Whether a known force acts on component i in the next n samples.
+    bool forced(int i, std::int64_t n) const {
+        for (const Injection& in : job.injections)
+            if (in.slot == i && start + n > in.first && start < in.first + in.length) return true;
+        return false;
+    }
+
     // Begins the block of `samples` from `first` and collects the known forces that act in it.
     void begin(std::int64_t first, int samples) {
         start = first, nb = samples;

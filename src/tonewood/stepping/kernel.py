@@ -70,6 +70,8 @@ class Shortcuts:
     says so.
     """
 
+    #: modes that one row reads are stepped in what it reads of them, moved and read in one pass
+    fused_pass: bool = True
     #: port forces of linear connections in one product; contact-free samples without the general step
     direct_step: bool = True
     #: contacts are stepped only where a bound cannot exclude them
