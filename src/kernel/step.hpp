@@ -5,12 +5,7 @@
 #pragma once
 
 #include <algorithm>
-#include <cmath>
 #include <memory>
-
-#if defined(__x86_64__)
-#include <immintrin.h>
-#endif
 
 #include "connect/coupled.hpp"
 #include "connect/linear_step.hpp"
@@ -19,21 +14,6 @@
 
 namespace tonewood {
 namespace {
-
-// Flushes denormals to zero while stepping: they cost time in decayed tails.
-struct FlushDenormals {
-#if defined(__x86_64__)
-    unsigned saved = _mm_getcsr();
-    FlushDenormals() { _mm_setcsr(saved | 0x8040); }
-    ~FlushDenormals() { _mm_setcsr(saved); }
-#endif
-};
-
-inline bool finite(const double* x, int n, int step = 1) {
-    double sum = 0.0;
-    for (int i = 0; i < n; ++i) sum += x[i * step];
-    return std::isfinite(sum);
-}
 
 // Adds a component's readouts to the output.
 inline void add_readouts(const Component& c, const double* rows, int stride, int row_stride, const Block& block) {
