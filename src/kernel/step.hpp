@@ -5,12 +5,7 @@
 #pragma once
 
 #include <algorithm>
-#include <cmath>
 #include <memory>
-
-#if defined(__x86_64__)
-#include <immintrin.h>
-#endif
 
 #include "connect/coupled.hpp"
 #include "connect/linear_step.hpp"
@@ -20,15 +15,6 @@
 
 namespace tonewood {
 namespace {
-
-// Flushes denormals to zero while stepping: they cost time in decayed tails.
-struct FlushDenormals {
-#if defined(__x86_64__)
-    unsigned saved = _mm_getcsr();
-    FlushDenormals() { _mm_setcsr(saved | 0x8040); }
-    ~FlushDenormals() { _mm_setcsr(saved); }
-#endif
-};
 
 inline std::unique_ptr<ConnectionStep> connection_step(Block& block, ContactStep& laws) {
     const Model& m = block.model;

@@ -38,7 +38,12 @@ def component(slot: int, *, driven: bool = False) -> dict[str, Any]:
 
 
 def linear(m: int = CONNECTIONS) -> dict[str, Any]:
-    return {"inverse": np.eye(m) * 1e-3, "gamma": np.ones(m), "constant": np.zeros(m), "weights": np.ones((CHANNELS, m))}
+    return {
+        "inverse": np.eye(m) * 1e-3,
+        "gamma": np.ones(m),
+        "constant": np.zeros(m),
+        "weights": np.ones((CHANNELS, m)),
+    }
 
 
 def described(k: int = 0) -> dict[str, Any]:
@@ -48,7 +53,8 @@ def described(k: int = 0) -> dict[str, Any]:
         "components": [component(0), component(1), component(2, driven=True)],
         "linear": linear(),
         "nonlinear": {
-            "dt": 1 / 48000, "theta": 0.6, "terms": np.array([[j, 0, 1, 0] for j in range(k)], dtype=np.int64).reshape(k, 4),
+            "dt": 1 / 48000, "theta": 0.6,
+            "terms": np.array([[j, 0, 1, 0] for j in range(k)], dtype=np.int64).reshape(k, 4),
             "factors": np.ones(k), "kinds": np.zeros(k, dtype=np.int64),
             "numbers": np.array([[1e6, 1.5, 0, 0, 0, 0, 0, 0]] * k).reshape(k, 8), "samples": [], "functions": [],
             "weights": np.zeros((CHANNELS, k)), "compliance": np.eye(k) * 1e-6, "from_linear": np.zeros((k, m)),
@@ -117,7 +123,13 @@ def through(description: dict[str, Any], arguments: list[Any] | None = None) -> 
     return arguments[1]
 
 
-MADE = {"plain": described, "contact": lambda: described(1), "ports": contact_ports, "tension": stretched, "along": along}
+MADE = {
+    "plain": described,
+    "contact": lambda: described(1),
+    "ports": contact_ports,
+    "tension": stretched,
+    "along": along,
+}
 
 
 @pytest.mark.parametrize("which", MADE)
@@ -135,7 +147,20 @@ def misfits(array: np.ndarray) -> list[Any]:
     thinner = [array[..., :-1].copy()] if array.ndim and array.shape[-1] else []
     flat = [array.ravel()] if array.ndim > 1 else [array[:, None], np.zeros((0, 0, 0, 0))]
     typed = [array.astype(np.float32), array.astype(complex)]
-    return [*longer, *more, *shorter, *thinner, *flat, *typed, array[None], np.float64(1.0), None, "array", [1.0], object()]
+    return [
+        *longer,
+        *more,
+        *shorter,
+        *thinner,
+        *flat,
+        *typed,
+        array[None],
+        np.float64(1.0),
+        None,
+        "array",
+        [1.0],
+        object(),
+    ]
 
 
 def arrays(value: Any, path: Path = ()) -> list[Path]:

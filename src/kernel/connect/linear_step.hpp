@@ -55,18 +55,17 @@ public:
 
     bool sample(int b, double* now, double* f_out) override {
         const double* line = block_.line(b);
-        direct_(line, now);
-        if (laws_.any()) {
-            if (laws_.cull.contact_free(b, now)) {
-                laws_.commit_contact_free();
-            } else {
-                if (!general_.forces(b, now)) return false;
-                if (laws_.commit(b)) {
-                    std::copy_n(block_.f.begin(), m_, f_out);
-                    return true;
-                }
-                direct_(line, now);
+        const bool may_skip = !laws_.any() || laws_.cull.contact_free_so_far();
+        if (may_skip) direct_(line, now);
+        if (may_skip && (!laws_.any() || laws_.cull.contact_free(b, now))) {
+            laws_.commit_contact_free();
+        } else {
+            if (!general_.forces(b, now)) return false;
+            if (laws_.commit(b)) {
+                std::copy_n(block_.f.begin(), m_, f_out);
+                return true;
             }
+            direct_(line, now);  // no law acts: the same port forces as without laws
         }
         own_forces(layout_, now, m_, f_out);
         return true;

@@ -2,7 +2,7 @@
 //
 // The modal forces F of a step are a fixed point: for given F everything else is the general step with other free motion,
 // and the motion found gives F anew. Where the tension rises little the map is nearly constant. Anderson's method
-// extrapolates from the differences between evaluations, made orthogonal as they come; strong plucks need it.
+// extrapolates from the differences between evaluations, answer orthogonal as they come; strong plucks need it.
 #pragma once
 
 #include <algorithm>
@@ -45,7 +45,7 @@ public:
             const std::size_t order = given.order + 1;
             for (Array<double>* a : {&string.old_sums, &string.sums, &string.old_strain, &string.strain, &string.pull})
                 a->assign((order + kLane) / kLane * kLane, 0.0);
-            for (Array<double>* a : {&string.F, &string.made, &string.wrong, &string.last_made, &string.last_wrong,
+            for (Array<double>* a : {&string.F, &string.answer, &string.residual, &string.last_answer, &string.last_residual,
                                      &string.preconditioner, &string.weight})
                 a->assign(at, 0.0);
             string.q.assign(std::size_t(kGeometricMemory) * at, 0.0), string.p = string.q;
@@ -89,9 +89,9 @@ private:
         double left = 0, motion = 0;
         std::vector<Part> parts;                              // the longitudinal one last
         Array<double> old_sums, sums, old_strain, strain, pull;  // s_n and l_n before and after, tension by n
-        Array<double> F, made, wrong, last_made, last_wrong;  // forces, those of the motion under them, the difference
+        Array<double> F, answer, residual, last_answer, last_residual;  // forces, those of the motion under them, the difference
         Array<double> preconditioner, weight;                          // displacement per force
-        Array<double> q, p;                                   // (kGeometricMemory, n) differences of wrong, of made
+        Array<double> q, p;                                   // (kGeometricMemory, n) differences of residual, of answer
     };
 
     double* x(const Part& p) const { return block_.x(p.given->component); }
@@ -139,12 +139,12 @@ private:
                     continue;
                 }
                 evaluate(s, now);
-                const double left = norm(s, s.wrong), all = norm(s, s.F);
+                const double left = norm(s, s.residual), all = norm(s, s.F);
                 if (!std::isfinite(left)) return count(iteration, false);
                 if (iteration == 1 && left > all) {  // forces of the free motion are far too large: start from those before the step
                     for (Part& part : s.parts) part.after = part.before;
                     respond(s);
-                    s.F = s.made, s.fresh = true, found = false;
+                    s.F = s.answer, s.fresh = true, found = false;
                     continue;
                 }
                 const bool stagnant = left >= 0.5 * s.left && left <= 1e3 * kGeometricTolerance * all;
@@ -193,10 +193,10 @@ private:
             }
             strain(s, s.parts.back().before, s.old_strain);
         } else {
-            for (const Part& part : s.parts) s.old_sums[0] += stretched(part, part.before);
+            for (const Part& part : s.parts) s.old_sums[0] += stretch_of(part, part.before);
         }
         respond(s);
-        s.F = s.made, s.fresh = true;
+        s.F = s.answer, s.fresh = true;
         s.motion = 0.0;
         for (const Part& part : s.parts)
             for (int k = 0; k < part.given->n; ++k)
@@ -226,7 +226,7 @@ private:
             add_product(g.from_port.data(), g.width, forces, components_[g.component].n_ports, part.after.data());
         }
         respond(s);
-        for (int k = 0; k < s.n; ++k) s.wrong[k] = s.made[k] - s.F[k];
+        for (int k = 0; k < s.n; ++k) s.residual[k] = s.answer[k] - s.F[k];
         if (!s.fresh) return;
         s.fresh = false;
         const double tension = std::max(s.pull[0], 0.0);
@@ -235,7 +235,7 @@ private:
                 s.preconditioner[part.at + k] = 1 / (1 + 0.5 * tension * part.given->compliances[k] * part.given->stretch[k]);
     }
 
-    // Evaluates the forces s.made at the coordinates `before` and `after`.
+    // Evaluates the forces s.answer at the coordinates `before` and `after`.
     void respond(String& s) {
         if (!s.given->along) return rise(s);
         const int order = s.given->order;
@@ -251,9 +251,9 @@ private:
             s.pull[n] = weight * (sum + 0.5 * (s.old_strain[n] + s.strain[n]));
             along.force[n] = -weight * sum;
         }
-        std::fill(s.made.begin(), s.made.end(), 0.0);
+        std::fill(s.answer.begin(), s.answer.end(), 0.0);
         const auto& g = *along.given;
-        add_product(g.back.data(), g.width, along.force.data(), order + 1, s.made.data() + along.at);
+        add_product(g.back.data(), g.width, along.force.data(), order + 1, s.answer.data() + along.at);
         for (std::size_t q = 0; q + 1 < s.parts.size(); ++q) {
             Part& part = s.parts[q];
             const auto& h = *part.given;
@@ -266,23 +266,23 @@ private:
                            (0.5 * s.pull[n]);
                 S::store(part.force.data() + i, sum);
             }
-            add_product(h.back.data(), h.width, part.force.data(), h.cosines, s.made.data() + part.at);
+            add_product(h.back.data(), h.width, part.force.data(), h.cosines, s.answer.data() + part.at);
         }
     }
 
     // The same without longitudinal motion.
     static void rise(String& s) {
         s.sums[0] = 0.0;
-        for (const Part& part : s.parts) s.sums[0] += stretched(part, part.after);
+        for (const Part& part : s.parts) s.sums[0] += stretch_of(part, part.after);
         s.pull[0] = 0.5 * s.given->scale * (s.old_sums[0] + s.sums[0]);
         for (const Part& part : s.parts)
             for (int k = 0; k < part.given->width; k += S::width)
-                S::store(s.made.data() + part.at + k, (S::load(part.before.data() + k) + S::load(part.after.data() + k)) *
+                S::store(s.answer.data() + part.at + k, (S::load(part.before.data() + k) + S::load(part.after.data() + k)) *
                                                    S::load(part.given->stretch.data() + k) * (-0.5 * s.pull[0]));
     }
 
     // Its s_0.
-    static double stretched(const Part& part, const Array<double>& coordinates) {
+    static double stretch_of(const Part& part, const Array<double>& coordinates) {
         S::V sum{};
         for (int k = 0; k < part.given->width; k += S::width) {
             const S::V y = S::load(coordinates.data() + k);
@@ -341,18 +341,18 @@ private:
         for (int k = 0; k < n; k += S::width) S::store(a + k, S::load(a + k) - S::load(b + k) * factor);
     }
 
-    // The next F: s.made less the part that the differences so far explain.
+    // The next F: s.answer less the part that the differences so far explain.
     static void advance(String& s) {
         const int n = s.n;
         for (int k = 0; k < n; ++k) {
-            s.wrong[k] *= s.preconditioner[k];
-            s.made[k] = s.F[k] + s.wrong[k];
+            s.residual[k] *= s.preconditioner[k];
+            s.answer[k] = s.F[k] + s.residual[k];
         }
         if (s.kept == kGeometricMemory) {
             s.kept = 0;
         } else if (s.has_last) {
             double *q = s.q.data() + (std::size_t(s.kept) * n), *p = s.p.data() + (std::size_t(s.kept) * n);
-            for (int k = 0; k < n; ++k) q[k] = s.wrong[k] - s.last_wrong[k], p[k] = s.made[k] - s.last_made[k];
+            for (int k = 0; k < n; ++k) q[k] = s.residual[k] - s.last_residual[k], p[k] = s.answer[k] - s.last_answer[k];
             const double whole = std::sqrt(inner(s, q, q));
             for (int j = 0; j < s.kept; ++j) {
                 const double share = inner(s, s.q.data() + std::size_t(j) * n, q);
@@ -364,11 +364,11 @@ private:
                 ++s.kept;
             }
         }
-        s.last_wrong = s.wrong, s.last_made = s.made, s.has_last = true;
-        s.F = s.made;
+        s.last_residual = s.residual, s.last_answer = s.answer, s.has_last = true;
+        s.F = s.answer;
         for (int j = 0; j < s.kept; ++j) {
-            const double share = inner(s, s.q.data() + std::size_t(j) * n, s.wrong.data());
-            subtract(s.wrong.data(), share, s.q.data() + std::size_t(j) * n, n);
+            const double share = inner(s, s.q.data() + std::size_t(j) * n, s.residual.data());
+            subtract(s.residual.data(), share, s.q.data() + std::size_t(j) * n, n);
             subtract(s.F.data(), share, s.p.data() + std::size_t(j) * n, n);
         }
     }

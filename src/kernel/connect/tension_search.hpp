@@ -323,20 +323,20 @@ private:
             const V tension = of<S>(ws_.tension, s), at = of<S>(ws_.at, s), by = tension - at;
             const V bent = shared_sums<S>(3, s) + 2.0 * shared_sums<S>(4, s), kappa = of<S>(ports_.kappa, s);
             V gained = shared_sums<S>(1, s) - by * (2.0 * shared_sums<S>(2, s) - by * bent);
-            V falls = 2.0 * (shared_sums<S>(2, s) - by * bent), push{}, bends{};
+            V falls = 2.0 * (shared_sums<S>(2, s) - by * bent), by_pairs{}, sharp{};
             for (int p = s; p < int(ports_.ports.size()); p += ports_.strings) {
-                const V f = of<S>(ports_.force, p), crossed = 4.0 * f, turns = port_sum<S>(4, p) + port_sum<S>(5, p);
-                gained += crossed * (port_sum<S>(3, p) - by * turns), falls += crossed * turns;
+                const V f = of<S>(ports_.force, p), crossed = 4.0 * f, bending = port_sum<S>(4, p) + port_sum<S>(5, p);
+                gained += crossed * (port_sum<S>(3, p) - by * bending), falls += crossed * bending;
             }
             // pairs of forces add -2 f f' dZ/dT to the stretch
             for (const auto& pair : ports_.pairs) {
                 const V both = of<S>(ports_.force, pair.to_port + s) * of<S>(ports_.force, pair.from_port + s) *
                                   (pair.to == pair.from ? 2.0 : 4.0);
-                push -= both * of<S>(ports_.slope, pair.pair + s), bends += size(both * S::load(third + pair.pair + s));
+                by_pairs -= both * of<S>(ports_.slope, pair.pair + s), sharp += size(both * S::load(third + pair.pair + s));
             }
-            S::store(ws_.after.data() + s, gained), S::store(ws_.pushed.data() + s, push), S::store(ws_.sharp.data() + s, 0.5 * bends);
+            S::store(ws_.after.data() + s, gained), S::store(ws_.by_pairs.data() + s, by_pairs), S::store(ws_.sharp.data() + s, 0.5 * sharp);
             const V least_tension = kappa * of<S>(ws_.stretch, s), over_most = of<S>(ports_.over_most, s);
-            const V excess = tension - least_tension - kappa * (gained + push);
+            const V excess = tension - least_tension - kappa * (gained + by_pairs);
             const V reach = kFar * (at + over_most), steepness = most(1.0 + kappa * falls, V{} + 0.5);
             const V secant = (excess - of<S>(ws_.last_excess, s)) / (tension - of<S>(ws_.last_tension, s));
             S::store(ws_.last_excess.data() + s, excess), S::store(ws_.last_tension.data() + s, tension);
@@ -362,7 +362,7 @@ private:
             const V tension = of<S>(ws_.tension, s), at = of<S>(ws_.at, s), by = size(tension - at);
             const V kappa = of<S>(ports_.kappa, s);
             const V near = by / (of<S>(ports_.over_most, s) + least(tension, at)), stretch = of<S>(ws_.stretch, s);
-            const V after = of<S>(ws_.after, s), all = stretch + after + size(of<S>(ws_.pushed, s));
+            const V after = of<S>(ws_.after, s), all = stretch + after + size(of<S>(ws_.by_pairs, s));
             const V crossed = shared_sums<S>(3, s) * of<S>(ws_.sharp, s);  // the square of the bound
             const V enough = 0.5 * kTensionTolerance * (tension + 1e-2 * kappa * all);
             const V left = enough - 36.0 * kappa * near * near * near * (shared_sums<S>(1, s) + stretch);

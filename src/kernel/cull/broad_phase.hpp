@@ -73,6 +73,9 @@ public:
         if (contact_free_) std::fill(ws_.port_share.begin(), ws_.port_share.end(), 0.0);
     }
 
+    // Whether contact_free may still be true for a sample of this block.
+    bool contact_free_so_far() const { return contact_free_; }
+
     const std::vector<int>& candidates() const { return ws_.candidates; }
 
     // Whether no contact can touch in sample b under the port forces `now` of the linear connections.

@@ -81,7 +81,7 @@ struct TensionState {
     Array<double> scaled;                    // of modes: modal/scaled_modes.hpp
     TensionPorts ports;
     // by string
-    Array<double> stretch, past, tension, used, at, after, pushed, sharp, far, last_tension, last_excess;
+    Array<double> stretch, past, tension, used, at, after, by_pairs, sharp, far, last_tension, last_excess;
     Array<double> means[3];  // of the last steps, the latest first
     Array<double> fixed, matrix, inverse, right, scale, solution, residual;
     std::vector<char> done;

@@ -19,8 +19,8 @@ inline void derive_bounds(Component& c) {
     contact.peak.assign(n_contact, 0.0);
     for (std::size_t k = 0; k < n; ++k) {
         const double e00 = e[k], e01 = e[n + k], e10 = e[2 * n + k], e11 = e[3 * n + k];
-        const double still = std::abs(e10) > 0.0 ? std::sqrt(std::abs(e01 / e10)) : 1.0;
-        const double s = std::abs(e01) > 0.0 ? std::min(still, kBlock * std::abs(e01)) : 1.0;
+        const double constant = std::abs(e10) > 0.0 ? std::sqrt(std::abs(e01 / e10)) : 1.0;
+        const double s = std::abs(e01) > 0.0 ? std::min(constant, kBlock * std::abs(e01)) : 1.0;
         const double stiffness = std::max((1 - e00) * (1 - e11) - e01 * e10, 1e-8);
         contact.size[k] = s, contact.norm[k] = stiffness, contact.norm[n + k] = stiffness * s * s;
         for (std::size_t g = 0; g < n_contact; ++g) {

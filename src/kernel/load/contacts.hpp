@@ -109,14 +109,14 @@ inline void make_groups(std::vector<Component>& components, Nonlinear& nl) {
                 const auto& parts = group.components;
                 const std::size_t q = std::find(parts.begin(), parts.end(), t.component) - parts.begin();
                 const Component& c = components[t.component];
-                const double size = std::abs(t.factor), of_slack = size / ((1 - kCoarse) * room);
+                const double size = std::abs(t.factor), of_clearance = size / ((1 - kCoarse) * room);
                 group.coarse_sensitivity[q] = std::max(group.coarse_sensitivity[q], size * c.contact.peak[t.port] / room);
                 const double* reach =
                     c.contact.reach.data() + (std::size_t(c.n_ports + t.port) * (c.n_ports + c.contact.n));
                 for (int p = 0; p < c.n_ports; ++p)
-                    group.sensitivity[q][p] = std::max(group.sensitivity[q][p], of_slack * reach[p]);
+                    group.sensitivity[q][p] = std::max(group.sensitivity[q][p], of_clearance * reach[p]);
                 if (c.tension.on)
-                    group.tension_sensitivity[q] = std::max(group.tension_sensitivity[q], of_slack * c.contact.tension_reach[t.port]);
+                    group.tension_sensitivity[q] = std::max(group.tension_sensitivity[q], of_clearance * c.contact.tension_reach[t.port]);
             }
         }
     }

@@ -67,12 +67,12 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
             of_free.insert(of_free.end(), pull.begin(), pull.end());
         }
     l.gather.insert(l.gather.end(), of_free.begin(), of_free.end());
-    const auto pushed = [&](const double* f, double* to) {
+    const auto scatter_to_ports = [&](const double* f, double* to) {
         for (int j = 0; j < m; ++j)
             for (int p = 0; p < n_ports; ++p) to[p] += f[j] * l.scatter[std::size_t(j) * l.force_width + p];
     };
     l.direct_constant.assign(l.force_width, 0.0);
-    pushed(l.constant.data(), l.direct_constant.data());
+    scatter_to_ports(l.constant.data(), l.direct_constant.data());
     l.own_port.assign(m, -1), l.own_factor.assign(m, 0.0);
     for (std::size_t i = 0; i < components.size(); ++i)
         for (int p = 0; p < components[i].n_ports; ++p)
@@ -91,8 +91,8 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
         Array<double> old(l.gather.data() + p * l.f_width, l.gather.data() + ((p + 1) * l.f_width));
         for (int j = 0; j < m; ++j) old[j] -= l.mix * l.gather[(n_rows + p) * l.f_width + j];
         for (const double x : old) mixed_alike = mixed_alike && x == 0.0;
-        pushed(l.gather.data() + ((n_rows + p) * l.f_width), l.direct.data() + p * l.force_width);
-        pushed(old.data(), l.direct_old.data() + p * l.force_width);
+        scatter_to_ports(l.gather.data() + ((n_rows + p) * l.f_width), l.direct.data() + p * l.force_width);
+        scatter_to_ports(old.data(), l.direct_old.data() + p * l.force_width);
         if (p && l.port_rows[p] == l.port_rows[p - 1] + 1 && l.port_rows[p] == l.segments.back().row + l.segments.back().n)
             ++l.segments.back().n;
         else

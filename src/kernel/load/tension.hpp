@@ -102,7 +102,7 @@ inline void make_tensions(std::vector<Component>& components, const Solve& solve
     for (Array<double>* a : {&ws.u, &ws.y, &ws.compliances}) a->assign(capacity, 0.0);
     ws.scaled.assign(kScaledState * capacity, 0.0);
     make_tension_ports(components, layout, tensions, ws.ports);
-    for (Array<double>* a : {&ws.stretch, &ws.past, &ws.tension, &ws.used, &ws.at, &ws.after, &ws.pushed, &ws.sharp, &ws.far,
+    for (Array<double>* a : {&ws.stretch, &ws.past, &ws.tension, &ws.used, &ws.at, &ws.after, &ws.by_pairs, &ws.sharp, &ws.far,
                              &ws.last_tension, &ws.last_excess, &ws.means[0], &ws.means[1], &ws.means[2]})
         a->assign(ws.ports.strings, 0.0);
     for (Array<double>* a : {&ws.fixed, &ws.right, &ws.scale, &ws.solution, &ws.residual}) a->assign(m, 0.0);

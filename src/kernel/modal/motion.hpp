@@ -1,19 +1,11 @@
 // The two ends of a block: the free motion of the rows, and the motion of the modes under the forces found.
 #pragma once
 
-#include <cmath>
-
 #include "../cull/contact_rows.hpp"
 #include "fused_pass.hpp"
 
 namespace tonewood {
 namespace {
-
-inline bool finite(const double* x, int n, int step = 1) {
-    double sum = 0.0;
-    for (int i = 0; i < n; ++i) sum += x[i * step];
-    return std::isfinite(sum);
-}
 
 // Adds a component's readouts to the output.
 inline void add_readouts(const Component& c, const double* rows, int stride, int row_stride, const Block& block) {

@@ -2,7 +2,7 @@
 // the next one needs.
 //
 // In the coordinates xi, v of scaled_modes.hpp, r the rows of the ports: with h = half and s = 1 / (1 + h T),
-//     U = (2 xi + v) s,     D = (2 xi + v + r f) s,     push p = r f - h T D,
+//     U = (2 xi + v) s,     D = (2 xi + v + r f) s,     modal force p = r f - h T D,
 // U is xi + xi+ without port forces, D with them. About the tension T of a pass, with after = U - xi and m = h s,
 //     port displacement       sum r after - tau sum r m U + tau^2 sum r m^2 U,
 //     S+                      2 sum h after^2 - 4 tau sum h m U after + 2 tau^2 sum h m^2 (U^2 + 2 U after)
@@ -74,19 +74,19 @@ void tension_pass(const Component& c, double* state, const PassInput& v) {
     const auto make_step = [&](std::size_t k, const double* at, double* to) {
         const V h = V::load(at);
         V xi = V::load(to), up = V::load(to + kPadding), s = V::load(to + 2 * kPadding);
-        V u = xi + up, push{}, given{};
-        for (int p = 0; p < n_ports; ++p) push = push + V::load(at + (kScaledNumbers + p) * kPadding) * force[p];
+        V u = xi + up, modal{}, given{};
+        for (int p = 0; p < n_ports; ++p) modal = modal + V::load(at + (kScaledNumbers + p) * kPadding) * force[p];
         if constexpr (!Plain) {
             input(k, v.made_in, u, given);
-            V pushed{};
-            for (int l = 0; l < v.n_loads; ++l) pushed = pushed + V::load(v.loads[l].row + k) * v.loads[l].force;
-            push = push + V::load(basis + 3 * n + k) * pushed;
+            V loaded{};
+            for (int l = 0; l < v.n_loads; ++l) loaded = loaded + V::load(v.loads[l].row + k) * v.loads[l].force;
+            modal = modal + V::load(basis + 3 * n + k) * loaded;
         }
         const V rise = h * made, off = (1.0 - s) - rise * s;
         s = s + s * (off + off * off);
-        push = push - rise * ((xi + u + push) * s);
-        xi = u + push;
-        up = V::load(at + kPadding) * up + V::load(at + 3 * kPadding) * push - V::load(at + 2 * kPadding) * xi;
+        modal = modal - rise * ((xi + u + modal) * s);
+        xi = u + modal;
+        up = V::load(at + kPadding) * up + V::load(at + 3 * kPadding) * modal - V::load(at + 2 * kPadding) * xi;
         if constexpr (!Plain) up = up + given;
         xi.store(to), up.store(to + kPadding), s.store(to + 2 * kPadding);
     };

@@ -98,8 +98,8 @@ class Shortcuts:
 class _Wiring:
     """Ports of one component that are always stepped, ports on which only contacts act, and their connections.
 
-    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a longitudinal motion; `key` changes
-    when any of it does.
+    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a longitudinal motion; `key` tells
+    whether any of it changed.
     """
 
     fixed: NDArray[np.intp]
@@ -504,9 +504,9 @@ def _law_arrays(
     out |= {"samples": [], "functions": []}
     if arrays is not None and len(before) == len(laws):
         out = arrays | {"kinds": arrays["kinds"].copy(), "numbers": arrays["numbers"].copy()}
+        changed = [j for j, (law, was) in enumerate(zip(laws, before, strict=True)) if law is not was]
     else:
-        before = [None] * len(laws)
-    changed = [j for j, (law, was) in enumerate(zip(laws, before, strict=True)) if law is not was]
+        changed = list(range(len(laws)))
     for name in ("samples", "functions"):
         out[name] = [entry for entry in out[name] if entry[0] not in set(changed)]
     for j in changed:

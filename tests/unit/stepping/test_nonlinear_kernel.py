@@ -105,7 +105,10 @@ def test_culled_contacts_change_no_bit(isa, height):
     system = fretted(LAWS["stiff"])
     results, states, read = [], [], []
     for culling in (True, False):
-        state, stepper = struck(system, height), KernelStepper(system, isa=isa, shortcuts=Shortcuts(block_culling=culling))
+        state, stepper = (
+            struck(system, height),
+            KernelStepper(system, isa=isa, shortcuts=Shortcuts(block_culling=culling)),
+        )
         results.append([stepper.run(state, n, injections(system)) for n in (64, 300, 100, 336)])
         states.append(state)
         read.append(stepper.culling_statistics["rows_read"])

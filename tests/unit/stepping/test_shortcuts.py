@@ -11,7 +11,7 @@ import pytest
 from nonlinear_scenes import LENGTH, body, hang, held_string, tense_guitar
 from nonlinear_scenes import pulled as pulled_guitar
 
-from tonewood.coupling.connections import Connection, SpringDashpot, Term
+from tonewood.coupling.connections import Connection, Term
 from tonewood.coupling.laws import Contact, HardeningSpring
 from tonewood.coupling.system import Probe, Readout, System
 from tonewood.stepping.forcing import Segment, compile_force
@@ -20,8 +20,10 @@ from tonewood.stepping.kernel import KernelStepper, Shortcuts
 DT = 1 / 48000
 PAGE = Path(__file__).parents[3] / "docs" / "kernel.md"
 NAMES = [field.name for field in fields(Shortcuts)]
-#: shortcuts that leave out what a bound excludes change no bit; the others round differently
+#: shortcuts that skip work without another order of operations change no bit
 EXACT = {"block_culling", "group_bound", "fine_bound"}
+#: the same operations side by side, or interleaved; a compiler may fuse other products and sums
+ALIKE = {"tension_lanes", "combined_pass"}
 FRETS = {f"f{k}": LENGTH / 2 ** (k / 12) for k in range(1, 7)}
 
 
@@ -37,7 +39,10 @@ def linear_guitar(extra=()):
         for fret in FRETS
     ]
     connections += extra
-    readouts = [Readout("a", "acceleration", (Probe("body", "b0"),)), Readout("u", "displacement", (Probe("s1", "pluck"),))]
+    readouts = [
+        Readout("a", "acceleration", (Probe("body", "b0"),)),
+        Readout("u", "displacement", (Probe("s1", "pluck"),)),
+    ]
     return System.build(components, connections, readouts, dt=DT)
 
 
@@ -51,7 +56,7 @@ def plucked(system, height):
 
 def spring_on(component, place):
     """Give a linear law that is stepped with the nonlinear ones."""
-    return Connection("spring", (Term(component, place),), HardeningSpring(2e3, 0.0, 0.0, 0.5))
+    return Connection(f"spring {component} {place}", (Term(component, place),), HardeningSpring(2e3, damping=0.5))
 
 
 def run(system, state, injections, **off):
@@ -64,8 +69,8 @@ def run(system, state, injections, **off):
 
 def scenes():
     """Strings far from their frets, at them, with linear laws; strings under rising tension, the same."""
-    springs = [spring_on("body", "b1")]
-    for name, extra, height in (("far", [], 3e-5), ("near", [], 8e-4), ("springs", springs, 8e-4)):
+    springs = [spring_on("body", "b0"), spring_on("body", "b1"), spring_on("s0", "pluck")]
+    for name, extra, height in (("far", [], 3e-5), ("near", [], 8e-4), ("springs", springs, 3e-5)):
         system = linear_guitar(extra)
         yield name, system, *plucked(system, height)
     for name, system in (
@@ -88,7 +93,7 @@ def test_switched_off_by_itself_gives_the_same_samples(name):
             np.testing.assert_allclose(a, b, atol=1e-9 * np.abs(b).max(), rtol=0, err_msg=scene)
             changed.append(not np.array_equal(a, b))
     # another order of operations shows in some bits: the switch does something
-    assert name in EXACT or any(changed)
+    assert name in EXACT | ALIKE or any(changed)
 
 
 def test_culling_reads_fewer_rows_with_each_bound():
@@ -104,12 +109,3 @@ def test_culling_reads_fewer_rows_with_each_bound():
 def test_every_shortcut_has_a_section():
     text = PAGE.read_text(encoding="utf-8")
     assert sorted(re.findall(r"^### `(\w+)`", text, re.MULTILINE)) == sorted(NAMES)
-
-
-def test_a_linear_law_is_a_linear_connection():
-    """What the folded laws give is what a spring among the linear connections gives."""
-    law = tense_guitar(extra=[spring_on("body", "b0")])
-    plain = tense_guitar(extra=[Connection("spring", (Term("body", "b0"),), SpringDashpot(2e3, 0.5))])
-    ours, _ = run(law, pulled_guitar(law, 5.0), [])
-    theirs, _ = run(plain, pulled_guitar(plain, 5.0), [])
-    np.testing.assert_allclose(ours[0], theirs[0], atol=1e-9 * np.abs(theirs[0]).max(), rtol=0)

@@ -84,7 +84,10 @@ def test_culled_contacts_change_no_bit(isa, force):
     system = tense_guitar(frets=STIFF)
     results, states, read = [], [], []
     for culling in (True, False):
-        state, stepper = pulled(system, force), KernelStepper(system, isa=isa, shortcuts=Shortcuts(block_culling=culling))
+        state, stepper = (
+            pulled(system, force),
+            KernelStepper(system, isa=isa, shortcuts=Shortcuts(block_culling=culling)),
+        )
         results.append([stepper.run(state, n) for n in (64, 300, 100, 336)])
         states.append(state)
         read.append(stepper.culling_statistics["added"])
