@@ -27,8 +27,8 @@ ALIKE = {"tension_lanes", "combined_pass"}
 FRETS = {f"f{k}": LENGTH / 2 ** (k / 12) for k in range(1, 7)}
 
 
-def linear_guitar(extra=()):
-    """Two strings over six frets on a body."""
+def linear_guitar(extra=(), frets=True):
+    """Two strings over six frets, or none, on a body."""
     places = FRETS | {"pluck": 0.11 * LENGTH, "bridge": 0.013 * LENGTH}
     components = {f"s{i}": held_string(40, places, density=(1 + i) * 1e-3, damping=0.5) for i in range(2)}
     components["body"] = body(["b0", "b1"])
@@ -37,6 +37,7 @@ def linear_guitar(extra=()):
         Connection(f"s{i}{fret}", (Term(f"s{i}", fret),), Contact(1e10, 1.8, 0.2, offset=-3e-4 - 1e-4 * i))
         for i in range(2)
         for fret in FRETS
+        if frets
     ]
     connections += extra
     readouts = [
@@ -68,7 +69,9 @@ def run(system, state, injections, **off):
 
 
 def scenes():
-    """Strings far from their frets, at them, with linear laws; strings under rising tension, the same."""
+    """Strings alone, far from their frets, at them, with linear laws; strings under rising tension, the same."""
+    alone = linear_guitar(frets=False)
+    yield "alone", alone, *plucked(alone, 8e-4)
     springs = [spring_on("body", "b0"), spring_on("body", "b1"), spring_on("s0", "pluck")]
     for name, extra, height in (("far", [], 3e-5), ("near", [], 8e-4), ("springs", springs, 3e-5)):
         system = linear_guitar(extra)
