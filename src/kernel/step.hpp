@@ -1,0 +1,62 @@
+// The step, block by block: free motion -> candidates -> forces -> correction.
+//
+// Within a block a row's value is   y(b) = free(b) + sum_{k < b} H(b - 1 - k) F(k),   H(k) = C E^k W0:
+// the modes are passed twice per block however many samples it has, and the forces couple the components in each sample.
+#pragma once
+
+#include <algorithm>
+#include <memory>
+
+#include "connect/coupled.hpp"
+#include "connect/linear_step.hpp"
+#include "connect/longitudinal.hpp"
+#include "connect/tension_step.hpp"
+#include "modal/motion.hpp"
+
+namespace tonewood {
+namespace {
+
+inline std::unique_ptr<ConnectionStep> connection_step(Block& block, ContactStep& laws) {
+    const Model& m = block.model;
+    if (!m.tensions.strings.empty() && laws.any()) return std::make_unique<CoupledStep>(block, laws);
+    if (!m.tensions.strings.empty()) return std::make_unique<TensionStep>(block);
+    if (!m.geometric.strings.empty()) return std::make_unique<LongitudinalStep>(block, laws);
+    if (m.shortcuts.direct_step && int(m.layout.own_port.size()) == m.solve.m)
+        return std::make_unique<DirectStep>(block, laws);
+    return std::make_unique<GeneralStep>(block, laws);
+}
+
+inline Fault run(Model& model, const Job& job) {
+    const FlushDenormals flush;
+    Block block(model, job);
+    ContactStep laws(block);
+    const auto connections = connection_step(block, laws);
+    Propagate propagate(model.layout);
+    FusedPass fused(block);
+    for (std::int64_t start = 0; start < job.n; start += kBlock) {
+        block.begin(start, int(std::min<std::int64_t>(job.n - start, kBlock)));
+        if (const int i = free_motion(block, fused); i >= 0) return {i, start};
+        if (laws.any()) laws.cull.begin_block();
+        connections->begin_block();
+        for (int b = 0; b < block.nb; ++b) {
+            double* now = block.force(b);
+            if (!connections->sample(b, now, job.forces + (start + b) * model.solve.m)) return {Fault::kUnsolved, start + b};
+            propagate(b, block.nb, block.forces.data(), block.history.data());
+            if (laws.any()) laws.rows.propagate(b, now);
+        }
+        connections->finish_block();
+        std::fill_n(job.out + start * job.n_channels, block.nb * job.n_channels, 0.0);
+        for (const auto& [channel, connection, weight] : model.layout.read_forces)
+            for (std::int64_t b = start; b < start + block.nb; ++b)
+                job.out[b * job.n_channels + channel] += weight * job.forces[b * model.solve.m + connection];
+        laws.add_outputs();
+        if (const int i = correct(block, laws.rows, fused); i >= 0) return {i, start};
+    }
+    laws.finish();
+    for (int i = 0; i < int(model.components.size()); ++i)  // those without a readout are checked once per run
+        if (const int n = model.components[i].n; !finite(block.x(i), n) || !finite(block.y(i), n)) return {i, job.n};
+    return {};
+}
+
+}  // namespace
+}  // namespace tonewood
