@@ -52,9 +52,5 @@ class GestureConnections:
 def with_laws(system: System, wanted: Sequence[tuple[int, Law]]) -> System:
     """Return the system with these laws at these places; itself if they are there already."""
     now = system.connections
-    laws = {
-        now[j].name: replace(now[j], law=law)
-        for j, law in wanted
-        if law is not now[j].law and law != now[j].law
-    }
+    laws = {now[j].name: replace(now[j], law=law) for j, law in wanted if law is not now[j].law and law != now[j].law}
     return system.with_laws(laws) if laws else system
