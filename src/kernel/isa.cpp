@@ -1,7 +1,7 @@
 // Compiled once per instruction set, with TONEWOOD_ISA_NAME and TONEWOOD_ISA_TABLE set by the build.
 #include <chrono>
 
-#include "run.hpp"
+#include "step.hpp"
 
 namespace tonewood {
 namespace {

@@ -1,6 +1,6 @@
-"""Nothing that does not fit gets into the kernel: every array with a wrong shape, size or type is refused at its door.
+"""Nothing that does not fit gets into the kernel: `load` and `run` refuse every array of a wrong shape, size or type.
 
-What passes is run, so that a build with sanitizers would notice memory it should not have touched.
+A description that passes is run, so that a build with sanitizers would notice memory it should not have touched.
 """
 
 from __future__ import annotations
@@ -16,72 +16,113 @@ from tonewood import _kernel
 
 PAD, BLOCK, CHANNELS, CAPACITY = _kernel.PADDING, _kernel.BLOCK_SIZE, 2, 4 * _kernel.PADDING
 CONNECTIONS = 2
-INCIDENCE = 7  # among the arguments of set_component
+SHORTCUTS = (
+    "direct_step", "block_culling", "group_bound", "fine_bound", "tension_lanes", "tension_windows", "combined_pass",
+    "fixed_compliances", "folded_laws", "kept_inverse",
+)  # fmt: skip
+Path = tuple[str | int, ...]
 
 
-def component(slot: int, *, driven: bool = False) -> list[Any]:
+def component(slot: int, *, driven: bool = False) -> dict[str, Any]:
     """One mode at a quarter of the sampling rate behind two ports, two readouts."""
     e = np.zeros((4, PAD))
     e[:, 0] = [0.0, -0.9, 0.9, 0.0]
     ports, n_rows = 2, 2 + (0 if driven else 2)
     rows, w = np.zeros((n_rows, 2, PAD)), np.zeros((ports, 2, PAD))
     rows[:, 0, 0], w[:, 1, 0] = 1.0, 1e-3
-    history = np.full((BLOCK, ports, n_rows), 1e-3)
-    return [slot, slot * PAD, driven, e, rows, w, history, np.eye(CONNECTIONS), [0, 1], [0, 1]]
+    return {
+        "key": slot, "offset": slot * PAD, "driven": driven, "e": e, "rows": rows, "w": w,
+        "response": np.full((BLOCK, ports, n_rows), 1e-3), "incidence": np.eye(CONNECTIONS),
+        "channels": [0, 1], "difference": [0, 1],
+    }  # fmt: skip
 
 
-def solve() -> list[Any]:
+def linear(m: int = CONNECTIONS) -> dict[str, Any]:
+    return {"inverse": np.eye(m) * 1e-3, "gamma": np.ones(m), "constant": np.zeros(m), "weights": np.ones((CHANNELS, m))}
+
+
+def described(k: int = 0) -> dict[str, Any]:
+    """Two components, a driven one, and k contacts on a port of the first."""
     m = CONNECTIONS
-    return [np.eye(m) * 1e-3, np.ones(m), np.zeros(m), np.ones((CHANNELS, m))]
+    return {
+        "components": [component(0), component(1), component(2, driven=True)],
+        "linear": linear(),
+        "nonlinear": {
+            "dt": 1 / 48000, "theta": 0.6, "terms": np.array([[j, 0, 1, 0] for j in range(k)], dtype=np.int64).reshape(k, 4),
+            "factors": np.ones(k), "kinds": np.zeros(k, dtype=np.int64),
+            "numbers": np.array([[1e6, 1.5, 0, 0, 0, 0, 0, 0]] * k).reshape(k, 8), "samples": [], "functions": [],
+            "weights": np.zeros((CHANNELS, k)), "compliance": np.eye(k) * 1e-6, "from_linear": np.zeros((k, m)),
+            "to_linear": np.zeros((m, k)), "residual": np.zeros((k, k)),
+        },
+        "tensions": {"strings": [], "matrix": np.zeros((0, 0)), "offset": np.zeros(0)},
+        "geometric": [],
+        "shortcuts": dict.fromkeys(SHORTCUTS, True),
+    }  # fmt: skip
 
 
-def nonlinear() -> list[Any]:
-    return [0, [], 1 / 48000, 0.6, True, np.zeros((CHANNELS, 0))]
+def contact_ports() -> dict[str, Any]:
+    """A contact on a port of its own of the first component."""
+    made = described(1)
+    rows = np.zeros((1, 2, PAD))
+    rows[0, 0, 0] = 0.5
+    made["components"][0] |= {
+        "contact_rows": rows, "contact_w": 1e-3 * rows[:, ::-1].copy(), "from_fixed": np.full((BLOCK, 2, 1), 1e-3),
+        "from_contact": np.full((BLOCK, 1, 1), 1e-3), "on_rows": np.full((BLOCK, 1, 4), 1e-3),
+    }  # fmt: skip
+    made["nonlinear"]["terms"] = np.array([[0, 0, 0, 1]])
+    return made
 
 
-def gaps() -> list[Any]:
-    no = np.zeros((0, CONNECTIONS))
-    return [np.zeros((0, 0)), no, no.T.copy(), np.zeros((0, 0))]
+def stretched() -> dict[str, Any]:
+    """The first component is a string whose tension rises."""
+    made, one = described(), np.zeros(PAD)
+    one[0] = 1.0
+    made["components"][0] |= {"a": one, "half": 1e-3 * one, "reading": one.copy(), "kick": np.stack([1e-3 * one] * 2)}
+    made["tensions"] = {"strings": [(0, 10.0, [0])], "matrix": np.eye(CONNECTIONS), "offset": np.zeros(CONNECTIONS)}
+    return made
 
 
-def job(n: int = 40) -> list[Any]:
-    none = np.zeros(0)
+def along() -> dict[str, Any]:
+    """The first two components are a string's transverse and longitudinal motion."""
+    made = described()
+    parts = [
+        {
+            "slot": slot, "slopes": np.full((2, 1), 0.1), "reading": np.ones(1), "compliances": np.full(1, 1e-6),
+            "kick": np.full((2, 1), 1e-6), "to_port": np.full((2, 1), 1e-6), "from_port": np.full((2, 1), 1e-6),
+        }
+        for slot in (0, 1)
+    ]  # fmt: skip
+    made["geometric"] = [{"scale": 1.0, "along": True, "parts": parts}]
+    return made
+
+
+def job(k: int = 0, n: int = 40) -> list[Any]:
     injection = (0, 3, np.ones((1, 2, PAD)), np.ones((1, 5)))
     return [
-        np.zeros((2, CAPACITY)), np.zeros((n, CHANNELS)), np.zeros((n, CONNECTIONS)), [injection], np.zeros((n, 0)), [],
-        none, none.copy(), none.copy(), np.zeros((0, 3)),
+        np.zeros((2, CAPACITY)), np.zeros((n, CHANNELS)), np.zeros((n, CONNECTIONS)), [injection], np.zeros((n, k)), [],
+        np.zeros(k), np.zeros(k), np.zeros(k), np.zeros((1, 3)),
     ]  # fmt: skip
-
-
-def calls() -> list[tuple[str, list[Any]]]:
-    return [
-        ("set_component", component(0)),
-        ("set_component", component(1)),
-        ("set_component", component(2, driven=True)),
-        ("set_solve", solve()),
-        ("set_nonlinear", nonlinear()),
-        ("set_laws", [[]]),
-        ("set_gaps", gaps()),
-        ("run", job()),
-    ]
-
-
-NONLINEAR, LAWS, GAPS, RUN = 4, 5, 6, 7  # among these
 
 
 def make() -> Any:
     return _kernel.Kernel(_kernel.instruction_sets()[0], 3, CAPACITY, CHANNELS)
 
 
-def through(made: list[tuple[str, list[Any]]]) -> list[Any]:
+def through(description: dict[str, Any], arguments: list[Any] | None = None) -> np.ndarray:
+    """Output of a run."""
     kernel = make()
-    for name, arguments in made:
-        getattr(kernel, name)(*arguments)
-    return made[-1][1]
+    kernel.load(description)
+    arguments = arguments or job(len(description["nonlinear"]["kinds"]))
+    kernel.run(*arguments)
+    return arguments[1]
 
 
-def test_what_fits_runs() -> None:
-    out = through(calls())[1]
+MADE = {"plain": described, "contact": lambda: described(1), "ports": contact_ports, "tension": stretched, "along": along}
+
+
+@pytest.mark.parametrize("which", MADE)
+def test_what_fits_runs(which: str) -> None:
+    out = through(MADE[which]())
     assert np.isfinite(out).all()
     assert np.abs(out).max() > 0
 
@@ -93,199 +134,190 @@ def misfits(array: np.ndarray) -> list[Any]:
     shorter = [array[:-1].copy()] if array.ndim and len(array) else []
     thinner = [array[..., :-1].copy()] if array.ndim and array.shape[-1] else []
     flat = [array.ravel()] if array.ndim > 1 else [array[:, None], np.zeros((0, 0, 0, 0))]
-    return [*longer, *more, *shorter, *thinner, *flat, array[None], np.float64(1.0), None, "array", [1.0], object()]
+    typed = [array.astype(np.float32), array.astype(complex)]
+    return [*longer, *more, *shorter, *thinner, *flat, *typed, array[None], np.float64(1.0), None, "array", [1.0], object()]
 
 
-PLACES = [
-    (i, j) for i, (_, arguments) in enumerate(calls()) for j, a in enumerate(arguments) if isinstance(a, np.ndarray)
-]
+def arrays(value: Any, path: Path = ()) -> list[Path]:
+    """Where the arrays of a description are."""
+    if isinstance(value, np.ndarray):
+        return [path]
+    if isinstance(value, dict):
+        return [p for key, inner in value.items() for p in arrays(inner, (*path, key))]
+    if isinstance(value, list):
+        return [p for i, inner in enumerate(value) for p in arrays(inner, (*path, i))]
+    return []
 
 
-@pytest.mark.parametrize(("call", "argument"), PLACES)
-def test_every_array_of_a_wrong_form_is_refused(call: int, argument: int) -> None:
-    given = calls()[call][1][argument]
+def put(description: Any, path: Path, value: Any) -> Any:
+    """Replace what is at a path; returns what was there."""
+    for step in path[:-1]:
+        description = description[step]
+    before, description[path[-1]] = description[path[-1]], value
+    return before
+
+
+PLACES = [(which, path) for which, made in MADE.items() for path in arrays(made())]
+
+
+@pytest.mark.parametrize(("which", "path"), PLACES)
+def test_every_array_of_a_wrong_form_is_refused_by_its_name(which: str, path: Path) -> None:
+    given = put(MADE[which](), path, None)
+    unused = which != "tension" and path[0] == "tensions"  # there is no such string
     for wrong in misfits(given):
-        if isinstance(wrong, np.ndarray) and (wrong.shape == given.shape or wrong.size == given.size == 0):
+        if isinstance(wrong, np.ndarray | np.generic) and (unused or wrong.size == given.size == 0):
             continue
-        made = calls()
-        made[call][1][argument] = wrong
-        if argument == INCIDENCE and np.ndim(wrong) == 2 and len(wrong) < CONNECTIONS:
+        if path[-1] == "incidence" and np.ndim(wrong) == 2 and len(wrong) < CONNECTIONS:
             continue  # the last connections do not act on this component
-        with pytest.raises((TypeError, ValueError, RuntimeError)):
+        if path[-1] == "slopes" and np.ndim(wrong) == 2 and wrong.shape[1] == 1:
+            continue  # any number of cosines
+        if isinstance(wrong, np.ndarray) and wrong.shape == given.shape and wrong.dtype == given.dtype:
+            continue
+        made = MADE[which]()
+        put(made, path, wrong)
+        with pytest.raises((TypeError, ValueError), match=f"kernel: .*{path[0]}"):
             through(made)
+
+
+@pytest.mark.parametrize("argument", [0, 1, 2, 4, 6, 7, 8])
+def test_every_array_of_a_run_in_a_wrong_form_is_refused(argument: int) -> None:
+    for wrong in misfits(job(1)[argument]):
+        arguments = job(1)
+        arguments[argument] = wrong
+        with pytest.raises((TypeError, ValueError)):
+            through(described(1), arguments)
 
 
 @pytest.mark.parametrize("argument", [0, 1, 2, 4])
 @pytest.mark.parametrize("dtype", [np.float32, np.int64, np.complex128])
 def test_what_is_written_to_is_never_a_converted_copy(argument: int, dtype: type) -> None:
     """States and outputs of another type, order or without leave to write."""
-    made = calls()
-    right = made[-1][1][argument]
-    wrongs = [right.astype(dtype)]
-    if right.size:
-        locked = right.copy()
-        locked.setflags(write=False)
-        wrongs += [np.asfortranarray(np.ones(right.shape)), np.zeros((*right.shape, 2))[..., 0], locked]
-    for wrong in wrongs:
-        if right.size == 0 and wrong.dtype == right.dtype:
-            continue
-        made[-1][1][argument] = wrong
+    right = job(1)[argument]
+    locked = right.copy()
+    locked.setflags(write=False)
+    for wrong in (right.astype(dtype), np.zeros((*right.shape, 2))[..., 0], locked):
+        arguments = job(1)
+        arguments[argument] = wrong
         with pytest.raises(TypeError):
-            through(made)
+            through(described(1), arguments)
 
 
 @pytest.mark.parametrize(
-    ("call", "argument", "wrong"),
+    ("path", "wrong"),
     [
-        (0, 0, 3), (0, 0, -1), (0, 1, 8), (0, 1, CAPACITY), (0, 1, -PAD), (0, 8, [0, 2]), (0, 8, [0, -1]), (0, 8, [0]),
-        (0, 9, [1]), (0, 8, 2**40), (0, 2, "x"), (RUN, 3, [(3, 0, np.ones((1, 2, PAD)), np.ones((1, 5)))]),
-        (RUN, 3, [(-1, 0, np.ones((1, 2, PAD)), np.ones((1, 5)))]),
-        (RUN, 3, [(0, 0, np.ones((2, 2, PAD)), np.ones((1, 5)))]),
-        (RUN, 3, [(0, 0, np.ones((1, 2, 2 * PAD)), np.ones((1, 5)))]),
-        (RUN, 3, [(0, 0, np.ones((1, 3, PAD)), np.ones(5))]),
-        (RUN, 5, [(0, np.zeros((4, 40)))]), (RUN, 5, [(0, np.zeros((4, 39)))]),
-        (NONLINEAR, 1, [(0, 0, 0, False, 1.0)]), (NONLINEAR, 0, -1), (NONLINEAR, 0, 1),
-        (LAWS, 0, [(0, (0, [0.0] * 8, [], [], []))]), (LAWS, 0, [(-1, (0, [0.0] * 8, [], [], []))]),
+        (("components", 0, "offset"), 8), (("components", 0, "offset"), CAPACITY), (("components", 0, "offset"), -PAD),
+        (("components", 0, "channels"), [0, 2]), (("components", 0, "channels"), [0, -1]),
+        (("components", 0, "channels"), [0]), (("components", 0, "difference"), [1]),
+        (("components", 0, "channels"), 2**40), (("components", 0, "driven"), "x"), (("components", 0, "key"), None),
+        (("components",), []), (("components",), [component(0)]), (("components", 1), {"key": 77}),
+        (("components", 1), {"key": -1}), (("components", 1), None), (("linear",), {}), (("shortcuts",), {}),
+        (("nonlinear", "kinds"), np.array([9])), (("nonlinear", "kinds"), np.array([2])),
+        (("nonlinear", "kinds"), np.array([3])), (("nonlinear", "kinds"), np.array([-1])),
+        (("nonlinear", "samples"), [(0, [0.0, 1.0], [1.0])]), (("nonlinear", "samples"), [(1, [0.0, 1.0], [1.0] * 4)]),
+        (("nonlinear", "functions"), [(0, [(1, 0, False)])]), (("nonlinear", "dt"), "fast"),
+        (("nonlinear", "terms"), np.array([[0, 0, 2, 0]])), (("nonlinear", "terms"), np.array([[0, 0, 10**6, 0]])),
+        (("nonlinear", "terms"), np.array([[0, 3, 0, 0]])), (("nonlinear", "terms"), np.array([[0, 0, -1, 0]])),
+        (("nonlinear", "terms"), np.array([[0, -1, 0, 0]])), (("nonlinear", "terms"), np.array([[1, 0, 0, 0]])),
+        (("nonlinear", "terms"), np.array([[0, 0, 0, 1]])), (("nonlinear", "terms"), np.array([[2**40, 0, 0, 0]])),
+        (("tensions", "strings"), [(0, 1.0, [3])]), (("tensions", "strings"), [(0, 1.0, [-1])]),
+        (("tensions", "strings"), [(-1, 1.0, [0])]), (("tensions", "strings"), [(0, 1.0, [0])]),
+        (("geometric",), [{"scale": 1.0, "along": True, "parts": []}]),
     ],
 )  # fmt: skip
-def test_numbers_out_of_range_are_refused(call: int, argument: int, wrong: Any) -> None:
-    made = calls()
-    made[call][1][argument] = wrong
-    with pytest.raises((TypeError, ValueError, OverflowError)):
+def test_numbers_out_of_range_are_refused(path: Path, wrong: Any) -> None:
+    made = described(1)
+    put(made, path, wrong)
+    with pytest.raises((TypeError, ValueError, KeyError, OverflowError)):
         through(made)
 
 
-def contact(port: int, slot: int = 0) -> list[tuple[str, list[Any]]]:
-    """One contact (kind 0) on a port of the first component."""
-    made = calls()
-    m = CONNECTIONS
-    law = (0, [1e6, 1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [], [], [])
-    made[NONLINEAR][1][:] = [1, [(0, slot, port, False, 1.0)], 1 / 48000, 0.6, False, np.zeros((CHANNELS, 1))]
-    made[LAWS][1][:] = [[(0, law)]]
-    made[GAPS][1][:] = [np.eye(1) * 1e-6, np.zeros((1, m)), np.zeros((m, 1)), np.zeros((1, 1))]
-    made[RUN][1][4] = np.zeros((40, 1))
-    made[RUN][1][6:9] = [np.zeros(1), np.zeros(1), np.zeros(1)]
-    return made
+@pytest.mark.parametrize(
+    ("argument", "wrong"),
+    [
+        (3, [(3, 0, np.ones((1, 2, PAD)), np.ones((1, 5)))]), (3, [(-1, 0, np.ones((1, 2, PAD)), np.ones((1, 5)))]),
+        (3, [(0, 0, np.ones((2, 2, PAD)), np.ones((1, 5)))]), (3, [(0, 0, np.ones((1, 2, 2 * PAD)), np.ones((1, 5)))]),
+        (3, [(0, 0, np.ones((1, 3, PAD)), np.ones(5))]), (5, [(1, np.zeros((4, 40)))]), (5, [(-1, np.zeros((4, 40)))]),
+        (5, [(0, np.zeros((4, 39)))]), (5, [(0, np.zeros((3, 40)))]),
+    ],
+)  # fmt: skip
+def test_injections_and_controls_that_do_not_fit_are_refused(argument: int, wrong: Any) -> None:
+    arguments = job(1)
+    arguments[argument] = wrong
+    with pytest.raises((TypeError, ValueError)):
+        through(described(1), arguments)
 
 
-def test_arrays_of_a_contact_in_a_wrong_form_are_refused() -> None:
-    for call, argument in ((NONLINEAR, 5), (GAPS, 0), (GAPS, 1), (GAPS, 2), (GAPS, 3), (RUN, 4)):
-        given = contact(1)[call][1][argument]
-        for wrong in misfits(given):
-            if isinstance(wrong, np.ndarray) and wrong.shape == given.shape:
-                continue
-            made = contact(1)
-            made[call][1][argument] = wrong
-            with pytest.raises((TypeError, ValueError, RuntimeError)):
-                through(made)
-
-
-def test_what_a_contact_gives_way_by_must_be_told_with_it() -> None:
-    """Not what was told of connections before, and not of none."""
-    untold = contact(1)
-    del untold[GAPS]
-    other = contact(1)
-    other.insert(RUN, other[NONLINEAR])
-    for made in (untold, other):
-        with pytest.raises(ValueError, match="nonlinear connections"):
-            through(made)
-    for law in ((9, [0.0] * 8, [], [], []), (0, [0.0] * 7, [], [], []), (2, [0.0] * 8, [0.0, 1.0], [1.0], [])):
-        made = contact(1)
-        made[LAWS][1][:] = [[(0, law)]]
-        with pytest.raises(ValueError, match="law"):
-            through(made)
-
-
-def test_components_put_aside_come_back_or_are_missing() -> None:
-    kernel = make()
-    for name, arguments in calls()[:-1]:
-        getattr(kernel, name)(*arguments)
-    expected = job()
-    kernel.run(*expected)
-    for slot in (-1, 3):
-        with pytest.raises((TypeError, ValueError)):
-            kernel.set_aside(slot, 1)
-        with pytest.raises((TypeError, ValueError)):
-            kernel.take_back(slot, 1)
-    for number in range(40):
-        kernel.set_aside(0, number)
-        again = job()
-        again[3] = []
-        kernel.run(*again)  # nothing stands there: the others are stepped
-        assert kernel.take_back(0, number)
-    assert not kernel.take_back(0, 7)
-    again = job()
-    kernel.run(*again)
-    np.testing.assert_array_equal(again[1], expected[1])
-
-
-def test_connections_to_ports_that_are_not_there_are_refused() -> None:
-    assert np.isfinite(through(contact(1))[1]).all()
-    for port, slot in ((2, 0), (10**6, 0), (0, 3), (-1, 0), (0, -1)):
-        with pytest.raises((ValueError, RuntimeError)):
-            through(contact(port, slot))
-
-
-def test_a_solve_that_no_longer_fits_is_refused() -> None:
-    """Fewer or more linear connections than the components or the nonlinear ones were told of."""
-    for m in (1, 3):
-        made = contact(1)
-        smaller = [np.eye(m), np.ones(m), np.zeros(m), np.ones((CHANNELS, m))]
-        made.insert(RUN, ("set_solve", smaller))
-        made[-1][1][2] = np.zeros((40, m))
-        with pytest.raises((ValueError, RuntimeError)):
-            through(made)
-
-
-def stretched() -> list[tuple[str, list[Any]]]:
-    """The first component is a string whose tension rises."""
-    made = calls()
-    one = np.zeros(PAD)
-    one[0] = 1.0
-    m = CONNECTIONS
-    kick, e = np.stack([1e-3 * one, 1e-3 * one]), component(0)[3]
-    made.insert(RUN, ("set_stretched", [0, one, 1e-3 * one, one, kick, e]))
-    made.insert(RUN + 1, ("set_tensions", [[(0, 10.0, [0])], np.eye(m), np.zeros(m)]))
-    made[-1][1][9] = np.zeros((1, 3))
-    return made
-
-
-def test_tensions_that_do_not_fit_are_refused() -> None:
-    """Strings that were not told how they are stretched, connections of another number, states too small."""
-    assert np.isfinite(through(stretched())[1]).all()
-    untold = stretched()
-    del untold[RUN]
-    smaller = stretched()
-    smaller.insert(RUN + 2, ("set_solve", [np.eye(1), np.ones(1), np.zeros(1), np.ones((CHANNELS, 1))]))
-    smaller[-1][1][2] = np.zeros((40, 1))
-    states = []
+def test_a_state_of_the_tensions_that_is_too_small_is_refused() -> None:
     for wrong in (np.zeros((0, 3)), np.zeros((1, 2)), np.zeros(3), np.zeros((1, 3), dtype=np.float32)):
-        states.append(stretched())
-        states[-1][-1][1][9] = wrong
-    parts = []
-    for name, argument, wrong in (
-        ("set_stretched", 0, 3), ("set_stretched", 0, 2), ("set_stretched", 1, np.ones(PAD + 1)),
-        ("set_stretched", 4, np.ones((1, PAD))), ("set_stretched", 5, np.ones((2, PAD))),
-        ("set_tensions", 0, [(0, 1.0, [3])]),
-        ("set_tensions", 0, [(0, 1.0, [-1])]),
-        ("set_tensions", 0, [(-1, 1.0, [0])]), ("set_tensions", 1, np.eye(3)), ("set_tensions", 2, np.zeros(3)),
-    ):  # fmt: skip
-        parts.append(stretched())
-        dict(parts[-1])[name][argument] = wrong
-    for made in (untold, smaller, *states, *parts):
-        with pytest.raises((TypeError, ValueError, RuntimeError)):
+        arguments = job()
+        arguments[9] = wrong
+        with pytest.raises((TypeError, ValueError)):
+            through(stretched(), arguments)
+
+
+def test_nothing_is_run_before_a_load_and_after_a_load_that_failed() -> None:
+    kernel = make()
+    with pytest.raises(ValueError, match="nothing is loaded"):
+        kernel.run(*job())
+    kernel.load(described())
+    wrong = described()
+    wrong["components"][1] = component(1) | {"key": 5}
+    wrong["linear"]["gamma"] = np.ones(1)
+    with pytest.raises(ValueError, match="linear"):
+        kernel.load(wrong)
+    with pytest.raises(ValueError, match="nothing is loaded"):
+        kernel.run(*job())
+    kernel.load(described())
+    arguments = job()
+    kernel.run(*arguments)
+    np.testing.assert_array_equal(arguments[1], through(described()))
+
+
+def test_other_numbers_of_connections_than_the_components_have_are_refused() -> None:
+    for m, message in ((1, "incidence"), (3, "from_linear")):
+        made = described(1)
+        made["linear"] = linear(m)
+        with pytest.raises(ValueError, match=message):
             through(made)
+        kernel = make()
+        kernel.load(described())
+        made["components"] = [{"key": slot} for slot in range(3)]
+        with pytest.raises(ValueError, match="kernel: "):
+            kernel.load(made)
+
+
+def test_components_come_back_by_their_keys_or_are_missing() -> None:
+    kernel = make()
+    expected = through(described())
+    kernel.load(described())
+    cached = {"components": [{"key": slot} for slot in range(3)]}
+    for number in range(40):
+        other = described()
+        other["components"][0] = component(0) | {"key": 100 + number, "w": 2.0 * component(0)["w"]}
+        kernel.load(other)
+        arguments = job()
+        kernel.run(*arguments)
+        assert np.abs(arguments[1] - expected).max() > 0
+        if 0 in kernel.cached():
+            kernel.load(described() | cached)
+            arguments = job()
+            kernel.run(*arguments)
+            np.testing.assert_array_equal(arguments[1], expected)
+    assert len(kernel.cached()) <= 5 * 3
+    with pytest.raises(ValueError, match="key 100 "):
+        kernel.load(described() | {"components": [{"key": 100}, {"key": 1}, {"key": 2}]})
 
 
 @given(st.lists(st.integers(0, 3 * PAD), min_size=2, max_size=2), st.integers(0, 200), st.integers(-300, 300))
 def test_any_lengths_that_fit_each_other_run(offsets: list[int], n: int, first: int) -> None:
     """Offsets that overlap or are not padded, injections before, in and after the run: refused, or finite."""
-    made = calls()
-    made[0][1][1], made[1][1][1] = offsets
-    made[-1][1][:] = job(n)
-    made[-1][1][3] = [(0, first, np.ones((1, 2, PAD)), np.ones((1, 90)))]
+    made = described()
+    for slot in (0, 1):
+        made["components"][slot]["offset"] = offsets[slot]
+    arguments = job(n=n)
+    arguments[3] = [(0, first, np.ones((1, 2, PAD)), np.ones((1, 90)))]
     try:
-        out = through(made)[1]
+        out = through(made, arguments)
     except ValueError:
         assert any(offset % PAD or offset + PAD > CAPACITY for offset in offsets)
     else:

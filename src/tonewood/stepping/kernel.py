@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import count
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -35,11 +35,14 @@ from tonewood.stepping.stepper import NumpyStepper, Statistics
 
 Floats = NDArray[np.float64]
 _NONE = np.zeros(0, dtype=np.intp)
+_NO_MATRIX = np.zeros((0, 0))
 #: samples, at multiples of which a run may be cut without changing a bit
 _CUT = 64
-#: nonlinear connection, component, port among its fixed or its guarded ones, whether it is guarded, factor
-Term = tuple[int, int, int, bool, float]
-#: slot of a component, whether laws other than contacts push it, and how connections use it
+#: arrays and numbers by name
+Description = dict[str, Any]
+#: (n, 4): nonlinear connection, component, port among its fixed or contact ports, whether it is a contact port; factors
+Terms = tuple[NDArray[np.int64], Floats]
+#: slot of a component, whether laws act on its fixed ports, and how connections use it
 _Key = tuple[int, bool, bytes]
 
 
@@ -59,16 +62,46 @@ def compiler() -> str:
     return _kernel.COMPILER
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Wires:
-    """How connections use a component: its ports that are always stepped, those only contacts act on, and where.
+@dataclass(frozen=True, slots=True)
+class Shortcuts:
+    """Which shortcuts of the kernel are on; ``docs/kernel.md`` derives each and says what it gains.
 
-    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a motion along its string; `key`
-    tells whether any of it changed.
+    None of them changes what is solved: samples are the same bit for bit, or within 1e-12 of their peak where the page
+    says so.
+    """
+
+    #: port forces of linear connections in one product; contact-free samples without the general step
+    direct_step: bool = True
+    #: contacts are stepped only where a bound cannot exclude them
+    block_culling: bool = True
+    #: one bound for all contacts of a group first
+    group_bound: bool = True
+    #: a second bound about the middle of the block
+    fine_bound: bool = True
+    #: strings under rising tension side by side in a vector
+    tension_lanes: bool = True
+    #: scaled modes and predictions of a rising tension are kept over four blocks
+    tension_windows: bool = True
+    #: one modal pass finishes a tension-modulated step and begins the next
+    combined_pass: bool = True
+    #: laws on fixed ports of tension-modulated strings keep their compliances at rest
+    fixed_compliances: bool = True
+    #: linear laws are folded into the matrix of the linear connections
+    folded_laws: bool = True
+    #: the inverse for linear laws is kept until a slope changes
+    kept_inverse: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Wiring:
+    """Ports of one component that are always stepped, ports on which only contacts act, and their connections.
+
+    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a longitudinal motion; `key` changes
+    when any of it does.
     """
 
     fixed: NDArray[np.intp]
-    guarded: NDArray[np.intp]
+    contact: NDArray[np.intp]
     incidence: Floats
     coupled: bool
     key: bytes
@@ -81,26 +114,25 @@ class KernelStepper:
     ----------
     system : what to step.
     isa : instruction set, by default `instruction_set()`.
-    guarded : leave contacts out while a bound says that they touch nothing; the results are the same bit for bit.
+    shortcuts : which shortcuts of the kernel are on, by default all.
     """
 
-    def __init__(self, system: System, *, isa: str | None = None, guarded: bool = True):
+    def __init__(self, system: System, *, isa: str | None = None, shortcuts: Shortcuts | None = None):
         n_components, capacity = len(system.names), sum(system.capacities)
         self._kernel = _kernel.Kernel(isa or instruction_set(), n_components, capacity, len(system.readouts))
         self._packed: dict[int, tuple[Injection, Floats, Floats]] = {}
-        self._ready: WeakKeyDictionary[Compiled, dict[_Key, tuple[int, tuple[Any, ...], tuple[Floats, ...]]]]
-        self._ready, self._numbers = WeakKeyDictionary(), count()
-        self._seen: tuple[Sequence[Compiled], Sequence[_Wires]] = (), ()
-        self._loaded: list[tuple[Compiled, bytes, int] | None] = [None] * len(system.names)
-        self._wirings: dict[tuple[bytes, bytes, bytes, frozenset[str]], tuple[list[_Wires], list[Term]]] = {}
-        self._guarded, self._steps, self._redone, self._failures = guarded, 0, 0, 0
+        self._descriptions: WeakKeyDictionary[Compiled, dict[_Key, Description]] = WeakKeyDictionary()
+        self._keys = count()
+        self._wirings: dict[tuple[bytes, bytes, bytes, frozenset[str]], tuple[list[_Wiring], Terms]] = {}
+        self._shortcuts = asdict(shortcuts or Shortcuts())
+        self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
         self._law_forces, self._acted = np.zeros(0), list[int]()  # the former is kept at zero between runs
         self._nonlinear = self._active = _NONE
         self._laws: tuple[NonlinearLaw, ...] = ()
-        self._terms: Sequence[Term] = ()
-        self._along: list[list[int]] = []
-        self._gaps: tuple[NonlinearGaps, bytes] | None = None
+        self._law_arrays: Description = _law_arrays(())
+        self._gaps: tuple[NonlinearGaps, bytes, Description] | None = None
+        self._geometric: tuple[Sequence[int], list[Description]] = (), []
         self.system = system
         self._load(system)
 
@@ -111,161 +143,129 @@ class KernelStepper:
 
     @property
     def statistics(self) -> Statistics:
-        """What the nonlinear solves took, since this stepper was made."""
+        """Work of the nonlinear solves since this stepper was made."""
         solves, iterations, most, _, tension, most_tension, *_ = self._kernel.statistics()
         return Statistics(self._steps, solves, iterations, most, tension, most_tension, self._failures, self._redone)
 
     @property
     def n_solves(self) -> int:
-        """How many steps asked for nonlinear forces so far."""
+        """Number of nonlinear solves so far."""
         return int(self._kernel.statistics()[0])
 
     @property
-    def guard_statistics(self) -> dict[str, int]:
-        """How contacts were left out.
+    def culling_statistics(self) -> dict[str, int]:
+        """Work of the broad phase.
 
-        Blocks stepped with nonlinear connections, rows of contacts read in them, contacts woken inside a block;
-        windows of 64 samples begun by strings that may touch something, and those in which nothing could.
+        Blocks stepped with nonlinear connections, rows of contacts read in them, contacts added inside a block.
         """
-        return dict(
-            zip(("blocks", "rows_read", "woken", "windows", "calm"), self._kernel.statistics()[6:], strict=True)
-        )
+        return dict(zip(("blocks", "rows_read", "added"), self._kernel.statistics()[6:], strict=True))
+
+    def describe(self) -> Description:
+        """Return all that the kernel is loaded with, every array by its name, as `load` of ``src/kernel`` reads it."""
+        return self._describe(self.system, frozenset())
 
     def _load(self, system: System) -> None:
-        nonlinear, solve = system.nonlinear, system.solve
-        self._nonlinear = _NONE if nonlinear is None else nonlinear.index
-        self._active = on = solve.on
+        self._nonlinear = _NONE if system.nonlinear is None else system.nonlinear.index
+        self._active = system.solve.on
+        self._kernel.load(self._describe(system, frozenset(self._kernel.cached())))
+
+    def _describe(self, system: System, cached: frozenset[int]) -> Description:
+        """Describe a system; components with a key among `cached` come without arrays."""
+        solve, on = system.solve, self._active
         wiring, terms = self._wired(system)
-        fresh = self._load_components(system, wiring, terms)
-        along = [[system.slot(name) for name in law.parts] for law in system.geometric]
-        if along != self._along or fresh & {slot for slots in along for slot in slots}:
-            self._along = along
-            self._kernel.set_geometric([_geometric(system, slots, wiring) for slots in along])
         weights = system.force_weights()
-        self._kernel.set_solve(
-            solve.inverse, solve.gamma[on], solve.inverse @ solve.offset[on], weights.take(on, axis=1)
-        )
-        self._load_laws(system, terms, weights)
-        if system.tensions:
-            self._kernel.set_tensions(
-                [
-                    (t, part.kappa, [system.slot(name) for name in string.components])
-                    for t, string in enumerate(system.tensions)
-                    if system.tension_on[t] and (part := system.compiled[system.slot(string.components[0])].tension)
-                ],
-                solve.matrix,
-                solve.offset[on],
-            )
+        components = self._components(system, wiring, terms)
+        along = [[system.slot(name) for name in law.parts] for law in system.geometric]
+        keys = [components[slot]["key"] for slots in along for slot in slots]
+        if keys != self._geometric[0]:
+            self._geometric = keys, [_geometric(system, slots, wiring) for slots in along]
+        tensions = [
+            (t, part.kappa, [system.slot(name) for name in string.components])
+            for t, string in enumerate(system.tensions)
+            if system.tension_on[t] and (part := system.compiled[system.slot(string.components[0])].tension)
+        ]
+        return {
+            "components": [{"key": c["key"]} if c["key"] in cached else c for c in components],
+            "linear": {
+                "inverse": np.ascontiguousarray(solve.inverse),
+                "gamma": solve.gamma[on],
+                "constant": solve.inverse @ solve.offset[on],
+                "weights": np.ascontiguousarray(weights[:, on]),
+            },
+            "nonlinear": self._laws_and_gaps(system, terms, np.ascontiguousarray(weights[:, self._nonlinear])),
+            "tensions": {
+                "strings": tensions,
+                "matrix": np.ascontiguousarray(solve.matrix) if tensions else _NO_MATRIX,
+                "offset": solve.offset[on] if tensions else np.zeros(0),
+            },
+            "geometric": self._geometric[1],
+            "shortcuts": self._shortcuts,
+        }
 
-    def _load_laws(self, system: System, terms: Sequence[Term], weights: Floats) -> None:
-        """Load what has changed of the nonlinear connections: which there are, their laws, what they give way by."""
-        laws: tuple[NonlinearLaw, ...] = () if system.nonlinear is None else system.nonlinear.laws
-        gaps = None if system.nonlinear is None else system.nonlinear.gaps
-        before, self._laws = self._laws, laws
-        if terms is not self._terms or len(laws) != len(before):
-            theta = 0.5 if gaps is None else gaps.laws.theta
-            heard = np.ascontiguousarray(weights[:, self._nonlinear])
-            self._kernel.set_nonlinear(len(laws), terms, system.dt, theta, self._guarded, heard)
-            self._terms, self._gaps, before = terms, None, ()
-        old = before or (None,) * len(laws)
-        if others := [(j, _law(law)) for j, (law, was) in enumerate(zip(laws, old, strict=True)) if law is not was]:
-            self._kernel.set_laws(others)
-        key = self._active.tobytes()
-        if gaps is not None and (self._gaps is None or self._gaps[0] is not gaps or self._gaps[1] != key):
-            self._gaps = gaps, key
-            from_linear, to_linear = gaps.from_linear[:, self._active], gaps.to_linear[self._active]
-            self._kernel.set_gaps(
-                *(np.ascontiguousarray(a) for a in (gaps.compliance, from_linear, to_linear, gaps.residual))
-            )
+    def _laws_and_gaps(self, system: System, terms: Terms, weights: Floats) -> Description:
+        """Describe the nonlinear connections; arrays of what has not changed are those of the last description."""
+        nonlinear, on = system.nonlinear, self._active
+        laws: tuple[NonlinearLaw, ...] = () if nonlinear is None else nonlinear.laws
+        if laws is not self._laws:
+            self._law_arrays = _law_arrays(laws, self._laws, self._law_arrays)
+            self._laws = laws
+        key = on.tobytes()
+        if nonlinear is None:
+            no = np.zeros((0, len(on)))
+            gaps: Description = {"theta": 0.5, "compliance": _NO_MATRIX, "from_linear": no}
+            gaps |= {"to_linear": no.T.copy(), "residual": _NO_MATRIX}
+        elif self._gaps is not None and self._gaps[0] is nonlinear.gaps and self._gaps[1] == key:
+            gaps = self._gaps[2]
+        else:
+            g = nonlinear.gaps
+            parts = ("compliance", g.compliance), ("from_linear", g.from_linear[:, on]), ("to_linear", g.to_linear[on])
+            gaps = {"theta": g.laws.theta, "residual": np.ascontiguousarray(g.residual)}
+            gaps |= {name: np.ascontiguousarray(a) for name, a in parts}
+            self._gaps = g, key, gaps
+        index, factors = terms
+        return {"dt": system.dt, "terms": index, "factors": factors, "weights": weights, **self._law_arrays, **gaps}
 
-    def _load_components(self, system: System, wiring: Sequence[_Wires], terms: Sequence[Term]) -> set[int]:
-        """Load those that are others, or used otherwise, than before; returns their slots."""
-        fresh: set[int] = set()
-        pushed = {slot for _, slot, _, on_guarded, _ in terms if not on_guarded}
-        before, self._seen = self._seen, (system.compiled, wiring)
-        if before[0] is system.compiled and before[1] is wiring:
-            return fresh
+    def _components(self, system: System, wiring: Sequence[_Wiring], terms: Terms) -> list[Description]:
+        """Describe every component; a component that comes back with the same wiring keeps its description."""
+        loaded = {slot for _, slot, _, on_contact in terms[0].tolist() if not on_contact}
+        out: list[Description] = []
         for slot, (compiled, one_way, wires) in enumerate(zip(system.compiled, system.driven, wiring, strict=True)):
-            if (known := self._loaded[slot]) and known[0] is compiled and known[1] == wires.key:
-                continue
-            fresh.add(slot)
-            # strings come back to stops, and hands to strings
-            ready = self._ready.setdefault(compiled, {})
-            if (key := (slot, slot in pushed, wires.key)) not in ready:
-                ready[key] = next(self._numbers), *self._arrays(compiled, wires, one_way, slot in pushed)
-            number, component, guarded = ready[key]
-            if known:
-                self._kernel.set_aside(slot, known[2])
-            self._loaded[slot] = (compiled, wires.key, number)
-            if self._kernel.take_back(slot, number):
-                continue
-            self._kernel.set_component(slot, system.offsets[slot], one_way, *component)
-            if guarded:
-                self._kernel.set_guarded(slot, component[0], *guarded)
-            if (part := compiled.tension) is not None:
-                half = 0.5 * part.reading * part.kick[:, 0] * part.weights
-                weights, half, reading = (_pack(a[None, :, None])[0, 0] for a in (part.weights, half, part.reading))
-                self._kernel.set_stretched(slot, weights, half, reading, _pack(part.kick[None])[0], component[0])
-        return fresh
+            known = self._descriptions.setdefault(compiled, {})
+            if (key := (slot, slot in loaded, wires.key)) not in known:
+                known[key] = {"key": next(self._keys), "offset": system.offsets[slot], "driven": one_way}
+                known[key] |= _component(compiled, wires, one_way, slot in loaded)
+            out.append(known[key])
+        return out
 
-    def _arrays(
-        self, compiled: Compiled, wires: _Wires, one_way: bool, pushed: bool
-    ) -> tuple[tuple[Any, ...], tuple[Floats, ...]]:
-        """A component as ``set_component`` wants it, and ports that only contacts act on; `pushed` by other laws."""
-        # nobody asks for the motion of a driven component's ports
-        readouts = np.arange(len(compiled.ports), len(compiled.rows))
-        fixed, guarded, incidence = wires.fixed, wires.guarded, wires.incidence
-        if not (one_way or pushed or wires.coupled):
-            fixed, incidence = _independent(compiled, fixed, incidence)
-        rows = readouts if one_way else np.concatenate([fixed, readouts])
-        E = _pack(compiled.E.reshape(-1, 4)[None])[0]
-        history = compiled.history
-        component = (
-            E,
-            _pack(compiled.rows[rows]),
-            _pack(compiled.W[fixed]),
-            np.ascontiguousarray(history[:, fixed][:, :, rows]),
-            incidence,
-            compiled.readouts.tolist(),
-            compiled.difference.astype(int).tolist(),
-        )
-        if not guarded.size:
-            return component, ()
-        return component, (
-            _pack(compiled.rows[guarded]),
-            _pack(compiled.W[guarded]),
-            np.ascontiguousarray(history[:, fixed][:, :, guarded]),
-            np.ascontiguousarray(history[:, guarded][:, :, guarded]),
-            np.ascontiguousarray(history[:, guarded][:, :, rows]),
-        )
-
-    def _wired(self, system: System) -> tuple[list[_Wires], list[Term]]:
-        """Ports of every component as the connections now use them; made once for each set of those in use."""
-        contact = system.elimination.others.is_contact
+    def _wired(self, system: System) -> tuple[list[_Wiring], Terms]:
+        """Sort the ports of every component by the connections now in use; once for each set of these."""
+        is_contact = system.elimination.others.is_contact
         coupled = {name for law in system.geometric for name in law.parts}
-        key = self._active.tobytes(), self._nonlinear.tobytes(), contact.tobytes(), frozenset(coupled)
+        key = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), frozenset(coupled)
         if key not in self._wirings:
-            always = np.concatenate([self._active, self._nonlinear[~contact]])
-            wiring: list[_Wires] = []
-            terms: list[Term] = []
+            always = np.concatenate([self._active, self._nonlinear[~is_contact]])
+            wiring: list[_Wiring] = []
+            terms: list[tuple[int, int, int, bool]] = []
+            factors: list[float] = []
             for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
                 incidence = system.incidence(slot)
                 acts = incidence != 0.0
                 touched = np.any(acts[self._nonlinear], axis=0)
                 needed = np.any(acts[always], axis=0)
-                may_sleep = not one_way and name not in coupled
-                guarded = np.flatnonzero(touched & ~needed & may_sleep)
-                fixed = np.flatnonzero((touched | needed) & ~np.isin(np.arange(acts.shape[1]), guarded))
+                may_be_culled = not one_way and name not in coupled
+                contact = np.flatnonzero(touched & ~needed & may_be_culled)
+                fixed = np.flatnonzero((touched | needed) & ~np.isin(np.arange(acts.shape[1]), contact))
                 for j, port in zip(*np.nonzero(acts[self._nonlinear]), strict=True):
-                    among, factor = (guarded if port in guarded else fixed), incidence[self._nonlinear[j], port]
-                    k = int(np.searchsorted(among, port))
-                    terms.append((int(j), slot, k, among is guarded, float(factor)))
+                    among = contact if port in contact else fixed
+                    terms.append((int(j), slot, int(np.searchsorted(among, port)), among is contact))
+                    factors.append(float(incidence[self._nonlinear[j], port]))
                 wires = np.ascontiguousarray(incidence[self._active][:, fixed])
                 wired = np.nonzero(wires)
-                parts = [part.tobytes() for part in (*wired, wires[wired], fixed, guarded)]
+                parts = [part.tobytes() for part in (*wired, wires[wired], fixed, contact)]
                 parts.append(b"coupled" if name in coupled else b"")
-                wiring.append(_Wires(fixed, guarded, wires, name in coupled, b"|".join(parts)))
-            self._wirings[key] = wiring, terms
+                wiring.append(_Wiring(fixed, contact, wires, name in coupled, b"|".join(parts)))
+            index = np.array(terms, dtype=np.int64).reshape(-1, 4)
+            self._wirings[key] = wiring, (index, np.array(factors))
         return self._wirings[key]
 
     def run(
@@ -416,22 +416,58 @@ class KernelStepper:
         return self.system.slot(injection.component), injection.start - state.sample, known[1], known[2]
 
 
-def _geometric(
-    system: System, slots: Sequence[int], wiring: Sequence[_Wires]
-) -> tuple[float, bool, list[tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]]]:
-    """EA L, whether its longitudinal motion is stepped, and the parts of a string, as module.cpp reads them."""
+def _component(compiled: Compiled, wires: _Wiring, one_way: bool, loaded: bool) -> Description:
+    """Describe a component's arrays, modes last and padded; `loaded`: laws act on its fixed ports."""
+    # the motion of a driven component's ports is not needed
+    readouts = np.arange(len(compiled.ports), len(compiled.rows))
+    fixed, contact, incidence = wires.fixed, wires.contact, wires.incidence
+    if not (one_way or loaded or wires.coupled):
+        fixed, incidence = _independent(compiled, fixed, incidence)
+    rows = readouts if one_way else np.concatenate([fixed, readouts])
+    response = compiled.history
+    out: Description = {
+        "e": _pack(compiled.E.reshape(-1, 4)[None])[0],
+        "rows": _pack(compiled.rows[rows]),
+        "w": _pack(compiled.W[fixed]),
+        "response": np.ascontiguousarray(response[:, fixed][:, :, rows]),
+        "incidence": incidence,
+        "channels": compiled.readouts.tolist(),
+        "difference": compiled.difference.astype(int).tolist(),
+    }
+    if contact.size:
+        out |= {
+            "contact_rows": _pack(compiled.rows[contact]),
+            "contact_w": _pack(compiled.W[contact]),
+            "from_fixed": np.ascontiguousarray(response[:, fixed][:, :, contact]),
+            "from_contact": np.ascontiguousarray(response[:, contact][:, :, contact]),
+            "on_rows": np.ascontiguousarray(response[:, contact][:, :, rows]),
+        }
+    if (part := compiled.tension) is not None and not one_way:
+        half = 0.5 * part.reading * part.kick[:, 0] * part.weights
+        names = ("a", part.weights), ("half", half), ("reading", part.reading)
+        out |= {name: _pack(a[None, :, None])[0, 0] for name, a in names}
+        out["kick"] = _pack(part.kick[None])[0]
+    return out
+
+
+def _geometric(system: System, slots: Sequence[int], wiring: Sequence[_Wiring]) -> Description:
+    """Describe a string whose longitudinal motion is stepped: EA L, whether there is such a motion, and its parts."""
     scale, along = 0.0, False
-    parts: list[tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]] = []
+    parts: list[Description] = []
     for slot in slots:
         compiled, ports = system.compiled[slot], wiring[slot].fixed
         if (part := compiled.geometric) is not None:
             scale, along = part.scale, along or part.along
-            slopes = part.slopes if part.stretch is None else part.stretch[None]
-            moved = np.einsum("pmx,mx->pm", compiled.rows[ports][:, : part.n], part.kick)
-            called = part.reading * compiled.W[ports][:, : part.n, 0]
-            yields, kick = part.reading * part.kick[:, 0], np.ascontiguousarray(part.kick.T)
-            parts.append((slot, slopes, part.reading, yields, kick, moved, called))
-    return scale, along, parts
+            arrays = {
+                "slopes": part.slopes if part.stretch is None else part.stretch[None],
+                "reading": part.reading,
+                "compliances": part.reading * part.kick[:, 0],
+                "kick": part.kick.T,
+                "to_port": np.einsum("pmx,mx->pm", compiled.rows[ports][:, : part.n], part.kick),
+                "from_port": part.reading * compiled.W[ports][:, : part.n, 0],
+            }
+            parts.append({"slot": slot, **{name: np.ascontiguousarray(a) for name, a in arrays.items()}})
+    return {"scale": scale, "along": along, "parts": parts}
 
 
 def _independent(compiled: Compiled, ports: NDArray[np.intp], incidence: Floats) -> tuple[NDArray[np.intp], Floats]:
@@ -455,27 +491,40 @@ def _independent(compiled: Compiled, ports: NDArray[np.intp], incidence: Floats)
     return ports[chosen], np.ascontiguousarray(incidence @ span)
 
 
-def _law(law: NonlinearLaw) -> tuple[int, list[float], list[float], list[float], list[tuple[int, int, bool]]]:
-    """Kind, a[4] with loss, damping, offset and velocity, samples, and addresses, as module.cpp reads them."""
-    knots: list[float] = []
-    coefficients: list[float] = []
-    functions: list[tuple[int, int, bool]] = []
-    match law:
-        case Contact():
-            kind, numbers = 0, [law.stiffness, law.exponent, 0.0, 0.0, law.loss, 0.0]
-        case HardeningSpring():
-            kind, numbers = 1, [law.stiffness, law.cubic, law.quadratic_damping, 0.0, 0.0, law.damping]
-        case SampledPotential():
-            kind, numbers = 2, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
-            knots, coefficients = law.knots.tolist(), law.coefficients.reshape(-1).tolist()
-        case CompiledPotential():
-            kind, numbers = 3, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
-            scalars: tuple[Scalar, Scalar] = (law.potential, law.slope)
-            functions = [(f.address, f.data, f.takes_data) for f in scalars]
-        case Friction():
-            kind, numbers = 4, [law.normal_force, law.static, law.dynamic, law.speed, 0.0, 0.0]
-    velocity = law.velocity if isinstance(law, Friction) else 0.0
-    return kind, [*numbers, law.offset, velocity], knots, coefficients, functions
+def _law_arrays(
+    laws: Sequence[NonlinearLaw], before: Sequence[NonlinearLaw] = (), arrays: Description | None = None
+) -> Description:
+    """Describe laws: kinds (k), numbers (k, 8): a[4], loss, damping, offset, velocity; samples and functions of some.
+
+    What stands in `arrays`, those of the laws `before`, is taken over where a law is the same.
+    """
+    out: Description = {"kinds": np.zeros(len(laws), dtype=np.int64), "numbers": np.zeros((len(laws), 8))}
+    out |= {"samples": [], "functions": []}
+    if arrays is not None and len(before) == len(laws):
+        out = arrays | {"kinds": arrays["kinds"].copy(), "numbers": arrays["numbers"].copy()}
+    else:
+        before = [None] * len(laws)
+    changed = [j for j, (law, was) in enumerate(zip(laws, before, strict=True)) if law is not was]
+    for name in ("samples", "functions"):
+        out[name] = [entry for entry in out[name] if entry[0] not in set(changed)]
+    for j in changed:
+        match law := laws[j]:
+            case Contact():
+                kind, numbers = 0, [law.stiffness, law.exponent, 0.0, 0.0, law.loss, 0.0]
+            case HardeningSpring():
+                kind, numbers = 1, [law.stiffness, law.cubic, law.quadratic_damping, 0.0, 0.0, law.damping]
+            case SampledPotential():
+                kind, numbers = 2, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
+                out["samples"].append((j, law.knots.tolist(), law.coefficients.reshape(-1).tolist()))
+            case CompiledPotential():
+                kind, numbers = 3, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
+                scalars: tuple[Scalar, Scalar] = (law.potential, law.slope)
+                out["functions"].append((j, [(f.address, f.data, f.takes_data) for f in scalars]))
+            case Friction():
+                kind, numbers = 4, [law.normal_force, law.static, law.dynamic, law.speed, 0.0, 0.0]
+        velocity = law.velocity if isinstance(law, Friction) else 0.0
+        out["kinds"][j], out["numbers"][j] = kind, [*numbers, law.offset, velocity]
+    return out
 
 
 def _pack(a: Floats) -> Floats:

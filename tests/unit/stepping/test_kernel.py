@@ -285,7 +285,7 @@ def test_wrong_state_is_refused():
         stepper.run(single, 1)
     short = stepper.start()
     short.modes = short.modes[:, :-1].copy()
-    with pytest.raises(ValueError, match="wrong shape"):
+    with pytest.raises(ValueError, match="modes has the shape"):
         stepper.run(short, 1)
     with pytest.raises(ValueError, match="does not fit its component"):
         stepper.run(stepper.start(), 5, [Injection("body", 0, np.ones((1, 100, 2)), np.ones((1, 5)))])

@@ -17,7 +17,7 @@ from tonewood.errors import NumericalError
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.string_transfer import retuned
 from tonewood.stepping.forcing import Segment, compile_force
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.stepping.kernel import KernelStepper, Shortcuts
 from tonewood.stepping.stepper import NumpyStepper
 
 DT = 1 / 48000
@@ -101,34 +101,34 @@ def test_kernel_takes_the_steps_of_its_twin(name):
 
 @pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("height", [2e-4, 1e-3])
-def test_leaving_out_what_does_not_touch_changes_no_bit(isa, height):
+def test_culled_contacts_change_no_bit(isa, height):
     system = fretted(LAWS["stiff"])
     results, states, read = [], [], []
-    for guarded in (True, False):
-        state, stepper = struck(system, height), KernelStepper(system, isa=isa, guarded=guarded)
+    for culling in (True, False):
+        state, stepper = struck(system, height), KernelStepper(system, isa=isa, shortcuts=Shortcuts(block_culling=culling))
         results.append([stepper.run(state, n, injections(system)) for n in (64, 300, 100, 336)])
         states.append(state)
-        read.append(stepper.guard_statistics["rows_read"])
-    for with_guard, without in zip(*results, strict=True):
-        np.testing.assert_array_equal(with_guard[0], without[0])
-        np.testing.assert_array_equal(with_guard[1], without[1])
+        read.append(stepper.culling_statistics["rows_read"])
+    for culled, without in zip(*results, strict=True):
+        np.testing.assert_array_equal(culled[0], without[0])
+        np.testing.assert_array_equal(culled[1], without[1])
     np.testing.assert_array_equal(states[0].modes, states[1].modes)
     np.testing.assert_array_equal(states[0].series, states[1].series)
     assert read[0] < (0.5 if height < 5e-4 else 1.0) * read[1]
     assert np.abs(results[0][-1][1]).max() > 0
 
 
-def test_a_slow_swell_wakes_its_contact_inside_a_block():
+def test_a_slow_swell_adds_its_contact_inside_a_block():
     system = fretted(Contact(1e10, 1.5, offset=-2e-4))
     basis = system.compiled[system.slot("s1")].basis
     push = compile_force("s1", basis, "f2", [Segment(0.0, 0.02, 0.0, -100.0)], DT, time=0.001)
     out = []
-    for guarded in (True, False):
-        stepper, state = KernelStepper(system, guarded=guarded), system.start()
+    for culling in (True, False):
+        stepper, state = KernelStepper(system, shortcuts=Shortcuts(block_culling=culling)), system.start()
         system.modes_of(state, "mass")[0] = 1e-3
         out.append(stepper.run(state, 960, push)[1])
-        if guarded:
-            assert stepper.guard_statistics["rows_read"] < 0.5 * 60 * 12
+        if culling:
+            assert stepper.culling_statistics["rows_read"] < 0.5 * 60 * 12
     np.testing.assert_array_equal(*out)
     touched = np.flatnonzero(out[0].any(axis=1))
     assert np.abs(out[0][:, 8:14]).max() > 0.1

@@ -2,7 +2,7 @@
 
     f_n = -(G r_n + K f_(n-1)),   every mode moves on under f_n, f_(n-1), ...,   r_(n+1) is read from the new state
 
-The rules of the loop (``src/kernel/methods.hpp``) are the exact flow of a mode, Adams-Bashforth 3, velocity Verlet and
+The rules of the loop (``src/kernel/lab/methods.hpp``) are the exact flow of a mode, Adams-Bashforth 3, velocity Verlet and
 Newmark's family. What distinguishes methods of one rule is in the arrays: the level at which the constraint is asked
 for (position, velocity, acceleration), and how a force is continued within and across steps. Forces that come from
 accelerations are known at t_n only; the interpolatory updates of Chinnakonda (2007) then take the last one, two or

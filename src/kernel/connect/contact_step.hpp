@@ -1,0 +1,279 @@
+// Forces of the nonlinear connections, sample by sample, and what remains of them for the next sample.
+//
+// The linear connections are eliminated: z holds the gaps per force of a law with the linear connections answering. The
+// active set grows from the candidates that are closed before the step to those that the motion found closes.
+#pragma once
+
+#include <functional>
+
+#include "../cull/broad_phase.hpp"
+#include "newton.hpp"
+#include "series.hpp"
+
+namespace tonewood {
+namespace {
+
+class ContactStep {
+    using Term = Nonlinear::Term;
+
+public:
+    explicit ContactStep(Block& block)
+        : rows(block), cull(block, rows), series(block.model.nonlinear, block.model.contacts), block_(block),
+          components_(block.model.components), layout_(block.model.layout), solve_(block.model.solve),
+          nl_(block.model.nonlinear), ws_(block.model.contacts), statistics_(block.model.statistics), job_(block.job) {
+        if (!nl_.k) return;
+        for (const Component& c : components_) any_modulated_ = any_modulated_ || c.tension.on;
+        std::copy_n(job_.series, nl_.k, ws_.series.data());
+        std::copy_n(job_.slip, nl_.k, ws_.slip.data());
+        std::copy_n(job_.last_force, nl_.k, ws_.last_force.data());
+        std::fill(ws_.is_active.begin(), ws_.is_active.end(), 0), std::fill(ws_.acted.begin(), ws_.acted.end(), 0);
+        series.begin();
+        ws_.gathered.clear(), ws_.previous.clear(), ws_.active.clear();
+        for (int j = 0; j < nl_.k; ++j) {
+            ws_.offset[j] = ws_.offset_after[j] = nl_.laws[j].offset;
+            ws_.velocity[j] = nl_.laws[j].velocity, ws_.scale[j] = 1.0;
+            if (ws_.last_force[j] != 0.0) ws_.previous.push_back(j);
+        }
+    }
+
+    bool any() const { return nl_.k > 0; }
+
+    // Writes the state back.
+    void finish() {
+        if (!nl_.k) return;
+        std::copy_n(ws_.series.data(), nl_.k, job_.series);
+        std::copy_n(ws_.slip.data(), nl_.k, job_.slip);
+        std::copy_n(ws_.last_force.data(), nl_.k, job_.last_force);
+    }
+
+    // Finds all forces of sample b for the motion in the row history. `f` (f_width) holds the forces of the linear
+    // connections without laws; it takes the forces found, and `now` those on all fixed ports. False if they were not
+    // found. `commit` makes them final.
+    bool forces(int b, double* f, double* now) {
+        std::copy_n(f, layout_.f_width, ws_.f0.data());
+        open_sample(b);
+        compress_candidates(b);
+        for (;;) {
+            if (!ws_.active.empty() && !solve()) return false;
+            combine(b, f, now);
+            // the forces found may close more contacts: culled ones are asked by their bound, candidates by their motion
+            cull.add_candidates(b, series.find(), [&](int j) { compress(j, b); });
+            if (!activate_closed([&](int j) { return compression_after(j); })) break;
+        }
+        return true;
+    }
+
+    // Finds a step in which `find` evaluates the forces repeatedly; friction keeps to its branches meanwhile.
+    template <class Find>
+    bool keeping_branches(const Find& find) {
+        if (!nl_.k) return find();
+        std::fill(ws_.branch.begin(), ws_.branch.end(), Branch::open);
+        ws_.sliding.clear();
+        branches_kept_ = true;
+        const bool done = converge_branches(nl_, ws_, find);
+        branches_kept_ = false;
+        return done;
+    }
+
+    // The forces of sample b are final; whether a nonlinear connection acts.
+    bool commit(int b) {
+        if (!nl_.k) return false;
+        for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
+        double* forces = job_.law_forces + (block_.start + b) * nl_.k;
+        for (const int j : ws_.active) {
+            forces[j] = ws_.last_force[j] = ws_.law_force[j];
+            ws_.acted[j] = ws_.acted[j] || forces[j] != 0.0;
+            if (nl_.laws[j].kind == Law::friction) ws_.slip[j] = ws_.slip_after[j];
+            ws_.is_active[j] = 0;
+        }
+        series.commit();
+        std::swap(ws_.previous, ws_.active);
+        ws_.active.clear();
+        cull.commit();
+        return !ws_.previous.empty();
+    }
+
+    // No nonlinear connection acts in the sample.
+    void commit_contact_free() {
+        for (const int j : ws_.previous) ws_.last_force[j] = 0.0;
+        ws_.previous.clear();
+    }
+
+    // Adds the nonlinear forces that are outputs.
+    void add_outputs() const {
+        for (int b = 0; b < block_.nb; ++b)
+            for (const int j : nl_.read_forces) {
+                const double f = job_.law_forces[(block_.start + b) * nl_.k + j];
+                for (int o = 0; o < job_.n_channels; ++o)
+                    job_.out[(block_.start + b) * job_.n_channels + o] += nl_.weights[std::size_t(o) * nl_.k + j] * f;
+            }
+    }
+
+    // Sets the drives of sample b; no law is active yet.
+    void open_sample(int b) {
+        for (const Control& control : job_.controls) {
+            const int j = control.connection;
+            const double* values = control.values + block_.start + b;
+            ws_.offset[j] = values[0], ws_.offset_after[j] = values[job_.n];
+            ws_.velocity[j] = values[2 * job_.n], ws_.scale[j] = values[3 * job_.n];
+        }
+        for (const int j : ws_.active) ws_.is_active[j] = 0;  // of an attempt that was given up
+        ws_.active.clear();
+    }
+
+    // Compressions of all candidates; laws other than contacts, and closed contacts, become active.
+    void compress_candidates(int b) {
+        for (const int j : cull.candidates()) {
+            compress(j, b);
+            if (!is_contact(j) || (ws_.old_p[j] > 0.0 && ws_.scale[j] > 0.0)) activate(j);
+        }
+    }
+
+    // Compressions of a connection before the step, and after it without nonlinear forces. Of tension-modulated strings,
+    // the row before the step counts alone: CoupledStep subtracts the rest from rest_p.
+    void compress(int j, int b) {
+        double gap = 0.0, free = 0.0;
+        for (const Term& t : nl_.terms[j]) {
+            if (block_.modulated(t.component)) {
+                gap += t.factor * (t.contact ? displacement(t) : rows.line_of(t)[std::size_t(b) * layout_.width]);
+                continue;
+            }
+            const double* at =
+                t.contact ? rows.value(t.component, t.port) + b : rows.line_of(t) + std::size_t(b) * layout_.width;
+            gap += t.factor * at[0], free += t.factor * at[t.contact ? 1 : layout_.width];
+        }
+        if (!any_modulated_) free += dot(nl_.from_linear.data() + std::size_t(j) * solve_.m, ws_.f0.data(), solve_.m);
+        if (nl_.series[j] >= 0) {
+            gap += ws_.series[j];
+            free -= (1 - nl_.theta) / nl_.theta * ws_.series[j];
+        }
+        ws_.old_p[j] = ws_.offset[j] - gap, ws_.free_p[j] = ws_.rest_p[j] = ws_.offset_after[j] - free;
+        ws_.size[j] = std::max({std::abs(gap), std::abs(free), std::abs(ws_.offset_after[j])});
+    }
+
+    // Counts a solve; groups of residual compliances on which a force acts move from now on.
+    bool count(bool done, int iterations) {
+        ++statistics_.solves;
+        statistics_.iterations += iterations;
+        statistics_.most_iterations = std::max<std::int64_t>(statistics_.most_iterations, iterations);
+        for (const int j : ws_.active)
+            if (ws_.law_force[j] != 0.0) series.start(j);
+        return done;
+    }
+
+    // Candidates that `compression_after` finds closed after the step become active; whether there are any.
+    template <class After>
+    bool activate_closed(const After& compression_after) {
+        const std::size_t before = n_before_ = ws_.active.size();
+        for (const int j : cull.candidates()) {
+            if (ws_.is_active[j] || !is_contact(j) || !(ws_.scale[j] > 0.0)) continue;
+            if (compression_after(j) > 0.0) activate(j);
+        }
+        if (ws_.active.size() == before) return false;
+        std::sort(ws_.active.begin(), ws_.active.end());
+        return true;
+    }
+
+    // Port forces of sample b from those of the linear connections and the active laws.
+    void distribute(int b, const double* f, double* now) {
+        std::fill_n(now, layout_.force_width, 0.0);
+        add_product(layout_.scatter.data(), layout_.force_width, f, solve_.m, now);
+        rows.clear_forces(b);
+        for (const int j : ws_.active) {
+            const double force = ws_.law_force[j];
+            for (const Term& t : nl_.driven[j]) now[layout_.port[t.component] + t.port] += t.factor * force;
+            for (const Term& t : nl_.terms[j]) {
+                if (!t.contact) {
+                    now[layout_.port[t.component] + t.port] += t.factor * force;
+                } else if (force != 0.0) {
+                    if (rows.load(t)) cull.port_loaded(t.component, b);
+                    rows.force(t.component, t.port)[b] += t.factor * force;
+                }
+            }
+        }
+    }
+
+    // Displacement of a contact port of a tension-modulated string now. Its state must be that of the sample.
+    double displacement(const Term& t) const {
+        using S = Simd;
+        const Component& c = components_[t.component];
+        const double* row = c.contact.rows.data() + 2 * std::size_t(t.port) * c.n;
+        to_state(t.component);
+        const double *sx = block_.x(t.component), *sy = block_.y(t.component);
+        S::V sum{}, more{};
+        for (int k = 0; k < c.n; k += S::width) {
+            sum += S::load(row + k) * S::load(sx + k);
+            more += S::load(row + c.n + k) * S::load(sy + k);
+        }
+        return S::sum(sum + more);
+    }
+    std::function<void(int)> to_state;  // writes the modes of a tension-modulated component to the state
+
+    ContactRows rows;
+    BroadPhase cull;
+    Series series;
+
+private:
+    bool is_contact(int j) const { return nl_.laws[j].kind == Law::contact; }
+
+    void activate(int j) {
+        if (!ws_.has_response[j]) find_response(j);
+        ws_.is_active[j] = 1;
+        ws_.active.push_back(j);
+        ws_.law_force[j] = ws_.last_force[j];
+    }
+
+    // Response of the linear connections and of all gaps to connection j, derived when it first acts.
+    void find_response(int j) {
+        const std::size_t width = layout_.f_width, k = nl_.k, m = solve_.m;
+        double* const answer = ws_.answer.data() + j * width;
+        const double* const moved = nl_.to_linear.data() + j * width;
+        for (std::size_t i = 0; i < m; ++i) answer[i] = dot(solve_.g.data() + i * m, moved, int(m));
+        for (std::size_t i = 0; i < k; ++i)
+            ws_.z[i * k + j] = nl_.compliance[i * k + j] - dot(nl_.from_linear.data() + i * m, answer, int(m));
+        ws_.has_response[j] = 1;
+    }
+
+    bool solve() {
+        const auto find = [&] {
+            int iterations = 0;
+            const bool done = find_forces(nl_, block_.model.shortcuts, ws_, ws_.z.data(), iterations);
+            return count(done, iterations);
+        };
+        const bool done = branches_kept_ ? find() : converge_branches(nl_, ws_, find);
+        statistics_.failures += !done;
+        return done;
+    }
+
+    // Compression of j after the step under the forces found.
+    double compression_after(int j) const {
+        double p = ws_.free_p[j];
+        for (std::size_t q = 0; q < n_before_; ++q)
+            p -= ws_.z[std::size_t(j) * nl_.k + ws_.active[q]] * ws_.law_force[ws_.active[q]];
+        return p;
+    }
+
+    // Forces of the linear connections and of the ports under the nonlinear forces tried.
+    void combine(int b, double* f, double* now) {
+        std::copy_n(ws_.f0.data(), layout_.f_width, f);
+        for (const int j : ws_.active) {
+            const double force = ws_.law_force[j], *answer = ws_.answer.data() + std::size_t(j) * layout_.f_width;
+            for (int k = 0; k < layout_.f_width; ++k) f[k] -= answer[k] * force;
+        }
+        distribute(b, f, now);
+    }
+
+    Block& block_;
+    const std::vector<Component>& components_;
+    const Layout& layout_;
+    const Solve& solve_;
+    const Nonlinear& nl_;
+    ContactState& ws_;
+    Statistics& statistics_;
+    const Job& job_;
+    bool any_modulated_ = false, branches_kept_ = false;
+    std::size_t n_before_ = 0;
+};
+
+}  // namespace
+}  // namespace tonewood

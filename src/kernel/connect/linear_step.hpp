@@ -1,0 +1,85 @@
+// Linear connections, and nonlinear ones by contact_step.hpp where they act.
+#pragma once
+
+#include "connection_step.hpp"
+#include "contact_step.hpp"
+
+namespace tonewood {
+namespace {
+
+// Any connections: forces of the linear ones from the gaps, then the laws.
+class GeneralStep : public ConnectionStep {
+public:
+    GeneralStep(Block& block, ContactStep& laws)
+        : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws),
+          y_(2 * layout_.port_rows.size()) {}
+
+    bool sample(int b, double* now, double* f_out) override {
+        if (!forces(b, now)) return false;
+        laws_.commit(b);
+        std::copy_n(block_.f.begin(), m_, f_out);
+        return true;
+    }
+
+    // Forces of sample b in block.f and `now`; they are not final.
+    bool forces(int b, double* now) {
+        const int n = int(layout_.port_rows.size());
+        const double* line = block_.line(b);
+        double* const f = block_.f.data();
+        for (int p = 0; p < n; ++p) {
+            y_[p] = line[layout_.port_rows[p]];
+            y_[n + p] = line[layout_.width + layout_.port_rows[p]];
+        }
+        std::copy(layout_.constant.begin(), layout_.constant.end(), f);
+        add_product(layout_.gather.data(), layout_.f_width, y_.data(), 2 * n, f);
+        if (laws_.any()) return laws_.forces(b, f, now);
+        std::fill_n(now, layout_.force_width, 0.0);
+        add_product(layout_.scatter.data(), layout_.force_width, f, m_, now);
+        return true;
+    }
+
+private:
+    Block& block_;
+    const Layout& layout_;
+    const int m_;
+    ContactStep& laws_;
+    Array<double> y_;  // port displacements before the step, then free ones after it
+};
+
+// The port forces of linear connections in one product. The general step follows only where a contact may touch.
+class DirectStep : public ConnectionStep {
+public:
+    DirectStep(Block& block, ContactStep& laws)
+        : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws), general_(block, laws),
+          direct_(layout_) {}
+
+    bool sample(int b, double* now, double* f_out) override {
+        const double* line = block_.line(b);
+        direct_(line, now);
+        if (laws_.any()) {
+            if (laws_.cull.contact_free(b, now)) {
+                laws_.commit_contact_free();
+            } else {
+                if (!general_.forces(b, now)) return false;
+                if (laws_.commit(b)) {
+                    std::copy_n(block_.f.begin(), m_, f_out);
+                    return true;
+                }
+                direct_(line, now);
+            }
+        }
+        own_forces(layout_, now, m_, f_out);
+        return true;
+    }
+
+private:
+    Block& block_;
+    const Layout& layout_;
+    const int m_;
+    ContactStep& laws_;
+    GeneralStep general_;
+    DirectForces direct_;
+};
+
+}  // namespace
+}  // namespace tonewood

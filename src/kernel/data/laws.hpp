@@ -1,0 +1,87 @@
+// Nonlinear connections: their laws, the ports they act on, and the groups of contacts that share bounds.
+#pragma once
+
+#include "component.hpp"
+
+namespace tonewood {
+
+// One nonlinear law; its numbers are those of tonewood.coupling.laws.
+struct Law {
+    enum Kind { contact, spring, sampled, compiled, friction };
+    Kind kind = contact;
+    double a[4] = {};  // contact: K, alpha. spring: k, k3, d. friction: N, static, dynamic, speed
+    double loss = 0, damping = 0;
+    double offset = 0, velocity = 0;
+    std::vector<double> knots, coefficients;  // (n + 1), (n, 4)
+    struct Function {
+        double (*plain)(double) = nullptr;
+        double (*with_data)(double, void*) = nullptr;
+        void* data = nullptr;
+        double operator()(double x) const { return plain ? plain(x) : with_data(x, data); }
+        bool operator==(const Function&) const = default;
+    } potential, slope;
+    bool operator==(const Law&) const = default;
+};
+
+constexpr double kCoarse = 0.8;    // share of the clearances up to which one bound culls a whole group
+constexpr int kMostLinear = 16;    // laws, if all are linear, whose inverse is kept
+
+// Which approximation-free shortcuts a run takes; docs/kernel.md derives each one.
+struct Shortcuts {
+    bool direct_step = true;       // port forces in one product, contact-free samples without the general step
+    bool block_culling = true;     // contacts are stepped only where a bound cannot exclude them
+    bool group_bound = true;       // one bound for all contacts of a group first
+    bool fine_bound = true;        // a second bound about the middle of the block
+    bool tension_lanes = true;     // strings under rising tension side by side in a vector
+    bool tension_windows = true;   // scaled modes and predictions are kept over four blocks
+    bool combined_pass = true;     // one modal pass finishes a tension-modulated step and begins the next
+    bool fixed_compliances = true; // laws on fixed ports of tension-modulated strings keep their compliances at rest
+    bool folded_laws = true;       // linear laws are folded into the matrix of the linear connections
+    bool kept_inverse = true;      // the inverse for linear laws is kept until a slope changes
+    bool operator==(const Shortcuts&) const = default;
+};
+
+// Nonlinear connections as the linear ones leave their gaps.
+struct Nonlinear {
+    struct Term {
+        int connection, component, port;
+        bool contact;  // `port` counts contact ports, else fixed ports
+        double factor;
+        bool operator==(const Term&) const = default;
+    };
+    struct Group {  // components joined by contacts on contact ports
+        std::vector<int> components, contacts;
+        // if `simple` (all terms on contact ports, all gaps open at rest): norm of component q times
+        // coarse_sensitivity[q] bounds the share of a clearance that its free motion takes; `sensitivity` (per newton on
+        // fixed ports) and `tension_sensitivity` hold when each clearance is (1 - kCoarse) of the gap at rest
+        bool simple = false;
+        Array<double> coarse_sensitivity, tension_sensitivity;
+        std::vector<Array<double>> sensitivity;
+    };
+    int k = 0;
+    double dt = 0;
+    double theta = 0.5;         // of the residual compliance in series
+    std::vector<Law> laws;
+    Array<double> compliance;   // (k, k): gaps per force without the linear connections, with the series part
+    Array<double> from_linear;  // (k, m): gaps per force of the linear connections
+    Array<double> to_linear;    // (k, f_width): gaps of the linear connections per force
+    Array<double> residual;     // (k, k)
+    Array<double> weights;      // (n_channels, k) of forces in the readouts
+    std::vector<Term> all_terms;
+    // derived by load/contacts.hpp
+    std::vector<int> read_forces;  // connections with a weight
+    std::vector<int> series;       // (k): group of gaps that share residual compliance, -1 without
+    int n_series = 0;
+    std::vector<std::vector<int>> in_series;       // by such a group: its connections
+    std::vector<std::vector<Term>> terms, driven;  // by connection: on two-way components, on driven ones
+    std::vector<char> contact;                     // by connection: may be culled
+    std::vector<char> only_contact_ports;          // by connection: a contact whose terms are all on contact ports
+    Array<double> gap;                             // by connection: gap at rest, the negative offset
+    std::vector<int> group_of;                     // by component, -1 outside of groups
+    std::vector<int> group_of_law;                 // by connection, likewise
+    std::vector<Group> groups;
+    std::vector<int> first;                        // by component: its first contact port among all
+    int n_contact = 0;
+};
+
+}  // namespace tonewood

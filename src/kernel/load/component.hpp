@@ -1,0 +1,176 @@
+// A component from its description: its arrays checked and copied, and the tables of the modal passes derived.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include "bounds.hpp"
+#include "description.hpp"
+
+namespace tonewood {
+
+static_assert((kBlock & (kBlock - 1)) == 0, "E^kBlock is made by squaring");
+
+// rows (E - I), of `count` rows of n modes
+inline Array<double> slopes_of(std::size_t n, const double* e, const double* rows, std::size_t count) {
+    Array<double> out(2 * count * n);
+    for (std::size_t r = 0; r < count; ++r)
+        for (std::size_t k = 0; k < n; ++k) {
+            const double rx = rows[2 * r * n + k], ry = rows[(2 * r + 1) * n + k];
+            out[2 * r * n + k] = rx * (e[k] - 1) + ry * e[2 * n + k];
+            out[(2 * r + 1) * n + k] = rx * e[n + k] + ry * (e[3 * n + k] - 1);
+        }
+    return out;
+}
+
+// (E - tr) w, or of slow modes (I + E - tr) w
+inline Array<double> w_slopes_of(const Component& c, const double* w, std::size_t count) {
+    const std::size_t n = c.n;
+    const double* const e = c.e.data();
+    Array<double> out(2 * count * n);
+    for (std::size_t q = 0; q < count; ++q)
+        for (std::size_t k = 0; k < n; ++k) {
+            const double wx = w[2 * q * n + k], wy = w[(2 * q + 1) * n + k];
+            const double one = c.slow[k / kGranule];
+            out[2 * q * n + k] = (one - e[3 * n + k]) * wx + e[n + k] * wy;
+            out[(2 * q + 1) * n + k] = e[2 * n + k] * wx + (one - e[k]) * wy;
+        }
+    return out;
+}
+
+// Derives what the recurrences of modal/pass.hpp need.
+inline void derive_recurrences(Component& c) {
+    const std::size_t n = c.n;
+    const double* const e = c.e.data();
+    c.trace.resize(n), c.det.resize(n), c.kappa.resize(n), c.e_block.resize(4 * n);
+    c.slow.assign((n + kGranule - 1) / kGranule, 0);
+    for (std::size_t k = 0; k < n; ++k) {
+        const double a = e[k], b = e[n + k], g = e[2 * n + k], d = e[3 * n + k];
+        c.trace[k] = a + d, c.det[k] = a * d - b * g;
+        const double kappa = c.kappa[k] = (1 - a) * (1 - d) - b * g;
+        // an angle below 0.22 per sample; padding does not count
+        if (kappa < 0.05) c.slow[k / kGranule] = 1;
+        double p[4] = {a, b, g, d};
+        for (int squared = 1; squared < kBlock; squared *= 2) {
+            const double q[4] = {p[0] * p[0] + p[1] * p[2], p[1] * (p[0] + p[3]), p[2] * (p[0] + p[3]),
+                                 p[1] * p[2] + p[3] * p[3]};
+            for (int i = 0; i < 4; ++i) p[i] = q[i];
+        }
+        for (int i = 0; i < 4; ++i) c.e_block[i * n + k] = p[i];
+    }
+    c.slopes = slopes_of(n, e, c.rows.data(), c.n_rows), c.w_slope = w_slopes_of(c, c.w.data(), c.n_ports);
+}
+
+// (kBlock, ports, rows) with the samples last
+inline Array<double> by_pair(const View& h) {
+    const std::size_t pairs = h.shape[1] * h.shape[2];
+    Array<double> out(pairs * kBlock);
+    for (std::size_t k = 0; k < kBlock; ++k)
+        for (std::size_t i = 0; i < pairs; ++i) out[i * kBlock + k] = h[k * pairs + i];
+    return out;
+}
+
+inline void load_contact_ports(Component& c, const ContactPortsDescription& d, const std::string& name) {
+    const std::size_t n = c.n, fixed = c.n_ports, n_rows = c.n_rows, count = d.rows.ndim == 3 ? d.rows.shape[0] : 0;
+    expect(name + "contact_rows", d.rows, {count, 2, n});
+    expect(name + "contact_w", d.w, {count, 2, n});
+    expect(name + "from_fixed", d.from_fixed, {kBlock, fixed, count});
+    expect(name + "from_contact", d.from_contact, {kBlock, count, count});
+    expect(name + "on_rows", d.on_rows, {kBlock, count, n_rows});
+    require(!c.driven, name + "contact_rows: a component driven one way has no contact ports");
+    ContactPorts& g = c.contact;
+    g.n = int(count), g.rows = d.rows.copy(), g.w = d.w.copy();
+    g.slopes = slopes_of(n, c.e.data(), g.rows.data(), count), g.w_slope = w_slopes_of(c, g.w.data(), count);
+    g.from_fixed = by_pair(d.from_fixed), g.from_contact = by_pair(d.from_contact);
+    g.on_rows.resize(d.on_rows.size());
+    for (std::size_t k = 0; k < kBlock; ++k)
+        for (std::size_t p = 0; p < count; ++p)
+            std::copy_n(d.on_rows.data + (k * count + p) * n_rows, n_rows, g.on_rows.data() + (p * kBlock + k) * n_rows);
+    derive_bounds(c);
+}
+
+// Derives the tables of modal/scaled_modes.hpp.
+inline void derive_scaled(Component& c, const std::string& name) {
+    TensionModulation& s = c.tension;
+    const double *const e = c.e.data(), *const gain = s.gain.data();
+    const std::size_t n = c.n, p = c.n_ports, step = kScaledNumbers + p;
+    s.numbers.assign(n * step, 0.0), s.basis.assign(8 * n, 0.0);
+    for (std::size_t k = 0; k < n; ++k) {
+        const double g = gain[k], e00 = e[k], e01 = e[n + k], e10 = e[2 * n + k], e11 = e[3 * n + k];
+        if (g == 0.0 && e00 == 0.0) continue;  // padding
+        require(g > 0.0 && e01 != 0.0, name + "kick: mode " + std::to_string(k) + " has no compliance");
+        const double root = std::sqrt(g), det = e00 * e11 - e01 * e10, tilt = gain[n + k] / g;
+        double* const to = s.numbers.data() + (k / kPadding * kPadding * step + k % kPadding);
+        const double numbers[kScaledNumbers] = {s.half[k], det, (1 - e00) * (1 - e11) - e01 * e10,
+                                              e01 * tilt - e11 + det};
+        for (int i = 0; i < kScaledNumbers; ++i) to[i * kPadding] = numbers[i];
+        for (std::size_t q = 0; q < p; ++q) to[(kScaledNumbers + q) * kPadding] = c.rows[2 * q * n + k] * root;
+        const double basis[8] = {1 / root, (e00 - 1) / root, e01 / root,                 // in
+                                 root, (1 - e00) * root / e01, root / e01,               // out
+                                 (det - e11) / root, e01 / root};                        // of known inputs to v
+        for (int i = 0; i < 8; ++i) s.basis[i * n + k] = basis[i];
+    }
+}
+
+inline void load_tension(Component& c, const TensionDescription& d, const std::string& name) {
+    const std::size_t n = c.n, p = c.n_ports;
+    expect(name + "a", d.a, {n});
+    expect(name + "half", d.half, {n});
+    expect(name + "reading", d.reading, {n});
+    expect(name + "kick", d.kick, {2, n});
+    require(!c.driven && n > 0 && p <= kMaxTensionPorts, name + "a: a driven component, or one of more than " +
+                                                              std::to_string(kMaxTensionPorts) + " ports, has no tension");
+    TensionModulation& s = c.tension;
+    s.a = d.a.copy(), s.half = d.half.copy(), s.reading = d.reading.copy(), s.kick = d.kick.copy();
+    s.largest_half = *std::max_element(s.half.begin(), s.half.end());
+    s.gain.assign(2 * n, 0.0);
+    for (std::size_t k = 0; k < 2 * n; ++k)
+        if (const double r = s.reading[k % n]; r != 0.0) s.gain[k] = s.kick[k] / r;
+    derive_scaled(c, name);
+    const auto per_coordinate = [&](const Array<double>& rows, const Array<double>& w, std::size_t count,
+                                    Array<double>& phi, Array<double>& compliance) {
+        phi.assign(count * n, 0.0), compliance.assign(count * n, 0.0);
+        for (std::size_t q = 0; q < count; ++q)
+            for (std::size_t k = 0; k < n; ++k) {
+                if (s.reading[k] == 0.0) continue;
+                phi[q * n + k] = rows[2 * q * n + k] / s.reading[k];
+                compliance[q * n + k] = s.reading[k] * w[2 * q * n + k];
+            }
+    };
+    per_coordinate(c.rows, c.w, p, s.phi, s.c);
+    per_coordinate(c.contact.rows, c.contact.w, c.contact.n, s.contact_phi, s.contact_c);
+    derive_tension_reach(c);
+}
+
+// Component number `slot` of a state of `capacity` modes.
+inline Component load_component(const ComponentDescription& d, std::size_t slot, std::size_t capacity, int n_channels) {
+    const std::string name = "components[" + std::to_string(slot) + "].";
+    require(d.e.ndim == 2 && d.rows.ndim == 3 && d.w.ndim == 3, name + "e, rows, w have 2, 3, 3 dimensions");
+    const std::size_t n = d.e.shape[1], n_rows = d.rows.shape[0], n_ports = d.w.shape[0];
+    const std::size_t n_connections = d.incidence.ndim == 2 ? d.incidence.shape[0] : 0;
+    expect(name + "e", d.e, {4, n});
+    expect(name + "rows", d.rows, {n_rows, 2, n});
+    expect(name + "w", d.w, {n_ports, 2, n});
+    expect(name + "response", d.response, {kBlock, n_ports, n_rows});
+    expect(name + "incidence", d.incidence, {n_connections, n_ports});
+    require(n % kPadding == 0 && d.offset % kPadding == 0 && d.offset + n >= n && d.offset + n <= capacity,
+            name + "offset: the modes do not fit the state");
+    require(d.difference.size() == d.channels.size() && n_rows == d.channels.size() + (d.driven ? 0 : n_ports),
+            name + "rows: one for each port and readout is needed");
+    for (const int channel : d.channels)
+        require(channel >= 0 && channel < n_channels, name + "channels: no channel " + std::to_string(channel));
+    Component c;
+    c.n = int(n), c.n_ports = int(n_ports), c.n_rows = int(n_rows), c.offset = d.offset, c.driven = d.driven;
+    c.e = d.e.copy(), c.rows = d.rows.copy(), c.w = d.w.copy(), c.response = d.response.copy();
+    derive_recurrences(c);
+    c.shares.resize(n_ports);
+    for (std::size_t j = 0; j < n_connections; ++j)
+        for (std::size_t p = 0; p < n_ports; ++p)
+            if (const double a = d.incidence[j * n_ports + p]; a != 0.0) c.shares[p].push_back({int(j), a});
+    c.channels = d.channels, c.difference.assign(d.difference.begin(), d.difference.end());
+    if (d.has_contact_ports) load_contact_ports(c, d.contact, name);
+    if (d.has_tension) load_tension(c, d.tension, name);
+    return c;
+}
+
+}  // namespace tonewood

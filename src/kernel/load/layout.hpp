@@ -1,0 +1,105 @@
+// Where rows and ports lie in a block, and the linear connections as matrices of it.
+#pragma once
+
+#include <algorithm>
+
+#include "../data/layout.hpp"
+
+namespace tonewood {
+
+// Places every row and port and folds the connections into small matrices; see Layout.
+inline Layout make_layout(const std::vector<Component>& components, const Solve& solve, int n_channels) {
+    Layout l;
+    const auto alone = [](const Component& c) { return !c.driven && c.n_ports == 1 && c.n_rows == 1; };
+    const int m = solve.m;
+    l.row.assign(components.size(), 0), l.port.assign(components.size(), 0);
+    l.driven_response.resize(components.size());
+    int n_ports = 0;
+    for (std::size_t i = 0; i < components.size(); ++i)
+        if (alone(components[i])) l.row[i] = l.port[i] = n_ports++;
+    l.single_width = l.width = int(padded(n_ports));
+    l.single_response.assign(std::size_t(kBlock) * l.single_width, 0.0);
+    for (std::size_t i = 0; i < components.size(); ++i) {
+        const auto& c = components[i];
+        if (alone(c)) {
+            for (int k = 0; k < kBlock; ++k)
+                l.single_response[std::size_t(k) * l.single_width + l.row[i]] = c.response[k];
+            continue;
+        }
+        l.port[i] = n_ports, n_ports += c.n_ports;
+        if (c.driven) {
+            auto& h = l.driven_response[i];
+            h.assign(std::size_t(c.n_ports) * c.n_rows * 2 * kBlock, 0.0);
+            for (int k = 0; k < kBlock; ++k)
+                for (int pr = 0; pr < c.n_ports * c.n_rows; ++pr)
+                    h[std::size_t(pr) * 2 * kBlock + kBlock + k] = c.response[k * c.n_ports * c.n_rows + pr];
+            continue;
+        }
+        const int width = int(padded(c.n_rows));
+        l.row[i] = l.width, l.width += width;
+        if (c.n_ports == 0) continue;
+        Array<double> response(std::size_t(kBlock) * c.n_ports * width, 0.0);
+        for (int kp = 0; kp < kBlock * c.n_ports; ++kp)
+            for (int r = 0; r < c.n_rows; ++r) response[std::size_t(kp) * width + r] = c.response[kp * c.n_rows + r];
+        l.several.push_back({l.row[i], l.port[i], c.n_ports, width, std::move(response)});
+    }
+    l.f_width = int(padded(m)), l.force_width = int(padded(n_ports));
+    for (int o = 0; o < n_channels; ++o)
+        for (int j = 0; j < m; ++j)
+            if (const double w = solve.weights[std::size_t(o) * m + j]; w != 0.0) l.read_forces.push_back({o, j, w});
+    l.constant = solve.constant;
+    l.constant.resize(l.f_width, 0.0);
+    l.scatter.assign(std::size_t(m) * l.force_width, 0.0);
+    Array<double> of_free;
+    for (std::size_t i = 0; i < components.size(); ++i)
+        for (int p = 0; p < components[i].n_ports; ++p) {
+            Array<double> pull(l.f_width, 0.0), pull_old(l.f_width, 0.0);
+            for (const Share& s : components[i].shares[p]) {
+                l.scatter[std::size_t(s.connection) * l.force_width + l.port[i] + p] += s.factor;
+                for (int k = 0; k < m; ++k) {
+                    const double g = solve.g[std::size_t(k) * m + s.connection] * s.factor;
+                    pull[k] -= g, pull_old[k] -= g * solve.gamma[s.connection];
+                }
+            }
+            if (components[i].driven) continue;
+            l.port_rows.push_back(l.row[i] + p);
+            l.gather.insert(l.gather.end(), pull_old.begin(), pull_old.end());
+            of_free.insert(of_free.end(), pull.begin(), pull.end());
+        }
+    l.gather.insert(l.gather.end(), of_free.begin(), of_free.end());
+    const auto pushed = [&](const double* f, double* to) {
+        for (int j = 0; j < m; ++j)
+            for (int p = 0; p < n_ports; ++p) to[p] += f[j] * l.scatter[std::size_t(j) * l.force_width + p];
+    };
+    l.direct_constant.assign(l.force_width, 0.0);
+    pushed(l.constant.data(), l.direct_constant.data());
+    l.own_port.assign(m, -1), l.own_factor.assign(m, 0.0);
+    for (std::size_t i = 0; i < components.size(); ++i)
+        for (int p = 0; p < components[i].n_ports; ++p)
+            if (const auto& shares = components[i].shares[p]; shares.size() == 1 && shares[0].factor != 0.0) {
+                l.own_port[shares[0].connection] = l.port[i] + p;
+                l.own_factor[shares[0].connection] = 1.0 / shares[0].factor;
+            }
+    if (std::find(l.own_port.begin(), l.own_port.end(), -1) != l.own_port.end()) l.own_port.clear();
+    l.own_in_order = true;
+    for (int j = 0; j < m && !l.own_port.empty(); ++j) l.own_in_order = l.own_in_order && l.own_port[j] == j;
+    const std::size_t n_rows = l.port_rows.size();
+    l.mix = m ? solve.gamma[0] : 0.0;
+    l.direct.assign(n_rows * l.force_width, 0.0), l.direct_old.assign(n_rows * l.force_width, 0.0);
+    bool mixed_alike = true;
+    for (std::size_t p = 0; p < n_rows; ++p) {
+        Array<double> old(l.gather.data() + p * l.f_width, l.gather.data() + ((p + 1) * l.f_width));
+        for (int j = 0; j < m; ++j) old[j] -= l.mix * l.gather[(n_rows + p) * l.f_width + j];
+        for (const double x : old) mixed_alike = mixed_alike && x == 0.0;
+        pushed(l.gather.data() + ((n_rows + p) * l.f_width), l.direct.data() + p * l.force_width);
+        pushed(old.data(), l.direct_old.data() + p * l.force_width);
+        if (p && l.port_rows[p] == l.port_rows[p - 1] + 1 && l.port_rows[p] == l.segments.back().row + l.segments.back().n)
+            ++l.segments.back().n;
+        else
+            l.segments.push_back({l.port_rows[p], int(p), 1});
+    }
+    if (mixed_alike) l.direct_old.clear();
+    return l;
+}
+
+}  // namespace tonewood

@@ -1,0 +1,115 @@
+"""Every shortcut of the kernel, switched off by itself: the same samples, and the other way is really taken."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from nonlinear_scenes import LENGTH, body, hang, held_string, tense_guitar
+from nonlinear_scenes import pulled as pulled_guitar
+
+from tonewood.coupling.connections import Connection, SpringDashpot, Term
+from tonewood.coupling.laws import Contact, HardeningSpring
+from tonewood.coupling.system import Probe, Readout, System
+from tonewood.stepping.forcing import Segment, compile_force
+from tonewood.stepping.kernel import KernelStepper, Shortcuts
+
+DT = 1 / 48000
+PAGE = Path(__file__).parents[3] / "docs" / "kernel.md"
+NAMES = [field.name for field in fields(Shortcuts)]
+#: shortcuts that leave out what a bound excludes change no bit; the others round differently
+EXACT = {"block_culling", "group_bound", "fine_bound"}
+FRETS = {f"f{k}": LENGTH / 2 ** (k / 12) for k in range(1, 7)}
+
+
+def linear_guitar(extra=()):
+    """Two strings over six frets on a body."""
+    places = FRETS | {"pluck": 0.11 * LENGTH, "bridge": 0.013 * LENGTH}
+    components = {f"s{i}": held_string(40, places, density=(1 + i) * 1e-3, damping=0.5) for i in range(2)}
+    components["body"] = body(["b0", "b1"])
+    connections = [Connection(f"joint{i}", (Term(f"s{i}", "bridge"), Term("body", f"b{i}", -1.0))) for i in range(2)]
+    connections += [
+        Connection(f"s{i}{fret}", (Term(f"s{i}", fret),), Contact(1e10, 1.8, 0.2, offset=-3e-4 - 1e-4 * i))
+        for i in range(2)
+        for fret in FRETS
+    ]
+    connections += extra
+    readouts = [Readout("a", "acceleration", (Probe("body", "b0"),)), Readout("u", "displacement", (Probe("s1", "pluck"),))]
+    return System.build(components, connections, readouts, dt=DT)
+
+
+def plucked(system, height):
+    """Strings let go while another force draws the second one."""
+    state = system.start()
+    hang(system, state, "s0", height, 0.11 * LENGTH)
+    basis = system.compiled[system.slot("s1")].basis
+    return state, compile_force("s1", basis, "pluck", [Segment(0.0, 60 * DT, 0.0, 2e2)], DT, time=10.3 * DT)
+
+
+def spring_on(component, place):
+    """Give a linear law that is stepped with the nonlinear ones."""
+    return Connection("spring", (Term(component, place),), HardeningSpring(2e3, 0.0, 0.0, 0.5))
+
+
+def run(system, state, injections, **off):
+    """Samples, forces and final modes; with shortcuts switched off."""
+    stepper, state = KernelStepper(system, shortcuts=Shortcuts(**off)), state.copy()
+    out, forces = stepper.run(state, 640, injections)
+    assert stepper.statistics.failures == stepper.statistics.redone == 0
+    return (out, forces, state.modes), stepper
+
+
+def scenes():
+    """Strings far from their frets, at them, with linear laws; strings under rising tension, the same."""
+    springs = [spring_on("body", "b1")]
+    for name, extra, height in (("far", [], 3e-5), ("near", [], 8e-4), ("springs", springs, 8e-4)):
+        system = linear_guitar(extra)
+        yield name, system, *plucked(system, height)
+    for name, system in (
+        ("tension", tense_guitar()),
+        ("tension and frets", tense_guitar(frets=Contact(1e10, 1.8, offset=-1e-3))),
+        ("tension and a spring", tense_guitar(extra=[spring_on("body", "b0")])),
+    ):
+        yield name, system, pulled_guitar(system, 5.0), []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_switched_off_by_itself_gives_the_same_samples(name):
+    changed = []
+    for scene, system, state, injections in scenes():
+        ours, _ = run(system, state, injections)
+        theirs, _ = run(system, state, injections, **{name: False})
+        for a, b in zip(ours, theirs, strict=True):
+            if name in EXACT:
+                np.testing.assert_array_equal(a, b)
+            np.testing.assert_allclose(a, b, atol=1e-9 * np.abs(b).max(), rtol=0, err_msg=scene)
+            changed.append(not np.array_equal(a, b))
+    # another order of operations shows in some bits: the switch does something
+    assert name in EXACT or any(changed)
+
+
+def test_culling_reads_fewer_rows_with_each_bound():
+    system = linear_guitar()
+    state, injections = plucked(system, 2e-4)
+    read = {
+        name: run(system, state, injections, **{name: False})[1].culling_statistics["rows_read"]
+        for name in ("block_culling", "fine_bound", "kept_inverse")
+    }
+    assert 0 < read["kept_inverse"] < read["fine_bound"] <= read["block_culling"]
+
+
+def test_every_shortcut_has_a_section():
+    text = PAGE.read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^### `(\w+)`", text, re.MULTILINE)) == sorted(NAMES)
+
+
+def test_a_linear_law_is_a_linear_connection():
+    """What the folded laws give is what a spring among the linear connections gives."""
+    law = tense_guitar(extra=[spring_on("body", "b0")])
+    plain = tense_guitar(extra=[Connection("spring", (Term("body", "b0"),), SpringDashpot(2e3, 0.5))])
+    ours, _ = run(law, pulled_guitar(law, 5.0), [])
+    theirs, _ = run(plain, pulled_guitar(plain, 5.0), [])
+    np.testing.assert_allclose(ours[0], theirs[0], atol=1e-9 * np.abs(theirs[0]).max(), rtol=0)
