@@ -1,5 +1,5 @@
 // Reads the files of named arrays that saved.py writes: for each array a line "name type n0 n1 ..." (type f8 or i8, sizes
-// in decimal) and, after its newline, the numbers: little-endian, 8 bytes each, the last index fastest.
+// in decimal, none for one number) and, after its newline, the numbers: little-endian, 8 bytes each, the last index fastest.
 #pragma once
 
 #include <bit>
@@ -42,8 +42,12 @@ public:
         }
     }
     bool has(const std::string& name) const { return arrays_.count(name) > 0; }
-    const Array& operator[](const std::string& name) const { return arrays_.at(name); }
-    std::vector<int> ints(const std::string& name) const {
+    const Array& operator[](const std::string& name) const {
+        if (!has(name)) throw std::runtime_error("there is no " + name);
+        return arrays_.at(name);
+    }
+    std::int64_t integer(const std::string& name) const { return arrays_.at(name).i8.at(0); }
+    std::vector<int> integers(const std::string& name) const {
         const auto& a = arrays_.at(name).i8;
         return {a.begin(), a.end()};
     }
@@ -51,5 +55,8 @@ public:
 private:
     std::map<std::string, Array> arrays_;
 };
+
+// "what/i/"
+inline std::string at(const std::string& what, std::size_t i) { return what + "/" + std::to_string(i) + "/"; }
 
 }  // namespace saved
