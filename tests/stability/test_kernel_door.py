@@ -17,8 +17,8 @@ from tonewood import _kernel
 PAD, BLOCK, CHANNELS, CAPACITY = _kernel.PADDING, _kernel.BLOCK_SIZE, 2, 4 * _kernel.PADDING
 CONNECTIONS = 2
 SHORTCUTS = (
-    "fused_pass", "direct_step", "block_culling", "group_bound", "fine_bound", "tension_lanes", "tension_windows", "combined_pass",
-    "fixed_compliances", "folded_laws", "kept_inverse",
+    "fused_pass", "direct_step", "block_culling", "group_bound", "fine_bound", "tension_lanes", "tension_windows",
+    "combined_pass", "fixed_compliances", "folded_laws", "kept_inverse",
 )  # fmt: skip
 Path = tuple[str | int, ...]
 
