@@ -11,26 +11,24 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import count
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lstsq, qr
 
 from tonewood import _kernel
 from tonewood.coupling.connections import NonlinearGaps
-from tonewood.coupling.laws import (
-    CompiledPotential,
-    Contact,
-    Friction,
-    HardeningSpring,
-    NonlinearLaw,
-    SampledPotential,
-    Scalar,
-)
+from tonewood.coupling.laws import NonlinearLaw
 from tonewood.coupling.system import Compiled, Control, Injection, State, System
 from tonewood.errors import NumericalError, TonewoodError
+from tonewood.stepping.description import (
+    Description,
+    Wiring,
+    describe_component,
+    describe_geometric,
+    law_arrays,
+    packed,
+)
 from tonewood.stepping.stepper import NumpyStepper, Statistics
 
 Floats = NDArray[np.float64]
@@ -38,8 +36,6 @@ _NONE = np.zeros(0, dtype=np.intp)
 _NO_MATRIX = np.zeros((0, 0))
 #: samples, at multiples of which a run may be cut without changing a bit
 _CUT = 64
-#: arrays and numbers by name
-Description = dict[str, Any]
 #: (n, 4): nonlinear connection, component, port among its fixed or contact ports, whether it is a contact port; factors
 Terms = tuple[NDArray[np.int64], Floats]
 #: slot of a component, whether laws act on its fixed ports, and how connections use it
@@ -94,21 +90,6 @@ class Shortcuts:
     kept_inverse: bool = True
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Wiring:
-    """Ports of one component that are always stepped, ports on which only contacts act, and their connections.
-
-    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a longitudinal motion; `key` tells
-    whether any of it changed.
-    """
-
-    fixed: NDArray[np.intp]
-    contact: NDArray[np.intp]
-    incidence: Floats
-    coupled: bool
-    key: bytes
-
-
 class KernelStepper:
     """Steps a `System` in C++.
 
@@ -125,14 +106,14 @@ class KernelStepper:
         self._packed: dict[int, tuple[Injection, Floats, Floats]] = {}
         self._descriptions: WeakKeyDictionary[Compiled, dict[_Key, Description]] = WeakKeyDictionary()
         self._keys = count()
-        self._wirings: dict[tuple[bytes, bytes, bytes, frozenset[str]], tuple[list[_Wiring], Terms]] = {}
+        self._wirings: dict[tuple[bytes, bytes, bytes, frozenset[str]], tuple[list[Wiring], Terms]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
         self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
         self._law_forces, self._acted = np.zeros(0), list[int]()  # the former is kept at zero between runs
         self._nonlinear = self._active = _NONE
         self._laws: tuple[NonlinearLaw, ...] = ()
-        self._law_arrays: Description = _law_arrays(())
+        self._law_arrays: Description = law_arrays(())
         self._gaps: tuple[NonlinearGaps, bytes, Description] | None = None
         self._geometric: tuple[Sequence[int], list[Description]] = (), []
         self.system = system
@@ -180,7 +161,7 @@ class KernelStepper:
         along = [[system.slot(name) for name in law.parts] for law in system.geometric]
         keys = [components[slot]["key"] for slots in along for slot in slots]
         if keys != self._geometric[0]:
-            self._geometric = keys, [_geometric(system, slots, wiring) for slots in along]
+            self._geometric = keys, [describe_geometric(system, slots, wiring) for slots in along]
         tensions = [
             (t, part.kappa, [system.slot(name) for name in string.components])
             for t, string in enumerate(system.tensions)
@@ -209,7 +190,7 @@ class KernelStepper:
         nonlinear, on = system.nonlinear, self._active
         laws: tuple[NonlinearLaw, ...] = () if nonlinear is None else nonlinear.laws
         if laws is not self._laws:
-            self._law_arrays = _law_arrays(laws, self._laws, self._law_arrays)
+            self._law_arrays = law_arrays(laws, self._laws, self._law_arrays)
             self._laws = laws
         key = on.tobytes()
         if nonlinear is None:
@@ -227,7 +208,7 @@ class KernelStepper:
         index, factors = terms
         return {"dt": system.dt, "terms": index, "factors": factors, "weights": weights, **self._law_arrays, **gaps}
 
-    def _components(self, system: System, wiring: Sequence[_Wiring], terms: Terms) -> list[Description]:
+    def _components(self, system: System, wiring: Sequence[Wiring], terms: Terms) -> list[Description]:
         """Describe every component; a component that comes back with the same wiring keeps its description."""
         loaded = {slot for _, slot, _, on_contact in terms[0].tolist() if not on_contact}
         out: list[Description] = []
@@ -235,18 +216,18 @@ class KernelStepper:
             known = self._descriptions.setdefault(compiled, {})
             if (key := (slot, slot in loaded, wires.key)) not in known:
                 known[key] = {"key": next(self._keys), "offset": system.offsets[slot], "driven": one_way}
-                known[key] |= _component(compiled, wires, one_way, slot in loaded)
+                known[key] |= describe_component(compiled, wires, one_way, slot in loaded)
             out.append(known[key])
         return out
 
-    def _wired(self, system: System) -> tuple[list[_Wiring], Terms]:
+    def _wired(self, system: System) -> tuple[list[Wiring], Terms]:
         """Sort the ports of every component by the connections now in use; once for each set of these."""
         is_contact = system.elimination.others.is_contact
         coupled = {name for law in system.geometric for name in law.parts}
         key = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), frozenset(coupled)
         if key not in self._wirings:
             always = np.concatenate([self._active, self._nonlinear[~is_contact]])
-            wiring: list[_Wiring] = []
+            wiring: list[Wiring] = []
             terms: list[tuple[int, int, int, bool]] = []
             factors: list[float] = []
             for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
@@ -265,7 +246,7 @@ class KernelStepper:
                 wired = np.nonzero(wires)
                 parts = [part.tobytes() for part in (*wired, wires[wired], fixed, contact)]
                 parts.append(b"coupled" if name in coupled else b"")
-                wiring.append(_Wiring(fixed, contact, wires, name in coupled, b"|".join(parts)))
+                wiring.append(Wiring(fixed, contact, wires, name in coupled, b"|".join(parts)))
             index = np.array(terms, dtype=np.int64).reshape(-1, 4)
             self._wirings[key] = wiring, (index, np.array(factors))
         return self._wirings[key]
@@ -413,126 +394,6 @@ class KernelStepper:
         if known is None or known[0] is not injection:
             for key in [k for k, v in self._packed.items() if v[0].stop <= state.sample]:
                 del self._packed[key]
-            known = (injection, _pack(injection.vectors), np.ascontiguousarray(injection.values))
+            known = (injection, packed(injection.vectors), np.ascontiguousarray(injection.values))
             self._packed[id(injection)] = known
         return self.system.slot(injection.component), injection.start - state.sample, known[1], known[2]
-
-
-def _component(compiled: Compiled, wires: _Wiring, one_way: bool, loaded: bool) -> Description:
-    """Describe a component's arrays, modes last and padded; `loaded`: laws act on its fixed ports."""
-    # the motion of a driven component's ports is not needed
-    readouts = np.arange(len(compiled.ports), len(compiled.rows))
-    fixed, contact, incidence = wires.fixed, wires.contact, wires.incidence
-    if not (one_way or loaded or wires.coupled):
-        fixed, incidence = _independent(compiled, fixed, incidence)
-    rows = readouts if one_way else np.concatenate([fixed, readouts])
-    response = compiled.history
-    out: Description = {
-        "e": _pack(compiled.E.reshape(-1, 4)[None])[0],
-        "rows": _pack(compiled.rows[rows]),
-        "w": _pack(compiled.W[fixed]),
-        "response": np.ascontiguousarray(response[:, fixed][:, :, rows]),
-        "incidence": incidence,
-        "channels": compiled.readouts.tolist(),
-        "difference": compiled.difference.astype(int).tolist(),
-    }
-    if contact.size:
-        out |= {
-            "contact_rows": _pack(compiled.rows[contact]),
-            "contact_w": _pack(compiled.W[contact]),
-            "from_fixed": np.ascontiguousarray(response[:, fixed][:, :, contact]),
-            "from_contact": np.ascontiguousarray(response[:, contact][:, :, contact]),
-            "on_rows": np.ascontiguousarray(response[:, contact][:, :, rows]),
-        }
-    if (part := compiled.tension) is not None and not one_way:
-        half = 0.5 * part.reading * part.kick[:, 0] * part.weights
-        names = ("a", part.weights), ("half", half), ("reading", part.reading)
-        out |= {name: _pack(a[None, :, None])[0, 0] for name, a in names}
-        out["kick"] = _pack(part.kick[None])[0]
-    return out
-
-
-def _geometric(system: System, slots: Sequence[int], wiring: Sequence[_Wiring]) -> Description:
-    """Describe a string whose longitudinal motion is stepped: EA L, whether there is such a motion, and its parts."""
-    scale, along = 0.0, False
-    parts: list[Description] = []
-    for slot in slots:
-        compiled, ports = system.compiled[slot], wiring[slot].fixed
-        if (part := compiled.geometric) is not None:
-            scale, along = part.scale, along or part.along
-            arrays = {
-                "slopes": part.slopes if part.stretch is None else part.stretch[None],
-                "reading": part.reading,
-                "compliances": part.reading * part.kick[:, 0],
-                "kick": part.kick.T,
-                "to_port": np.einsum("pmx,mx->pm", compiled.rows[ports][:, : part.n], part.kick),
-                "from_port": part.reading * compiled.W[ports][:, : part.n, 0],
-            }
-            parts.append({"slot": slot, **{name: np.ascontiguousarray(a) for name, a in arrays.items()}})
-    return {"scale": scale, "along": along, "parts": parts}
-
-
-def _independent(compiled: Compiled, ports: NDArray[np.intp], incidence: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """As few ports as move the others with them, and how connections then use those.
-
-    Where p ports of a body move by r < p independent motions (a rigid bridge that heaves and rocks has two), r of them
-    span the rest, u = B u_r, in what they read and in what they push; a force on one is B^T f on those.
-    """
-    if len(ports) < 3 or not len(incidence):
-        return ports, incidence
-    parts = [part[ports].reshape(len(ports), -1) for part in (compiled.rows, compiled.W)]
-    motion = np.hstack([part / (np.max(np.abs(part), initial=0.0) or 1.0) for part in parts])
-    _, R, order = qr(motion.T, mode="economic", pivoting=True)
-    rank = int(np.count_nonzero(np.abs(np.diag(R)) > 1e-13 * np.abs(R[0, 0]))) if R.size else 0
-    if rank in (0, len(ports)):
-        return ports, incidence
-    chosen = np.sort(order[:rank])
-    span = lstsq(motion[chosen].T, motion.T)[0].T
-    if np.max(np.abs(motion - span @ motion[chosen])) > 1e-14 * rank:
-        return ports, incidence
-    return ports[chosen], np.ascontiguousarray(incidence @ span)
-
-
-def _law_arrays(
-    laws: Sequence[NonlinearLaw], before: Sequence[NonlinearLaw] = (), arrays: Description | None = None
-) -> Description:
-    """Describe laws: kinds (k), numbers (k, 8): a[4], loss, damping, offset, velocity; samples and functions of some.
-
-    What stands in `arrays`, those of the laws `before`, is taken over where a law is the same.
-    """
-    out: Description = {"kinds": np.zeros(len(laws), dtype=np.int64), "numbers": np.zeros((len(laws), 8))}
-    out |= {"samples": [], "functions": []}
-    if arrays is not None and len(before) == len(laws):
-        out = arrays | {"kinds": arrays["kinds"].copy(), "numbers": arrays["numbers"].copy()}
-        changed = [j for j, (law, was) in enumerate(zip(laws, before, strict=True)) if law is not was]
-    else:
-        changed = list(range(len(laws)))
-    for name in ("samples", "functions"):
-        out[name] = [entry for entry in out[name] if entry[0] not in set(changed)]
-    for j in changed:
-        match law := laws[j]:
-            case Contact():
-                kind, numbers = 0, [law.stiffness, law.exponent, 0.0, 0.0, law.loss, 0.0]
-            case HardeningSpring():
-                kind, numbers = 1, [law.stiffness, law.cubic, law.quadratic_damping, 0.0, 0.0, law.damping]
-            case SampledPotential():
-                kind, numbers = 2, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
-                out["samples"].append((j, law.knots.tolist(), law.coefficients.reshape(-1).tolist()))
-            case CompiledPotential():
-                kind, numbers = 3, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
-                scalars: tuple[Scalar, Scalar] = (law.potential, law.slope)
-                out["functions"].append((j, [(f.address, f.data, f.takes_data) for f in scalars]))
-            case Friction():
-                kind, numbers = 4, [law.normal_force, law.static, law.dynamic, law.speed, 0.0, 0.0]
-        velocity = law.velocity if isinstance(law, Friction) else 0.0
-        out["kinds"][j], out["numbers"][j] = kind, [*numbers, law.offset, velocity]
-    return out
-
-
-def _pack(a: Floats) -> Floats:
-    """(k, n_modes, c) -> (k, c, padded n_modes), zeros in the padding."""
-    k, n, c = a.shape
-    width = -(-max(n, 1) // _kernel.PADDING) * _kernel.PADDING
-    out = np.zeros((k, c, width))
-    out[:, :, :n] = a.transpose(0, 2, 1)
-    return out

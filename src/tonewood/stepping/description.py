@@ -1,0 +1,164 @@
+"""A compiled system as the arrays that the C++ kernel loads: modes last, padded; ports by what acts on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lstsq, qr
+
+from tonewood import _kernel
+from tonewood.coupling.laws import (
+    CompiledPotential,
+    Contact,
+    Friction,
+    HardeningSpring,
+    NonlinearLaw,
+    SampledPotential,
+    Scalar,
+)
+from tonewood.coupling.system import Compiled, System
+
+Floats = NDArray[np.float64]
+#: arrays and numbers by name
+Description = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wiring:
+    """Ports of one component that are always stepped, ports on which only contacts act, and their connections.
+
+    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a longitudinal motion; `key` tells
+    whether any of it changed.
+    """
+
+    fixed: NDArray[np.intp]
+    contact: NDArray[np.intp]
+    incidence: Floats
+    coupled: bool
+    key: bytes
+
+
+def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded: bool) -> Description:
+    """Describe a component's arrays, modes last and padded; `loaded`: laws act on its fixed ports."""
+    # the motion of a driven component's ports is not needed
+    readouts = np.arange(len(compiled.ports), len(compiled.rows))
+    fixed, contact, incidence = wires.fixed, wires.contact, wires.incidence
+    if not (one_way or loaded or wires.coupled):
+        fixed, incidence = independent_ports(compiled, fixed, incidence)
+    rows = readouts if one_way else np.concatenate([fixed, readouts])
+    response = compiled.history
+    out: Description = {
+        "e": packed(compiled.E.reshape(-1, 4)[None])[0],
+        "rows": packed(compiled.rows[rows]),
+        "w": packed(compiled.W[fixed]),
+        "response": np.ascontiguousarray(response[:, fixed][:, :, rows]),
+        "incidence": incidence,
+        "channels": compiled.readouts.tolist(),
+        "difference": compiled.difference.astype(int).tolist(),
+    }
+    if contact.size:
+        out |= {
+            "contact_rows": packed(compiled.rows[contact]),
+            "contact_w": packed(compiled.W[contact]),
+            "from_fixed": np.ascontiguousarray(response[:, fixed][:, :, contact]),
+            "from_contact": np.ascontiguousarray(response[:, contact][:, :, contact]),
+            "on_rows": np.ascontiguousarray(response[:, contact][:, :, rows]),
+        }
+    if (part := compiled.tension) is not None and not one_way:
+        half = 0.5 * part.reading * part.kick[:, 0] * part.weights
+        names = ("a", part.weights), ("half", half), ("reading", part.reading)
+        out |= {name: packed(a[None, :, None])[0, 0] for name, a in names}
+        out["kick"] = packed(part.kick[None])[0]
+    return out
+
+
+def describe_geometric(system: System, slots: Sequence[int], wiring: Sequence[Wiring]) -> Description:
+    """Describe a string whose longitudinal motion is stepped: EA L, whether there is such a motion, and its parts."""
+    scale, along = 0.0, False
+    parts: list[Description] = []
+    for slot in slots:
+        compiled, ports = system.compiled[slot], wiring[slot].fixed
+        if (part := compiled.geometric) is not None:
+            scale, along = part.scale, along or part.along
+            arrays = {
+                "slopes": part.slopes if part.stretch is None else part.stretch[None],
+                "reading": part.reading,
+                "compliances": part.reading * part.kick[:, 0],
+                "kick": part.kick.T,
+                "to_port": np.einsum("pmx,mx->pm", compiled.rows[ports][:, : part.n], part.kick),
+                "from_port": part.reading * compiled.W[ports][:, : part.n, 0],
+            }
+            parts.append({"slot": slot, **{name: np.ascontiguousarray(a) for name, a in arrays.items()}})
+    return {"scale": scale, "along": along, "parts": parts}
+
+
+def independent_ports(
+    compiled: Compiled, ports: NDArray[np.intp], incidence: Floats
+) -> tuple[NDArray[np.intp], Floats]:
+    """As few ports as move the others with them, and how connections then use those.
+
+    Where p ports of a body move by r < p independent motions (a rigid bridge that heaves and rocks has two), r of them
+    span the rest, u = B u_r, in what they read and in what they push; a force on one is B^T f on those.
+    """
+    if len(ports) < 3 or not len(incidence):
+        return ports, incidence
+    parts = [part[ports].reshape(len(ports), -1) for part in (compiled.rows, compiled.W)]
+    motion = np.hstack([part / (np.max(np.abs(part), initial=0.0) or 1.0) for part in parts])
+    _, R, order = qr(motion.T, mode="economic", pivoting=True)
+    rank = int(np.count_nonzero(np.abs(np.diag(R)) > 1e-13 * np.abs(R[0, 0]))) if R.size else 0
+    if rank in (0, len(ports)):
+        return ports, incidence
+    chosen = np.sort(order[:rank])
+    span = lstsq(motion[chosen].T, motion.T)[0].T
+    if np.max(np.abs(motion - span @ motion[chosen])) > 1e-14 * rank:
+        return ports, incidence
+    return ports[chosen], np.ascontiguousarray(incidence @ span)
+
+
+def law_arrays(
+    laws: Sequence[NonlinearLaw], before: Sequence[NonlinearLaw] = (), arrays: Description | None = None
+) -> Description:
+    """Describe laws: kinds (k), numbers (k, 8): a[4], loss, damping, offset, velocity; samples and functions of some.
+
+    What stands in `arrays`, those of the laws `before`, is taken over where a law is the same.
+    """
+    out: Description = {"kinds": np.zeros(len(laws), dtype=np.int64), "numbers": np.zeros((len(laws), 8))}
+    out |= {"samples": [], "functions": []}
+    if arrays is not None and len(before) == len(laws):
+        out = arrays | {"kinds": arrays["kinds"].copy(), "numbers": arrays["numbers"].copy()}
+        changed = [j for j, (law, was) in enumerate(zip(laws, before, strict=True)) if law is not was]
+    else:
+        changed = list(range(len(laws)))
+    for name in ("samples", "functions"):
+        out[name] = [entry for entry in out[name] if entry[0] not in set(changed)]
+    for j in changed:
+        match law := laws[j]:
+            case Contact():
+                kind, numbers = 0, [law.stiffness, law.exponent, 0.0, 0.0, law.loss, 0.0]
+            case HardeningSpring():
+                kind, numbers = 1, [law.stiffness, law.cubic, law.quadratic_damping, 0.0, 0.0, law.damping]
+            case SampledPotential():
+                kind, numbers = 2, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
+                out["samples"].append((j, law.knots.tolist(), law.coefficients.reshape(-1).tolist()))
+            case CompiledPotential():
+                kind, numbers = 3, [0.0, 0.0, 0.0, 0.0, law.loss, law.damping]
+                scalars: tuple[Scalar, Scalar] = (law.potential, law.slope)
+                out["functions"].append((j, [(f.address, f.data, f.takes_data) for f in scalars]))
+            case Friction():
+                kind, numbers = 4, [law.normal_force, law.static, law.dynamic, law.speed, 0.0, 0.0]
+        velocity = law.velocity if isinstance(law, Friction) else 0.0
+        out["kinds"][j], out["numbers"][j] = kind, [*numbers, law.offset, velocity]
+    return out
+
+
+def packed(a: Floats) -> Floats:
+    """(k, n_modes, c) -> (k, c, padded n_modes), zeros in the padding."""
+    k, n, c = a.shape
+    width = -(-max(n, 1) // _kernel.PADDING) * _kernel.PADDING
+    out = np.zeros((k, c, width))
+    out[:, :, :n] = a.transpose(0, 2, 1)
+    return out
