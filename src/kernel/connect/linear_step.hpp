@@ -22,7 +22,8 @@ public:
     }
 
     // Forces of sample b in block.f and `now`; they are not final.
-    bool forces(int b, double* now) {
+    // Flattened, because compilers do not inline products that several callers use.
+    __attribute__((flatten)) bool forces(int b, double* now) {
         const int n = int(layout_.port_rows.size());
         const double* line = block_.line(b);
         double* const f = block_.f.data();

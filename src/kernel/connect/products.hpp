@@ -29,10 +29,8 @@ inline void add_columns(const double* __restrict matrix, int width, const double
 }
 
 // sum = start + matrix^T x over the rows of a (n, width) matrix, width a multiple of kLane
-// (inlined by force: compilers do not inline what several callers use)
-__attribute__((always_inline)) inline void add_product(const double* __restrict matrix, int width,
-                                                       const double* __restrict x, int n, const double* start,
-                                                       double* sum) {
+inline void add_product(const double* __restrict matrix, int width, const double* __restrict x, int n,
+                        const double* start, double* sum) {
     constexpr int lanes = Simd::width, most = kPack - 1;
     static_assert(kLane % lanes == 0);
     int k = 0;
