@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.system import Control, Injection, System
+from tonewood.coupling.system import Injection, PrescribedMotion, System
 from tonewood.energy.account import EnergyAccount, KnownForce
 from tonewood.energy.trace import EnergyTrace
 from tonewood.instrument.assembly import Model, assemble
@@ -107,7 +107,7 @@ def play(
         known.append(KnownForce(component, component, point, tuple(gesture.segments), 0.0, factor))
     middle, edges = (first + np.arange(n) + 0.5) * dt, (first + np.arange(n + 1)) * dt
     controls = [
-        Control(m.connection, first, **{m.quantity: m.course(edges if m.quantity == "offset" else middle)})
+        PrescribedMotion(m.connection, first, **{m.quantity: m.course(edges if m.quantity == "offset" else middle)})
         for m in gesture.motions
     ]
     run, state = stepper(system), system.start()

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import tonewood as tw
+import tonewood.authoring as ta
 from tonewood.cli.main import run
 from tonewood.energy.stored import gaps, stored_energy
 from tonewood.engine.effects.base import SwitchedEffect, pay
@@ -109,7 +110,7 @@ def test_a_taut_thread_is_paid_for_when_it_is_switched_on() -> None:
         effect.reset(off, state, ("D3",))
         still = state.copy()
         before = stored_energy(off, still).total
-        moment = tw.Moment(off, state, engine.frettings, engine.peak)
+        moment = ta.Moment(off, state, engine.frettings, engine.peak)
         if not (stored_energy(on, still).total > before * (1 + 1e-9)):
             continue  # it is not taut
         paid = pay(effect, moment, "D3", True)
@@ -152,7 +153,7 @@ def test_it_is_switched_off_as_the_string_decays() -> None:
     """Below 0.4 of the slack, and on again from half of it only."""
     engine = renderer([tw.Note(0.0, 4.0, string="D3", stop=0, force=0.12)], 4.0, mode="auto").engine
     effect, found = effect_of(engine), []
-    assert isinstance(effect, tw.SwitchedConnections)
+    assert isinstance(effect, ta.SwitchedConnections)
     engine.advance(FS // 10 // 64)
     while engine.state.sample < 3.5 * FS:
         before = engine.running("slack_thread")

@@ -61,7 +61,7 @@ class Answer:
     choice: str | None = None
 
 
-class Trial(BaseModel):
+class KeyTrial(BaseModel):
     """A trial of the key: codes of its sounds."""
 
     type: str
@@ -84,7 +84,7 @@ class Key(BaseModel):
 
     schema_: Literal["tonewood-key/1"] = Field(alias="schema")
     name: str
-    trials: dict[str, Trial]
+    trials: dict[str, KeyTrial]
     stimuli: dict[str, Sound]
     factors: list[str]
 

@@ -34,7 +34,7 @@ EASY_ITEM_SHARE = 0.25
 
 
 @dataclass(frozen=True)
-class Mean:
+class RatingMean:
     """Scores of one label, over all trials (`trial` is None) or in one.
 
     Attributes
@@ -89,8 +89,8 @@ class Results:
     confidence: float
     listeners: int
     screened: tuple[Screened, ...]
-    overall: tuple[Mean, ...] | tuple[Rate, ...]
-    per_trial: tuple[Mean, ...] | tuple[Rate, ...]
+    overall: tuple[RatingMean, ...] | tuple[Rate, ...]
+    per_trial: tuple[RatingMean, ...] | tuple[Rate, ...]
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -163,7 +163,7 @@ def screen(answers: Sequence[Answer]) -> tuple[Screened, ...]:
     return tuple(found)
 
 
-def _mean(label: str, trial: str | None, answers: list[Answer], confidence: float) -> Mean:
+def _mean(label: str, trial: str | None, answers: list[Answer], confidence: float) -> RatingMean:
     from scipy.stats import t as student
 
     scores = np.array([a.score for a in answers])
@@ -175,7 +175,7 @@ def _mean(label: str, trial: str | None, answers: list[Answer], confidence: floa
         half = float(student.ppf((1 + confidence) / 2, n - 1)) * float(means.std(ddof=1)) / math.sqrt(n)
         low, high = mean - half, mean + half
     lower, median, upper = (float(q) for q in np.percentile(scores, [25, 50, 75]))
-    return Mean(label, trial, n, len(scores), mean, low, high, median, lower, upper)
+    return RatingMean(label, trial, n, len(scores), mean, low, high, median, lower, upper)
 
 
 def _rate(label: str, trial: str | None, answers: list[Answer], confidence: float) -> Rate:
@@ -211,8 +211,8 @@ def write_plot(results: Results, path: Path) -> None:
     """Plot the overall means or rates with their intervals as PNG."""
     from matplotlib.figure import Figure
 
-    rows: list[Mean | Rate] = list(results.overall)
-    values = [r.mean if isinstance(r, Mean) else (math.nan if r.rate is None else r.rate) for r in rows]
+    rows: list[RatingMean | Rate] = list(results.overall)
+    values = [r.mean if isinstance(r, RatingMean) else (math.nan if r.rate is None else r.rate) for r in rows]
     below = [0.0 if r.low is None else v - r.low for r, v in zip(rows, values, strict=True)]
     above = [0.0 if r.high is None else r.high - v for r, v in zip(rows, values, strict=True)]
     made = Figure(figsize=(7.0, 1.2 + 0.45 * len(rows)), layout="tight")

@@ -34,7 +34,7 @@ _CODE_FILE = re.compile(r"[b-df-hj-np-tv-xz]{6}\.(wav|png)")
 Progress = Callable[[str, int, int], None]
 
 
-class Renderer(Protocol):
+class StimulusRenderer(Protocol):
     """Renders conditions. It is pickled into workers; every call depends on its condition alone."""
 
     def identity(self, condition: Condition) -> dict[str, Any]:
@@ -48,7 +48,7 @@ class Renderer(Protocol):
 
 
 @dataclass(frozen=True)
-class Plan:
+class BatchPlan:
     """The work of a batch, before anything is rendered.
 
     Attributes
@@ -123,8 +123,13 @@ class Report:
 
 
 def plan_batch(
-    manifest_path: Path, folder: Path, renderer: Renderer, workers: Workers | None = None, *, predict: bool = False
-) -> Plan:
+    manifest_path: Path,
+    folder: Path,
+    renderer: StimulusRenderer,
+    workers: Workers | None = None,
+    *,
+    predict: bool = False,
+) -> BatchPlan:
     """Expand a manifest and list the conditions that are not rendered yet; nothing is written.
 
     Parameters
@@ -174,7 +179,7 @@ def plan_batch(
             except TonewoodError as fault:
                 faults.append(Fault(condition.name, str(fault)))
         seconds /= 1 if workers is None else workers.count
-    return Plan(
+    return BatchPlan(
         manifest, conditions, groups, keys, identities, tuple(todo.values()), seconds, tuple(faults), tuple(notes)
     )
 
@@ -182,7 +187,7 @@ def plan_batch(
 def run_batch(
     manifest_path: Path,
     folder: Path,
-    renderer: Renderer,
+    renderer: StimulusRenderer,
     workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> Report:
@@ -192,7 +197,7 @@ def run_batch(
     ----------
     manifest_path : the YAML file.
     folder : made if need be; ``serve/`` is for listeners, all else for the experimenter.
-    renderer : see `Renderer`.
+    renderer : see `StimulusRenderer`.
     workers : where the work is done; rendering may go to a cluster, files are made here.
     progress : called with the stage's name, what is done and what there is to do.
 
@@ -255,7 +260,7 @@ class _Outcome:
 
 
 def _render_missing(
-    plan: Plan, store: Store, renderer: Renderer, workers: Workers, progress: Progress | None
+    plan: BatchPlan, store: Store, renderer: StimulusRenderer, workers: Workers, progress: Progress | None
 ) -> dict[str, Fault]:
     """Render the missing conditions; returns failures by key. Only this process writes to the store."""
     store.clear_parts()
@@ -271,7 +276,7 @@ def _render_missing(
     return faults
 
 
-def _render(task: tuple[Renderer, Condition, str]) -> _Outcome:
+def _render(task: tuple[StimulusRenderer, Condition, str]) -> _Outcome:
     renderer, condition, key = task
     started = time.perf_counter()
     try:
@@ -323,7 +328,7 @@ def _complete(groups: Sequence[Group], there: set[str], manifest: Manifest) -> t
 
 
 def _write_records(
-    plan: Plan,
+    plan: BatchPlan,
     groups: Sequence[Group],
     files: Sequence[SoundFile],
     renders: dict[str, dict[str, Any]],

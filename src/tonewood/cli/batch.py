@@ -14,7 +14,7 @@ from tonewood.cli.common import Advance, AllowCode, Json, need, progress, warn
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
-    from tonewood.batch.runner import Plan, Report
+    from tonewood.batch.runner import BatchPlan, Report
 
 
 def batch(
@@ -71,7 +71,7 @@ class _Bars(ExitStack):
             self.advance(done)
 
 
-def _print_plan(plan: Plan) -> None:
+def _print_plan(plan: BatchPlan) -> None:
     for condition in plan.conditions:
         print(condition.name)
     summary = plan.summary()
@@ -90,7 +90,7 @@ def _print_report(report: Report) -> None:
     _print_faults(report)
 
 
-def _print_faults(found: Plan | Report) -> None:
+def _print_faults(found: BatchPlan | Report) -> None:
     warn(list(found.notes))
     for fault in found.faults:
         print(f"tonewood: failed: {fault.name}: {fault.reason}", file=sys.stderr)

@@ -11,7 +11,7 @@ import typer
 from tonewood.cli.common import Json, need, warn
 
 if TYPE_CHECKING:
-    from tonewood.batch.results import Mean, Rate, Results
+    from tonewood.batch.results import Rate, RatingMean, Results
 
 
 def results(
@@ -52,7 +52,7 @@ def _print(found: Results, per_trial: bool) -> None:
             print(f"  {row.trial}: {_line(row)}")
 
 
-def _line(row: Mean | Rate) -> str:
+def _line(row: RatingMean | Rate) -> str:
     from tonewood.batch.results import Rate
 
     if isinstance(row, Rate):
@@ -65,7 +65,7 @@ def _line(row: Mean | Rate) -> str:
     )
 
 
-def _interval(row: Mean | Rate, scale: float) -> str:
+def _interval(row: RatingMean | Rate, scale: float) -> str:
     if row.low is None or row.high is None:
         return ""
     return f" [{scale * row.low:.2f}, {scale * row.high:.2f}]"

@@ -150,7 +150,7 @@ class Injection:
 
 
 @dataclass(frozen=True, eq=False)
-class Control:
+class PrescribedMotion:
     """Moves or scales a nonlinear connection's partner sample by sample, in place of its law's constants.
 
     What it does to the partner is work from outside: only f (g+ - g) is balanced by the law.

@@ -167,7 +167,7 @@ def cosine_products(n: int, n_cosines: int) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class GeometricString:
+class GeometricShares:
     """The parts of one string together: its potential U and the forces of a step.
 
     Coordinates of all parts stand one after another, the longitudinal ones (if there are any) last.

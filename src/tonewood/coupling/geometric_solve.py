@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.geometric import GeometricShare, GeometricString
+from tonewood.coupling.geometric import GeometricShare, GeometricShares
 from tonewood.coupling.system import System
 
 Floats = NDArray[np.float64]
@@ -35,7 +35,7 @@ class GeometricSolve:
     def __init__(self, system: System):
         self.system = system
         self.slots = [[system.slot(name) for name in law.parts] for law in system.geometric]
-        self.strings = [GeometricString(tuple(self._part(i) for i in slots)) for slots in self.slots]
+        self.strings = [GeometricShares(tuple(self._part(i) for i in slots)) for slots in self.slots]
         self.starts = np.cumsum([0, *(s.n for s in self.strings)])
 
     def _part(self, slot: int) -> GeometricShare:

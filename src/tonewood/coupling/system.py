@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.compiled import BLOCK_SIZE, PADDING, Compiled, Control, Injection, State
+from tonewood.coupling.compiled import BLOCK_SIZE, PADDING, Compiled, Injection, PrescribedMotion, State
 from tonewood.coupling.connections import Connection, LinearSolve, NonlinearSolve
 from tonewood.coupling.elimination import Elimination, GapCompliance
 from tonewood.coupling.geometric import GeometricStretch
@@ -27,9 +27,9 @@ __all__ = [
     "BLOCK_SIZE",
     "PADDING",
     "Compiled",
-    "Control",
     "Drive",
     "Injection",
+    "PrescribedMotion",
     "Probe",
     "Readout",
     "State",
@@ -286,7 +286,7 @@ class System:
         modes = np.zeros((2, sum(self.capacities)))
         return State(modes, np.zeros(m), 0, np.zeros(m), np.zeros(m), np.zeros((len(self.tensions), 3)))
 
-    def controlled(self, controls: Sequence[Control], start: int, n: int) -> dict[int, Floats]:
+    def controlled(self, controls: Sequence[PrescribedMotion], start: int, n: int) -> dict[int, Floats]:
         """(4, n) offset at the beginning and the end of each step, velocity and scale, of controlled connections.
 
         Returns

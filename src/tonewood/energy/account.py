@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.coupling.geometric_solve import GeometricSolve
-from tonewood.coupling.system import Compiled, Control, Injection, State, System
+from tonewood.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.energy.forms import ComponentEnergy
 from tonewood.energy.laws import LawEnergies
 from tonewood.energy.path import step_again
@@ -107,7 +107,7 @@ class EnergyAccount:
         forces: Floats,
         injections: Sequence[Injection] = (),
         known: Sequence[KnownForce] = (),
-        controls: Sequence[Control] = (),
+        controls: Sequence[PrescribedMotion] = (),
     ) -> None:
         """Enter the steps that took `before` to `after`.
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.system import Control, Injection, State, System
+from tonewood.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.energy.account import EnergyAccount, EnergyTrace, KnownForce
 from tonewood.engine.gestures import Active, places
 from tonewood.instrument.assembly import Model
@@ -44,7 +44,7 @@ class EnergyBudget:
         after: State,
         forces: Floats,
         injections: Sequence[Injection],
-        controls: Sequence[Control],
+        controls: Sequence[PrescribedMotion],
         active: Sequence[Active],
     ) -> None:
         """Enter the steps between two states, and the work of the gestures in progress."""

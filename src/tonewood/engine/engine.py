@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from tonewood.blas import one_blas_thread
 from tonewood.coupling.connections import Connection
-from tonewood.coupling.system import Compiled, Control, Injection, State, System
+from tonewood.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.engine.effect_usage import EffectUsage
 from tonewood.engine.effects import runtime_effects
 from tonewood.engine.effects.base import Moment, Run, SwitchedEffect, Switching, switch
 from tonewood.engine.energy_budget import EnergyBudget
-from tonewood.engine.fretting import Fingerboard, Fretting, pulls
+from tonewood.engine.fretting import FrettedBases, Fretting, pulls
 from tonewood.engine.gesture_connections import GestureConnections, holds_at
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, quasi_static, samples
 from tonewood.engine.timeline import GRID, Play, Timeline
@@ -48,7 +48,7 @@ class Snapshot:
     frettings: dict[str, Fretting]
     active: list[Active]
     injections: list[Injection]
-    controls: list[Control]
+    controls: list[PrescribedMotion]
     holds: dict[str, float]
     switchings: dict[str, Switching]
     peak: Floats
@@ -110,11 +110,11 @@ class Engine:
         self.state = self.stepper.start()
         self.peak = np.zeros(len(model.system.readouts))
         self.recent, self.tail_level = self.peak.copy(), -math.inf
-        self.fingerboard, self.connections = Fingerboard(model), GestureConnections(model)
+        self.fingerboard, self.connections = FrettedBases(model), GestureConnections(model)
         self._owner_of = {connection.name: connection.owner for connection in model.system.connections}
         self.active: list[Active] = []
         self.injections: list[Injection] = []
-        self.controls: list[Control] = []
+        self.controls: list[PrescribedMotion] = []
         self.holds: dict[str, float] = {}
         self.counters = Counters()
         self.usage = EffectUsage(

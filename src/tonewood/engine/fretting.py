@@ -56,7 +56,7 @@ class Fretting:
         )
 
 
-class Fingerboard:
+class FrettedBases:
     """A model's strings as they can be held: bases are compiled when first wanted, and the last ones are kept."""
 
     def __init__(self, model: Model):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.system import Control, Injection, System
+from tonewood.coupling.system import Injection, PrescribedMotion, System
 from tonewood.engine.timeline import GRID, Play
 from tonewood.instrument.assembly import Model
 from tonewood.stepping.forcing import Course, course
@@ -91,7 +91,7 @@ def quasi_static(active: Sequence[Active], model: Model, system: System, start: 
     return out
 
 
-def courses(play: Play, dt: float, first: int) -> list[Control]:
+def courses(play: Play, dt: float, first: int) -> list[PrescribedMotion]:
     """Compile the course of a gesture's partners, sample by sample from `first` until the gesture ends on the grid."""
     out = []
     for motion in play.gesture.motions:
@@ -104,7 +104,7 @@ def courses(play: Play, dt: float, first: int) -> list[Control]:
         else:
             times = (first + np.arange(n) + 0.5) * dt - play.time
         values = motion.course(times)
-        out.append(Control(motion.connection, first, **{motion.quantity: values}))
+        out.append(PrescribedMotion(motion.connection, first, **{motion.quantity: values}))
     return out
 
 

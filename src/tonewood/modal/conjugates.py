@@ -100,7 +100,7 @@ def _misfit(poles: Complexes, right: Complexes, left: Complexes, j: int, k: int)
 
 
 @dataclass(frozen=True, eq=False)
-class RealForm:
+class RealStates:
     """A half list as real states:  x' = A x + B f,  y = R x,  y' = C x + D f  with C = R A, D = R B.
 
     Attributes
@@ -125,8 +125,8 @@ class RealForm:
         return self.R @ self.B
 
 
-def real_form(poles: Complexes, right: Complexes, left: Complexes) -> RealForm:
-    """Real states of a half list; see `RealForm`. Raises PassivityError on poles below the real axis."""
+def real_form(poles: Complexes, right: Complexes, left: Complexes) -> RealStates:
+    """Real states of a half list; see `RealStates`. Raises PassivityError on poles below the real axis."""
     if np.any(poles.imag < 0.0):
         raise PassivityError("one of each conjugate pair of poles is wanted, the one with Im > 0")
     n = poles.size
@@ -142,7 +142,7 @@ def real_form(poles: Complexes, right: Complexes, left: Complexes) -> RealForm:
     A = np.zeros((size, size))
     A[np.arange(size), np.arange(size)] = full_poles.real
     A[pairs, second], A[second, pairs] = -poles.imag[pairs], poles.imag[pairs]
-    return RealForm(A, (U.conj().T @ full_left.T).real, (full_right @ U).real, U)
+    return RealStates(A, (U.conj().T @ full_left.T).real, (full_right @ U).real, U)
 
 
 def extend(poles: Complexes, right: Complexes, left: Complexes) -> tuple[Complexes, Complexes, Complexes]:

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from tonewood.errors import ScoreError
-from tonewood.score.fingering import Chord, Costs, Option, finger
+from tonewood.score.fingering import Chord, FingeringCosts, Option, finger
 from tonewood.score.note import Dropped, Note
 from tonewood.score.scales import Tuning, note_name
 
@@ -108,7 +108,7 @@ def assign(
     *,
     channel_per_string: bool = False,
     tuning: Tuning | None = None,
-    costs: Costs | None = None,
+    costs: FingeringCosts | None = None,
 ) -> Assignment:
     """Give every note a string and a stop.
 
@@ -139,7 +139,7 @@ def assign(
         except ScoreError as error:
             dropped.append(_drop(note, error.reason))
     chords = _chords(playable, len(strings), dropped)
-    chosen, cost = finger([_chord(chord) for chord in chords], len(strings), costs or Costs())
+    chosen, cost = finger([_chord(chord) for chord in chords], len(strings), costs or FingeringCosts())
     pairs = [
         (note, option)
         for chord, options in zip(chords, chosen, strict=True)

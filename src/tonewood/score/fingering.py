@@ -38,7 +38,7 @@ LEGATO = 0.001
 
 
 @dataclass(frozen=True)
-class Costs:
+class FingeringCosts:
     """Weights of the cost, in units of a shift by one stop."""
 
     position: float = 0.1
@@ -77,7 +77,7 @@ class _Partial(NamedTuple):
     high: float
     total: float
 
-    def with_note(self, option: Option, costs: Costs) -> _Partial:
+    def with_note(self, option: Option, costs: FingeringCosts) -> _Partial:
         """One note more."""
         string, stop = option
         low, high, total = self.low, self.high, self.total
@@ -111,7 +111,7 @@ class _States(NamedTuple):
     held: NDArray[np.float64]
 
 
-def finger(chords: Sequence[Chord], n_strings: int, costs: Costs) -> tuple[list[tuple[Option, ...]], float]:
+def finger(chords: Sequence[Chord], n_strings: int, costs: FingeringCosts) -> tuple[list[tuple[Option, ...]], float]:
     """Choose a place for every note of every chord.
 
     Returns
@@ -136,7 +136,7 @@ def finger(chords: Sequence[Chord], n_strings: int, costs: Costs) -> tuple[list[
     return chosen[::-1], cost
 
 
-def _fingerings(chord: Chord, n_strings: int, costs: Costs) -> _Fingerings:
+def _fingerings(chord: Chord, n_strings: int, costs: FingeringCosts) -> _Fingerings:
     """Ways to play a chord: all of them, or the cheapest by themselves if there are many."""
     order = sorted(range(len(chord.options)), key=lambda i: len(chord.options[i]))
     partial = [_Partial(0.0, 0, (), math.inf, 0.0, 0.0)]
@@ -200,7 +200,7 @@ def _completable(taken: int, rest: list[tuple[Option, ...]]) -> bool:
 
 
 def _advance(
-    states: _States, ways: _Fingerings, time: float, until: float, costs: Costs
+    states: _States, ways: _Fingerings, time: float, until: float, costs: FingeringCosts
 ) -> tuple[_States, NDArray[np.int16], NDArray[np.int16]]:
     """Play every way from every state; keep the cheapest, and where each came from."""
     # arrays below are over (state, way) or (state, way, string)

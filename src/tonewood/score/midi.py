@@ -25,7 +25,7 @@ from pathlib import Path
 
 from tonewood.errors import OutputError, ScoreError
 from tonewood.score.note import Control, Note, Score
-from tonewood.score.performance import Performance, where
+from tonewood.score.performance import ChannelReader, where
 from tonewood.score.smf import Findings, MidiFile, Track, parse_smf
 
 MAX_BYTES = 16 * 2**20
@@ -62,7 +62,7 @@ def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float |
         raise ScoreError(f"excerpt from {start} s to {stop} s: 0 <= start < stop is needed", file=path)
     findings = Findings()
     midi = parse_smf(_read_bytes(path), findings, file=os.fspath(path))
-    performance = Performance(findings)
+    performance = ChannelReader(findings)
     began = 0.0
     for pattern in _patterns(midi, findings):
         seconds = _clock(midi, pattern)
@@ -131,7 +131,7 @@ def _clock(midi: MidiFile, tracks: Sequence[Track]) -> Callable[[int], float]:
 
 
 def _excerpt(
-    performance: Performance, start: float, stop: float | None, findings: Findings
+    performance: ChannelReader, start: float, stop: float | None, findings: Findings
 ) -> tuple[tuple[Note, ...], tuple[Control, ...]]:
     stop = math.inf if stop is None else stop
     notes = []

@@ -30,7 +30,7 @@ class _Channel:
     bend: int = 0
 
 
-class Performance:
+class ChannelReader:
     """Plays timed messages on sixteen channels and keeps the notes and controls they make.
 
     Attributes

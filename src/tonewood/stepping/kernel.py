@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tonewood import _kernel
 from tonewood.coupling.connections import NonlinearGaps
 from tonewood.coupling.laws import NonlinearLaw
-from tonewood.coupling.system import Compiled, Control, Injection, State, System
+from tonewood.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.errors import NumericalError, TonewoodError
 from tonewood.stepping.description import (
     Description,
@@ -252,7 +252,7 @@ class KernelStepper:
         return self._wirings[key]
 
     def run(
-        self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
+        self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[PrescribedMotion] = ()
     ) -> tuple[Floats, Floats]:
         """Advance `state` in place by n steps; see `NumpyStepper.run`."""
         out, linear, laws = self._step(state, n, injections, controls)
@@ -266,7 +266,7 @@ class KernelStepper:
         return out, forces
 
     def advance(
-        self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
+        self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[PrescribedMotion] = ()
     ) -> tuple[Floats, NDArray[np.intp]]:
         """As `run`; in place of the forces only the places of the nonlinear connections that had one.
 
@@ -280,7 +280,7 @@ class KernelStepper:
         return out, self._nonlinear[self._acted]
 
     def _step(
-        self, state: State, n: int, injections: Sequence[Injection], controls: Sequence[Control]
+        self, state: State, n: int, injections: Sequence[Injection], controls: Sequence[PrescribedMotion]
     ) -> tuple[Floats, Floats, Floats]:
         """Step; returns the output, the forces of linear connections, and of nonlinear ones.
 
@@ -321,7 +321,7 @@ class KernelStepper:
         return out, active_forces, law_forces
 
     def _redo(
-        self, state: State, injections: Sequence[Injection], controls: Sequence[Control]
+        self, state: State, injections: Sequence[Injection], controls: Sequence[PrescribedMotion]
     ) -> tuple[Floats, Floats, Floats]:
         """Make one step the slow way; returns as `_step`."""
         if self._slow is None or self._slow.system is not self.system:
@@ -338,7 +338,7 @@ class KernelStepper:
         return out, forces[:, self._active], laws
 
     def _run(
-        self, state: State, n: int, injections: Sequence[Injection], controls: Sequence[Control]
+        self, state: State, n: int, injections: Sequence[Injection], controls: Sequence[PrescribedMotion]
     ) -> tuple[Floats, Floats, Floats] | int:
         """Step in C++; returns as `_step`, or the first step whose forces were not found, the state being lost."""
         m, on = len(self.system.connections), self._nonlinear

@@ -23,7 +23,7 @@ from tonewood.coupling.connections import LinearSolve, NonlinearSolve, linear_so
 from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.law_solve import Grip, Partners, find_forces, settle, stiffness
 from tonewood.coupling.laws import Friction
-from tonewood.coupling.system import Control, Injection, State, System
+from tonewood.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.errors import NumericalError
 from tonewood.modal.propagator import apply
 
@@ -79,7 +79,7 @@ class NumpyStepper:
         self._careful = False
 
     def run(
-        self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[Control] = ()
+        self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[PrescribedMotion] = ()
     ) -> tuple[Floats, Floats]:
         """Advance `state` in place by n steps.
 

@@ -9,7 +9,7 @@ import pytest
 
 from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.coupling.laws import Contact, Friction, HardeningSpring, SampledPotential
-from tonewood.coupling.system import Control, System
+from tonewood.coupling.system import PrescribedMotion, System
 from tonewood.coupling.tension import TensionModulation
 from tonewood.energy.account import EnergyAccount, KnownForce
 from tonewood.modal.modes import ModalBasis
@@ -99,7 +99,7 @@ def test_moving_partner_is_outside_work(name):
     system, _ = scene(LAWS[name])
     t = np.arange(961) / 960
     offset = LAWS[name].offset + 3e-4 * np.sin(np.pi * t) ** 2
-    control = Control("law", 37, offset=offset, scale=0.5 + t[1:])
+    control = PrescribedMotion("law", 37, offset=offset, scale=0.5 + t[1:])
     trace = followed(system, [], 1440, controls=[control])
     assert trace.worst_residual < 1e-10
     assert np.abs(trace.supplied["law"]).sum() > 0.1 * trace.peak
@@ -110,7 +110,7 @@ def test_moving_partner_is_outside_work(name):
 def test_bowing_control_carries_the_work_of_the_bow():
     system, _ = scene(Friction(1.0, 0.7, 0.3, 0.1))
     ramp = np.minimum(np.arange(960) / 480, 1.0)
-    trace = followed(system, [], 960, controls=[Control("law", 0, velocity=0.2 * ramp, scale=ramp)])
+    trace = followed(system, [], 960, controls=[PrescribedMotion("law", 0, velocity=0.2 * ramp, scale=ramp)])
     assert trace.worst_residual < 1e-10
     assert trace.supplied["law"].sum() > 0
 

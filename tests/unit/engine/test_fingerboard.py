@@ -9,7 +9,7 @@ import pytest
 
 import tonewood as tw
 from tonewood.coupling.system import Compiled
-from tonewood.engine.fretting import _CACHE, Fingerboard, Fretting
+from tonewood.engine.fretting import _CACHE, FrettedBases, Fretting
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.modal.modes import ModalBasis
 
@@ -25,7 +25,7 @@ def assert_same(ours: Compiled, anew: Compiled) -> None:
 
 
 def test_open_strings_are_those_of_the_model(model: Model) -> None:
-    board = Fingerboard(model)
+    board = FrettedBases(model)
     for name, string in model.strings.items():
         for c, basis in string.bases().items():
             assert_same(board.bases(name, Fretting())[c], model.system.compile(c, basis))
@@ -33,7 +33,7 @@ def test_open_strings_are_those_of_the_model(model: Model) -> None:
 
 @pytest.mark.parametrize("fretting", [Fretting(0.0), Fretting(3.0), Fretting(5.0, cents=40.0, place=0.2)])
 def test_a_damped_string_is_the_ringing_one_with_other_losses(model: Model, fretting: Fretting) -> None:
-    board = Fingerboard(model)
+    board = FrettedBases(model)
     ringing = model.strings["B3"].bases(fretting.stop, bend_cents=fretting.cents, pluck_from_bridge=fretting.place)
     for c, ours in board.bases("B3", replace(fretting, added_damping=57.5)).items():
         basis = ringing[c]
@@ -43,7 +43,7 @@ def test_a_damped_string_is_the_ringing_one_with_other_losses(model: Model, fret
 
 
 def test_the_usual_place_of_the_finger_is_no_other_way_to_hold_a_string(model: Model) -> None:
-    board, string = Fingerboard(model), model.strings["E4"]
+    board, string = FrettedBases(model), model.strings["E4"]
     for stop in (0.0, 12.0):
         usual = min(string.pluck_from_bridge, 0.9 * string.length(stop))
         assert board.playable("E4", Fretting(stop, place=usual)) == Fretting(stop)
@@ -56,7 +56,7 @@ def test_the_usual_place_of_the_finger_is_no_other_way_to_hold_a_string(model: M
 
 
 def test_bends_without_end_are_not_kept_without_end(model: Model) -> None:
-    board = Fingerboard(model)
+    board = FrettedBases(model)
     bends = [Fretting(1.0, cents=0.5 * i) for i in range(_CACHE + 8)]
     first = board.bases("E4", bends[0])
     for bend in bends:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tonewood.errors import ScoreError
 from tonewood.score import fingering
 from tonewood.score.assignment import Assignment, PlayableString, assign
-from tonewood.score.fingering import Chord, Costs, Option, finger
+from tonewood.score.fingering import Chord, FingeringCosts, Option, finger
 from tonewood.score.note import Note
 from tonewood.score.scales import Scale, Tuning
 
@@ -193,7 +193,9 @@ def test_a_held_finger_is_left_behind_once(stop, leaves):
     """Held at stop 5 from 0 to 4 s; a hand that moves up for other strings reaches one stop below itself, no more."""
     held = Chord(0.0, (4.0,), (4.0,), ((Option(0, 5.0),),))
     above = [Chord(t, (t + 1,), (1.0,), ((Option(s, float(stop + t - 1)),),)) for s, t in ((1, 1), (2, 2))]
-    _, cost = finger([held, *above[: 2 if leaves else 1]], 3, Costs(position=0.0, shift=0.0, stretch=0.0, cut=1.0))
+    _, cost = finger(
+        [held, *above[: 2 if leaves else 1]], 3, FingeringCosts(position=0.0, shift=0.0, stretch=0.0, cut=1.0)
+    )
     assert cost == (0.75 if leaves else 0.0)
 
 
@@ -204,11 +206,11 @@ def test_cost_of_three_notes_by_hand():
         Chord(1.0, (2.0,), (1.0,), ((Option(0, 2.0),),)),
         Chord(2.0, (3.0,), (1.0,), ((Option(0, 9.0),),)),
     ]
-    _, cost = finger(chords, 1, Costs(position=0.1, shift=1.0, stretch=1.0, cut=6.0))
+    _, cost = finger(chords, 1, FingeringCosts(position=0.1, shift=1.0, stretch=1.0, cut=6.0))
     assert cost == pytest.approx(0.1 * 16 + (1 + 4) + 6 * 0.5)
 
 
-def least_cost(chords: list[Chord], costs: Costs) -> float:
+def least_cost(chords: list[Chord], costs: FingeringCosts) -> float:
     """The cost by its definition, in plain loops over every way through the piece."""
     best = np.inf
     ways = [
@@ -243,7 +245,7 @@ def least_cost(chords: list[Chord], costs: Costs) -> float:
 
 
 @st.composite
-def small_pieces(draw) -> tuple[list[Chord], int, Costs]:
+def small_pieces(draw) -> tuple[list[Chord], int, FingeringCosts]:
     opens = draw(st.lists(st.integers(0, 12), min_size=2, max_size=4, unique=True))
     chords, time = [], 0.0
     for _ in range(draw(st.integers(1, 5))):
@@ -255,7 +257,7 @@ def small_pieces(draw) -> tuple[list[Chord], int, Costs]:
             chords.append(chord)
         time += draw(st.sampled_from([0.25, 0.5, 1.0]))
     weights = draw(st.lists(st.floats(0, 5), min_size=4, max_size=4))
-    return chords, len(opens), Costs(*weights)
+    return chords, len(opens), FingeringCosts(*weights)
 
 
 @settings(max_examples=80)
@@ -286,7 +288,7 @@ def test_a_chord_with_more_ways_than_are_kept_is_still_played():
     """Twelve strings in unison and twelve notes of which one fits a single string: no dead end."""
     options = [tuple(Option(s, float(n)) for s in range(12)) for n in range(11)] + [(Option(0, 5.0),)]
     chord = Chord(0.0, (1.0,) * 12, (1.0,) * 12, tuple(options))
-    (chosen,), _ = finger([chord], 12, Costs())
+    (chosen,), _ = finger([chord], 12, FingeringCosts())
     assert sorted(o.string for o in chosen) == list(range(12))
     assert chosen[11] == (0, 5.0)
 

@@ -9,7 +9,7 @@ from nonlinear_scenes import LENGTH, TENSION, body, hang, held_string
 from tonewood import _kernel
 from tonewood.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.coupling.laws import Contact
-from tonewood.coupling.system import Control, Probe, Readout, System
+from tonewood.coupling.system import PrescribedMotion, Probe, Readout, System
 from tonewood.coupling.tension import TensionModulation
 from tonewood.instrument.strings import with_still_points
 from tonewood.modal.string_modes import string_basis
@@ -228,7 +228,7 @@ def test_forces_come_only_where_contacts_were_solved_for():
 def test_frets_that_move_are_looked_at_block_by_block():
     system = fretted()
     state = plucked(system, [(1e-5, 0.0), (1e-5, 0.0)], [0.1 * LENGTH, 0.3 * LENGTH])
-    rising = [Control("s0f1", 0, offset=np.linspace(-4e-4, 1e-5, 321))]
+    rising = [PrescribedMotion("s0f1", 0, offset=np.linspace(-4e-4, 1e-5, 321))]
     (_, forces), statistics = both_ways(system, state, 320, controls=rising)
     assert 0 < statistics["rows_read"] < 20 * 24
     assert contacts(system, forces)[:, 1].any()
@@ -341,7 +341,7 @@ def test_frets_behind_a_stop_are_left_out(tense):
     expected, _ = NumpyStepper(system).run(twin, 128)
     np.testing.assert_allclose(out[:128], expected, atol=1e-9 * np.abs(expected).max())
     # one that is moved is looked at
-    rising = [Control("s0f1", 0, offset=np.linspace(-4e-4, 1e-4, 321))]
+    rising = [PrescribedMotion("s0f1", 0, offset=np.linspace(-4e-4, 1e-4, 321))]
     (_, forces), statistics = both_ways(system, state.copy(), 320, controls=rising)
     _, expected = NumpyStepper(system).run(state, 320, (), rising)
     assert statistics["rows_read"] > 0 or tense

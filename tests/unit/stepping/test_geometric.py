@@ -8,7 +8,7 @@ from geometric_scenes import AXIAL, BENDING, DENSITY, LENGTH, TENSION, along, he
 from numpy.typing import NDArray
 
 from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.geometric import GeometricStretch, GeometricString, cosine_products
+from tonewood.coupling.geometric import GeometricShares, GeometricStretch, cosine_products
 from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.laws import Contact
 from tonewood.coupling.system import State, System
@@ -31,12 +31,12 @@ def test_products_of_cosines_are_those_of_a_quadrature() -> None:
         assert 0.5 * c @ cosine_products(n, 9) @ c == pytest.approx(coefficient, abs=1e-12)
 
 
-def stretched(n_modes: int = 12, n_along: int = 5) -> GeometricString:
+def stretched(n_modes: int = 12, n_along: int = 5) -> GeometricShares:
     system = held_string(48000.0, ("y", "z"), basis=transverse(n_modes), motion=along(n_along), freq_coupled=1e6)
     return GeometricSolve(system).strings[0]
 
 
-def strain_energy(string: GeometricString, y: Floats) -> float:
+def strain_energy(string: GeometricShares, y: Floats) -> float:
     """EA/2 int e^2 dx of the strain as far as its first cosines tell, by quadrature over the string."""
     along_ = string.parts[-1]
     count, x = len(along_.slopes), (np.arange(400) + 0.5) * LENGTH / 400

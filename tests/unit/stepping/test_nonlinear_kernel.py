@@ -11,7 +11,7 @@ from nonlinear_scenes import LENGTH, body, hang, held_string, pulled, tense_guit
 from tonewood import _kernel
 from tonewood.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
-from tonewood.coupling.system import Control, Probe, Readout, System
+from tonewood.coupling.system import PrescribedMotion, Probe, Readout, System
 from tonewood.energy.stored import stored_energy
 from tonewood.errors import NumericalError
 from tonewood.modal.modes import ModalBasis
@@ -142,8 +142,8 @@ def test_controls_move_and_scale_the_partner():
     system = fretted(Contact(1e8, 1.5, offset=-1.0))
     offset = np.concatenate([np.full(20, -1e-3), np.linspace(-1e-3, 2e-4, 61)])
     controls = [
-        Control("s0f2", 10, offset=offset, scale=np.linspace(0.2, 1.0, 80)),
-        Control("s1f1", 40, offset=np.full(41, 1e-5)),
+        PrescribedMotion("s0f2", 10, offset=offset, scale=np.linspace(0.2, 1.0, 80)),
+        PrescribedMotion("s1f1", 40, offset=np.full(41, 1e-5)),
     ]
     a, b = struck(system, 1e-4), struck(system, 1e-4)
     _, expected = NumpyStepper(system).run(a, 120, (), controls)
@@ -153,7 +153,7 @@ def test_controls_move_and_scale_the_partner():
     assert not expected[:10, 4].any()
     assert not expected[91:, 4].any()
     with pytest.raises(ValueError, match="no nonlinear connection"):
-        KernelStepper(system).run(b, 10, (), [Control("joint0", b.sample, scale=np.ones(10))])
+        KernelStepper(system).run(b, 10, (), [PrescribedMotion("joint0", b.sample, scale=np.ones(10))])
 
 
 def test_cut_runs_go_on_where_they_stopped():

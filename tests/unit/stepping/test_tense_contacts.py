@@ -9,7 +9,7 @@ from nonlinear_scenes import pulled, tense_guitar
 from tonewood import _kernel
 from tonewood.coupling.connections import Connection, Term
 from tonewood.coupling.laws import Contact, Friction, HardeningSpring
-from tonewood.coupling.system import Control
+from tonewood.coupling.system import PrescribedMotion
 from tonewood.energy.stored import stored_energy
 from tonewood.stepping.kernel import KernelStepper, Shortcuts
 from tonewood.stepping.stepper import NumpyStepper
@@ -151,7 +151,7 @@ def test_runs_cut_into_whole_windows_go_on_where_they_stopped():
 def test_a_moving_partner_meets_a_tense_string():
     system = tense_guitar(frets=SOFT)
     n = 60
-    ramp = Control("s0f3", 5, offset=-2e-4 + np.linspace(0, 4e-4, n + 1), scale=np.linspace(0.0, 1.0, n))
+    ramp = PrescribedMotion("s0f3", 5, offset=-2e-4 + np.linspace(0, 4e-4, n + 1), scale=np.linspace(0.0, 1.0, n))
     a, b = pulled(system, 1.0), pulled(system, 1.0)
     expected, expected_forces = NumpyStepper(system).run(a, n + 20, (), [ramp])
     out, forces = KernelStepper(system).run(b, n + 20, (), [ramp])

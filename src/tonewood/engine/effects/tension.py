@@ -24,7 +24,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.geometric import GeometricStretch, GeometricString
+from tonewood.coupling.geometric import GeometricShares, GeometricStretch
 from tonewood.coupling.system import Compiled, State, System
 from tonewood.coupling.tension import TensionModulation, stretch_weights
 from tonewood.engine.effect_usage import Bound, EffectUsage
@@ -53,7 +53,7 @@ SHORTEST = 0.3
 _LEAVE = 0.9
 #: share of the additive budget that sidebands may take; the rest is left to other effects that are left out
 _SHARE = 0.5
-#: a string that is drawn aside stretches by 2 E / T, twice as much as one that swings, and 1.5 of that are in the bound
+#: a string held aside stretches by 2 E / T, twice as much as one that vibrates, and 1.5 of that are in the bound
 _DRAWN = 4 / 3
 #: strings as they are held whose sidebands and phantom partials are kept
 _KEPT = 128
@@ -367,7 +367,7 @@ def potential(system: System, state: State, name: str) -> float:
 
 
 #: forms of strings as they are held: large, and needed again
-_coupled = lru_cache(maxsize=32)(GeometricString)
+_coupled = lru_cache(maxsize=32)(GeometricShares)
 
 
 def largest(piece: Segment) -> float:

@@ -27,7 +27,7 @@ from tonewood.lab.systems import string_and_body
 from tonewood.modal.string_modes import string_basis
 
 STABLE, GROWS, NAN = "stable", "grows", "NaN"
-#: energy beyond that of the pluck, as a factor; explicit methods swing by some tens of per cent while they are stable
+#: energy beyond that of the pluck, as a factor; explicit methods vary by some tens of per cent while they are stable
 GROWTH = 2.0
 #: looks at the energy per run
 _LOOKS = 16
