@@ -1,9 +1,9 @@
 """A passive body from residues: real modes with one shape per point.
 
-A real mode has A_ij = phi_i phi_j at every pair of points: positive where it is driven, of rank one, symmetric. Residues
-of a fit have noise, so the nearest such shapes are taken; what that costs is reported (`FittedBody.mobility`).
+A real mode has A_ij = phi_i phi_j at every pair of points: positive where it is driven, of rank one, symmetric.
+Residues of a fit have noise, so the nearest such shapes are taken; `FittedBody.mobility` shows what that costs.
 
-* One reference r: phi_r = sqrt(A_rr), phi_i = A_ir / phi_r. Pairs among undriven points were not measured and follow from
+* One reference r: phi_r = sqrt(A_rr), phi_i = A_ir / phi_r. Pairs of undriven points were not measured and follow from
   rank one; they have been 1 to 4 dB off (r.m.s.) where two modes coincide, which one reference cannot tell apart.
 * Several: A_ij and A_ji averaged (reciprocity), eigenvectors whose eigenvalues stand out of the noise; two of them are
   coincident modes, two rows of the table.
@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.fit.identify import Modes
@@ -38,8 +39,8 @@ class FittedBody:
     freq, quality : (K,) Hz and Q.
     shapes : (K, n_points) mass-normalised, 1/sqrt(kg).
     compliance : (n_points, n_points) m/N of modes above the band; positive semidefinite.
-    cents, quality_error, shape_error : (K,) one standard deviation: of the frequency in cents, of Q relative, of the shape
-        at the driving point relative; nan of the row that stands for what lies below.
+    cents, quality_error, shape_error : (K,) one standard deviation: of the frequency in cents, of Q relative, of the
+        shape at the driving point relative; nan of the row that stands for what lies below.
     measured : (K,) whether the mode lies in the band.
     dropped : what was left out and why, a line each.
     """
@@ -113,7 +114,9 @@ def passive_body(modes: Modes, pairs: tuple[tuple[str, str], ...]) -> FittedBody
         np.array([row[1] for row in rows]),
         np.array([row[2] for row in rows]).reshape(-1, len(points)),
         np.asarray(compliance),
-        *(np.array([row[i] for row in rows]) for i in (3, 4, 5)),
+        np.array([row[3] for row in rows]),
+        np.array([row[4] for row in rows]),
+        np.array([row[5] for row in rows]),
         (freq_all >= band[0]) & (freq_all <= band[-1]) & np.array([np.isfinite(row[3]) for row in rows], dtype=bool),
         tuple(dropped),
     )
@@ -144,8 +147,8 @@ def _shapes(
     measured = weight > 0
     matrix[measured] /= weight[measured]
     noise = float(np.sqrt(1 / weight[measured].min()))
-    values, vectors = np.linalg.eigh(matrix)
-    shapes = []
+    values, vectors = sla.eigh(matrix)
+    shapes: list[Floats] = []
     for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
         first = certain and not shapes
         if value > (0.0 if first else 1.5 * _CLEAR * noise):

@@ -88,11 +88,11 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     rows = {pair: row for table in tables for pair, row in table.rows.items()}
     coherence = {pair: row for table in tables for pair, row in table.coherence.items()}
     said = {table.form for table in tables if table.form is not None}
-    for form in said:
-        if reading.form is not None and form != reading.form:
-            raise TonewoodError(f"says {form} while --form says {reading.form}", file=paths[0], key="--form")
-    form = reading.form or (said.pop() if len(said) == 1 else None)
-    if form is None:
+    for other in said:
+        if reading.form is not None and other != reading.form:
+            raise TonewoodError(f"says {other} while --form says {reading.form}", file=paths[0], key="--form")
+    form = reading.form or (said.pop() if len(said) == 1 else "")
+    if not form:
         raise TonewoodError(f"what was measured is not said; {', '.join(FORMS)} are allowed", key="--form")
     alpha = 0.0 if reading.window_tau is None else 1.0 / reading.window_tau
     motion, pressure = _split(rows)
@@ -167,7 +167,8 @@ def _csv(path: Path) -> _Table:
         if f"{stem}_{other}" not in columns:
             raise TonewoodError(f"has no column {stem}_{other} beside {name}", file=path)
         second = columns[f"{stem}_{other}"]
-        rows[_pair(path, stem)] = values + 1j * second if part == "re" else values * np.exp(1j * np.deg2rad(second))
+        turn = values + 1j * second if part == "re" else values * np.exp(1j * np.deg2rad(second))
+        rows[_pair(path, stem)] = np.asarray(turn, dtype=np.complex128)
     coherence = {pair: columns[key] for pair in rows if (key := f"{pair[0]}:{pair[1]}_coherence") in columns}
     return _Table(columns["freq_Hz"], rows, coherence)
 
@@ -231,7 +232,7 @@ def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str])
             raise TonewoodError("has another rate, length or other channels than the first file", file=path)
         if _padded(hit.force) or any(_padded(row) for row in hit.motion):
             raise TonewoodError(
-                "ends in zeros: padded hits have neighbouring bins that say the same; cut them off", file=path
+                "ends in zeros: of a padded hit neighbouring bins say the same; cut them off", file=path
             )
     try:
         made = responses_of_hits(

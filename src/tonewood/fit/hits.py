@@ -57,8 +57,8 @@ def responses_of_hits(
 ) -> HitResponses:
     """Average hits to a response.
 
-    The window exp(-t/tau) multiplies *both* channels. The transform of x(t) exp(-a t) is X(s + a), so the quotient is the
-    response itself on the line Re s = a = 1/tau, and nothing has to be corrected afterwards.
+    The window exp(-t/tau) multiplies *both* channels. The transform of x(t) exp(-a t) is X(s + a), so the quotient is
+    the response itself on the line Re s = a = 1/tau, and nothing has to be corrected afterwards.
 
     Parameters
     ----------

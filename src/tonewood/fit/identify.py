@@ -62,8 +62,8 @@ def identify(
 ) -> Modes:
     """Identify the modes of a band.
 
-    Known noise is raised where a first fit leaves more: leakage and nonlinearity must not become modes. Unknown noise is
-    taken from second differences first, then from what a fit leaves.
+    Known noise is raised where a first fit leaves more: leakage and nonlinearity must not become modes. Unknown noise
+    is taken from second differences first, then from what a fit leaves.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def identify(
 
     Raises
     ------
-    NothingFound : no mode stands out of the noise.
+    NothingFoundError : no mode stands out of the noise.
     """
     turns: list[Turn] = []
 

@@ -1,21 +1,22 @@
-"""Weighted least squares for poles: residues are linear, so they are eliminated (Golub and Pereyra 1973, Kaufman 1975).
+"""Weighted least squares for poles; residues, which are linear, are eliminated (Golub, Pereyra 1973; Kaufman 1975).
 
-The mobility at point i under a force at j, on the line s = alpha + j w (alpha = 1/tau of an exponential window, else 0):
+The mobility at point i under a force at j, on the line s = alpha + j w (alpha = 1/tau of an exponential window or 0):
 
     Y_ij(s) = sum_k (A_ijk s + B_ijk w_k) / (s^2 + 2 zeta_k w_k s + w_k^2) + E_ij w_0 / s + C_ij s / w_0
 
-A real mode has B = 0. B is allowed while modes are sought: damping that couples modes turns residues by some degrees, and
-with B = 0 a search answers that by modes that are not there. E stands for modes below the band (a mass), C for those
-above it (a compliance).
+A real mode has B = 0. B is allowed while modes are sought: damping that couples modes turns residues by some degrees,
+and with B = 0 a search answers that by modes that are not there. E stands for modes below the
+band (a mass), C for those above it (a compliance).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg as sla
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -118,7 +119,8 @@ class Line:
         total = np.add.reduceat(weight, edges, axis=1)
         mean = np.add.reduceat(self.mobility * weight, edges, axis=1) / total
         half = step * np.sqrt((count**2 - 1) / 12)
-        return Line(np.add.reduceat(self.freq, edges) / count, mean, total**-0.5, self.alpha, half)
+        centre = np.add.reduceat(self.freq, edges) / count
+        return Line(centre, np.asarray(mean, dtype=np.complex128), total**-0.5, self.alpha, half)
 
 
 @dataclass(frozen=True)
@@ -205,12 +207,8 @@ class Projection:
 
     @property
     def price(self) -> float:
-        """What a mode has to gain in chi-squared to be kept: its parameters times ln of the size (BIC, Schwarz 1978)."""
+        """Chi-squared that a mode has to gain to be kept: its parameters times ln of the size (BIC, Schwarz 1978)."""
         return float((2 + (1 + self.shape.complex) * self.shape.free) * np.log(self.size))
-
-    def with_shape(self, **changes: bool) -> Projection:
-        """The same band with other residues."""
-        return Projection(self.line, replace(self.shape, **changes))
 
     def columns(self, poles: Poles) -> tuple[Complexes, list[tuple[Complexes, Complexes]]]:
         """Columns of the residues, (K or 2K, N), and their slopes in ln w and ln zeta."""
@@ -242,8 +240,8 @@ class Projection:
             gram, seen = flat @ flat.T, flat @ wanted
             length = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
             gram, seen = gram * np.outer(length, length), seen * length
-            lower = np.linalg.cholesky(gram[:n, :n] + _RIDGE * np.eye(n))
-            inverse = np.linalg.inv(lower)
+            factor = sla.cholesky(gram[:n, :n] + _RIDGE * np.eye(n), lower=True, check_finite=False)
+            inverse = sla.solve_triangular(factor, np.eye(n), lower=True, check_finite=False)
             inverse = inverse.T @ inverse
             c = inverse @ seen[:n]
             out.cost += float(wanted @ wanted - 2 * c @ seen[:n] + c @ gram[:n, :n] @ c)
@@ -274,7 +272,7 @@ class Projection:
     def deviations(self, poles: Poles) -> tuple[Floats, Floats, Floats]:
         """Standard deviations of ln w, ln zeta, (K,), and residues, (P, n), from the information matrix."""
         found = self.solve(poles, slopes=True)
-        covariance = np.linalg.pinv(found.normal, rcond=1e-12)
+        covariance = sla.pinvh(found.normal, rtol=1e-12)
         residues = [np.sqrt(own + np.einsum("ij,jk,ik->i", f, covariance, f)) for f, own in found.follows]
-        deviation, k = np.sqrt(np.diag(covariance)), len(poles)
+        deviation, k = np.sqrt(np.maximum(np.diag(covariance), 0.0)), len(poles)
         return deviation[:k], deviation[k:], np.array(residues)

@@ -108,15 +108,15 @@ class Responses:
         for reference in self.references:
             if (reference, reference) not in self.pairs:
                 raise TonewoodError(
-                    f"no response was measured at {reference!r}, where the body was driven; without it shapes have no scale",
+                    f"nothing was measured at {reference!r}, where the body was driven: shapes have no scale",
                     key="responses",
                 )
         for i in self.driving:
             negative = float(np.mean(self.mobility[i].real < 0))
             if negative > MOST_NEGATIVE:
                 raise TonewoodError(
-                    f"the driving-point mobility of {self.pairs[i][0]!r} has a negative real part over {negative:.0%} of "
-                    "the band: the sign of a channel, --form, or a delay between channels is wrong",
+                    f"the driving-point mobility of {self.pairs[i][0]!r} has a negative real part over {negative:.0%} "
+                    "of the band: the sign of a channel, --form, or a delay between channels is wrong",
                     key="responses",
                 )
             self._weighed(i)
@@ -128,8 +128,8 @@ class Responses:
         apparent = 1.0 / (2 * np.pi * np.sqrt(self.freq[0] * self.freq[-1]) * max(size, 1e-300))
         if not 1e-5 < apparent < 1e4:
             raise TonewoodError(
-                f"the median mobility of {self.pairs[i][0]!r} is {size:.3g} (m/s)/N, that of a mass of {apparent:.3g} kg "
-                "in the middle of the band; 1e-5 to 1e4 kg are allowed: check units and --sensitivity",
+                f"the median mobility of {self.pairs[i][0]!r} is {size:.3g} (m/s)/N, that of {apparent:.3g} kg in the "
+                "middle of the band; 1e-5 to 1e4 kg are allowed: check units and --sensitivity",
                 key="responses",
             )
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg as sla
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
@@ -32,7 +33,7 @@ _AT_ONCE, _TURNS = 12, 16
 _GROUP = 8
 
 
-class NothingFound(ValueError):
+class NothingFoundError(ValueError):
     """No mode stands out of the noise."""
 
 
@@ -60,7 +61,7 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
     for _ in range(most):
         scale = np.diag(np.diag(found.normal) + 1e-12 * np.trace(found.normal) / (2 * k))
         for _ in range(6):
-            step = np.linalg.solve(found.normal + damping * scale, found.gradient)
+            step = sla.solve(found.normal + damping * scale, found.gradient, assume_a="sym")
             zeta = np.exp(poles.log_zeta)
             moved = Poles(
                 np.clip(poles.log_freq + np.clip(step[:k], -zeta, zeta), low, high),
@@ -112,7 +113,8 @@ def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, So
     while True:
         found = problem.solve(poles)
         k = len(poles)
-        gain = sum(found.chi2[:, m * k : (m + 1) * k] for m in range(1 + problem.shape.complex)).sum(axis=0)
+        n = (1 + problem.shape.complex) * k
+        gain = found.chi2[:, :n].reshape(-1, k).sum(axis=0)
         wrong = np.zeros(k, dtype=bool)
         for p in problem.shape.driving:
             wrong |= found.residues[p, :k] <= 0
@@ -222,7 +224,7 @@ def sought(
 
     Raises
     ------
-    NothingFound : no mode gains its price.
+    NothingFoundError : no mode gains its price.
     """
     problem = Projection(line.thinned(), shape)
     filters, poles = MatchedFilters(problem), start or Poles.none()
@@ -242,7 +244,7 @@ def sought(
             break
         poles, best = more, total
     if not len(poles):
-        raise NothingFound("no mode stands out of the noise")
+        raise NothingFoundError("no mode stands out of the noise")
     poles, _ = pruned(problem, descend(problem, poles, 15, 1e-6)[0])
     return problem, joined(problem, poles)[0]
 
