@@ -20,7 +20,6 @@ from tonewood.fit.identify import Modes, identify
 from tonewood.fit.projection import Shape
 from tonewood.fit.responses import Responses
 from tonewood.fit.search import NothingFoundError, Turn
-from tonewood.units import decibel
 from tonewood.whole_files import whole_file
 
 Floats = NDArray[np.float64]
@@ -59,7 +58,7 @@ class Fit:
     @cached_property
     def error_db(self) -> Floats:
         """(P, N) dB, magnitude of the body's mobility re the measured one: noise included."""
-        return np.asarray(np.abs(decibel(np.abs(self.mobility)) - decibel(np.abs(self.responses.mobility))))
+        return np.asarray(np.abs(20 * np.log10(np.abs(self.mobility) / np.abs(self.responses.mobility))))
 
     @property
     def warnings(self) -> list[str]:
@@ -83,7 +82,7 @@ class Fit:
             )
         if len(r.references) == 1 and len(r.points) > 1:
             out.append(
-                f"driven at {r.references[0]} alone: mobilities among the other points follow from one shape a mode and "
+                f"driven at {r.references[0]} alone: mobilities among other points follow from one shape a mode and "
                 "may be 1 to 4 dB off; a second reference would tell"
             )
         return out
@@ -153,8 +152,8 @@ class Fit:
         out = []
         facts = json.dumps(self.facts(), indent=1, allow_nan=False) + "\n"
         for name, text in (("body.csv", self.table()), ("fit.json", facts)):
-            with whole_file(folder / name) as path:
-                path.write_text(text, encoding="utf-8")
+            with whole_file(folder / name) as file:
+                file.write(text.encode())
             out.append(folder / name)
         return out
 
@@ -187,12 +186,9 @@ def fit_responses(
     TonewoodError : the responses are no passive body's, or no mode stands out of their noise.
     """
     r = responses.band(*band).checked()
-    known = r.coherence is not None and r.n_hits is not None
-    sigma = (
-        noise.of_coherence(r.mobility, r.coherence, r.n_hits)
-        if known and r.coherence is not None and r.n_hits
-        else None
-    )
+    sigma = None
+    if r.coherence is not None and r.n_hits is not None:
+        sigma = noise.of_coherence(r.mobility, r.coherence, r.n_hits)
     try:
         modes = identify(r.freq, r.mobility, Shape(r.driving, len(r.points)), sigma=sigma, alpha=r.alpha, tell=tell)
     except NothingFoundError:

@@ -86,4 +86,5 @@ def responses_of_hits(
     crossed = np.mean(X * F.conj()[:, None], axis=0)
     coherence = np.abs(crossed) ** 2 / np.maximum(of_force * of_motion, 1e-300)
     response = crossed / of_force if estimator == "H1" else of_motion / crossed.conj()
-    return HitResponses(np.fft.rfftfreq(n, 1 / fs), response, coherence, alpha, kept)
+    freq = np.asarray(np.fft.rfftfreq(n, 1 / fs), dtype=np.float64)
+    return HitResponses(freq, response, coherence, alpha, kept)
