@@ -77,8 +77,8 @@ class Fit:
             out += [f"the band ends in the peak of the mode at {f:.1f} Hz: move --band" for f in body.freq[near]]
         if self.modes.misfit > MOST_MISFIT:
             out.append(
-                f"the misfit is {self.modes.misfit:.2f} times the noise: the body is not linear, the records leak, or the "
-                "noise was taken for too small"
+                f"the misfit is {self.modes.misfit:.2f} times the noise: the body is not linear, the records leak, or "
+                "the noise was taken for too small"
             )
         if len(r.references) == 1 and len(r.points) > 1:
             out.append(
