@@ -99,13 +99,13 @@ def passive_body(modes: Modes, pairs: tuple[tuple[str, str], ...]) -> FittedBody
         for shape in shapes:
             there = shape * np.sqrt(problem.scale)
             rows.append((band[0] * _LOWER_SHARE, _LOWER_Q, there, np.nan, np.nan, np.nan))
-        if not shapes:
-            dropped.append("mass line of modes below the band: not above its noise")
+    else:
+        dropped.append("mass line of modes below the band: not above its noise")
     if problem.shape.upper:
         shapes, _ = _shapes(residues[:, edge], errors[:, edge], pairs, points, certain=False)
         compliance = sum((np.outer(x, x) for x in shapes), compliance) / problem.scale
-        if not shapes:
-            dropped.append("compliance of modes above the band: not above its noise")
+    else:
+        dropped.append("compliance of modes above the band: not above its noise")
     rows.sort(key=lambda row: row[0])
     freq_all = np.array([row[0] for row in rows])
     return FittedBody(

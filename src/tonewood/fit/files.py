@@ -230,7 +230,7 @@ def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str])
     for path, hit in zip(paths, hits, strict=True):
         if (hit.fs, hit.names, hit.reference, hit.force.size) != (fs, names, reference, hits[0].force.size):
             raise TonewoodError("has another rate, length or other channels than the first file", file=path)
-        if _padded(hit.force) or any(_padded(row) for row in hit.motion):
+        if any(_padded(row) for row in hit.motion):
             raise TonewoodError(
                 "ends in zeros: of a padded hit neighbouring bins say the same; cut them off", file=path
             )

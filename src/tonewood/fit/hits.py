@@ -85,6 +85,8 @@ def responses_of_hits(
     of_motion = np.mean(np.abs(X) ** 2, axis=0)
     crossed = np.mean(X * F.conj()[:, None], axis=0)
     coherence = np.abs(crossed) ** 2 / np.maximum(of_force * of_motion, 1e-300)
-    response = crossed / of_force if estimator == "H1" else of_motion / crossed.conj()
+    # bins that the hammer did not reach tell nothing
+    over, under = (crossed, of_force + 0j * crossed) if estimator == "H1" else (of_motion + 0j, crossed.conj())
+    response = np.divide(over, under, out=np.zeros_like(over), where=under != 0)
     freq = np.asarray(np.fft.rfftfreq(n, 1 / fs), dtype=np.float64)
     return HitResponses(freq, response, coherence, alpha, kept)

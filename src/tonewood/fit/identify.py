@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tonewood.fit import noise
 from tonewood.fit.projection import Line, Poles, Projection, Shape, Solution
-from tonewood.fit.search import Turn, sought, straightened
+from tonewood.fit.search import DOUBT, Turn, sought, straightened
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -102,7 +102,26 @@ def identify(
         if _akaike(straight, more) < _akaike(problem, start):
             start = more
     real, poles = straightened(line, shape, start)
+    while (fewer := _without_idle_edges(real, poles)) != real.shape:
+        # a residual term that is no passive body's, or none: what it stood in for is sought as modes near the band
+        cost = real.solve(poles).cost
+        shape = replace(shape, lower=fewer.lower, upper=fewer.upper)
+        real, poles = straightened(line, shape, poles)
+        if real.solve(poles).cost > cost + real.price:
+            _, more = sought(line, replace(shape, complex=False), poles, note)
+            real, poles = straightened(line, shape, more)
     return Modes(real, poles, real.solve(poles), (problem, start), turns, turned)
+
+
+def _without_idle_edges(problem: Projection, poles: Poles) -> Shape:
+    """The residual terms that are surely positive somewhere, and surely negative nowhere, where the body was driven."""
+    shape, driving = problem.shape, list(problem.shape.driving)
+    if not (shape.lower or shape.upper):
+        return shape
+    ratio = problem.solve(poles).residues[driving] / problem.deviations(poles)[2][driving]
+    kept = (np.any(ratio > DOUBT, axis=0) & np.all(ratio > -DOUBT, axis=0))[len(poles) :].tolist()
+    lower = bool(shape.lower and kept[0])
+    return replace(shape, lower=lower, upper=bool(shape.upper and kept[-1]))
 
 
 def _akaike(problem: Projection, poles: Poles) -> float:

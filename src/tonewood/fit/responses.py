@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.fit import noise
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 #: form -> power of s by which it is multiplied to become mobility
 FORMS: Mapping[str, int] = {"receptance": 1, "mobility": 0, "accelerance": -1}
-#: largest share of the band in which a driving point may seem to give energy back
+#: largest share of the band in which a driving point may give energy back, beyond twice the noise
 MOST_NEGATIVE = 0.05
 #: fewest bins of a band
 FEWEST_BINS = 32
@@ -112,7 +113,8 @@ class Responses:
                     key="responses",
                 )
         for i in self.driving:
-            negative = float(np.mean(self.mobility[i].real < 0))
+            clear = 2 * noise.of_neighbours(self.mobility[i : i + 1])[0]
+            negative = float(np.mean(self.mobility[i].real < -clear))
             if negative > MOST_NEGATIVE:
                 raise TonewoodError(
                     f"the driving-point mobility of {self.pairs[i][0]!r} has a negative real part over {negative:.0%} "

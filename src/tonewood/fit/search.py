@@ -25,6 +25,8 @@ Complexes = NDArray[np.complex128]
 ZETA_LOW, ZETA_HIGH = 1e-5, 0.35
 #: frequencies, re the ends of the band, up to which a pole may leave it: it stands for modes there
 BELOW, ABOVE = 0.5, 1.6
+#: standard deviations beyond which a residue's sign is taken to be known
+DOUBT = 3.0
 #: Q of the matched filters
 _QUALITIES = (3, 6, 12, 25, 50, 100, 200, 400, 800)
 #: modes added in a turn, and turns
@@ -115,9 +117,7 @@ def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, So
         k = len(poles)
         n = (1 + problem.shape.complex) * k
         gain = found.chi2[:, :n].reshape(-1, k).sum(axis=0)
-        wrong = np.zeros(k, dtype=bool)
-        for p in problem.shape.driving:
-            wrong |= found.residues[p, :k] <= 0
+        wrong = _never_positive(found.residues[:, :k], found.chi2[:, :k], problem.shape.driving)
         weak = np.flatnonzero(wrong | (gain < problem.price))
         if not weak.size or k <= 1:
             return poles, found
@@ -128,6 +128,14 @@ def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, So
             if all(abs(poles.log_freq[i] - poles.log_freq[j]) > 4 * (zeta[i] + zeta[j]) for j in gone):
                 gone.append(int(i))
         poles, _ = descend(problem, poles.without(gone), steps, 1e-3)
+
+
+def _never_positive(residues: Floats, chi2: Floats, driving: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(n,) modes that would create energy: negative at one driving point beyond doubt, or positive at none."""
+    if not driving:
+        return np.zeros(residues.shape[1], dtype=bool)
+    own, sure = residues[list(driving)], chi2[list(driving)] > DOUBT**2
+    return np.asarray(np.any((own < 0) & sure, axis=0) | np.all(own <= 0, axis=0))
 
 
 def joined(problem: Projection, poles: Poles) -> tuple[Poles, Solution]:
@@ -206,8 +214,7 @@ class MatchedFilters:
         whitened = misfit * (np.sqrt(2) / self.problem.line.sigma)
         seen = np.array([(f @ w).real for f, w in zip(filters, whitened, strict=True)])
         gain = (seen**2 / np.maximum(lengths, 1e-300)).sum(axis=0)
-        for p in self.problem.shape.driving:
-            gain[seen[p] <= 0] = 0.0
+        gain[_never_positive(seen, seen**2 / np.maximum(lengths, 1e-300), self.problem.shape.driving)] = 0.0
         out: list[int] = []
         for i in np.argsort(-gain):
             if gain[i] < self.problem.price or len(out) == most:
