@@ -61,9 +61,10 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
     k, damping = len(poles), 1e-3
     found = problem.solve(poles, slopes=True)
     for _ in range(most):
-        scale = np.diag(np.diag(found.normal) + 1e-12 * np.trace(found.normal) / (2 * k))
+        unit = 1 / np.sqrt(np.diag(found.normal) + 1e-12 * np.trace(found.normal) / (2 * k))
+        curved = found.normal * np.outer(unit, unit)
         for _ in range(6):
-            step = sla.solve(found.normal + damping * scale, found.gradient, assume_a="sym")
+            step = unit * sla.solve(curved + damping * np.eye(2 * k), unit * found.gradient, assume_a="sym")
             zeta = np.exp(poles.log_zeta)
             moved = Poles(
                 np.clip(poles.log_freq + np.clip(step[:k], -zeta, zeta), low, high),
