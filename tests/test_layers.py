@@ -26,7 +26,7 @@ LAYERS = (
     {"engine"},
     {"authoring"},
     {"output"},
-    {"lab", "batch"},
+    {"lab", "batch", "fit"},
     {"cli"},
     {"__init__", "__main__"},
 )

@@ -1,0 +1,200 @@
+"""One measurement fitted: checks, modes, a passive body, what is uncertain about it, and its files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import NDArray
+
+from tonewood.errors import OutputError, TonewoodError
+from tonewood.fit import noise
+from tonewood.fit.body import FittedBody, passive_body
+from tonewood.fit.identify import Modes, identify
+from tonewood.fit.projection import Shape
+from tonewood.fit.responses import Responses
+from tonewood.fit.search import NothingFoundError, Turn
+from tonewood.whole_files import whole_file
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+#: bins that a bandwidth has to hold for its damping to be told from the bins
+BINS_IN_BANDWIDTH = 3.0
+#: misfit, re the noise, above which the model does not do
+MOST_MISFIT = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A body fitted to responses.
+
+    Attributes
+    ----------
+    responses : of the band.
+    modes : identified, with real residues.
+    body : passive, made from them.
+    """
+
+    responses: Responses
+    modes: Modes
+    body: FittedBody
+
+    def __repr__(self) -> str:
+        return f"<Fit of {np.count_nonzero(self.body.measured)} modes, {self.error_db.max():.2f} dB at most>"
+
+    @cached_property
+    def mobility(self) -> Complexes:
+        """(P, N) (m/s)/N of the body at the measured pairs."""
+        r = self.responses
+        return self.body.mobility(r.freq, r.pairs, r.alpha)
+
+    @cached_property
+    def error_db(self) -> Floats:
+        """(P, N) dB, magnitude of the body's mobility re the measured one: noise included."""
+        return np.asarray(np.abs(20 * np.log10(np.abs(self.mobility) / np.abs(self.responses.mobility))))
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a reader has to know before this body is believed, a line each."""
+        r, body, out = self.responses, self.body, []
+        step = float(r.freq[1] - r.freq[0])
+        bandwidth = body.freq / body.quality + r.alpha / np.pi
+        for freq, quality, width in zip(body.freq, body.quality, bandwidth, strict=True):
+            if r.freq[0] <= freq <= r.freq[-1] and width < BINS_IN_BANDWIDTH * step:
+                out.append(
+                    f"mode at {freq:.1f} Hz: its bandwidth of {width:.2g} Hz (Q {quality:.0f}) holds fewer than "
+                    f"{BINS_IN_BANDWIDTH:g} bins of {step:g} Hz; measure longer"
+                )
+        for end in (r.freq[0], r.freq[-1]):
+            near = body.measured & (np.abs(body.freq - end) < body.freq / body.quality)
+            out += [f"the band ends in the peak of the mode at {f:.1f} Hz: move --band" for f in body.freq[near]]
+        if self.modes.misfit > MOST_MISFIT:
+            out.append(
+                f"the misfit is {self.modes.misfit:.2f} times the noise: the body is not linear, the records leak, or "
+                "the noise was taken for too small"
+            )
+        if len(r.references) == 1 and len(r.points) > 1:
+            out.append(
+                f"driven at {r.references[0]} alone: mobilities among other points follow from one shape a mode and "
+                "may be 1 to 4 dB off; a second reference would tell"
+            )
+        return out
+
+    def facts(self) -> dict[str, Any]:
+        """Everything but the curves, for JSON."""
+        r, body, line = self.responses, self.body, self.modes.problem.line
+        return {
+            "files": dict(r.files),
+            "band_Hz": [float(r.freq[0]), float(r.freq[-1])],
+            "step_Hz": float(r.freq[1] - r.freq[0]),
+            "window_tau_s": 1 / r.alpha if r.alpha else None,
+            "hits": None if r.kept is None else {"kept": r.kept[0], "given": r.kept[1]},
+            "pairs": [list(pair) for pair in r.pairs],
+            "noise": [float(np.sqrt(np.mean(row**2))) for row in line.sigma],
+            "price": self.modes.bent[0].price,
+            "misfit": self.modes.misfit,
+            "residues_turned": self.modes.turned,
+            "error_db": {
+                "rms": float(np.sqrt(np.mean(self.error_db**2))),
+                "95%": float(np.quantile(self.error_db, 0.95)),
+                "most": float(self.error_db.max()),
+            },
+            "modes": [
+                {
+                    "freq_Hz": float(f), "Q": float(q), "mass_kg": _mass(shape), "shape": shape.tolist(),
+                    "sd_cents": _or_none(c), "sd_Q": _or_none(e), "sd_shape": _or_none(p), "measured": bool(m),
+                }
+                for f, q, shape, c, e, p, m in zip(
+                    body.freq, body.quality, body.shapes, body.cents, body.quality_error, body.shape_error,
+                    body.measured, strict=True,
+                )
+            ],
+            "compliance_m_per_N": body.compliance.tolist(),
+            "dropped": list(body.dropped),
+            "warnings": self.warnings,
+        }  # fmt: skip
+
+    def table(self) -> str:
+        """The body as a CSV table of `modal_table` (`shapes: points`); numbers read back are the same numbers."""
+        r, body = self.responses, self.body
+        head = [
+            f"# Fitted to {', '.join(r.files) or 'responses'} from {r.freq[0]:g} to {r.freq[-1]:g} Hz; mass-normalised "
+            "shapes, 1/sqrt(kg).",
+            "# measured 0: beyond the band, a stand-in for what lies there. sd: one standard deviation.",
+            ",".join(["f_Hz", "Q", *body.points, "sd_cents", "sd_Q_percent", "measured"]),
+        ]
+        rows = []
+        for i, (f, q, shape) in enumerate(zip(body.freq, body.quality, body.shapes, strict=True)):
+            sure = bool(body.measured[i])
+            cents, error = (body.cents[i], 100 * body.quality_error[i]) if sure else (0.0, 0.0)
+            numbers = [repr(float(x)) for x in (f, q, *shape)]
+            rows.append(",".join([*numbers, f"{cents:.3g}", f"{error:.3g}", str(int(sure))]))
+        return "\n".join([*head, *rows]) + "\n"
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write ``body.csv`` and ``fit.json`` into a folder, which is made if it is not there.
+
+        Raises
+        ------
+        OutputError : it cannot be written to.
+        """
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as fault:
+            raise OutputError(f"cannot be made: {fault.strerror}", file=folder) from None
+        out = []
+        facts = json.dumps(self.facts(), indent=1, allow_nan=False) + "\n"
+        for name, text in (("body.csv", self.table()), ("fit.json", facts)):
+            with whole_file(folder / name) as file:
+                file.write(text.encode())
+            out.append(folder / name)
+        return out
+
+
+def _mass(shape: Floats) -> float | None:
+    """kg, modal mass as felt at the first point."""
+    return float(1 / shape[0] ** 2) if shape[0] else None
+
+
+def _or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def fit_responses(
+    responses: Responses,
+    *,
+    band: tuple[float | None, float | None] = (None, None),
+    tell: Callable[[Turn], None] = lambda turn: None,
+) -> Fit:
+    """Fit a passive body of real modes to measured responses.
+
+    Parameters
+    ----------
+    responses : of points and references; each reference was measured where it was driven.
+    band : Hz, lower and upper end; the ends of the data where None.
+    tell : called after each turn of the search.
+
+    Raises
+    ------
+    TonewoodError : the responses are no passive body's, or no mode stands out of their noise.
+    """
+    r = responses.band(*band).checked()
+    sigma = None
+    if r.coherence is not None and r.n_hits is not None:
+        sigma = noise.of_coherence(r.mobility, r.coherence, r.n_hits)
+    try:
+        modes = identify(r.freq, r.mobility, Shape(r.driving, len(r.points)), sigma=sigma, alpha=r.alpha, tell=tell)
+    except NothingFoundError:
+        raise TonewoodError("no mode stands out of the noise: wrong files, band or units", key="responses") from None
+    body = passive_body(modes, r.pairs)
+    if body.compliance.any() and sla.eigvalsh(body.compliance).min() < 0:  # to rounding: rank one is on the edge
+        values, vectors = sla.eigh(body.compliance)
+        body.compliance[:] = (vectors * np.maximum(values, 0)) @ vectors.T
+    return Fit(r, modes, body)

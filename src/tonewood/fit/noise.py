@@ -1,0 +1,51 @@
+"""Standard deviation of a frequency response's error, bin by bin: from coherence, from neighbours, from a misfit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter, uniform_filter1d
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+#: bins of the smoothing of a coherence, of second differences, and of what a fit leaves
+_COHERENCE, _DIFFERENCES, _MISFIT = 31, 81, 201
+
+
+def of_coherence(response: Complexes, coherence: Floats, n_hits: int) -> Floats:
+    """Standard deviation of H1 from its coherence over n hits (Bendat and Piersol 2010, 9.2).
+
+        sigma^2 = n/(n - 1) (1 - g^2) / (n g^2) |H|^2,
+
+    smoothed over 31 bins in its logarithm: of few hits a coherence is rough.
+
+    Parameters
+    ----------
+    response, coherence : (P, N); coherence is g^2.
+    """
+    g = np.clip(coherence, 1e-4, 1 - 1e-9)
+    bias = n_hits / (n_hits - 1) if n_hits > 2 else 1.0
+    variance = bias * (1 - g) / (n_hits * g) * np.abs(response) ** 2
+    return np.asarray(np.exp(0.5 * uniform_filter1d(np.log(variance + 1e-300), _COHERENCE, axis=-1, mode="nearest")))
+
+
+def of_neighbours(response: Complexes) -> Floats:
+    """The same from second differences of bins, which resonances wider than a few bins hardly add to."""
+    second = (response[:, :-2] - 2 * response[:, 1:-1] + response[:, 2:]) / np.sqrt(6)
+    return of_misfit(np.pad(second, ((0, 0), (1, 1)), "edge"), _DIFFERENCES)
+
+
+def of_misfit(misfit: Complexes, width: int = _MISFIT) -> Floats:
+    """The same from what a model leaves: the running median of |.|^2 of complex Gaussian noise is sigma^2 ln 2."""
+    power = median_filter(np.abs(misfit) ** 2, size=(1, width), mode="nearest")
+    return np.asarray(np.sqrt(power / np.log(2)) + 1e-300)
+
+
+def tied(alpha: float, step: float) -> float:
+    """Factor by which an exponential window raises the noise of a bin, since it ties neighbours to one another.
+
+    sqrt(x coth x) with x = alpha T / 2, T = 1 / step: the information of N tied bins is that of fewer free ones.
+    """
+    x = 0.5 * alpha / step
+    return float(np.sqrt(x / np.tanh(x))) if x > 1e-6 else 1.0

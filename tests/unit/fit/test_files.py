@@ -1,0 +1,125 @@
+"""Files of measurements: every kind says the same, and what is wrong with one is told in one line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import soundfile as sf
+from fit_scenes import random_body
+
+from tonewood.errors import TonewoodError
+from tonewood.fit.files import Reading, read_responses
+
+FREQ = np.arange(50.0, 250.0)
+TRUTH = random_body(3, seed=0, high=220.0).noisy(FREQ, 0.01, seed=0)[0]
+PAIRS = (("a", "a"), ("b", "a"))
+
+
+def write_csv(path, polar=False, coherence=False):
+    columns, head = [FREQ], ["freq_Hz"]
+    for (point, reference), row in zip(PAIRS, TRUTH, strict=True):
+        parts = (np.abs(row), np.degrees(np.angle(row))) if polar else (row.real, row.imag)
+        for part, values in zip(("mag", "phase") if polar else ("re", "im"), parts, strict=True):
+            head.append(f"{point}:{reference}_{part}")
+            columns.append(values)
+        if coherence:
+            head.append(f"{point}:{reference}_coherence")
+            columns.append(np.full(FREQ.size, 0.98))
+    rows = [",".join(map(repr, map(float, row))) for row in np.array(columns).T]
+    path.write_text("\n".join([",".join(head), *rows]) + "\n")
+    return path
+
+
+def test_csv_npz_and_uff_say_the_same(tmp_path):
+    pyuff = pytest.importorskip("pyuff")
+    rectangular = read_responses([write_csv(tmp_path / "a.csv")], Reading("mobility"))
+    polar = read_responses([write_csv(tmp_path / "b.csv", polar=True, coherence=True)], Reading("mobility", n_hits=5))
+    np.savez(tmp_path / "c.npz", freq_Hz=FREQ, **{f"{p}:{r}": x for (p, r), x in zip(PAIRS, TRUTH, strict=True)})
+    packed = read_responses([tmp_path / "c.npz"], Reading("mobility"))
+    universal = pyuff.UFF(str(tmp_path / "d.uff"))
+    for (point, _), row in zip(PAIRS, TRUTH, strict=True):
+        node = {"a": 1, "b": 2}[point]
+        universal.write_sets(
+            pyuff.prepare_58(
+                func_type=4, rsp_node=node, rsp_dir=3, ref_node=1, ref_dir=3, rsp_ent_name="NONE",
+                ref_ent_name="NONE", data=row, x=FREQ, binary=1, id1="", id2="", id3="", id4="", id5="",
+                load_case_id=0, abscissa_spacing=1, abscissa_spec_data_type=18, ordinate_spec_data_type=11,
+                orddenom_spec_data_type=13,
+            ),
+            mode="add",
+        )  # fmt: skip
+    binary = read_responses([tmp_path / "d.uff"], Reading())
+    assert rectangular.pairs == polar.pairs == packed.pairs == PAIRS
+    assert binary.pairs == (("1+3", "1+3"), ("2+3", "1+3"))
+    for other in (polar, packed, binary):
+        assert np.allclose(other.mobility, rectangular.mobility, rtol=1e-12, atol=0)
+        assert np.array_equal(other.freq, FREQ)
+    assert polar.coherence is not None
+    assert set(rectangular.files) == {"a.csv"}
+    with pytest.raises(TonewoodError, match="says mobility while --form says accelerance"):
+        read_responses([tmp_path / "d.uff"], Reading("accelerance"))
+
+
+def test_forms_differ_by_powers_of_s(tmp_path):
+    path = write_csv(tmp_path / "a.csv")
+    s = 1 / 0.2 + 2j * np.pi * FREQ
+    for form, power in (("receptance", 1), ("mobility", 0), ("accelerance", -1)):
+        read = read_responses([path], Reading(form, window_tau=0.2))
+        assert np.allclose(read.mobility, TRUTH * s**power, rtol=1e-12)
+
+
+def test_hits_of_wav_and_csv_say_the_same(tmp_path):
+    rng, fs, n = np.random.default_rng(1), 4000, 2000
+    t = np.arange(n)
+    paths = {"wav": [], "csv": []}
+    for hit in range(3):
+        force = 0.5 * np.exp(-0.5 * ((t - 30) / 3.0) ** 2)
+        motion = 0.3 * np.exp(-t / 300) * np.sin(t / (6 + 0.1 * hit)) + 1e-3 * rng.normal(size=n)
+        sf.write(tmp_path / f"{hit}.wav", np.stack([force, motion], axis=1), fs, subtype="DOUBLE")
+        rows = [
+            f"{i / fs!r},{100 * f!r},{50 * m!r}"
+            for i, f, m in zip(t.tolist(), force.tolist(), motion.tolist(), strict=True)
+        ]
+        (tmp_path / f"{hit}.csv").write_text("\n".join(["time_s,a_force,a", *rows]) + "\n")
+        paths["wav"].append(tmp_path / f"{hit}.wav")
+        paths["csv"].append(tmp_path / f"{hit}.csv")
+    reading = Reading("accelerance", points=("a",), reference="a", sensitivity=(100.0, 50.0), window_tau=0.1)
+    wav, csv = (read_responses(paths[kind], reading) for kind in ("wav", "csv"))
+    assert wav.kept == csv.kept == (3, 3)
+    assert wav.alpha == pytest.approx(10.0)
+    assert np.allclose(wav.mobility[:, 1:], csv.mobility[:, 1:], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("freq_Hz,a:a_re,a:a_im\n1,2\n", "2 numbers under 3 columns"),
+        ("f,a:a_re,a:a_im\n1,2,3\n", "no column freq_Hz"),
+        ("freq_Hz,a:a_re\n1,2\n", "no column a:a_im"),
+        ("freq_Hz,a_re,a_im\n1,2,3\n", "POINT:REFERENCE is allowed"),
+        ("freq_Hz,a:a_re,a:a_im\n1,x,3\n", "not a finite number"),
+        ("", "no rows"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_told_in_one_line(tmp_path, text, told):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(TonewoodError, match=told) as fault:
+        read_responses([path], Reading("mobility"))
+    assert "bad.csv" in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_what_is_wrong_with_a_measurement_is_told_in_one_line(tmp_path):
+    path = write_csv(tmp_path / "a.csv")
+    with pytest.raises(TonewoodError, match="--form: what was measured is not said"):
+        read_responses([path], Reading())
+    with pytest.raises(TonewoodError, match="negative real part over"):
+        read_responses([path], Reading("accelerance")).checked()
+    swapped = read_responses([path], Reading("mobility"))
+    with pytest.raises(TonewoodError, match="1e-5 to 1e4 kg"):
+        type(swapped)(swapped.freq, swapped.mobility * 1e-9, swapped.pairs).checked()
+    with pytest.raises(TonewoodError, match="nothing was measured at 'a'"):
+        type(swapped)(swapped.freq, swapped.mobility[1:], swapped.pairs[1:]).checked()
+    with pytest.raises(TonewoodError, match="--band"):
+        swapped.band(60.0, 70.0)
