@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.fit import noise
-from tonewood.fit.projection import Line, Poles, Projection, Shape, Solution
+from tonewood.fit.projection import Line, LinearFit, Poles, Projection, Shape
 from tonewood.fit.search import DOUBT, Turn, sought, straightened
 
 Floats = NDArray[np.float64]
@@ -36,7 +36,7 @@ class Modes:
 
     problem: Projection
     poles: Poles
-    solution: Solution
+    solution: LinearFit
     bent: tuple[Projection, Poles]
     turns: list[Turn]
     turned: float

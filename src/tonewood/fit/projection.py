@@ -143,7 +143,7 @@ class Shape:
 
 
 @dataclass(eq=False)
-class Solution:
+class LinearFit:
     """Residues for given poles.
 
     Attributes
@@ -224,14 +224,14 @@ class Projection:
         turn = np.exp(poles.log_freq)[:, None] / s
         return np.vstack([h, turn * h]), [(by_freq, by_zeta), (turn * (h + by_freq), turn * by_zeta)]
 
-    def solve(self, poles: Poles, slopes: bool = False) -> Solution:
+    def solve(self, poles: Poles, slopes: bool = False) -> LinearFit:
         """Residues, and with `slopes` the normal equations of the poles."""
         k, n_responses = len(poles), len(self.line.mobility)
         h, by = self.columns(poles)
         n = len(h) + len(self._edges)
         rows = [h, self._edges, *(x for pair in by for x in pair)] if slopes else [h, self._edges]
         stack = np.vstack(rows)
-        out = Solution(0.0, np.zeros((n_responses, n)), np.zeros((n_responses, n)))
+        out = LinearFit(0.0, np.zeros((n_responses, n)), np.zeros((n_responses, n)))
         if slopes:
             out.normal, out.gradient = np.zeros((2 * k, 2 * k)), np.zeros(2 * k)
         for p, (y, weight) in enumerate(zip(self.line.mobility, self._weight, strict=True)):

@@ -118,8 +118,8 @@ class Responses:
             if negative > MOST_NEGATIVE:
                 raise TonewoodError(
                     f"the driving-point mobility of {self.pairs[i][0]!r} has a negative real part over {negative:.0%} "
-                    "of the band: a channel's sign, --form or a delay between channels is wrong, or hits were cut off while "
-                    "they rang (--window-tau)",
+                    "of the band: a channel's sign, --form or a delay between channels is wrong, or hits were cut off "
+                    "while they rang (--window-tau)",
                     key="responses",
                 )
             self._weighed(i)

@@ -16,7 +16,7 @@ import scipy.linalg as sla
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from tonewood.fit.projection import Line, Poles, Projection, Shape, Solution
+from tonewood.fit.projection import Line, LinearFit, Poles, Projection, Shape
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -54,14 +54,15 @@ class Turn:
     misfit: float
 
 
-def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tuple[Poles, Solution]:
+def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tuple[Poles, LinearFit]:
     """Move poles downhill until a step gains less than `enough` of the cost, at most `most` steps."""
     band = problem.line.freq
     low, high = np.log(2 * np.pi * band[0] * BELOW), np.log(2 * np.pi * band[-1] * ABOVE)
     k, damping = len(poles), 1e-3
     found = problem.solve(poles, slopes=True)
     for _ in range(most):
-        unit = 1 / np.sqrt(np.diag(found.normal) + 1e-12 * np.trace(found.normal) / (2 * k))
+        curvature = np.diag(found.normal)  # of directions that nothing tells it is rounding, of either sign
+        unit = 1 / np.sqrt(np.maximum(curvature, 1e-12 * curvature.max()) + 1e-300)
         curved = found.normal * np.outer(unit, unit)
         for _ in range(6):
             step = unit * sla.solve(curved + damping * np.eye(2 * k), unit * found.gradient, assume_a="sym")
@@ -111,7 +112,7 @@ def descend_in_groups(problem: Projection, poles: Poles, most: int) -> Poles:
     return Poles(freq, zeta).sorted()
 
 
-def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, Solution]:
+def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, LinearFit]:
     """Take modes away that gain less than their price, or whose residue at a driving point is negative."""
     while True:
         found = problem.solve(poles)
@@ -139,7 +140,7 @@ def _never_positive(residues: Floats, chi2: Floats, driving: tuple[int, ...]) ->
     return np.asarray(np.any((own < 0) & sure, axis=0) | np.all(own <= 0, axis=0))
 
 
-def joined(problem: Projection, poles: Poles) -> tuple[Poles, Solution]:
+def joined(problem: Projection, poles: Poles) -> tuple[Poles, LinearFit]:
     """Put one pole in place of two that lie within their bandwidths wherever that costs less than the price of one."""
     found, tried = problem.solve(poles), set()
     while True:
