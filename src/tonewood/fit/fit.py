@@ -13,6 +13,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from tonewood.blas import one_blas_thread
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.fit import noise
 from tonewood.fit.body import FittedBody, passive_body
@@ -167,6 +168,7 @@ def _or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
+@one_blas_thread
 def fit_responses(
     responses: Responses,
     *,

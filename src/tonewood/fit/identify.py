@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.blas import one_blas_thread
 from tonewood.fit import noise
 from tonewood.fit.projection import Line, LinearFit, Poles, Projection, Shape
 from tonewood.fit.search import DOUBT, Turn, sought, straightened
@@ -51,6 +52,7 @@ class Modes:
         return self.problem.model(self.poles, self.solution.residues)
 
 
+@one_blas_thread
 def identify(
     freq: Floats,
     mobility: Complexes,
