@@ -347,3 +347,20 @@ def test_any_lengths_that_fit_each_other_run(offsets: list[int], n: int, first: 
         assert any(offset % PAD or offset + PAD > CAPACITY for offset in offsets)
     else:
         assert np.isfinite(out).all()
+
+
+def test_a_slot_takes_back_what_an_earlier_one_would_displace() -> None:
+    """The store is full, and the oldest component in it is wanted by the last slot of the same load."""
+    kernel = make()
+    kernel.load(described())
+
+    def fresh(slot: int, key: int) -> dict[str, Any]:
+        return component(slot) | {"key": key}
+
+    kernel.load(described() | {"components": [fresh(0, 0), fresh(1, 1), fresh(2, 50)]})  # 2 is stored first
+    for number in range(11):
+        kernel.load(described() | {"components": [fresh(0, 100 + number), fresh(1, 1), fresh(2, 50)]})
+    assert 2 in kernel.cached()
+    kernel.load(described() | {"components": [fresh(0, 200), fresh(1, 1), {"key": 2}]})
+    assert 2 in kernel.cached()
+    assert len(kernel.cached()) <= 5 * 3
