@@ -97,6 +97,13 @@ def test_files_are_short():
     assert not long
 
 
+def test_the_architecture_draws_these_layers():
+    block = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8").split("```text\n")[1].partition("```")[0]
+    drawn = [set(line.split()) for line in block.splitlines()]
+    layers = [{name for name in names if not name.startswith("_")} for names in reversed(LAYERS)]
+    assert drawn == [names for names in layers if names]
+
+
 def test_every_layer_is_there():
     present = {p.name.removesuffix(".py").removesuffix(".pyi") for p in SOURCES.iterdir() if p.name != "__pycache__"}
     wanted = set(RANK)

@@ -25,7 +25,7 @@ def test_every_instrument_is_named() -> None:
 def test_files_named_by_the_architecture_exist() -> None:
     text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
     for name in re.findall(r"\b([a-z_]+\.py)\b", text):
-        assert list(ROOT.glob(f"src/tonewood/**/{name}")) or list(ROOT.glob(f"tests/**/{name}")), name
+        assert any(list(ROOT.glob(f"{folder}/**/{name}")) for folder in ("src/tonewood", "plugins", "tests")), name
     for folder in re.findall(r"`(tests/[a-z/]+)`", text):
         assert (ROOT / folder).is_dir(), folder
 
