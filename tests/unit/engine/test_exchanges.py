@@ -32,6 +32,11 @@ CHANGES: Mapping[str, Mapping[str, object]] = {
 }
 
 
+def same(ours: np.ndarray, theirs: np.ndarray) -> None:
+    """Equal but for the last bits, in which BLAS sums the same numbers differently where they lie elsewhere in memory."""
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-14 * np.abs(theirs).max(initial=0.0))
+
+
 @pytest.mark.parametrize("name", CHANGES)
 def test_parts_exchanged_one_by_one_are_as_if_all_were_loaded(name: str) -> None:
     """The system's solve against one built of its parts, the stepper against one that has just been made."""
@@ -54,10 +59,10 @@ def test_parts_exchanged_one_by_one_are_as_if_all_were_loaded(name: str) -> None
             tensions=system.tensions,
             geometric=system.geometric,
         )
-        np.testing.assert_array_equal(system.solve.inverse, built.solve.inverse)
+        same(system.solve.inverse, built.solve.inverse)
         np.testing.assert_array_equal(system.solve.on, built.solve.on)
         if built.nonlinear is not None and system.nonlinear is not None:
-            np.testing.assert_array_equal(system.nonlinear.Z, built.nonlinear.Z)
+            same(system.nonlinear.Z, built.nonlinear.Z)
         engine.stepper.exchange(system)
         states = [engine.state.copy() for _ in range(2)]
         sounds = [
