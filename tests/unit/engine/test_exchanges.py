@@ -33,7 +33,7 @@ CHANGES: Mapping[str, Mapping[str, object]] = {
 
 
 def same(ours: np.ndarray, theirs: np.ndarray) -> None:
-    """Equal but for the last bits, in which BLAS sums the same numbers differently where they lie elsewhere in memory."""
+    """Equal but for last bits: BLAS sums the same numbers differently where they lie elsewhere in memory."""
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-14 * np.abs(theirs).max(initial=0.0))
 
 
