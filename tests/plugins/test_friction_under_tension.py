@@ -10,7 +10,7 @@ import pytest
 from scene import instrument, play
 
 from tonewood.coupling import law_solve
-from tonewood.coupling.law_solve import Grip, settle
+from tonewood.coupling.law_solve import FrictionBranch, settle
 from tonewood.coupling.laws import Friction
 
 STATIC = {"plectrum": 1.0, "bow": 0.8}
@@ -92,9 +92,9 @@ def test_branches_meet_the_curve(monkeypatch: pytest.MonkeyPatch, before: float,
     law, m, n = Friction(1.0, 0.8, 0.2, 0.1), 0.4, 0.5
     found = []
     for c in np.linspace(-1.0, 1.0, 81):
-        grip, force = Grip(law, 1.0, before), [0.0]
+        grip, force = FrictionBranch(law, 1.0, before), [0.0]
 
-        def solve(grip: Grip = grip, force: list[float] = force, c: float = c) -> None:
+        def solve(grip: FrictionBranch = grip, force: list[float] = force, c: float = c) -> None:
             for _ in range(200):
                 f = force[0]
                 mobility = m + 3 * n * f * f

@@ -9,7 +9,8 @@ which never inverts Z, made safe by a search along the step: the slope of the co
 (Z df) . (f - f(p)), must have shrunk or turned. Friction is solved gap by gap, exactly, in between.
 
 Friction's curve falls, and what slides under one force of a contact, or one tension of its string, may stick under the
-next, and so on for ever. So each friction law keeps to a branch of its curve (`Grip`) until all else is found, and only
+next, and so on for ever. So each friction law keeps to a branch of its curve (`FrictionBranch`) until all else is
+found, and only
 then it is asked whether that branch is its own (`settle`). At a given velocity the rest of the step is a monotone
 problem, with one solution, and the force it asks of friction rises with that velocity; where friction cannot stick, its
 curve is met on the way to the velocity without friction. Where changing branches goes on for too long, halving that
@@ -45,7 +46,7 @@ Branch = Literal["open", "stuck", "ahead", "behind", "held"]
 
 
 @dataclass(eq=False)
-class Grip:
+class FrictionBranch:
     """A friction law during one step.
 
     Attributes
@@ -109,43 +110,43 @@ class Grip:
         return self.branch != before
 
 
-def settle(grips: Sequence[Grip], solve: Callable[[], Found]) -> Found:
+def settle(branches: Sequence[FrictionBranch], solve: Callable[[], Found]) -> Found:
     """Call `solve`, which finds all else with friction on its branches, until each is on its own; see the module.
 
     Raises
     ------
     ValueError : they are not found.
     """
-    for turn in range((PATIENCE + 1) * len(grips) + 1):
+    for turn in range((PATIENCE + 1) * len(branches) + 1):
         found = solve()
-        changed = next((grip for grip in grips if grip.changes()), None)
+        changed = next((friction for friction in branches if friction.changes()), None)
         if changed is None:
             return found
-        if turn >= PATIENCE * len(grips):
+        if turn >= PATIENCE * len(branches):
             _halve(changed, solve)
     raise ValueError("friction finds no branch")
 
 
-def _halve(grip: Grip, solve: Callable[[], object]) -> None:
+def _halve(friction: FrictionBranch, solve: Callable[[], object]) -> None:
     """Hold friction at the velocity where its curve meets the force that the rest of the step asks for."""
-    law, pressed = grip.law, grip.law.normal_force * grip.scale
+    law, pressed = friction.law, friction.law.normal_force * friction.scale
 
     def hold(v: float) -> None:
-        grip.branch, grip.held = "held", v
+        friction.branch, friction.held = "held", v
         solve()
 
     hold(0.0)
-    if abs(grip.force) <= pressed * law.static:
+    if abs(friction.force) <= pressed * law.static:
         return
-    side = 1.0 if grip.force < 0 else -1.0
-    low, high, bracketed = 0.0, abs(grip.free), False
+    side = 1.0 if friction.force < 0 else -1.0
+    low, high, bracketed = 0.0, abs(friction.free), False
     for _ in range(200):
         v = 0.5 * (low + high) if bracketed else high
         if v == low or (bracketed and v == high):
             break
         hold(side * v)
         coefficient = law.dynamic + (law.static - law.dynamic) / (1 + v / law.speed)
-        if side * grip.force + pressed * coefficient < 0:
+        if side * friction.force + pressed * coefficient < 0:
             low, high = v, high if bracketed else 2 * v
         else:
             high, bracketed = v, True
@@ -181,7 +182,7 @@ class Solution:
 
 def find_forces(
     laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, partners: Partners, guess: Floats,
-    grips: Mapping[int, Grip], *, careful: bool = False,
+    branches: Mapping[int, FrictionBranch], *, careful: bool = False,
 ) -> Solution:  # fmt: skip
     """Find the forces of all laws over one step.
 
@@ -191,22 +192,22 @@ def find_forces(
     Z : (k, k) m/N.
     free, gap : (k,) m, g_u and g.
     guess : (k,) N, where to start: the forces of the step before.
-    grips : of the friction laws, by connection; what is open on them is decided.
+    branches : of the friction laws, by connection; what is open on them is decided.
     careful : friction forces are found by Newton's method, damped, where going from law to law does not end.
     """
     stored = np.array([j for j, law in enumerate(laws) if not isinstance(law, Friction)], dtype=np.intp)
     potentials = [law for law in laws if not isinstance(law, Friction)]
     f, iterations, converged = guess.copy(), 0, True
-    sliding = list(grips)
+    sliding = list(branches)
     careful = careful and bool(sliding) and len(laws) > 1
     old = (partners.offset - gap)[stored]
     noise = ROUNDING * float(np.max(np.abs([free, gap, partners.offset_after]), initial=0.0))
     for _sweep in range(FEW_SWEEPS if careful else MAX_SWEEPS):
         before = f.copy()
-        for j, grip in grips.items():
+        for j, friction in branches.items():
             without = (free[j] + Z[j] @ f - Z[j, j] * f[j] - gap[j]) / dt - partners.velocity[j]
-            grip.meet(float(without), float(Z[j, j]) / dt)
-            f[j] = grip.force
+            friction.meet(float(without), float(Z[j, j]) / dt)
+            f[j] = friction.force
         if stored.size:
             rest = partners.offset_after - free
             if sliding:
@@ -223,23 +224,23 @@ def find_forces(
     else:
         converged = False
     if careful and not converged:
-        return _find_friction(laws, Z, free, gap, dt, partners, f, grips, stored, noise)
+        return _find_friction(laws, Z, free, gap, dt, partners, f, branches, stored, noise)
     return Solution(f, iterations, converged)
 
 
 def _find_friction(
     laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, partners: Partners, guess: Floats,
-    grips: Mapping[int, Grip], stored: NDArray[np.intp], noise: float,
+    branches: Mapping[int, FrictionBranch], stored: NDArray[np.intp], noise: float,
 ) -> Solution:  # fmt: skip
     """Find the forces by damped Newton iterations on the friction forces, on their branches, with contacts for each.
 
-    What is wrong with a friction force is what `Grip.meet` makes of the motion, less that force; it answers a change of
+    What is wrong with a friction force is what `FrictionBranch.meet` makes of the motion, less that force; it answers a change of
     friction forces through the compliance that contacts leave, at their slopes.
     """
     import scipy.linalg as sla
 
     potentials = [laws[j] for j in stored]
-    sliding = np.array(list(grips), dtype=np.intp)
+    sliding = np.array(list(branches), dtype=np.intp)
     own = Z[sliding, sliding] / dt
     old, scale = (partners.offset - gap)[stored], partners.scale[stored]
     iterations = 0
@@ -255,9 +256,9 @@ def _find_friction(
             )  # fmt: skip
             iterations += count
         without = (free + Z @ f - gap)[sliding] / dt - own * f[sliding] - partners.velocity[sliding]
-        for grip, v, mobility in zip(grips.values(), without, own, strict=True):
-            grip.meet(float(v), float(mobility))
-        return own * (np.array([grip.force for grip in grips.values()]) - f[sliding]), found
+        for friction, v, mobility in zip(branches.values(), without, own, strict=True):
+            friction.meet(float(v), float(mobility))
+        return own * (np.array([friction.force for friction in branches.values()]) - f[sliding]), found
 
     f = guess.copy()
     r, found = wrong(f)
@@ -271,7 +272,7 @@ def _find_friction(
         inner = np.eye(len(stored)) + root[:, None] * Z[np.ix_(stored, stored)] * root
         across = root[:, None] * Z[np.ix_(stored, sliding)]
         answers = (Z[np.ix_(sliding, sliding)] - across.T @ sla.solve(inner, across, assume_a="pos")) / dt
-        kept = np.array([1.0 - grip.follows() for grip in grips.values()])
+        kept = np.array([1.0 - friction.follows() for friction in branches.values()])
         jacobian = -kept[:, None] * (answers - np.diag(own)) - np.diag(own)
         step, t, size = -sla.lstsq(jacobian, r)[0], 1.0, float(np.abs(r).max())
         for _halved in range(50):
@@ -289,7 +290,7 @@ def _find_friction(
 
 def stiffness(
     laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, partners: Partners, forces: Floats,
-    grips: Mapping[int, Grip],
+    branches: Mapping[int, FrictionBranch],
 ) -> Floats:  # fmt: skip
     """(k, k) N/m: what the forces found gain per gap that closes without them; arguments as of `find_forces`."""
     import scipy.linalg as sla
@@ -298,13 +299,13 @@ def stiffness(
     left, right = np.eye(len(laws)), np.zeros((len(laws),) * 2)
     for j, law in enumerate(laws):
         if isinstance(law, Friction):
-            grip = grips[j]
-            if grip.branch not in ("ahead", "behind") or grip.velocity == 0.0:  # the gap moves as it is held
+            friction = branches[j]
+            if friction.branch not in ("ahead", "behind") or friction.velocity == 0.0:  # the gap moves as it is held
                 per = 1.0 / Z[j, j] if Z[j, j] > 0.0 else 0.0
                 left[j], right[j, j] = per * Z[j] if per else left[j], per
                 continue
-            falls = (law.static - law.dynamic) * law.speed / (law.speed + abs(grip.velocity)) ** 2
-            slope = -law.normal_force * grip.scale * falls / dt
+            falls = (law.static - law.dynamic) * law.speed / (law.speed + abs(friction.velocity)) ** 2
+            slope = -law.normal_force * friction.scale * falls / dt
         else:
             slope = law.force(float(p[j]), float(old[j]), dt)[1] * partners.scale[j]
         left[j] += slope * Z[j]

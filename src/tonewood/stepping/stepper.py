@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tonewood.coupling.connections import LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
 from tonewood.coupling.geometric_solve import GeometricSolve
-from tonewood.coupling.law_solve import Grip, Partners, find_forces, settle, stiffness
+from tonewood.coupling.law_solve import FrictionBranch, Partners, find_forces, settle, stiffness
 from tonewood.coupling.laws import Friction
 from tonewood.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.errors import NumericalError
@@ -158,20 +158,20 @@ class NumpyStepper:
         """Find tensions and forces of one step; `tension` (n_tensions,) is where to start."""
 
         def attempt() -> tuple[_Attempt, Floats]:
-            grips = {}
+            branches = {}
             if (nonlinear := self.system.nonlinear) is not None:
                 pairs = zip(nonlinear.laws, nonlinear.index, strict=True)
                 for i, (law, j) in enumerate(pairs):
                     if isinstance(law, Friction):
-                        grips[i] = Grip(law, float(partners.scale[i]), float(slip[j]))
+                        branches[i] = FrictionBranch(law, float(partners.scale[i]), float(slip[j]))
             start = [guess]  # of the forces: those tried last
 
             def solve() -> tuple[_Attempt, Floats]:
-                done = self._tensions(x, free, start[0], series, slip, tension, partners, grips, time)
+                done = self._tensions(x, free, start[0], series, slip, tension, partners, branches, time)
                 start[0] = done[0].forces
                 return done
 
-            return settle(list(grips.values()), solve)
+            return settle(list(branches.values()), solve)
 
         try:
             return attempt()
@@ -189,7 +189,7 @@ class NumpyStepper:
 
     def _tensions(
         self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, tension: Floats,
-        partners: Partners, grips: dict[int, Grip], time: float,
+        partners: Partners, branches: dict[int, FrictionBranch], time: float,
     ) -> tuple[_Attempt, Floats]:  # fmt: skip
         """Find tensions and forces, friction on its branches."""
         s = self.system
@@ -197,16 +197,16 @@ class NumpyStepper:
             (t, [s.slot(name) for name in law.components]) for t, law in enumerate(s.tensions) if s.tension_on[t]
         ]
         if self._geometric:
-            return self._geometric_step(self._geometric, x, free, guess, series, slip, partners, grips, time)
+            return self._geometric_step(self._geometric, x, free, guess, series, slip, partners, branches, time)
         if not strings:
-            return self._attempt(x, free, guess, series, slip, {}, partners, grips, time), np.zeros(len(s.tensions))
+            return self._attempt(x, free, guess, series, slip, {}, partners, branches, time), np.zeros(len(s.tensions))
         parts = {i: part for _, slots in strings for i in slots if (part := s.compiled[i].tension) is not None}
         kappa = {t: parts[slots[0]].kappa for t, slots in strings}
         old = {t: sum(parts[i].stretch(x[i]) for i in slots) for t, slots in strings}
         T = {t: max(float(tension[t]), kappa[t] * old[t]) for t, _ in strings}
         for iteration in range(1, MAX_TENSION_ITERATIONS + 1):
             tensions = {i: T[t] for t, slots in strings for i in slots}
-            done = self._attempt(x, free, guess, series, slip, tensions, partners, grips, time)
+            done = self._attempt(x, free, guess, series, slip, tensions, partners, branches, time)
             converged = True
             for t, slots in strings:
                 excess = T[t] - kappa[t] * (sum(parts[i].stretch(done.x[i]) for i in slots) + old[t])
@@ -220,12 +220,12 @@ class NumpyStepper:
                 return done, np.array([T.get(t, 0.0) for t in range(len(s.tensions))])
             guess = done.forces
         if self._careful:
-            return self._bracketed(x, free, guess, series, slip, T, old, partners, grips, time)
+            return self._bracketed(x, free, guess, series, slip, T, old, partners, branches, time)
         raise ValueError(f"the tensions of {', '.join(t.name for t in s.tensions)} were not found")
 
     def _bracketed(
         self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, T: dict[int, float],
-        old: dict[int, float], partners: Partners, grips: dict[int, Grip], time: float,
+        old: dict[int, float], partners: Partners, branches: dict[int, FrictionBranch], time: float,
     ) -> tuple[_Attempt, Floats]:  # fmt: skip
         """The same tension by tension, by brackets, until none changes any more; `old` are the stretches before.
 
@@ -244,7 +244,7 @@ class NumpyStepper:
             tried = {**T, t: tension}
             start = done[0].forces if done else guess
             found = self._attempt(
-                x, free, start, series, slip, {i: tried[q] for q in slots for i in slots[q]}, partners, grips, time
+                x, free, start, series, slip, {i: tried[q] for q in slots for i in slots[q]}, partners, branches, time
             )
             done[:] = [found]
             return tension - parts[slots[t][0]].kappa * (sum(parts[i].stretch(found.x[i]) for i in slots[t]) + old[t])
@@ -268,14 +268,14 @@ class NumpyStepper:
 
     def _geometric_step(
         self, solve: GeometricSolve, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats,
-        partners: Partners, grips: dict[int, Grip], time: float,
+        partners: Partners, branches: dict[int, FrictionBranch], time: float,
     ) -> tuple[_Attempt, Floats]:  # fmt: skip
         """One step of strings whose longitudinal motion is stepped."""
         done: list[_Attempt] = []
 
         def attempt(pushed: list[Floats]) -> list[Floats]:
             start = done[-1].forces if done else guess
-            done[:] = [self._attempt(x, pushed, start, series, slip, {}, partners, grips, time)]
+            done[:] = [self._attempt(x, pushed, start, series, slip, {}, partners, branches, time)]
             return done[0].x
 
         def answer() -> Floats:
@@ -291,7 +291,7 @@ class NumpyStepper:
 
     def _attempt(
         self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats,
-        tension: dict[int, float], partners: Partners, grips: dict[int, Grip], time: float,
+        tension: dict[int, float], partners: Partners, branches: dict[int, FrictionBranch], time: float,
     ) -> _Attempt:  # fmt: skip
         """One step at given tensions (by component slot)."""
         s = self.system
@@ -317,7 +317,7 @@ class NumpyStepper:
             lag = (1 - nonlinear.theta) / nonlinear.theta * series[on]
             here, before = gap_free[on] + nonlinear.from_linear @ f - lag, gap[on] + series[on]
             found = find_forces(
-                nonlinear.laws, nonlinear.Z, here, before, s.dt, partners, guess[on], grips, careful=self._careful
+                nonlinear.laws, nonlinear.Z, here, before, s.dt, partners, guess[on], branches, careful=self._careful
             )
             self.statistics.solves += 1
             self.statistics.iterations += found.iterations
@@ -330,10 +330,10 @@ class NumpyStepper:
             f = f - nonlinear.answer @ found.forces
             f[on] = found.forces
             series[on] = nonlinear.residual @ found.forces / nonlinear.theta - lag
-            for i, grip in grips.items():
-                slip[on[i]] = grip.velocity
+            for i, friction in branches.items():
+                slip[on[i]] = friction.velocity
             gives = partial(
-                stiffness, nonlinear.laws, nonlinear.Z, here, before, s.dt, partners, found.forces, grips
+                stiffness, nonlinear.laws, nonlinear.Z, here, before, s.dt, partners, found.forces, branches
             )  # fmt: skip
         after = [
             free[i] + np.einsum("p,pmx->mx", s.incidence(i).T @ f, W[i]) for i in range(len(s.names))

@@ -11,7 +11,7 @@ from nonlinear_scenes import pulled, tense_guitar
 from tonewood.coupling import geometric_solve, law_solve
 from tonewood.coupling.connections import Connection, Term
 from tonewood.coupling.geometric_solve import GeometricSolve
-from tonewood.coupling.law_solve import Grip, Partners, find_forces, stiffness
+from tonewood.coupling.law_solve import FrictionBranch, Partners, find_forces, stiffness
 from tonewood.coupling.laws import Contact, Friction
 from tonewood.coupling.tension import TensionShare
 from tonewood.energy.stored import stored_energy
@@ -95,7 +95,7 @@ def test_stiffness_is_the_slope_of_the_forces_found():
     partners = Partners(
         none, none, np.array([law.velocity if isinstance(law, Friction) else 0.0 for law in laws]), none + 1
     )
-    grips = {j: Grip(law, 1.0, 0.0) for j, law in enumerate(laws) if isinstance(law, Friction)}
+    grips = {j: FrictionBranch(law, 1.0, 0.0) for j, law in enumerate(laws) if isinstance(law, Friction)}
     f = find_forces(laws, Z, free, gap, dt, partners, none, grips).forces
     assert {grip.branch for grip in grips.values()} == {"stuck", "behind"}
     K, step = stiffness(laws, Z, free, gap, dt, partners, f, grips), 1e-10
