@@ -234,8 +234,8 @@ def _find_friction(
 ) -> Solution:  # fmt: skip
     """Find the forces by damped Newton iterations on the friction forces, on their branches, with contacts for each.
 
-    What is wrong with a friction force is what `FrictionBranch.meet` makes of the motion, less that force; it answers a change of
-    friction forces through the compliance that contacts leave, at their slopes.
+    What is wrong with a friction force is what `FrictionBranch.meet` makes of the motion, less that force; it answers
+    a change of friction forces through the compliance that contacts leave, at their slopes.
     """
     import scipy.linalg as sla
 
