@@ -100,6 +100,19 @@ def frequency_axis(ax: Axes, low: float, high: float) -> None:
     ax.set_xticks([], minor=True)
 
 
+def title(ax: Axes, text: str) -> None:
+    """Write a title above an axes."""
+    ax.set_title(plain(text), fontsize=TEXT)
+
+
+def legend_above(made: Figure, ax: Axes) -> None:
+    """Add a legend of the curves of an axes above the whole figure, where it hides none of them."""
+    handles, labels = ax.get_legend_handles_labels()
+    if handles:
+        columns = max(1, min(len(labels), 80 // max(len(label) + 6 for label in labels)))
+        made.legend(handles, labels, loc="outside upper center", ncols=columns, fontsize=SMALL, handlelength=2.6)
+
+
 def legend(ax: Axes, **options: Any) -> None:
     """Add a legend to an axes that has curves with labels."""
     if ax.get_legend_handles_labels()[0]:
@@ -120,7 +133,7 @@ def draw_mobility(ax: Axes, freq: ArrayLike, curves: Mapping[str, ArrayLike]) ->
 
 
 def mobility_figure(
-    freq: ArrayLike, curves: Mapping[str, ArrayLike], *, title: str = "", marks: Sequence[float] = (), of: str = ""
+    freq: ArrayLike, curves: Mapping[str, ArrayLike], *, heading: str = "", marks: Sequence[float] = (), of: str = ""
 ) -> Figure:
     """Figure of driving-point mobilities.
 
@@ -135,12 +148,12 @@ def mobility_figure(
     draw_mobility(ax, freq, curves)
     for mark in marks:
         ax.axvline(mark, color="0.75", lw=1.0, zorder=0)
-    ax.set_title(plain(title))
+    title(ax, heading)
     legend(ax, title=of or None, ncols=2 if len(curves) > 3 else 1)
     return made
 
 
-def points_figure(freq: ArrayLike, rows: Mapping[str, ArrayLike], *, title: str = "") -> Figure:
+def points_figure(freq: ArrayLike, rows: Mapping[str, ArrayLike], *, heading: str = "") -> Figure:
     """Figure with a point per mode and a row per quantity, on logarithmic axes.
 
     Parameters
@@ -158,11 +171,11 @@ def points_figure(freq: ArrayLike, rows: Mapping[str, ArrayLike], *, title: str 
         ax.plot(f[fit], values[fit], "o", color=COLOURS[0], ms=7)
         frequency_axis(ax, low, high)
         ax.set(ylabel=label, yscale="log", xlabel="frequency, Hz" if ax is axes[-1, 0] else "")
-    axes[0, 0].set_title(plain(title))
+    title(axes[0, 0], heading)
     return made
 
 
-def series_figure(rows: Mapping[str, Mapping[str, tuple[ArrayLike, ArrayLike]]], *, title: str = "") -> Figure:
+def series_figure(rows: Mapping[str, Mapping[str, tuple[ArrayLike, ArrayLike]]], *, heading: str = "") -> Figure:
     """Figure of points joined by lines over frequency.
 
     Parameters
@@ -178,7 +191,7 @@ def series_figure(rows: Mapping[str, Mapping[str, tuple[ArrayLike, ArrayLike]]],
             ax.plot(f, values, "o", ls=dashes, color=colour, ms=5, lw=LINE, label=plain(name))
         frequency_axis(ax, float(whole.min()) / 1.15, float(whole.max()) * 1.15)
         ax.set(ylabel=label, xlabel="frequency, Hz" if ax is axes[-1, 0] else "")
-    axes[0, 0].set_title(plain(title))
+    title(axes[0, 0], heading)
     legend(axes[0, 0], ncols=2)
     return made
 

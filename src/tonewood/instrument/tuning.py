@@ -50,11 +50,6 @@ class CoupledMode:
         """Im s / 2 pi, Hz."""
         return self.pole.imag / (2 * math.pi)
 
-    @property
-    def of_second_polarization(self) -> bool:
-        """Whether half of its energy or more is in the string's second polarization, tuned near on purpose."""
-        return max(self.shares[1:-1], default=0.0) >= 0.5
-
     def level_db(self, other: CoupledMode) -> float:
         """Level at the bridge over the whole decay, against another mode: energy a^2 / 2 sigma, dB.
 
@@ -92,12 +87,17 @@ class TunedStop:
         """
         first, *others = self.modes
         for mode in others:
-            if mode.of_second_polarization:
+            if of_second_polarization(mode.shares):
                 continue
             near = abs(cents(mode.freq / first.freq)) <= WOLF_CENTS
             if (near and mode.level_db(first) >= -WOLF_DB) or abs(self.error_cents) > 1.0:
                 return mode
         return None
+
+
+def of_second_polarization(shares: Sequence[float]) -> bool:
+    """Whether half of a mode's energy or more is in the string's second polarization, tuned near on purpose."""
+    return max(shares[1:-1], default=0.0) >= 0.5
 
 
 class StringOnBody:

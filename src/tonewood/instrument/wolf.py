@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.tuning import CoupledMode, StringOnBody
+from tonewood.instrument.tuning import StringOnBody, of_second_polarization
 from tonewood.units import cents, ratio_of_cents
 
 Floats = NDArray[np.float64]
@@ -77,11 +77,16 @@ class WolfNote:
     stops: tuple[int, ...]
 
 
-def disturbed_share(modes: Sequence[CoupledMode]) -> float:
-    """Share d of the string's energy in modes other than the first of `modes`, 0 to 1."""
-    first, *others = modes
-    rest = sum(m.shares[0] for m in others if not m.of_second_polarization)
-    return float(rest / (first.shares[0] + rest))
+def disturbed_share(shares: Sequence[Sequence[float]]) -> float:
+    """Share d of the string's energy in modes other than the first, 0 to 1.
+
+    Parameters
+    ----------
+    shares : of each mode's energy: one per polarization, then the body's.
+    """
+    first, *others = shares
+    rest = sum(mode[0] for mode in others if not of_second_polarization(mode))
+    return float(rest / (first[0] + rest))
 
 
 def share_curve(string: StringOnBody, tension: float, freq: float, offsets: Floats) -> Floats:
@@ -98,8 +103,8 @@ def share_curve(string: StringOnBody, tension: float, freq: float, offsets: Floa
     """
     out = np.zeros(offsets.size)
     for i, x in enumerate(offsets):
-        modes = string.modes(tension * ratio_of_cents(2 * float(x)), freq * ratio_of_cents(float(x)))
-        out[i] = disturbed_share(modes) if modes else 0.0
+        found = string.poles(string.joint(tension * ratio_of_cents(2 * float(x))), freq * ratio_of_cents(float(x)))
+        out[i] = disturbed_share([shares for _, shares in found]) if found else 0.0
     return out
 
 

@@ -51,7 +51,8 @@ def spectrogram(
     """
     mono = samples.mean(axis=1)
     padded = np.pad(mono, (window // 2, window))
-    starts = np.linspace(0, max(len(mono) - 1, 1), min(columns, max(2, len(mono))), dtype=np.intp)
+    last = max(len(mono) - window // 2, 1)  # the last window ends with the sound, whose end is no event
+    starts = np.linspace(0, last, min(columns, last + 1), dtype=np.intp)
     shape = np.hanning(window)
     freq = np.fft.rfftfreq(window, 1 / fs)
     bins = max(2, int(np.count_nonzero(freq <= freq_upper)))

@@ -15,7 +15,7 @@ from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.wolf import WolfNote
 from tonewood.report.facts import BodyMode, InstrumentFacts, NoteRow, gather
-from tonewood.report.tones import Tone, place_name, play_note
+from tonewood.report.tones import Tone, place, place_name, play_note
 from tonewood.units import cents
 
 Floats = NDArray[np.float64]
@@ -117,7 +117,8 @@ def compare(
     ----------
     candidates : one, for a report, or up to six.
     notes : to be played: names (``E2``) or places (``A2:12``); by default of one instrument its open strings and the
-        worst wolf note, of several the lowest and highest open string and the worst wolf note at a stop of each.
+        worst wolf note, of several the lowest and highest open string and the worst wolf note at a stop of each, as far
+        as all can play them.
     fs : Hz. duration : s, of each note. velocity_midi : 1 to 127.
     tell : called with the share that is done.
 
@@ -131,7 +132,7 @@ def compare(
     models: list[Model] = []
     for label, candidate in zip(LABELS, candidates, strict=False):
         models.append(assemble(candidate.instrument, fs))
-        found.append(gather(candidate.instrument, fs, label=label, changes=candidate.changes))
+        found.append(gather(models[-1], label=label, changes=candidate.changes))
         tell(0.5 * len(found) / len(candidates))
     names = list(dict.fromkeys(notes)) if notes else default_notes(found, models)
     whole = []
@@ -173,7 +174,16 @@ def default_notes(found: Sequence[InstrumentFacts], models: Sequence[Model]) -> 
             strings = [strings[i] for i in np.linspace(0, len(strings) - 1, _MOST_OPEN).astype(int)]
         names += [place_name(model, name, 0) for name in strings]
         names += [place_name(model, w.string, nearest_stop(model, w)) for w in facts.wolves if w.stops][:1]
-    return list(dict.fromkeys(names))
+    every = list(dict.fromkeys(names))
+    return [name for name in every if all(_reached(model, name) for model in models)] or every
+
+
+def _reached(model: Model, note: str) -> bool:
+    try:
+        place(model, note)
+    except TonewoodError:
+        return False
+    return True
 
 
 def nearest_stop(model: Model, wolf: WolfNote) -> int:
@@ -210,6 +220,18 @@ def match_modes(found: Sequence[Sequence[BodyMode]]) -> tuple[ModeMatch, ...]:
                 rows.append(alone)
     rows.sort(key=lambda row: next(mode.freq for mode in row if mode is not None))
     return tuple(ModeMatch(tuple(row)) for row in rows)
+
+
+def alike(match: ModeMatch) -> bool:
+    """Whether all instruments have a mode, within 0.01 cent, and 1e-4 of its Q and mass."""
+    a = match.modes[0]
+    return a is not None and all(
+        b is not None
+        and math.isclose(a.freq, b.freq, rel_tol=6e-6)
+        and math.isclose(a.q, b.q, rel_tol=1e-4)
+        and math.isclose(a.mass, b.mass, rel_tol=1e-4)
+        for b in match.modes
+    )
 
 
 def _unlike(a: BodyMode, b: BodyMode) -> float:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.instrument.assembly import Model, assemble
+from tonewood.instrument.assembly import Model
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.inspection import bridge_mobility, partials, pitches
 from tonewood.instrument.mounted import Mounted
@@ -164,24 +164,29 @@ class InstrumentFacts:
     parameters: Mapping[str, ParameterValue]
 
     @property
+    def short(self) -> str:
+        """Label and what tells it apart from the others: its changes, or its name; 40 characters at most."""
+        text = "; ".join(self.changes) or self.name
+        return f"{self.label}: {text if len(text) <= 36 else text[:35] + '…'}"
+
+    @property
     def heading(self) -> str:
         """Label and name, with the changes."""
         return f"{self.label}: {self.name}" + (f" ({'; '.join(self.changes)})" if self.changes else "")
 
 
-def gather(instrument: Instrument, fs: float, *, label: str = "A", changes: tuple[str, ...] = ()) -> InstrumentFacts:
-    """Compute the facts of an instrument, without any sound (`with_tones` adds those).
+def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = ()) -> InstrumentFacts:
+    """Compute the facts of an instrument, without any sound.
 
     Parameters
     ----------
-    fs : Hz, sampling rate to assemble it at.
+    model : of the instrument, at the sampling rate that decides which modes it has.
     label : A, B, ... in a comparison.
     changes : as the caller wrote them.
     """
-    model = assemble(instrument, fs, outputs=tuple(instrument.pickups))
     body = model.system.compiled[model.system.slot("body")].basis
-    spec = instrument.spec
-    freq = frequencies(body, fs)
+    instrument, spec = model.instrument, model.instrument.spec
+    freq = frequencies(body, model.fs)
     return InstrumentFacts(
         label=label,
         name=instrument.name,
@@ -195,7 +200,7 @@ def gather(instrument: Instrument, fs: float, *, label: str = "A", changes: tupl
         kinds=_kinds(spec.provenance),
         table_doubts=tuple(instrument.table_doubts()),
         warnings=model.warnings,
-        fs=fs,
+        fs=model.fs,
         body_modes=body_modes(model),
         freq=freq,
         mobility=bridge_mobility(model, freq),
