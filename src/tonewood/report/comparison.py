@@ -15,7 +15,7 @@ from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.wolf import WolfNote
 from tonewood.report.facts import BodyMode, InstrumentFacts, NoteRow, gather
-from tonewood.report.tones import Tone, place, place_name, play_note
+from tonewood.report.tones import place, place_name, play_note
 from tonewood.units import cents
 
 Floats = NDArray[np.float64]
@@ -128,29 +128,27 @@ def compare(
     """
     if not 1 <= len(candidates) <= len(LABELS):
         raise TonewoodError(f"{len(candidates)} instruments; 1 to {len(LABELS)} are allowed")
+    models = [assemble(candidate.instrument, fs) for candidate in candidates]
+    names = list(dict.fromkeys(notes or ()))
+    for name in names:
+        faults = [fault for model in models if (fault := _fault(model, name))]
+        if len(faults) == len(models):
+            raise TonewoodError(faults[0], key=f"--notes {name}")
     found: list[InstrumentFacts] = []
-    models: list[Model] = []
-    for label, candidate in zip(LABELS, candidates, strict=False):
-        models.append(assemble(candidate.instrument, fs))
-        found.append(gather(models[-1], label=label, changes=candidate.changes))
+    for label, candidate, model in zip(LABELS, candidates, models, strict=False):
+        found.append(gather(model, label=label, changes=candidate.changes))
         tell(0.5 * len(found) / len(candidates))
-    names = list(dict.fromkeys(notes)) if notes else default_notes(found, models)
+    names = names or default_notes(found, models)
     whole = []
     for i, (facts, model, candidate) in enumerate(zip(found, models, candidates, strict=True)):
-        tones: dict[str, Tone] = {}
-        missing: dict[str, str] = {}
-        for name in names:
-            try:
-                tones[name] = play_note(
-                    candidate.instrument, model, name, fs=fs, duration=duration, velocity_midi=velocity_midi
-                )
-            except TonewoodError as fault:
-                missing[name] = fault.reason
+        missing = {name: reason for name in names if (reason := _fault(model, name))}
+        tones = {
+            name: play_note(candidate.instrument, model, name, fs=fs, duration=duration, velocity_midi=velocity_midi)
+            for name in names
+            if name not in missing
+        }
         whole.append(replace(facts, tones=tones, missing_tones=missing))
         tell(0.5 + 0.4 * (i + 1) / len(candidates))
-    for name in names:
-        if all(name in facts.missing_tones for facts in whole):
-            raise TonewoodError(whole[0].missing_tones[name], key=f"--notes {name}")
     return Comparison(
         instruments=tuple(whole),
         modes=match_modes([facts.body_modes for facts in whole]),
@@ -175,15 +173,16 @@ def default_notes(found: Sequence[InstrumentFacts], models: Sequence[Model]) -> 
         names += [place_name(model, name, 0) for name in strings]
         names += [place_name(model, w.string, nearest_stop(model, w)) for w in facts.wolves if w.stops][:1]
     every = list(dict.fromkeys(names))
-    return [name for name in every if all(_reached(model, name) for model in models)] or every
+    return [name for name in every if not any(_fault(model, name) for model in models)] or every
 
 
-def _reached(model: Model, note: str) -> bool:
+def _fault(model: Model, note: str) -> str:
+    """Why an instrument cannot play a note; empty if it can."""
     try:
         place(model, note)
-    except TonewoodError:
-        return False
-    return True
+    except TonewoodError as fault:
+        return fault.reason
+    return ""
 
 
 def nearest_stop(model: Model, wolf: WolfNote) -> int:

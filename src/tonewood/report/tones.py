@@ -73,7 +73,7 @@ def play_note(
     """
     string, stop = place(model, note)
     score = Score([Note(0.0, duration + 1.0, string=string, stop=stop, velocity_midi=velocity_midi)], name=note)
-    options = RenderOptions(fs=fs, max_duration=duration, tail=0.0)
+    options = RenderOptions(fs=fs, max_duration=duration, tail=duration, tail_level_db=-300.0)
     audio = render(score, instrument, options=options)
     time, level_db = level_curve(audio.samples, fs)
     return Tone(
