@@ -230,10 +230,7 @@ def body_modes(model: Model) -> tuple[BodyMode, ...]:
         max(ends, key=lambda p: abs(ends[p])) for s in model.strings.values() if (ends := s.polarizations[0].ends)
     ]
     rows = [body.index(point) for point in points]
-    # q'' + 2 sigma q' + omega^2 q = phi f has r l = phi^2 (-i / 2 omega_d)
-    gain = np.where(body.poles.imag > 0, 2 * np.abs(body.poles.imag), 1.0)
-    residues = np.abs(body.right[rows] * body.left[rows]) * gain
-    mean = residues.mean(axis=0) if rows else np.zeros(body.n_modes)
+    mean = np.mean([body.residues(point) for point in points], axis=0) if points else np.zeros(body.n_modes)
     out = []
     for k in np.argsort(body.natural_freq):
         shape = body.right[rows, k]

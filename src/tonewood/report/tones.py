@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 
 import numpy as np
-import soundfile as sf
 from numpy.typing import NDArray
 
 from tonewood.engine.playing import playable
 from tonewood.errors import TonewoodError
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.bundle import Instrument
+from tonewood.output.audio import flac_bytes
 from tonewood.output.loudness import loudness, matching_gain_db, true_peak
 from tonewood.output.options import RenderOptions
 from tonewood.output.render import render
@@ -136,6 +135,4 @@ def flac(tone: Tone, gain_db: float = 0.0) -> bytes:
     sound = tone.samples[:, :2] * 10.0 ** (gain_db / 20.0)
     n = min(len(sound), round(_FADE * tone.fs))
     sound[len(sound) - n :] *= (0.5 + 0.5 * np.cos(np.pi * np.arange(n) / max(n, 1)))[:, None]
-    stream = io.BytesIO()
-    sf.write(stream, np.clip(sound, -1.0, 1.0), tone.fs, format="FLAC", subtype="PCM_16")
-    return stream.getvalue()
+    return flac_bytes(sound, tone.fs)
