@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import base64
 import io
+import textwrap
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +35,8 @@ DASHES = ("-", (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
 WIDTH, TEXT, SMALL, LINE = 10.0, 18.0, 16.0, 2.0
 #: colours of levels in a spectrogram; equal steps of level are equal steps of lightness
 LEVELS = "magma"
+#: characters of a line as wide as a figure
+_LINE_LENGTH = 64
 #: suffixes of pictures
 PICTURES = (".png", ".pdf", ".svg")
 
@@ -62,12 +66,8 @@ def figure(
     ------
     TonewoodError : matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise TonewoodError("figures need matplotlib: pip install 'tonewood[plot]'") from None
     tall = [4.0] * rows if heights is None else list(heights)
-    made = Figure(figsize=(WIDTH, sum(tall) + 0.2), layout="constrained")
+    made = _figure_class()(figsize=(WIDTH, sum(tall) + 0.2), layout="constrained")
     axes = made.subplots(
         rows,
         columns,
@@ -87,6 +87,23 @@ def figure(
     return made, axes
 
 
+@cache
+def _figure_class() -> type[Figure]:
+    """Figures that a notebook shows without pyplot."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise TonewoodError("figures need matplotlib: pip install 'tonewood[plot]'") from None
+
+    class ShownFigure(Figure):
+        def _repr_png_(self) -> bytes:
+            stream = io.BytesIO()
+            self.savefig(stream, format="png", dpi=72)
+            return stream.getvalue()
+
+    return ShownFigure
+
+
 def plain(text: str) -> str:
     """A text as matplotlib prints it without reading dollar signs as mathematics."""
     return text.replace("$", r"\$")
@@ -101,8 +118,8 @@ def frequency_axis(ax: Axes, low: float, high: float) -> None:
 
 
 def title(ax: Axes, text: str) -> None:
-    """Write a title above an axes."""
-    ax.set_title(plain(text), fontsize=TEXT)
+    """Write a title above an axes, in as many lines as it needs."""
+    ax.set_title(plain(textwrap.fill(text, _LINE_LENGTH)), fontsize=TEXT)
 
 
 def legend_above(made: Figure, ax: Axes) -> None:

@@ -115,7 +115,7 @@ class EnergyTrace:
         above.plot(self.time, self.total, "k", lw=LINE, label="all")
         above.set(ylabel="stored energy, J", yscale="log")
         above.set_ylim(max(self.peak, 1e-300) * 1e-9, max(self.peak, 1e-300) * 2)
-        legend(above, ncols=3)
+        legend(above, ncols=3, loc="lower right")
         middle.plot(self.time, self.power_in, lw=0.5 * LINE, color=COLOURS[0], label="put in")
         middle.plot(self.time, self.power_lost, lw=0.5 * LINE, color=COLOURS[1], label="dissipated")
         middle.set_ylabel("power, W")
