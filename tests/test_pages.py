@@ -38,7 +38,12 @@ NAMES = [p.relative_to(ROOT).as_posix() for p in PAGES]
 _MARKER = r"(?:^<!-- (not run|run in part|file): (.+?) -->\n)?"
 _BLOCK = re.compile(_MARKER + r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 #: what makes a command quick
-SHORT = {"render": ["--max-duration", "0.1"], "batch": ["--dry-run"]}
+SHORT = {
+    "render": ["--max-duration", "0.1"],
+    "batch": ["--dry-run"],
+    "compare": ["--fs", "16000"],
+    "report": ["--fs", "16000"],
+}
 
 
 @dataclass(frozen=True)
