@@ -130,6 +130,16 @@ def legend_above(made: Figure, ax: Axes) -> None:
         made.legend(handles, labels, loc="outside upper center", ncols=columns, fontsize=SMALL, handlelength=2.6)
 
 
+def log_axis(ax: Axes) -> None:
+    """Give an axes a logarithmic vertical axis with plain numbers at 1, 2 and 5."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    ax.set_yscale("log")
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=8))
+    ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ax.yaxis.set_minor_formatter(NullFormatter())
+
+
 def legend(ax: Axes, **options: Any) -> None:
     """Add a legend to an axes that has curves with labels."""
     if ax.get_legend_handles_labels()[0]:
@@ -187,7 +197,8 @@ def points_figure(freq: ArrayLike, rows: Mapping[str, ArrayLike], *, heading: st
         fit = np.isfinite(values) & (values > 0) & (f > 0)
         ax.plot(f[fit], values[fit], "o", color=COLOURS[0], ms=7)
         frequency_axis(ax, low, high)
-        ax.set(ylabel=label, yscale="log", xlabel="frequency, Hz" if ax is axes[-1, 0] else "")
+        ax.set(ylabel=label, xlabel="frequency, Hz" if ax is axes[-1, 0] else "")
+        log_axis(ax)
     title(axes[0, 0], heading)
     return made
 

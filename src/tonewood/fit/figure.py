@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tonewood.plotting import COLOURS, LINE, figure, frequency_axis, legend_above, plain, save
+from tonewood.plotting import COLOURS, LINE, figure, frequency_axis, legend_above, log_axis, plain, save
 
 if TYPE_CHECKING:
     from tonewood.fit.fit import Fit
@@ -44,9 +44,11 @@ def draw_fit(fit: Fit, path: Path) -> None:
         axis.set(ylabel="coherence", ylim=(0, 1.02))
     sure = body.measured
     spread.plot(body.freq[sure], body.cents[sure], "o", color=COLOURS[0], ms=6)
-    spread.set(ylabel="s.d. of f\ncents", yscale="log")
+    spread.set_ylabel("s.d. of f\ncents")
+    log_axis(spread)
     quality.plot(body.freq[sure], 100 * body.quality_error[sure], "o", color=COLOURS[0], ms=6)
-    quality.set(ylabel="s.d. of Q\n%", yscale="log")
+    quality.set_ylabel("s.d. of Q\n%")
+    log_axis(quality)
     for number, turn in enumerate(fit.modes.turns, 1):
         turns.plot(turn.freq, np.full(len(turn.freq), number), "|", color="0.3", ms=9)
     last = len(fit.modes.turns) + 1

@@ -21,6 +21,7 @@ from tonewood.plotting import (
     frequency_axis,
     legend,
     legend_above,
+    log_axis,
     plain,
     svg,
     title,
@@ -93,6 +94,7 @@ def notes_picture(found: Comparison, quantity: str) -> Picture:
     panels = strings[:MOST_PANELS] if stopped else [""]
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
+    lines = [DASHES[i % 4] if stopped else "" for i in range(len(found.instruments))]  # strings are no sequence
     made, axes = figure(rows, columns, heights=[2.6 if rows > 1 else 4.0] * rows, sharex=stopped, sharey=True)
     for ax in axes.ravel()[len(panels) :]:
         ax.set_axis_off()
@@ -102,10 +104,9 @@ def notes_picture(found: Comparison, quantity: str) -> Picture:
         for i in range(len(found.instruments)):
             values = [np.nan if (n := m.notes[i]) is None else getattr(n, quantity) for m in mine]
             values = [v if np.isfinite(v) else np.nan for v in values]
-            ax.plot(x, values, "o", ls=DASHES[i % 4], color=COLOURS[i], ms=5, lw=LINE, label=plain(_names(found)[i]))
+            ax.plot(x, values, "o", ls=lines[i], color=COLOURS[i], ms=6, lw=LINE, label=plain(_names(found)[i]))
         if quantity == "t60":
-            ax.set_yscale("log")
-            ax.yaxis.set_major_formatter(lambda v, _: f"{v:g}")
+            log_axis(ax)
         if stopped:
             title(ax, string)
             ax.xaxis.get_major_locator().set_params(integer=True)

@@ -52,7 +52,7 @@ def page(found: Comparison) -> str:
     return environment.from_string(template).render(
         found=found,
         several=several,
-        title=" and ".join(names) if several else found.instruments[0].title,
+        title=", ".join(names) if several else found.instruments[0].title,
         version=__version__,
         colours=COLOURS,
         most_rows=MOST_ROWS,
