@@ -21,7 +21,7 @@ class OldFormatWarning(FutureWarning):
 
 
 class TonewoodError(Exception):
-    """A fault the user can mend, told in one line.
+    """A fault the user can mend, in one line.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ def tension_effect(model: Model) -> TensionEffect:
 
 
 def moment(system: System, state: State) -> Moment:
-    """What effects see of a motion, with nothing heard or played."""
+    """Moment of a motion as effects read it, with nothing heard or played."""
     return Moment(system, state, {}, np.zeros(len(system.readouts)))
 
 

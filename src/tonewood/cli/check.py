@@ -14,11 +14,13 @@ from tonewood.cli.options import render_options
 
 if TYPE_CHECKING:
     from tonewood.instrument.assembly import Model
-    from tonewood.instrument.inspection import Pitch
+    from tonewood.instrument.inspection import MicrophoneResponse, Pitch
     from tonewood.instrument.mounted import MountedPitch
 
 #: relative error of a partial's decay rate from which on a string is reported to miss its loss law
 LOSS_TOLERANCE = 1e-3
+#: peak sound of a microphone per N on the bridge, re full scale, from which on its table is doubted
+LOUD = 1e3
 
 
 def check(
@@ -28,7 +30,7 @@ def check(
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> int:
-    """Load INSTRUMENT, test its body, tune every stop, list wolf notes, shared partials, stand-ins and sources.
+    """Load INSTRUMENT, test its body, microphones and stops, list wolf notes, shared partials, stand-ins and sources.
 
     Every stop is checked twice: its string alone on the body, as it is tuned, and with all other strings open beside
     it.
@@ -36,12 +38,13 @@ def check(
     Exit code 2 if it cannot be played or its body could create energy.
     """
     from tonewood.instrument.assembly import assemble
-    from tonewood.instrument.inspection import TOLERANCE_CENTS, pitches
+    from tonewood.instrument.inspection import TOLERANCE_CENTS, check_transfers, microphone_responses, pitches
     from tonewood.instrument.mounted import Mounted
 
     render_options({"fs": fs})
     bundle = load(instrument, settings, allow_code)
     model = assemble(bundle, fs, outputs=tuple(bundle.pickups))
+    check_transfers(model)
     body = _body(model)
     found = pitches(model)
     wolves = [p for p in found if p.wolf is not None]
@@ -62,6 +65,7 @@ def check(
         "n_modes": model.n_modes,
         "body": body,
         "strings": {name: _string(model, name, pairs) for name in model.strings},
+        "microphones": [_microphone(response) for response in microphone_responses(model)],
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "wolf_notes": [pitch_row(p) for p in wolves],
@@ -94,6 +98,27 @@ def _body(model: Model) -> dict[str, Any]:
         "passive": passive,
         "summary": summary,
         **{key: str(value) for key, value in basis.metadata.items() if key == "repair"},
+    }
+
+
+def _microphone(response: MicrophoneResponse) -> dict[str, Any]:
+    """A microphone's strongest response to a string, and what is wrong with its table."""
+    doubt = None
+    if response.peak == 0.0:
+        doubt = "hears nothing of the strings: its table has no residues below the highest mode that is stepped"
+    elif response.peak > LOUD * response.full_scale:
+        doubt = (
+            f"gives {response.peak / response.full_scale:.0e} times full scale per N: check the table's unit and "
+            "`full_scale`"
+        )
+    return {
+        "output": response.output,
+        "channel": response.channel,
+        "unit": response.unit,
+        "n_modes": response.n_modes,
+        "peak": response.peak,
+        "peak_freq": response.freq if response.peak else None,
+        "doubt": doubt,
     }
 
 
@@ -211,6 +236,13 @@ def _print(report: dict[str, Any]) -> None:
                 f"    warning: partial {loss['partial']} decays at {1 + loss['relative']:.3g} times the rate of its "
                 "loss law on a rigid end: the law grows too steeply without loss to the air or of stretching"
             )
+    for row in report["microphones"]:
+        name = f"{row['output']}.{row['channel']}"
+        if row["peak"]:
+            peak = f"at most {row['peak']:.3g} {row['unit']}/N, at {row['peak_freq']:.0f} Hz"
+            print(f"  microphone {name}: {row['n_modes']} modes in its bank, {peak}")
+        if row["doubt"]:
+            print(f"  warning: {name} {row['doubt']}")
     for row in report["off_pitch"]:
         print(f"  off pitch: {row['string']} stop {row['stop']} ({row['note']}): {row['error_cents']:+.1f} cents")
     for row in report["off_pitch_mounted"]:
@@ -222,7 +254,7 @@ def _print(report: dict[str, Any]) -> None:
     for row in report["stand_ins"]:
         print(f"  stand-in: {row['path']}" + (f": {row['note']}" if row["note"] else ""))
     kinds = ", ".join(f"{count} {kind}" for kind, count in report["provenance"].items())
-    print(f"  figures: {kinds or 'none told apart'}")
+    print(f"  figures: {kinds or 'of unknown kind'}")
     for key, source in report["sources"].items():
         place = source.get("doi") or source.get("url") or ""
         print(f"  source {key}: {source['text']}{', ' + place if place else ''} ({source['licence']})")

@@ -86,7 +86,7 @@ def allow(option: str, value: float, low: float, high: float, unit: str) -> None
 
 
 @contextmanager
-def drops_told() -> Iterator[None]:
+def dropped_notes_listed() -> Iterator[None]:
     """Suppress the library's warning of dropped notes: the command lists them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DroppedNotesWarning)

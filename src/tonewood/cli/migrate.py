@@ -41,7 +41,7 @@ def migrate(
 
 
 def _edits(file: Path) -> tuple[list[Edit], str]:
-    """What a file needs, by the kind of its schema, and its text as it stands."""
+    """Return the edits that a file needs, by the kind of its schema, and its present text."""
     from tonewood.batch.migration import manifest_edits
     from tonewood.instrument.migration import bundle_edits
     from tonewood.yaml_io import load_yaml

@@ -11,7 +11,7 @@ from tonewood.cli.common import (
     Json,
     Overrides,
     ScorePath,
-    drops_told,
+    dropped_notes_listed,
     load,
     progress,
     warn_of_dropped,
@@ -36,7 +36,7 @@ def plan(
     bundle, notes = load(instrument, settings, allow_code), read_midi(score)
     longest = max((n.time + n.duration for n in notes.notes), default=0.0) + options.tail
     bar = progress("sketching", longest if options.max_duration is None else min(longest, options.max_duration))
-    with drops_told(), bar as advance:
+    with dropped_notes_listed(), bar as advance:
         found = foresee(notes, bundle, options=options, progress=advance)
     if as_json:
         report = {"schema": "tonewood-plan/1", "score": str(score), "instrument": bundle.name, "fs": options.fs}

@@ -12,7 +12,7 @@ from tonewood.cli.common import (
     Overrides,
     ScorePath,
     allow,
-    drops_told,
+    dropped_notes_listed,
     load,
     warn,
     warn_of_dropped,
@@ -39,7 +39,7 @@ def play(
     from tonewood.score.midi import read_midi
 
     allow("--block", block, 16, 1 << 16, "frames")
-    with drops_told():
+    with dropped_notes_listed():
         renderer = Renderer(read_midi(score), load(instrument, settings, allow_code), options=options)
     chosen = int(device) if device and device.isdecimal() else device
     hold = Limiter(options.fs) if limiter else None

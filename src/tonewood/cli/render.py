@@ -18,7 +18,7 @@ from tonewood.cli.common import (
     Overrides,
     ScorePath,
     allow,
-    drops_told,
+    dropped_notes_listed,
     load,
     progress,
     warn,
@@ -27,7 +27,7 @@ from tonewood.cli.common import (
 from tonewood.cli.options import takes_render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.output.options import RenderOptions
-from tonewood.units import decibel
+from tonewood.units import counted, decibel
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -78,7 +78,7 @@ def render(
     for path in energy or ():
         check_energy_file(path)
     bundle = load(instrument, settings, allow_code)
-    with drops_told():
+    with dropped_notes_listed():
         renderer = Renderer(read_midi(score), bundle, options=options.at(energy=bool(energy)))
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
@@ -91,7 +91,8 @@ def render(
     warnings = list(summary.warnings)
     if clipped:
         fate = "beyond full scale" if subtype.upper() in ("FLOAT", "DOUBLE") else "clipped"
-        warnings.append(f"{clipped} samples were {fate}; lower --gain, or use --normalize or --limiter")
+        were = "sample was" if clipped == 1 else "samples were"
+        warnings.append(f"{clipped} {were} {fate}; lower --gain, or use --normalize or --limiter")
     if hold is not None and hold.reduction_db > 0:
         warnings.append(f"the limiter took away up to {hold.reduction_db:.1f} dB")
     if as_json:
@@ -101,8 +102,8 @@ def render(
     warn_of_dropped(summary.notes_dropped)
     played, lost = summary.notes, len(summary.notes_dropped)
     print(
-        f"{output}: {summary.duration_s:.2f} s, {len(renderer.channels)} channels at {fs} Hz, "
-        f"peak {decibel(peak):.1f} dBFS; {played} notes, {lost} dropped; "
+        f"{output}: {summary.duration_s:.2f} s, {counted(len(renderer.channels), 'channel')} at {fs} Hz, "
+        f"peak {decibel(peak):.1f} dBFS; {counted(played, 'note')}, {lost} dropped; "
         f"{summary.realtime_factor:.1f} x real time; ended: {summary.end}"
     )
     if summary.ignored:

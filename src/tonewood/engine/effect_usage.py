@@ -110,7 +110,7 @@ class EffectUsage:
     def saved(self, name: str, component: str) -> float:
         """Seconds of computing that a switched effect would have taken on a component while it was off there.
 
-        What it costs to run on any component at all is saved while it runs on none, in shares of the loads.
+        The cost of running on any component at all is saved while it runs on none, in shares of the loads.
         """
         rates, loads = self.costs.rates(), self.loads[name]
         off = self.samples - self.spans[name, component].samples

@@ -158,10 +158,10 @@ class KernelStepper:
         wiring, terms = self._wired(system)
         weights = system.force_weights()
         components = self._components(system, wiring, terms)
-        along = [[system.slot(name) for name in law.parts] for law in system.geometric]
-        keys = [components[slot]["key"] for slots in along for slot in slots]
+        slots_of = [[system.slot(name) for name in law.parts] for law in system.geometric]
+        keys = [components[slot]["key"] for slots in slots_of for slot in slots]
         if keys != self._geometric[0]:
-            self._geometric = keys, [describe_geometric(system, slots, wiring) for slots in along]
+            self._geometric = keys, [describe_geometric(system, slots, wiring) for slots in slots_of]
         tensions = [
             (t, part.kappa, [system.slot(name) for name in string.components])
             for t, string in enumerate(system.tensions)
@@ -346,7 +346,7 @@ class KernelStepper:
             state.series, state.slip = np.zeros(m), np.zeros(m)
         remembers = np.count_nonzero(state.series) > 0
         if self.system.nonlinear is not None and remembers:
-            state.series = self.system.nonlinear.settled_series(state.series)
+            state.series = self.system.nonlinear.carried_series(state.series)
         out = np.empty((n, len(self.system.readouts)))
         active_forces = np.empty((n, len(self._active)))
         if self._law_forces.size < n * len(on):

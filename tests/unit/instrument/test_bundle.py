@@ -1,4 +1,4 @@
-"""Bundles: what is read, what is refused and how it is told, what overrides change."""
+"""Bundles: what is read, what is refused and how it is reported, what overrides change."""
 
 from __future__ import annotations
 

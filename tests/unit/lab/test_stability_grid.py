@@ -45,7 +45,9 @@ def test_force_linear_in_time_at_position_level_never_works(grid: StabilityGrid)
 
 
 def test_rising_tension_breaks_explicit_steps_of_hard_plucks_only(grid: StabilityGrid) -> None:
-    cells = [c for c in grid.cells if c.system == stability.TENSE and c.method == "velocity Verlet" and c.n_modes < 60]
+    cells = [
+        c for c in grid.cells if c.system == stability.TENSION and c.method == "velocity Verlet" and c.n_modes < 60
+    ]
     verdict = {(c.force, c.fs): c.verdict for c in cells}
     assert verdict[0.001, 48e3] == STABLE
     assert verdict[50.0, 48e3] == NAN

@@ -92,7 +92,7 @@ def test_plots_are_listed(toys, tmp_path, capsys):
 FITTED = Row("toy", "fitted", "made for it", 1.0, 1.0, 0.1, kind="regression")
 
 
-def test_regression_is_told_from_validation(capsys):
+def test_regression_is_distinguished_from_validation(capsys):
     assert validation.counted([GOOD, BAD]) == "2 rows"
     assert validation.counted([GOOD, FITTED, BAD]) == "3 rows (2 validation, 1 regression)"
     Console(width=200).print(validation.table("toys", [GOOD, FITTED]))

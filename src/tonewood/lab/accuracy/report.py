@@ -31,7 +31,7 @@ approximation, whose own true poles such a method is held against.
 - **Pitch and decay** are read from the poles that a method puts in place of the true ones, for partials 1 to 40. A
   partial farther off than half its distance to the next is lost.
 - **Waveform**: ||y - y_true|| / ||y_true|| of the displacement over the first second (40 ms at the obstacle and 0.2 s
-  of the tense string, which amplify small differences).
+  of the tension-modulated string, which amplify small differences).
 - **Spectrum**: rms difference of third-octave levels of the acceleration, 50 Hz to 16 kHz, in bands within 80 dB of
   the loudest, under a Hann window. **Spurious**: the largest acceleration farther than 20 Hz from every true partial.
 - **Energy drift** of the same system without damping, within the first second.
@@ -64,7 +64,7 @@ frequencies are low: at the middle one of its rates)."""
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What was found, where, and how thoroughly.
+    """Result of a study, where and how thoroughly it was found.
 
     Attributes
     ----------
