@@ -284,8 +284,8 @@ class KernelStepper:
     ) -> tuple[Floats, Floats, Floats]:
         """Step; returns the output, the forces of linear connections, and of nonlinear ones.
 
-        The latter are to be put back to zero where `_acted` says that they are not. A step whose forces the kernel does
-        not find is redone by `NumpyStepper`, which has a search of last resort.
+        The caller sets the latter to zero again in the columns that `_acted` names. If the kernel does not find the
+        forces of a step, `NumpyStepper` repeats it, with a search of last resort.
         """
         if state.modes.dtype != np.float64:
             raise ValueError(f"a state of {state.modes.dtype}; float64 is needed")
