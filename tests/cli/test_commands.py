@@ -305,7 +305,8 @@ def test_plan_and_play_have_the_options_of_render(tonewood: Run, score: Path, mo
     found = json.loads(tonewood(*plan, "--max-duration", 0.1, "--lead-in", 0.05, "--outputs", "microphones")[1])
     assert found["duration_s"] == pytest.approx(0.15)
     assert [e["component"] for e in found["effects"] if e["name"] == "outputs" and e["spans_s"]] == ["microphones"]
-    refused(tonewood(*plan, "--accuracy", "best"), "--accuracy: is 'best'; draft, standard, reference are allowed")
+    said = "--accuracy: is 'best'; draft, standard, reference are allowed"
+    refused(tonewood(*plan[:-1], "--accuracy", "best"), said)
     refused(tonewood("play", score, "-i", "monochord", "--tail-level", 3), "--tail-level: is 3 dB; -300 to -1")
 
     class Stream:
@@ -323,9 +324,12 @@ def test_plan_and_play_have_the_options_of_render(tonewood: Run, score: Path, mo
 
     monkeypatch.setattr("tonewood.output.play._output_stream", lambda: Stream)
     monkeypatch.setattr("tonewood.output.play._stop", StopIteration)
-    code, out, _ = tonewood("play", score, "-i", "monochord", "--fs", 16000, "--max-duration", 0.2, "--lead-in", 0.1)
+    play = ("play", score, "-i", "monochord", "--fs", 16000, "--max-duration", 0.2, "--lead-in", 0.1)
+    code, out, _ = tonewood(*play)
     assert code == 0
     assert out.startswith("played 0.30 s")
+    found = json.loads(tonewood(*play, "--json")[1])
+    assert (found["schema"], found["ok"], found["duration_s"], found["clipped"]) == ("tonewood-play/1", True, 0.3, 0)
 
 
 def test_play_without_a_sound_card_is_one_line(tonewood: Run, score: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -339,8 +343,8 @@ def test_a_score_of_which_nothing_can_be_played_ends_with_1(tonewood: Run, tmp_p
     low = write(tmp_path / "low.mid", [*note(0.0, 0.2, 20), *note(0.3, 0.2, 21)])
     for more in ((), ("--json",)):
         code, out, err = tonewood("render", low, "-i", "monochord", "-o", tmp_path / "a.wav", *more)
-        assert (code, out) == (1, "")
-        assert err.count("\n") == 1
+        assert (code, err.count("\n")) == (1, 1)
+        assert (json.loads(out)["error"]["exit_code"] if more else out) == (1 if more else "")
         assert "none of 2 notes can be played: no string plays" in err
     assert not (tmp_path / "a.wav").exists()
     assert tonewood("plan", low, "-i", "monochord")[0] == 1

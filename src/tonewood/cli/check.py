@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import AllowCode, Json, Overrides, load
+from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, load, print_json
 from tonewood.cli.options import render_options
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ LOUD = 1e3
 
 
 def check(
-    instrument: Annotated[str, typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT")],
+    instrument: Bundle,
     fs: Annotated[int, typer.Option(help="sampling rate to assemble it at, Hz")] = 48000,
     settings: Overrides = None,
     allow_code: AllowCode = False,
@@ -54,12 +53,10 @@ def check(
     pairs = list(zip(found, together, strict=True))
     spec = bundle.spec
     report: dict[str, Any] = {
-        "schema": "tonewood-check/1",
         "instrument": bundle.name,
         "title": spec.title,
         "licence": spec.licence,
         "folder": str(bundle.folder),
-        "ok": body["passive"],
         "plugins": list(bundle.plugin_names),
         "fs": fs,
         "n_modes": model.n_modes,
@@ -74,11 +71,12 @@ def check(
         "provenance": dict(Counter(entry.kind for entry in spec.provenance.values())),
         "sources": {key: source.model_dump(exclude_none=True) for key, source in spec.sources.items()},
     }
+    ok = bool(body["passive"])
     if as_json:
-        print(json.dumps(report))
+        print_json("check", report, ok=ok)
     else:
-        _print(report)
-    return 0 if report["ok"] else 2
+        _print(report, ok)
+    return 0 if ok else 2
 
 
 def _body(model: Model) -> dict[str, Any]:
@@ -212,7 +210,7 @@ def _mounted_line(row: dict[str, Any]) -> str:
     )
 
 
-def _print(report: dict[str, Any]) -> None:
+def _print(report: dict[str, Any], ok: bool) -> None:
     body = report["body"]
     print(f"{report['instrument']}: {report['title']} ({report['licence']})")
     print(f"  folder: {report['folder']}")
@@ -258,4 +256,4 @@ def _print(report: dict[str, Any]) -> None:
     for key, source in report["sources"].items():
         place = source.get("doi") or source.get("url") or ""
         print(f"  source {key}: {source['text']}{', ' + place if place else ''} ({source['licence']})")
-    print("ok" if report["ok"] else "not ok: its body could create energy")
+    print("ok" if ok else "not ok: its body could create energy")

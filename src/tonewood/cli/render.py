@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from dataclasses import asdict
@@ -17,9 +16,11 @@ from tonewood.cli.common import (
     Json,
     Overrides,
     ScorePath,
+    Subtype,
     allow,
     dropped_notes_listed,
     load,
+    print_json,
     progress,
     warn,
     warn_of_dropped,
@@ -44,7 +45,7 @@ def render(
     output: Annotated[Path, typer.Option("-o", "--output", help="sound file: .wav, .flac or .rf64")],
     options: RenderOptions,
     block: Annotated[int, typer.Option(help="frames written at a time; does not change the samples")] = 4096,
-    subtype: Annotated[str, typer.Option(help="PCM_16, PCM_24, PCM_32, FLOAT or DOUBLE")] = "PCM_24",
+    subtype: Subtype = "PCM_24",
     normalize: Annotated[float | None, typer.Option(help="scale the whole to this peak, dB re full scale")] = None,
     limiter: Annotated[
         bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS by a look-ahead limiter")
@@ -96,7 +97,7 @@ def render(
     if hold is not None and hold.reduction_db > 0:
         warnings.append(f"the limiter took away up to {hold.reduction_db:.1f} dB")
     if as_json:
-        print(json.dumps(_report(renderer, output, clipped, peak, loaded - began, warnings), allow_nan=False))
+        print_json("render", _report(renderer, output, clipped, peak, loaded - began, warnings))
         return
     warn(warnings)
     warn_of_dropped(summary.notes_dropped)
@@ -196,11 +197,8 @@ def _bounds(reports: Sequence[EffectReport]) -> Iterator[tuple[list[float], str]
 def _report(
     renderer: Renderer, output: Path, clipped: int, peak: float, load_s: float, warnings: list[str]
 ) -> dict[str, Any]:
-    from tonewood.engine.effect_usage import finite
-
     s, account = renderer.summary(), renderer.energy
     return {
-        "schema": "tonewood-render/1",
         "output": str(output),
         "outputs": [group.name for group in renderer.model.outputs],
         "fs": s.fs,
@@ -225,5 +223,5 @@ def _report(
         "onset_step_dbfs": s.onset_step_dbfs,
         "warnings": warnings,
         "energy": None if account is None else account.balance(),
-        "effects": [{**asdict(e), "bound": finite(e.bound), "bound_db": finite(e.bound_db)} for e in s.effects],
+        "effects": [asdict(e) for e in s.effects],
     }

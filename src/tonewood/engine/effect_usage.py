@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -120,8 +119,3 @@ class EffectUsage:
     def saved_as_declared(self, cost: float) -> float:
         """Seconds of computing that a declared cost, in steps of one mode per sample, would have taken all the time."""
         return self.samples * cost * self.costs.rates().mode
-
-
-def finite(value: float | None) -> float | None:
-    """For JSON: None where there is no number."""
-    return value if value is not None and math.isfinite(value) else None

@@ -19,6 +19,7 @@ from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.controllers import Controllers, History
 from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
 from tonewood.stepping.forcing import Segment
+from tonewood.validation_messages import did_you_mean
 
 #: a damped string is released after this many times its T60; then it rings with the others
 _LET_GO_AFTER = 1.5
@@ -146,10 +147,8 @@ def _split_taps(score: Score, model: Model) -> tuple[list[Note], list[Play]]:
     for note in score.notes:
         if note.technique is None or note.technique not in model.exciters:
             if note.technique is not None:
-                names = ", ".join(model.exciters)
-                raise ScoreError(
-                    f"technique {note.technique!r} is not one of the instrument's: {names}", file=score.name
-                )
+                names = f"{did_you_mean(note.technique, model.exciters)}there are {', '.join(model.exciters)}"
+                raise ScoreError(f"there is no technique {note.technique!r}; {names}", file=score.name)
             strings.append(note)
             continue
         exciter = model.exciters[note.technique]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from tonewood.lab.accuracy.catalogue import Outcome
-from tonewood.lab.accuracy.tables import SCHEMA, expectation, headline_tables, section, summary_table, to_json
+from tonewood.lab.accuracy.tables import expectation, headline_tables, section, summary_table, to_json
 
 INTRODUCTION = """\
 Every method steps the same modes of the same system with the same compiler flags, so that their times can be compared:
@@ -79,12 +78,10 @@ class Study:
     quick: bool
     more: Mapping[str, tuple[str, object]] = field(default_factory=dict)
 
-    def json(self) -> str:
-        """``{"schema": ..., "machine": ..., "quick": ..., "systems": [...], ...}``."""
-        plain = {"schema": SCHEMA, "machine": self.machine, "quick": self.quick}
-        plain |= {"systems": [to_json(o) for o in self.outcomes]}
-        plain |= {key: value for key, (_, value) in self.more.items()}
-        return json.dumps(plain, indent=1, allow_nan=False) + "\n"
+    def to_json(self) -> dict[str, object]:
+        """``{"machine": ..., "quick": ..., "systems": [...], ...}``."""
+        plain = {"machine": self.machine, "quick": self.quick, "systems": [to_json(o) for o in self.outcomes]}
+        return plain | {key: value for key, (_, value) in self.more.items()}
 
     @property
     def machine_line(self) -> str:

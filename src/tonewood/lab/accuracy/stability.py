@@ -110,7 +110,7 @@ class StabilityGrid:
     def to_json(self) -> dict[str, object]:
         """Plain data; an infinite growth is null."""
         cells = [asdict(cell) | {"growth": cell.growth if np.isfinite(cell.growth) else None} for cell in self.cells]
-        return {"schema": "tonewood-stability/1", "duration_s": self.duration, "growth_limit": GROWTH, "cells": cells}
+        return {"duration_s": self.duration, "growth_limit": GROWTH, "cells": cells}
 
 
 def run(quick: bool = False, tell: Callable[[float], None] | None = None) -> StabilityGrid:

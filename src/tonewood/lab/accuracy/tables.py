@@ -9,7 +9,6 @@ from tonewood.lab.accuracy.catalogue import Outcome
 from tonewood.lab.accuracy.pareto import MEASURES, PITCH, WAVEFORM, Headline, Measure, front, line, usual
 from tonewood.lab.accuracy.study import LABELS, Point
 
-SCHEMA = "tonewood-accuracy/1"
 #: methods of the short table, and their headings there
 IN_SHORT = {
     "ab3": "Adams-Bashforth 3",
