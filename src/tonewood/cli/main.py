@@ -10,6 +10,7 @@ from typing import NoReturn
 
 from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.errors import TonewoodError
+from tonewood.validation_messages import did_you_mean
 
 #: exit code, as shells have it
 _INTERRUPTED = 130
@@ -71,16 +72,19 @@ def _print_error(given: list[str], kind: str, fault: TonewoodError, code: int) -
 
 def _usage(error: Exception, given: list[str]) -> str:
     """One line for a wrong argument, with the option that it resembles and the command to ask."""
-    text = error.format_message() if hasattr(error, "format_message") else str(error)
-    text, close = " ".join(text.split()), getattr(error, "possibilities", None)
-    if close:
-        text = f"{text.partition(' (')[0].rstrip('.')}. Did you mean {close[0]}?"
+    text = " ".join((error.format_message() if hasattr(error, "format_message") else str(error)).split())
+    if hasattr(error, "possibilities"):  # of an option that there is not
+        option = str(getattr(error, "option_name", ""))
+        hint = did_you_mean(option, error.possibilities or ()).replace("did", "Did")
+        text = f"No such option: {option}. {hint}".strip()
     command = " ".join(["tonewood", *(name for name in given[:1] if name in COMMANDS), "-h"])
     return f"{text if text.endswith(('.', '?')) else text + '.'} See: {command}"
 
 
 def _in_its_line(error: TonewoodError, given: list[str]) -> TonewoodError:
-    """Return an error with the line of its file, unless ``--set`` gave the value at fault."""
+    """Return an error with the line of its file, unless an option gave the value at fault."""
+    if error.key and f"--{error.key}" in given:
+        return error
     words = [b for a, b in pairwise(given) if a == "--set"] + [a[6:] for a in given if a.startswith("--set=")]
     for path in (word.partition("=")[0].split(".") for word in words):
         if error.key and all(a in ("*", b) for a, b in zip(path, error.key.split("."), strict=False)):

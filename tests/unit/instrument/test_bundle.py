@@ -69,7 +69,7 @@ def put(values: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ("strings.A2.tensoin", 7.0, "strings.A2.tensoin: is not a known key; did you mean tension?"),
         ("strings.A2.note", "H2", "strings.A2.note: 'H2' is not a note"),
         ("strings.A2.note", None, "strings.A2: either `note` or `freq` is wanted"),
-        ("strings.A2.end", "body.wings", "strings.A2.end: there is no point 'body.wings'; did you mean body.wing? there are body.bridge"),
+        ("strings.A2.end", "body.wings", "no point 'body.wings'; did you mean body.wing? there are body.bridge"),
         ("strings.A2.axis", [1, 1, 0], "strings.A2.axis: has length 1.414"),
         ("strings.A2.polarizations", ["x", "z"], "strings.A2.polarizations: lies along the string"),
         ("strings.A2.polarizations", ["z", "z"], "strings.A2.polarizations: lies along the string, or repeats"),
