@@ -1,4 +1,4 @@
-"""A page opened in headless Chromium, and what it tells."""
+"""A page opened in headless Chromium, and what it reports."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _OPTIONS = ("--headless", "--no-sandbox", "--disable-gpu", "--autoplay-policy=no
 @contextmanager
 def listening() -> Iterator[tuple[int, Queue[str]]]:
     """A port, and the words that pages ask it for: it plays in real time, whatever the browser's clock does."""
-    told: Queue[str] = Queue()
+    reported: Queue[str] = Queue()
 
     class Listener(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            told.put(unquote(self.path[1:]))
+            reported.put(unquote(self.path[1:]))
             self.send_response(204)
             self.end_headers()
 
@@ -33,7 +33,7 @@ def listening() -> Iterator[tuple[int, Queue[str]]]:
     server = ThreadingHTTPServer(("127.0.0.1", 0), Listener)
     Thread(target=server.serve_forever, daemon=True).start()
     try:
-        yield server.server_port, told
+        yield server.server_port, reported
     finally:
         server.shutdown()
         server.server_close()

@@ -1,7 +1,7 @@
 """Style of every figure: one quantity a row, logarithmic frequency, levels in dB, readable at half its size.
 
 A figure is `WIDTH` inches wide with text of 18 pt, so that at half its size (a column of a page) text has 9 pt. Colours
-are those of Okabe and Ito, told apart with any colour vision; where curves are compared, their dashes differ, too.
+are those of Okabe and Ito, distinct to any colour vision; where curves are compared, their dashes differ, too.
 Nothing here touches the global state of matplotlib, which is imported when a figure is made.
 
 Source of the colours: M. Okabe, K. Ito, Color universal design, jfly.uni-koeln.de/color (2008).

@@ -149,9 +149,9 @@ def test_names_in_place_of_scores_and_instruments(audio: tw.Audio, score: Path) 
     ],
 )
 def test_wrong_types_get_one_clear_line(call: Any, error: type[TonewoodError], said: str) -> None:
-    with pytest.raises(error, match=re.escape(said)) as told:
+    with pytest.raises(error, match=re.escape(said)) as reported:
         call()
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(reported.value)
 
 
 def test_player_holds_the_sound(audio: tw.Audio) -> None:

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tonewood.cli.common import AllowCode, Json, Overrides, allow, load, need, progress, warn
+from tonewood.cli.common import (
+    AllowCode,
+    Bundle,
+    Json,
+    Overrides,
+    allow,
+    installed,
+    load,
+    need,
+    print_json,
+    progress,
+    warn,
+)
 from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.instrument.overrides import parse_assignment
@@ -33,7 +44,10 @@ _SHOWN = 8
 
 def compare(
     instruments: Annotated[
-        list[str], typer.Argument(help="names of bundles, or paths to their folders", metavar="INSTRUMENT...")
+        list[str],
+        typer.Argument(
+            help="names of bundles, or paths to their folders", metavar="INSTRUMENT...", autocompletion=installed
+        ),
     ],
     variant: Annotated[
         list[str] | None,
@@ -71,7 +85,7 @@ def compare(
 
 
 def report(
-    instrument: Annotated[str, typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT")],
+    instrument: Bundle,
     notes: Notes = None,
     output: Page = None,
     duration: Duration = 4.0,
@@ -133,7 +147,8 @@ def _run(
     if as_json:
         from tonewood.report.as_json import to_json
 
-        print(json.dumps({**to_json(found), "page": None if output is None else str(output)}, allow_nan=False))
+        command = "compare" if len(candidates) > 1 else "report"
+        print_json(command, {**to_json(found), "page": None if output is None else str(output)})
         return
     _print(found)
     if output is not None:

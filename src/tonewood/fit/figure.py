@@ -20,13 +20,13 @@ def draw_fit(fit: Fit, path: Path) -> None:
     """Draw a fit into a .png, .pdf or .svg file.
 
     From the top: mobility measured (grey) and of the body, dB re 1 (m/s)/N; their difference in dB; coherence where it
-    was measured; one standard deviation of frequency and of Q of each mode within the band; poles after each turn of
-    the search, the stability chart of this method.
+    was measured; one standard deviation of frequency and of Q of each mode within the band; poles after each
+    iteration of the search, the stability chart of this method.
     """
     r, body = fit.responses, fit.body
     heights = [5.0, 2.2, *([1.8] if r.coherence is not None else []), 2.2, 2.2, 2.4]
     made, grid = figure(len(heights), heights=heights, sharex=True)
-    top, off, *middle, spread, quality, turns = axes = list(grid[:, 0])
+    top, off, *middle, spread, quality, iterations = axes = list(grid[:, 0])
     top.plot([], [], color="0.65", lw=2 * LINE, label="measured")
     for i, (point, reference) in enumerate(r.pairs):
         shift, colour = -_APART * i, COLOURS[i % len(COLOURS)]
@@ -49,14 +49,14 @@ def draw_fit(fit: Fit, path: Path) -> None:
     quality.plot(body.freq[sure], 100 * body.quality_error[sure], "o", color=COLOURS[0], ms=6)
     quality.set_ylabel("s.d. of Q\n%")
     log_axis(quality)
-    for number, turn in enumerate(fit.modes.turns, 1):
-        turns.plot(turn.freq, np.full(len(turn.freq), number), "|", color="0.3", ms=9)
-    last = len(fit.modes.turns) + 1
-    turns.plot(body.freq[sure], np.full(np.count_nonzero(sure), last), "|", color=COLOURS[0], ms=12, mew=2.5)
-    turns.set(ylabel="turn", ylim=(0.4, last + 0.6))
+    for number, found in enumerate(fit.modes.iterations, 1):
+        iterations.plot(found.freq, np.full(len(found.freq), number), "|", color="0.3", ms=9)
+    last = len(fit.modes.iterations) + 1
+    iterations.plot(body.freq[sure], np.full(np.count_nonzero(sure), last), "|", color=COLOURS[0], ms=12, mew=2.5)
+    iterations.set(ylabel="iteration", ylim=(0.4, last + 0.6))
     for axis in axes:
         frequency_axis(axis, float(r.freq[0]), float(r.freq[-1]))
-        axis.set_xlabel("frequency, Hz" if axis is turns else "")
+        axis.set_xlabel("frequency, Hz" if axis is iterations else "")
     top.set_ylabel("mobility\ndB re 1 (m/s)/N")
     legend_above(made, top)
     save(made, path)

@@ -23,7 +23,7 @@ _MOST_POINTS = 6
 
 
 class Modal(Protocol):
-    """What is read of a modal basis."""
+    """Attributes of a modal basis that are shown."""
 
     @property
     def n_modes(self) -> int:

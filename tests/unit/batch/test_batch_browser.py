@@ -33,10 +33,10 @@ def test_the_audition_page_plays_and_shows(tmp_path: Path) -> None:
     report = run_batch(path, tmp_path / "out", FakeRenderer())
     page = tmp_path / "out" / "audition.html"
     probed = page.with_name("probed.html")
-    with listening() as (port, told):
+    with listening() as (port, reported):
         probed.write_text(page.read_text().replace("</body>", PROBE % port))
         with opened(probed, tmp_path / "profile"):
-            played, seconds, width = told.get(timeout=120).split()
+            played, seconds, width = reported.get(timeout=120).split()
     assert played == "played"
     assert float(seconds) == pytest.approx(report.files[0].frames / 48000, abs=0.02)
     assert width == "700"

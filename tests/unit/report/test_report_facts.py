@@ -100,7 +100,7 @@ def test_parameters_that_differ_are_those_that_were_changed(found: Comparison) -
     assert rows["tuning.hold"].values == ("pitch", "tension")
 
 
-def test_a_table_of_the_same_name_that_differs_is_told(tmp_path: Any) -> None:
+def test_a_table_of_the_same_name_that_differs_is_named(tmp_path: Any) -> None:
     folder = tw.list_instruments()["monochord"]
     for name in ("instrument.yaml", "body.csv"):
         (tmp_path / name).write_text((folder / name).read_text(encoding="utf-8").replace("182,25", "190,25"))
@@ -129,7 +129,7 @@ def mode(freq: float, mass: float, shape: tuple[float, ...]) -> BodyMode:
 
 
 def test_modes_are_paired_by_shape_before_order() -> None:
-    """Two modes that change places are told apart by their shapes; a third has no partner."""
+    """Two modes that change places are distinguished by their shapes; a third has no partner."""
     heave, rock = (1.0, 1.0), (1.0, -1.0)
     a = [mode(200.0, 0.1, heave), mode(210.0, 0.2, rock), mode(400.0, 0.3, heave)]
     b = [mode(204.0, 0.2, rock), mode(208.0, 0.1, heave), mode(900.0, 0.3, heave)]

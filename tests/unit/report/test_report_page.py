@@ -167,10 +167,10 @@ def test_players_switch_without_a_gap(html: str, tmp_path: Path) -> None:
     """Before the switch the output is A, 20 ms after it B at the same place, and between them never outside of both."""
     probed = tmp_path / "probed.html"
     free = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", html)
-    with listening() as (port, told):
+    with listening() as (port, reported):
         probed.write_text(free.replace("</head>", PROBE % port, 1), encoding="utf-8")
         with opened(probed, tmp_path / "profile"):
-            words = told.get(timeout=120)
+            words = reported.get(timeout=120)
     done, together, before, after, hull, apart, chosen = words.split(" ")
     assert (done, together, chosen) == ("done", "true", "1"), words
     assert float(apart) > 0.02
