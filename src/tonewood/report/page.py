@@ -73,8 +73,10 @@ def _tone(found: Comparison, note: str) -> dict[str, Any]:
     """Sounds and pictures of one note."""
     played = [(i, facts, facts.tones[note]) for i, facts in enumerate(found.instruments) if note in facts.tones]
     gains = matched_gains_db([tone for _, _, tone in played])
+    _, facts, tone = played[0]
+    sounding = next((n.note for n in facts.notes if (n.string, n.stop) == (tone.string, tone.stop)), note)
     return {
-        "note": note,
+        "note": note if sounding == note else f"{note} ({sounding})",
         "sounds": [
             {
                 "index": i,

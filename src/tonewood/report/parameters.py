@@ -24,7 +24,7 @@ class ParameterValue:
 
 
 def parameters(instrument: Instrument) -> dict[str, ParameterValue]:
-    """Every value of a bundle, defaults included: dotted key -> value and unit.
+    """Every value of a bundle, defaults included: dotted key -> value and unit; without lists and groups that are empty.
 
     A key ``table`` is given with the SHA-256 of the file's bytes, so that tables of one name differ by what they hold.
     """
@@ -37,6 +37,8 @@ def parameters(instrument: Instrument) -> dict[str, ParameterValue]:
     }
     out: dict[str, ParameterValue] = {}
     for key, value in flattened(instrument.resolved):
+        if isinstance(value, dict | list) and not value:
+            continue
         kind, *rest = key.split(".")
         made = None
         if kind in plugins and rest:
