@@ -24,7 +24,7 @@ class ParameterValue:
 
 
 def parameters(instrument: Instrument) -> dict[str, ParameterValue]:
-    """Every value of a bundle, defaults included: dotted key -> value and unit; without lists and groups that are empty.
+    """Every value of a bundle, defaults included: dotted key -> value and unit; without empty lists and groups.
 
     A key ``table`` is given with the SHA-256 of the file's bytes, so that tables of one name differ by what they hold.
     """
