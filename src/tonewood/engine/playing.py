@@ -241,7 +241,8 @@ def _hurried(gesture: Gesture, available: float) -> Gesture:
     hold = gesture.hold
     if hold is not None:
         hold = replace(hold, start=time(hold.start), grown=time(hold.grown), stop=time(hold.stop))
-    return replace(gesture, segments=segments, hold=hold)
+    noise = gesture.noise and gesture.noise.after(time(gesture.start))
+    return replace(gesture, segments=segments, hold=hold, noise=noise)
 
 
 def _left_hand(
