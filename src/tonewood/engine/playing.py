@@ -10,6 +10,7 @@ from typing import Any
 
 from tonewood.engine.techniques import stop_course, touch_course, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
+from tonewood.engine.variation import Deviates, moved, touched
 from tonewood.errors import NothingPlayedError, ScoreError
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place
@@ -68,8 +69,16 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     louder = [_with_force(n, model, factor[id(n)]) for n in notes]
     assignment = assign(louder, playable(model), channel_per_string=channel_per_string, tuning=model.instrument.tuning)
     by_string: dict[str, list[Assigned]] = defaultdict(list)
-    for assigned in assignment.notes:
+    drawn: dict[int, Deviates] = {}
+    variation = model.playing.variation
+    for i, assigned in enumerate(assignment.notes):
+        if variation.seed is not None:
+            deviates = Deviates.of(variation.seed, i)
+            assigned = moved(assigned, deviates, variation)
+            drawn[id(assigned)] = deviates
         by_string[assigned.string].append(assigned)
+    for line in by_string.values():
+        line.sort(key=lambda a: a.note.time)
     controllers = Controllers(score.controls)
     bends = {c: History(_glided(line, GRID / model.fs)) for c, line in _by_channel(score.controls).items()}
     changes: list[Change] = []
@@ -80,7 +89,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     for name, line in by_string.items():
         for i, assigned in enumerate(line):
             following = line[i + 1] if i + 1 < len(line) else None
-            event = _event(assigned, line[i - 1] if i else None, following, model, controllers)
+            event = _event(assigned, line[i - 1] if i else None, following, model, controllers, drawn.get(id(assigned)))
             n_moved += not _is_where_asked(event, assigned, model, score.name)
             gesture = _exciter(assigned.note, model).gesture(event, model.place(name, assigned.stop))
             play = Play(assigned.note.time, gesture, string=name)
@@ -193,7 +202,12 @@ def _is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) -
 
 
 def _event(
-    assigned: Assigned, before: Assigned | None, following: Assigned | None, model: Model, controllers: Controllers
+    assigned: Assigned,
+    before: Assigned | None,
+    following: Assigned | None,
+    model: Model,
+    controllers: Controllers,
+    drawn: Deviates | None,
 ) -> Event:
     """What is asked of the exciter: the note's own values, and what controllers are at."""
     note, string = assigned.note, model.strings[assigned.string]
@@ -212,6 +226,9 @@ def _event(
     # a hammer has no force for a velocity that means one, a bow's stroke no angle
     known = type(model.exciters[name].parameters).model_fields
     values |= {k: v for k, v in given.items() if v is not None and k in known}
+    if drawn is not None:
+        length = string.length(assigned.stop)
+        values = touched(values, model.exciters[name], length, drawn, model.playing.variation)
     held = before.stop if before is not None else 0.0
     duration = assigned.end - note.time
     if following is not None and (following.note.technique or model.default_exciter) == name:

@@ -238,12 +238,24 @@ class ControllerMap(Parameters):
         return self.low + (self.high - self.low) * min(max(position, 0.0), 1.0)
 
 
+class Variation(Parameters):
+    """Human variation from note to note: standard deviations; off unless there is a seed."""
+
+    seed: int | None = described("of the performance; none where left out", default=None, ge=0)
+    time: float = quantity("s", low=0.0, high=1.0, default=0.008, doc="of a note's beginning")
+    force_db: float = quantity("dB", low=0.0, high=20.0, default=1.5, doc="of its force")
+    from_bridge: float = quantity("m", low=0.0, high=0.2, default=0.010, doc="of the place of the pluck: fingers alternate")
+    angle_deg: float = quantity("deg", low=0.0, high=90.0, default=10.0, doc="of its direction")
+    nail: float = quantity("1", low=0.0, high=1.0, default=0.15, doc="of the share of nail")
+
+
 class Playing(Parameters):
     """From notes to gestures."""
 
     exciter: str | None = described("of notes that name no technique; the velocity's where left out", default=None)
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
+    variation: Variation = described("from note to note", default=Variation())
     controls: dict[Annotated[str, Field(pattern=_CC)], ControllerMap] = described("ccN -> parameter", default={})
     keyswitches: dict[str, Name] = described("key -> exciter that notes after it ask for, on its channel", default={})
     switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(
