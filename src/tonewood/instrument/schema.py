@@ -244,7 +244,7 @@ class Variation(Parameters):
     seed: int | None = described("of the performance; none where left out", default=None, ge=0)
     time: float = quantity("s", low=0.0, high=1.0, default=0.008, doc="of a note's beginning")
     force_db: float = quantity("dB", low=0.0, high=20.0, default=1.5, doc="of its force")
-    from_bridge: float = quantity("m", low=0.0, high=0.2, default=0.010, doc="of the place of the pluck: fingers alternate")
+    from_bridge: float = quantity("m", low=0.0, high=0.2, default=0.010, doc="of its place: fingers alternate")
     angle_deg: float = quantity("deg", low=0.0, high=90.0, default=10.0, doc="of its direction")
     nail: float = quantity("1", low=0.0, high=1.0, default=0.15, doc="of the share of nail")
 
