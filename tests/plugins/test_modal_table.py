@@ -146,7 +146,7 @@ POINTS: dict[str, Any] = {"shapes": "points", "points": {"p": {}}}
         (
             "f_Hz,Q,heave,cross,rock\n100,20,1,0,1",
             {**HEAVE, "points": {"p": {"u": 0.0, "direction": "y"}}},
-            r"points\.p\.direction: .*along z alone",
+            r"points\.p\.direction: .*along z at u",
         ),
         ("f_Hz,Q,p\n100,20,1", {**POINTS, "truncation": {"residual_compliance": [[1.0, 2.0], [2.0, 1.0]]}}, "1 x 1"),
         ("f_Hz,Q,p\n100,20,1", {**POINTS, "truncation": {"residual_compliance": -1e-8}}, "create energy"),

@@ -20,7 +20,7 @@ from tonewood.instrument.tuning import StringOnBody
 FS = 16000.0
 OFF = {
     "classical_guitar": {("E2", 17), ("A2", 12)},
-    "flamenco_guitar": {("E2", 0), ("E2", 2), ("E2", 13), ("E2", 16), ("A2", 8), ("A2", 11)},
+    "flamenco_guitar": {("E2", 0), ("E2", 2), ("E2", 13), ("E2", 16), ("A2", 8)},
 }
 
 
