@@ -72,7 +72,7 @@ class Tip:
 FLESH, NAIL = Tip(1.0e-3, 10e-3, 2e3), Tip(0.2e-3, 3e-3, 2e4)
 
 
-class FingerParameters(Parameters):
+class FingerPluckParameters(Parameters):
     """Parameters of the pluck."""
 
     force: float = quantity("N", low=0.0, high=1000.0, default=2.0, doc="at which the string begins to slip")
@@ -104,12 +104,12 @@ class FingerParameters(Parameters):
         )
 
 
-class FingerPluck(Exciter[FingerParameters]):
+class FingerPluck(Exciter[FingerPluckParameters]):
     """The finger; see the module."""
 
     api = 1
     effects = (DAMPERS,)
-    Parameters = FingerParameters
+    Parameters = FingerPluckParameters
 
     def gesture(self, event: Event, place: Place) -> Gesture:
         """Landing, drawing, slip; the slip begins at time 0."""

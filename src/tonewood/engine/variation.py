@@ -14,7 +14,7 @@ import numpy as np
 
 from tonewood.instrument.contract import Exciter
 from tonewood.instrument.gestures import Fraction
-from tonewood.instrument.schema import Variation
+from tonewood.instrument.schema import HumanVariation
 from tonewood.score.assignment import Assigned
 
 #: standard deviations at which a deviate is cut
@@ -40,7 +40,7 @@ class Deviates:
         return cls(*np.clip(drawn, -_MOST, _MOST).tolist())
 
 
-def moved(assigned: Assigned, drawn: Deviates, variation: Variation) -> Assigned:
+def moved(assigned: Assigned, drawn: Deviates, variation: HumanVariation) -> Assigned:
     """Return a note earlier or later, and of another force if it has one; its string and stop stay."""
     note = assigned.note
     force = None if note.force is None else note.force * 10 ** (variation.force_db * drawn.force / 20)
@@ -50,7 +50,7 @@ def moved(assigned: Assigned, drawn: Deviates, variation: Variation) -> Assigned
 
 
 def touched(
-    values: Mapping[str, float], exciter: Exciter[Any], length: float, drawn: Deviates, variation: Variation
+    values: Mapping[str, float], exciter: Exciter[Any], length: float, drawn: Deviates, variation: HumanVariation
 ) -> dict[str, float]:
     """Return values of an event with another place, angle and share of nail, where the exciter has them.
 

@@ -238,7 +238,7 @@ class ControllerMap(Parameters):
         return self.low + (self.high - self.low) * min(max(position, 0.0), 1.0)
 
 
-class Variation(Parameters):
+class HumanVariation(Parameters):
     """Human variation from note to note: standard deviations; off unless there is a seed."""
 
     seed: int | None = described("of the performance; none where left out", default=None, ge=0)
@@ -255,7 +255,7 @@ class Playing(Parameters):
     exciter: str | None = described("of notes that name no technique; the velocity's where left out", default=None)
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
-    variation: Variation = described("from note to note", default=Variation())
+    variation: HumanVariation = described("from note to note", default=HumanVariation())
     controls: dict[Annotated[str, Field(pattern=_CC)], ControllerMap] = described("ccN -> parameter", default={})
     keyswitches: dict[str, Name] = described("key -> exciter that notes after it ask for, on its channel", default={})
     switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(
