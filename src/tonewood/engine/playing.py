@@ -87,6 +87,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     played: list[Assigned] = []
     n_moved = 0
     for name, line in by_string.items():
+        own: list[Play] = []
         for i, assigned in enumerate(line):
             following = line[i + 1] if i + 1 < len(line) else None
             event = _event(assigned, line[i - 1] if i else None, following, model, controllers, drawn.get(id(assigned)))
@@ -94,10 +95,12 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
             gesture = _exciter(assigned.note, model).gesture(event, model.place(name, assigned.stop))
             play = Play(assigned.note.time, gesture, string=name)
             if i:
-                play = replace(play, gesture=_hurried(play.gesture, play.time - plays[-1].stop))
-            plays.append(play)
+                play = replace(play, gesture=_hurried(play.gesture, play.time - own[-1].stop))
+            own.append(play)
             played.append(assigned)
-            changes += _left_hand(assigned, play, following, name, model, bends)
+        for assigned, play, following_play in zip(line, own, [*own[1:], None], strict=True):
+            changes += _left_hand(assigned, play, following_play, name, model, bends)
+        plays += own
     if not plays:
         raise NothingPlayedError(_why_nothing(dropped), file=score.name)
     warnings = list(score.warnings)
@@ -265,12 +268,15 @@ def _hurried(gesture: Gesture, available: float) -> Gesture:
 def _left_hand(
     assigned: Assigned,
     play: Play,
-    following: Assigned | None,
+    following: Play | None,
     name: str,
     model: Model,
     bends: Mapping[int | None, History],
 ) -> list[Change]:
-    """Stop the string as the pluck begins, bend it with its channel, damp it at the note's end."""
+    """Stop the string as the pluck begins, bend it with its channel, damp it at the note's end.
+
+    A note that ends while the next one on its string is prepared is ended by that: its damper would stay on the string.
+    """
     channel = assigned.note.channel
     line = bends.get(channel, History())
     at_start = assigned.cents + (line.at(play.start) or 0.0)
@@ -283,7 +289,7 @@ def _left_hand(
     end = model.playing.note_end
     if end.kind == "ring" or not math.isfinite(assigned.end):
         return out
-    free_again = following.note.time if following else math.inf
+    free_again = following.start if following else math.inf
     if assigned.end < free_again - 1e-3:
         out.append(Change(assigned.end, name, added_damping=math.log(1000.0) / end.t60))
         let_go = assigned.end + _LET_GO_AFTER * end.t60

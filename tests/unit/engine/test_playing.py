@@ -210,3 +210,19 @@ def test_what_nobody_reads_is_counted(guitar: Model) -> None:
     controls = [tw.Control(0.1 * i, kind, 0.1 * i, 0) for i in range(3) for kind in ("cc1", "cc7", "cc64", "bend")]
     score = tw.Score([tw.Note(0.0, 0.1, note=50)], controls, ignored={"channel pressure": 2, "controller 1": 4})
     assert perform(score, guitar).ignored == {"channel pressure": 2, "controller 1": 7}
+
+
+def test_a_note_that_ends_while_the_next_is_prepared_leaves_no_damper_on_it(guitar: Model) -> None:
+    """The string rings on after the second pluck, whatever gap up to its preparation the score leaves."""
+    for gap in (0.0, 0.005, 0.015, 0.019, 0.025, 0.05):
+        notes = [tw.Note(0.5, 0.5 - gap, string="E4", stop=7, force=1.0), tw.Note(1.0, 2.0, string="E4", stop=7)]
+        made = perform(tw.Score(notes), guitar).timeline
+        second = made.plays[1]
+        damping = 0.0
+        for change in made.changes:
+            if change.time <= second.time + 0.5 and change.added_damping is not None:
+                damping = change.added_damping
+        assert damping == 0.0, gap
+        damped = [c.time for c in made.changes if c.added_damping and c.time < second.time]
+        assert all(time < second.start for time in damped)
+        assert bool(damped) == (gap > 0.021)
