@@ -123,6 +123,30 @@ def test_normalize_limiter_and_clipping(tonewood: Run, score: Path, tmp_path: Pa
     assert plain["frames"] == limited["frames"]
 
 
+def test_levels_differ_by_the_gain_that_is_told(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    meter = pytest.importorskip("pyloudnorm")
+    sounds, reports = {}, {}
+    for level in ("calibrated", "peak", "LUFS"):
+        wav = tmp_path / f"{level}.wav"
+        common = ("render", score, "-i", "monochord", "-o", wav, "--max-duration", 1.5, "--subtype", "DOUBLE")
+        reports[level] = json.loads(tonewood(*common, "--level", level, "--json")[1])
+        sounds[level] = sf.read(str(wav))[0]
+        assert reports[level]["level"] == level
+        told = 10 ** (reports[level]["gain_db"] / 20)
+        assert np.allclose(sounds[level], told * sounds["calibrated"], rtol=1e-12, atol=0)
+    assert reports["calibrated"]["gain_db"] == 0.0
+    assert reports["peak"]["peak_dbfs"] == pytest.approx(-1.0)
+    loudness = meter.Meter(48000).integrated_loudness(sounds["LUFS"])
+    assert loudness == pytest.approx(-23.0, abs=0.1) or reports["LUFS"]["peak_dbfs"] == pytest.approx(-1.0)
+    out = tonewood("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.2)[1]
+    assert "level peak: gain" in out
+    assert "0 dBFS is" in out
+    refused(
+        tonewood("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--level", "loud"), "--level", "LUFS"
+    )
+    refused(tonewood("play", score, "-i", "monochord", "--level", "LUFS"), "--level", "peak")
+
+
 def test_settings_and_outputs_reach_the_instrument(tonewood: Run, score: Path, tmp_path: Path) -> None:
     common = ("-i", "classical_guitar", "--max-duration", 0.05, "--fs", 16000, "--json")
     code, out, _ = tonewood(
