@@ -126,6 +126,8 @@ def test_sampled_force_is_what_its_lines_say() -> None:
     for dt in (1e-5, 2e-6):
         made = force.course(dt, time=0.02, first=0)
         assert made.values[0].sum() * dt == pytest.approx(area, rel=2e-3)
+    times = np.array([-2e-3, -0.9e-3, 0.3e-3, 2e-3])
+    assert force.rate(times) == pytest.approx((force.at(times + 1e-7) - force.at(times - 1e-7)) / 2e-7)
     assert force.after(0.0).at(np.array([0.25e-3]))[0] == pytest.approx(0.5)
     assert force.course(1e-5, time=0.02, first=2025).start == 2025
 

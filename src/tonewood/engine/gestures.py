@@ -91,7 +91,7 @@ def quasi_static(active: Sequence[Active], model: Model, system: System, start: 
                     derivative = readout.quantity != "displacement"
                     force = course(play.gesture.segments, times, derivative=derivative)
                     if (noise := play.gesture.noise) is not None:
-                        force += np.gradient(noise.at(times), system.dt) if derivative else noise.at(times)
+                        force += noise.rate(times) if derivative else noise.at(times)
                     mean = readout.quantity == "acceleration"
                     out[:, channel] += compliance * (np.diff(force) / system.dt if mean else force[:-1])
     return out

@@ -70,6 +70,12 @@ class SampledForce:
         grid = self.start + self.interval * np.arange(len(self.values))
         return np.asarray(np.interp(np.asarray(times, dtype=np.float64), grid, self.values, left=0.0, right=0.0))
 
+    def rate(self, times: ArrayLike) -> Floats:
+        """First derivative at times (n,) s, N/s; from the right where two lines meet."""
+        place = np.floor((np.asarray(times, dtype=np.float64) - self.start) / self.interval).astype(np.intp)
+        slopes = np.concatenate([[0.0], np.diff(self.values) / self.interval, [0.0]])
+        return np.asarray(slopes[np.clip(place + 1, 0, len(self.values))])
+
     def by_step(self, sample: int, n: int, dt: float, time: float = 0.0) -> Floats:
         """(n,) N, over the steps from `sample` on.
 
