@@ -61,7 +61,7 @@ _STEPS, _NODES = 60, (0, 3, 6, 12, 24, 36, 48, 60)
 
 @dataclass(frozen=True)
 class Tip:
-    """What meets the string: m, m, N/m."""
+    """Part of the finger that meets the string: m, m, N/m."""
 
     edge: float
     width: float
@@ -92,7 +92,7 @@ class FingerPluckParameters(Parameters):
 
     @property
     def tip(self) -> Tip:
-        """What meets the string: between flesh and nail in geometric steps, where it is not given."""
+        """Part that meets the string: between flesh and nail in geometric steps, where it is not given."""
 
         def between(flesh: float, nail: float) -> float:
             return float(flesh ** (1.0 - self.nail) * nail**self.nail)
@@ -123,10 +123,10 @@ class FingerPluck(Exciter[FingerPluckParameters]):
         landed = min(2 * impedance * speed, 0.5 * p.force)
         rise = min(4 * impedance / tip.stiffness, 0.25 * draw)
         touch = smooth_step(-draw, rise - draw, 0.0, landed)
-        pull = smooth_step(rise - draw, 0.0, landed, p.force)
+        drawing = smooth_step(rise - draw, 0.0, landed, p.force)
         release = slip(p.force, impedance, speed, tip, p.mass)
         hold = Hold(-draw, -draw / 2, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
-        segments = touch + pull + release
+        segments = touch + drawing + release
         label = f"{p.seed} {place.name} {event.stop:g} {p.force!r} {x!r}"
         noise = roughness(segments, p.roughness, zlib.crc32(label.encode())) if p.roughness * p.force > 0 else None
         return Gesture(segments, x, p.angle_deg, hold, width=min(tip.width, x, place.length - x), noise=noise)

@@ -123,7 +123,7 @@ def test_normalize_limiter_and_clipping(tonewood: Run, score: Path, tmp_path: Pa
     assert plain["frames"] == limited["frames"]
 
 
-def test_levels_differ_by_the_gain_that_is_told(tonewood: Run, score: Path, tmp_path: Path) -> None:
+def test_levels_differ_by_the_gain_that_is_reported(tonewood: Run, score: Path, tmp_path: Path) -> None:
     meter = pytest.importorskip("pyloudnorm")
     sounds, reports = {}, {}
     for level in ("calibrated", "peak", "LUFS"):
@@ -132,8 +132,8 @@ def test_levels_differ_by_the_gain_that_is_told(tonewood: Run, score: Path, tmp_
         reports[level] = json.loads(tonewood(*common, "--level", level, "--json")[1])
         sounds[level] = sf.read(str(wav))[0]
         assert reports[level]["level"] == level
-        told = 10 ** (reports[level]["gain_db"] / 20)
-        assert np.allclose(sounds[level], told * sounds["calibrated"], rtol=1e-12, atol=0)
+        factor = 10 ** (reports[level]["gain_db"] / 20)
+        assert np.allclose(sounds[level], factor * sounds["calibrated"], rtol=1e-12, atol=0)
     assert reports["calibrated"]["gain_db"] == 0.0
     assert reports["peak"]["peak_dbfs"] == pytest.approx(-1.0)
     loudness = meter.Meter(48000).integrated_loudness(sounds["LUFS"])

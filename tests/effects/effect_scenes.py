@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 FS = 24000
 TENSION = "tension_modulation"
 PITCH = {"B3": 59, "E4": 64}
-#: a pluck whose release does not depend on its force, so that what is linear can be told
+#: a pluck whose release does not depend on its force, so that the linear instrument is linear in it
 RAMP = {"plugin": "pluck_ramp", "from_bridge": 0.12, "angle_deg": 60.0, "release_time": 1e-4}
 
 

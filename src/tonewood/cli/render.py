@@ -169,7 +169,10 @@ def _write(
             return writer.clipped, writer.peak, 0.0
         import soundfile as sf
 
-        scratch = AtomicFile(output.with_suffix(".rf64"))
+        try:
+            scratch = AtomicFile(output.with_suffix(".rf64"))
+        except OutputError as error:
+            raise OutputError(error.reason, file=output) from None
         try:
             with SoundWriter(scratch.path, fs, channels, "DOUBLE", frames=frames) as writer:
                 for samples in renderer.blocks(block):
