@@ -35,6 +35,7 @@ def check(
 
     Exit code 2 if it cannot be played or its body could create energy.
     """
+    from tonewood.instrument.added import added_line
     from tonewood.instrument.assembly import assemble
     from tonewood.instrument.inspection import TOLERANCE_CENTS, pitches
     from tonewood.instrument.mounted import Mounted
@@ -46,7 +47,7 @@ def check(
     found = pitches(model)
     wolves = [p for p in found if p.wolf is not None]
     off = [p for p in found if abs(p.error_cents) > TOLERANCE_CENTS]
-    everything = Mounted(model.strings, model.system.compiled[model.system.slot("body")].basis)
+    everything = Mounted(model.strings, model.body)
     together = [everything.pitch(p) for p in found]
     pairs = list(zip(found, together, strict=True))
     spec = bundle.spec
@@ -61,6 +62,7 @@ def check(
         "fs": fs,
         "n_modes": model.n_modes,
         "body": body,
+        "added": [added_line(entry) for entry in spec.body.added],
         "strings": {name: _string(model, name, pairs) for name in model.strings},
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
@@ -197,6 +199,8 @@ def _print(report: dict[str, Any]) -> None:
         print(f"  body: {body['n_modes']} modes{span}: {body['summary']}")
     if "repair" in body:
         print(f"  body: {body['repair']}")
+    for line in report["added"]:
+        print(f"  added to the body: {line}: passive by construction")
     for name, row in report["strings"].items():
         stops = f"{row['stops']} stops" if row["stops"] else "open"
         print(

@@ -59,6 +59,28 @@ class PluginPart(Parameters):
         return dict(self.model_extra or {})
 
 
+class Added(Parameters):
+    """A mass, a spring to the ground or a dashpot to the ground, fixed to the body; several of them move as one."""
+
+    at: str = described("point of the body")
+    direction: Direction | None = described("in which it acts; the point's own where left out", default=None)
+    mass: float = quantity("kg", low=0.0, high=1e3, default=0.0, doc="that moves with the point")
+    stiffness: float = quantity("N/m", low=0.0, high=1e9, default=0.0, doc="of a spring to the ground")
+    damping: float = quantity("N s/m", low=0.0, high=1e6, default=0.0, doc="of a dashpot to the ground")
+
+    @model_validator(mode="after")
+    def _something(self) -> Added:
+        if not (self.mass or self.stiffness or self.damping):
+            raise ValueError("a mass, a stiffness or a damping above 0 is wanted")
+        return self
+
+
+class BodyPart(PluginPart):
+    """What the strings are joined to."""
+
+    added: list[Added] = described("masses, springs and dashpots put on it", default=[], max_length=MOST_PARTS)
+
+
 class StringPoint(Parameters):
     """A named place on a string, to be heard or joined."""
 
@@ -257,7 +279,7 @@ class Bundle(Parameters):
     licence: str = described("SPDX name, of the bundle's data")
     sources: dict[Name, Source] = described("key -> where figures come from")
     provenance: dict[str, Provenance] = described("dotted path, * for one level -> what kind of figures", default={})
-    body: PluginPart = described("what the strings are joined to")
+    body: BodyPart = described("what the strings are joined to")
     strings: dict[Name, StringPart] = described(
         "name -> string, from bass to treble", min_length=1, max_length=MOST_STRINGS
     )
