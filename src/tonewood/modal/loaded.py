@@ -8,8 +8,9 @@ so that with a'' = P C A^2 x + P C A B f the component obeys x' = (A - B G) x + 
 
     G = (1 + M P C A B P^T)^-1 P (K C + D C A + M C A^2),    N = (1 + M P C A B P^T)^-1 M P C A B.
 
-A force makes no velocity jump, C B = 0, as in everything that has mass. Its mobility is Y - Y_a (1/Z + Y_aa)^-1 Y_a, at one point and of a single mass Y / (1 + i omega m Y). A passive component
-with such lumps is passive. The modes are complex where damping couples them.
+A force makes no velocity jump, C B = 0, as in everything that has mass. The mobility is that of both in parallel,
+Y - Y_a (1/Z + Y_aa)^-1 Y_a, where a single mass m is Y / (1 + i omega m Y). A passive component with such lumps is
+passive. The modes are complex where damping couples them.
 """
 
 from __future__ import annotations

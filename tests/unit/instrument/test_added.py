@@ -87,7 +87,7 @@ def test_what_is_heard_of_a_tap(guitar, entry, impedance):
 
 
 def test_bounds_know_of_it(guitar):
-    """Response of the microphones to the force of G3 with a mass under it: heave and rock by the body's own mobility."""
+    """Response of the microphones to the force of G3 with a mass under it: by the body's own mobility."""
     mass = {"at": "bridge_G3", "mass": 0.010}
     light = BridgeResponse(assemble(guitar, 48000))
     heavy = BridgeResponse(assemble(guitar.replace({"body.added": [mass]}), 48000))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg as sla
 
 from tonewood.modal.loaded import loaded
 from tonewood.modal.modes import PAIR, ModalBasis
@@ -38,7 +39,7 @@ def in_parallel(basis, impedance):
     out = np.empty_like(Y)
     for n in range(FREQ.size):
         Z = np.diag(impedance[:, n])
-        out[..., n] = Y[..., n] @ np.linalg.inv(np.eye(2) + Z @ Y[..., n])
+        out[..., n] = Y[..., n] @ sla.inv(np.eye(2) + Z @ Y[..., n])
     return out
 
 
