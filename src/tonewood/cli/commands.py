@@ -12,6 +12,8 @@ COMMANDS = {
     "modes": "modes:modes",
     "schema": "schema:schema",
     "migrate": "migrate:migrate",
+    "fit": "fit:fit",
+    "new": "new:new",
     "batch": "batch:batch",
     "results": "results:results",
     "validate": "validate:validate",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import AllowCode, Json, Overrides, load, need
+from tonewood.cli.common import AllowCode, Json, Overrides, StringSetName, load, need
 from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
@@ -30,6 +30,7 @@ def modes(
     plot: Annotated[
         Path | None, typer.Option(help="write the bridge mobility to this picture (.png, .pdf, .svg)")
     ] = None,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -40,7 +41,7 @@ def modes(
     from tonewood.instrument.inspection import mobility_peaks, partials, pitches
 
     render_options({"fs": fs})
-    bundle = load(instrument, settings, allow_code)
+    bundle = load(instrument, settings, allow_code, strings)
     model = assemble(bundle, fs)
     if string is not None and string not in model.strings:
         raise TonewoodError(f"there is no string {string!r}; there are {', '.join(model.strings)}", key="--string")

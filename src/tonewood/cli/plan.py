@@ -11,6 +11,7 @@ from tonewood.cli.common import (
     Json,
     Overrides,
     ScorePath,
+    StringSetName,
     drops_told,
     load,
     progress,
@@ -25,6 +26,7 @@ def plan(
     score: ScorePath,
     instrument: InstrumentName,
     options: RenderOptions,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -33,7 +35,7 @@ def plan(
     from tonewood.output.plan import plan as foresee
     from tonewood.score.midi import read_midi
 
-    bundle, notes = load(instrument, settings, allow_code), read_midi(score)
+    bundle, notes = load(instrument, settings, allow_code, strings), read_midi(score)
     longest = max((n.time + n.duration for n in notes.notes), default=0.0) + options.tail
     bar = progress("sketching", longest if options.max_duration is None else min(longest, options.max_duration))
     with drops_told(), bar as advance:

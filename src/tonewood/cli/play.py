@@ -11,6 +11,7 @@ from tonewood.cli.common import (
     InstrumentName,
     Overrides,
     ScorePath,
+    StringSetName,
     allow,
     drops_told,
     load,
@@ -29,6 +30,7 @@ def play(
     block: Annotated[int, typer.Option(help="frames per block")] = 1024,
     limiter: Annotated[bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS")] = False,
     device: Annotated[str | None, typer.Option(help="sound device, by name or number")] = None,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
 ) -> None:
@@ -40,7 +42,7 @@ def play(
 
     allow("--block", block, 16, 1 << 16, "frames")
     with drops_told():
-        renderer = Renderer(read_midi(score), load(instrument, settings, allow_code), options=options)
+        renderer = Renderer(read_midi(score), load(instrument, settings, allow_code, strings), options=options)
     chosen = int(device) if device and device.isdecimal() else device
     hold = Limiter(options.fs) if limiter else None
     played = play_renderer(renderer, block_size=block, device=chosen, limiter=hold)

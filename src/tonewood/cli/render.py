@@ -17,6 +17,7 @@ from tonewood.cli.common import (
     Json,
     Overrides,
     ScorePath,
+    StringSetName,
     allow,
     drops_told,
     load,
@@ -56,6 +57,7 @@ def render(
             help="account of energy every 64 samples: .json, .csv or .png; may be given again; many times slower",
         ),
     ] = None,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -77,7 +79,7 @@ def render(
             raise TonewoodError("a normalized sound has no peaks to limit; one of both is allowed", key="--limiter")
     for path in energy or ():
         check_energy_file(path)
-    bundle = load(instrument, settings, allow_code)
+    bundle = load(instrument, settings, allow_code, strings)
     with drops_told():
         renderer = Renderer(read_midi(score), bundle, options=options.at(energy=bool(energy)))
     loaded = time.perf_counter()

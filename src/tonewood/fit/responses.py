@@ -93,6 +93,24 @@ class Responses:
             pressure={key: row[inside] for key, row in self.pressure.items()},
         )
 
+    def renamed(self, names: Mapping[str, str]) -> Responses:
+        """The same with other names of points, old -> new.
+
+        Raises
+        ------
+        TonewoodError : there is no point of an old name, or two get the same one.
+        """
+        for old in names:
+            if old not in self.points:
+                raise TonewoodError(f"there is no point {old!r}; there are {', '.join(self.points)}", key="--point")
+        new = [names.get(old, old) for old in self.points]
+        for name in new:
+            if new.count(name) > 1:
+                raise TonewoodError(f"two points would be called {name!r}", key="--point")
+        pairs = tuple((names.get(point, point), names.get(reference, reference)) for point, reference in self.pairs)
+        pressure = {(heard, names.get(reference, reference)): row for (heard, reference), row in self.pressure.items()}
+        return replace(self, pairs=pairs, pressure=pressure)
+
     def checked(self) -> Responses:
         """These, if a passive body can have them.
 

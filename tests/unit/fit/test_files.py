@@ -83,7 +83,7 @@ def test_hits_of_wav_and_csv_say_the_same(tmp_path):
         (tmp_path / f"{hit}.csv").write_text("\n".join(["time_s,a_force,a", *rows]) + "\n")
         paths["wav"].append(tmp_path / f"{hit}.wav")
         paths["csv"].append(tmp_path / f"{hit}.csv")
-    reading = Reading("accelerance", points=("a",), reference="a", sensitivity=(100.0, 50.0), window_tau=0.1)
+    reading = Reading("accelerance", points=("a",), references=(("a", ""),), sensitivity=(100.0, 50.0), window_tau=0.1)
     wav, csv = (read_responses(paths[kind], reading) for kind in ("wav", "csv"))
     assert wav.kept == csv.kept == (3, 3)
     assert wav.alpha == pytest.approx(10.0)
