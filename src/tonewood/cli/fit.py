@@ -176,11 +176,11 @@ def _named(responses: Responses, given: list[str]) -> tuple[Responses, dict[str,
     from tonewood.fit.folder import MeasuredPoint
 
     names, places = {}, {}
-    for old in responses.points:
+    for old in (*responses.points, *responses.microphones):
         node = _NODE.fullmatch(old)
         if node is not None:
             axis = _AXES.get(node[2][1], "")
-            names[old] = f"n{node[1]}{'' if node[2] == '+3' else f'_{axis}'}{'_back' if node[2][0] == '-' else ''}"
+            names[old] = f"n{node[1]}{'' if axis in ('', 'z') else f'_{axis}'}{'_back' if node[2][0] == '-' else ''}"
             sign = -1.0 if node[2][0] == "-" else 1.0
             if axis:
                 x, y, z = _VECTORS[axis]
@@ -190,8 +190,6 @@ def _named(responses: Responses, given: list[str]) -> tuple[Responses, dict[str,
         name, *more = rest.split(":")
         if not equals or len(more) > 2:
             raise TonewoodError(f"is {text!r}; NODE=NAME, NODE=NAME:DIRECTION or NODE=NAME:DIRECTION:U", key="--point")
-        if old not in responses.points:
-            raise TonewoodError(f"there is no point {old!r}; there are {', '.join(responses.points)}", key="--point")
         place = places.pop(names.get(old, old), MeasuredPoint())
         if more and more[0]:
             if more[0] not in _VECTORS:
@@ -202,11 +200,11 @@ def _named(responses: Responses, given: list[str]) -> tuple[Responses, dict[str,
         names[old] = name
         places[name] = place
     made = responses.renamed(names)
-    for name in (*made.points, *(heard for heard, _ in made.pressure)):
+    for name in (*made.points, *made.microphones):
         if not _NAME.fullmatch(name) or name in _COLUMNS or name.startswith("sd_"):
             raise TonewoodError(
-                f"{name!r} cannot be the name of a point: letters, digits and _ are allowed; rename it by --point "
-                f"'{name}=NAME'",
+                f"{name!r} cannot be the name of a point: letters, digits and _ are allowed, and not "
+                f"{', '.join(_COLUMNS)} or sd_...; rename it by --point '{name}=NAME'",
                 key="--point",
             )
     return made, places

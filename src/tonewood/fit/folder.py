@@ -120,7 +120,7 @@ class FitFolder:
             lines += [
                 "  - name: microphones", "    plugin: modal_radiation", "    table: radiation.csv",
                 f"    channels: [{', '.join(self.radiation.channels)}]", "    driven_by: bridge_forces",
-                f"    low_cut: {min(max(float(r.freq[0]) / 5, 1.0), 200.0)!r}    # Hz; the fit begins at "
+                f"    low_cut: {self.radiation.low_cut!r}    # Hz; the fit begins at "
                 f"{r.freq[0]:g} Hz",
                 "    full_scale: 40.0    # Pa at 0 dBFS",
             ]  # fmt: skip

@@ -1,15 +1,16 @@
 """Microphones as a one-way bank of modes: pressure per force at the points where the body was driven.
 
-    p(s) = sum_k (A_k s + B_k w_k) / (s^2 + 2 zeta_k w_k s + w_k^2) F
+    p(s) = s^2 / ((s + a) (s + b)) sum_k (A_k s + B_k w_k) / (s^2 + 2 zeta_k w_k s + w_k^2) F
 
 with any A and B: air between body and microphone turns phases, and nothing acts back, so no sign is asked for. The
-search is that of the body's modes and begins with them; cavities and the room may add others.
+factor is the high-pass of the plugin `modal_radiation`, at a fifth of the band's lower end, below which a fit means
+nothing. The search is that of the body's modes and begins with them; cavities and the room may add others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg as sla
@@ -27,6 +28,10 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 
+#: Hz, of the high-pass of a bank
+_LOWEST_CUT, _HIGHEST_CUT = 1.0, 200.0
+
+
 @dataclass(frozen=True, eq=False)
 class FittedRadiation:
     """A one-way bank, as the plugin `modal_radiation` has it.
@@ -35,12 +40,14 @@ class FittedRadiation:
     ----------
     channels : names of the microphones.
     poles : (K,) 1/s, of each conjugate pair the one with a positive imaginary part.
+    low_cut : Hz, of the high-pass s^2 / ((s + a) (s + b)), a and b 0.8 and 1.25 times 2 pi low_cut.
     heave, moment : (n_channels, K) Pa/(N s), residues of the pressure of a force at u = 0, and what u = 1 adds.
     error_db : (P, N) |fitted| re |measured|, dB, of each microphone and reference.
     """
 
     channels: tuple[str, ...]
     poles: Complexes
+    low_cut: float
     heave: Complexes
     moment: Complexes
     error_db: Floats
@@ -52,7 +59,8 @@ class FittedRadiation:
         """(n_channels, N) Pa/N of a force at u, on s = alpha + j 2 pi freq."""
         s = (alpha + 2j * np.pi * freq)[:, None]
         residues = self.heave + u * self.moment
-        return np.asarray(residues @ (1 / (s - self.poles)).T + residues.conj() @ (1 / (s - self.poles.conj())).T)
+        bank = residues @ (1 / (s - self.poles)).T + residues.conj() @ (1 / (s - self.poles.conj())).T
+        return np.asarray(bank * _high_pass(s[:, 0], self.low_cut))
 
     def table(self) -> str:
         """The bank as a CSV table; numbers read back are the same numbers."""
@@ -97,7 +105,7 @@ def fit_radiation(
     """
     if not responses.pressure:
         return None
-    channels = tuple(dict.fromkeys(name for name, _ in responses.pressure))
+    channels = responses.microphones
     references = responses.references
     for name in channels:
         for reference in references:
@@ -111,7 +119,10 @@ def fit_radiation(
             key="--point",
         )
     measured = np.array([responses.pressure[name, reference] for name in channels for reference in references])
-    line = Line(responses.freq, measured, noise.of_neighbours(measured), responses.alpha)
+    low_cut = min(max(float(responses.freq[0]) / 5, _LOWEST_CUT), _HIGHEST_CUT)
+    cut = np.abs(high_pass := _high_pass(responses.alpha + 2j * np.pi * responses.freq, low_cut))
+    sigma = noise.of_neighbours(measured) / cut
+    line = Line(responses.freq, measured / high_pass, sigma, responses.alpha)
     shape = Shape((), len(channels) * min(len(references), 2), True, lower=False, upper=False)
     try:
         problem, poles = sought(line, shape, Poles.at(body.freq[body.measured], body.quality[body.measured]), tell)
@@ -125,8 +136,14 @@ def fit_radiation(
     by_place = np.column_stack([np.ones(u.size), u]) if u.size > 1 else np.ones((1, 1))
     split = sla.pinv(by_place) @ residues.reshape(len(channels), u.size, k)
     moment = split[:, 1] if u.size > 1 else np.zeros_like(split[:, 0])
-    bank = FittedRadiation(channels, pole, split[:, 0], moment, np.zeros((0, 0)))
+    bank = FittedRadiation(channels, pole, low_cut, split[:, 0], moment, np.zeros((0, 0)))
     each = [bank.pressure(responses.freq, place, responses.alpha) for place in u]
     made = np.array([each[r][c] for c in range(len(channels)) for r in range(u.size)])
     error = np.asarray(20 * np.log10(np.abs(made) / np.maximum(np.abs(measured), 1e-300)))
-    return FittedRadiation(channels, pole, bank.heave, moment, error)
+    return replace(bank, error_db=error)
+
+
+def _high_pass(s: NDArray[np.complexfloating], low_cut: float) -> Complexes:
+    """(N,) the high-pass of `modal_radiation`."""
+    a, b = 2 * np.pi * low_cut * np.array([0.8, 1.25])
+    return np.asarray(s * s / ((s + a) * (s + b)), dtype=np.complex128)

@@ -61,6 +61,11 @@ class Responses:
         return tuple(dict.fromkeys(name for pair in self.pairs for name in pair))
 
     @property
+    def microphones(self) -> tuple[str, ...]:
+        """All microphones, in the order in which they come."""
+        return tuple(dict.fromkeys(name for name, _ in self.pressure))
+
+    @property
     def references(self) -> tuple[str, ...]:
         """Points that were driven."""
         return tuple(dict.fromkeys(reference for _, reference in self.pairs))
@@ -94,21 +99,26 @@ class Responses:
         )
 
     def renamed(self, names: Mapping[str, str]) -> Responses:
-        """The same with other names of points, old -> new.
+        """The same with other names of points and microphones, old -> new.
 
         Raises
         ------
         TonewoodError : there is no point of an old name, or two get the same one.
         """
+        known = (*self.points, *self.microphones)
         for old in names:
-            if old not in self.points:
-                raise TonewoodError(f"there is no point {old!r}; there are {', '.join(self.points)}", key="--point")
-        new = [names.get(old, old) for old in self.points]
-        for name in new:
-            if new.count(name) > 1:
-                raise TonewoodError(f"two points would be called {name!r}", key="--point")
+            if old not in known:
+                raise TonewoodError(f"there is no point {old!r}; there are {', '.join(known)}", key="--point")
+        for group in (self.points, self.microphones):
+            new = [names.get(old, old) for old in group]
+            for name in new:
+                if new.count(name) > 1:
+                    raise TonewoodError(f"two points would be called {name!r}", key="--point")
         pairs = tuple((names.get(point, point), names.get(reference, reference)) for point, reference in self.pairs)
-        pressure = {(heard, names.get(reference, reference)): row for (heard, reference), row in self.pressure.items()}
+        pressure = {
+            (names.get(heard, heard), names.get(reference, reference)): row
+            for (heard, reference), row in self.pressure.items()
+        }
         return replace(self, pairs=pairs, pressure=pressure)
 
     def checked(self) -> Responses:

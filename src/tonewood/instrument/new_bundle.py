@@ -112,7 +112,11 @@ def _from_bundle(name: str, original: Instrument, strings: str | None) -> str:
         text = edit_text(text, edits, file=manifest)
     title = f"{name}, begun as a copy of {original.name}: {original.spec.title}"
     provenance = ["provenance:"]
+    given = () if strings is None else _given_by(strings)
     for path, entry in original.spec.provenance.items():
+        kind, *rest = path.split(".")
+        if kind == "strings" and rest[1:2] and rest[1] in given:
+            continue  # the set's own
         source = f", source {entry.source}" if entry.source else ""
         note = f" ({entry.note})" if entry.note else ""
         was = f"copied from {original.name}, where it is {entry.kind}{source}{note}"
@@ -150,14 +154,7 @@ def _with_strings(blocks: Sequence[tuple[str, str]], values: Mapping[str, Any], 
     """The blocks with another string set in place of what strings say about themselves."""
     merged = values["strings"]
     rest = {k: v for k, v in merged.items() if k != "defaults"}
-    published_loss = all(entry.loss is not None for entry in string_set(strings).strings)
-    dropped = (
-        "tension",
-        "linear_density",
-        "bending_stiffness",
-        "axial_stiffness",
-        *(["loss"] if published_loss else []),
-    )
+    dropped = _given_by(strings)
 
     def thinned(part: Any) -> Any:
         return {k: v for k, v in part.items() if k not in dropped} if isinstance(part, dict) else part
@@ -168,6 +165,12 @@ def _with_strings(blocks: Sequence[tuple[str, str]], values: Mapping[str, Any], 
     lines += [f"  {key}: {json.dumps(thinned(part), ensure_ascii=False)}\n" for key, part in rest.items()]
     block = "".join(lines) + "\n"
     return [(key, block if key == "strings" else text) for key, text in blocks if key != "strings_from"]
+
+
+def _given_by(strings: str) -> tuple[str, ...]:
+    """Keys of strings that a set says, or that do not hold with it."""
+    has_loss = all(entry.loss is not None for entry in string_set(strings).strings)
+    return ("tension", "linear_density", "bending_stiffness", "axial_stiffness", *(("loss",) if has_loss else ()))
 
 
 def _blocks(text: str) -> tuple[str, list[tuple[str, str]]]:
