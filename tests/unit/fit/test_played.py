@@ -28,9 +28,10 @@ def written(folder, truth):
 def instrument(folder, body, note):
     values = load_yaml(INSTRUMENTS / "monochord" / "instrument.yaml")
     string = {**values["strings"]["A2"], "note": note, "end": "body.a", "polarizations": ["z"]}
+    heard = {"name": "out", "plugin": "point_pickup", "quantity": "velocity", "at": "body.a", "full_scale": 1.0}
     given = {
         **values, "body": body, "strings": {"A2": string},
-        "outputs": [{"name": "out", "plugin": "point_pickup", "quantity": "velocity", "at": "body.a", "full_scale": 1.0}],
+        "outputs": [heard],
     }  # fmt: skip
     return Instrument.from_values(given, folder)
 
