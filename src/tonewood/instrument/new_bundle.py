@@ -17,6 +17,7 @@ from typing import Any
 from tonewood.errors import BundleError, OutputError
 from tonewood.instrument import registry
 from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.files import Files
 from tonewood.instrument.json_schema import bundle_schema
 from tonewood.instrument.migration import bundle_edits
 from tonewood.instrument.schema import SCHEMA
@@ -79,8 +80,8 @@ def new_bundle(folder: Path, source: str, *, strings: str | None = None, allow_c
     place = Path(source)
     if not (place / registry.MANIFEST).is_file() and (place / PARTS).is_file():
         text = _from_fit(name, place, strings or "ej46")
-        files = [path for path in sorted(place.iterdir()) if path.suffix == ".csv"]
-        root = place
+        files = _tables(place)
+        root = place.resolve()
     else:
         original = Instrument.load(source, allow_code=allow_code)
         text, root = _from_bundle(name, original, strings), original.folder
@@ -245,6 +246,14 @@ playing:
 effects: {{mode: auto, budget_db: -80, budget_cents: 0.5}}
 """
     )
+
+
+def _tables(folder: Path) -> list[Path]:
+    """Files of a fit that its parts of a bundle name."""
+    parts = load_yaml(folder / PARTS)
+    named = [part.get("table") for part in (parts.get("body"), *parts.get("outputs", [])) if isinstance(part, dict)]
+    files = Files(folder, folder / PARTS)
+    return [files.path(name, "table") for name in named if isinstance(name, str)]
 
 
 def _ends(points: Mapping[str, Any], outputs: Sequence[Mapping[str, Any]], count: int) -> list[str]:
