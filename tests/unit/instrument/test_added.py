@@ -86,6 +86,22 @@ def test_what_is_heard_of_a_tap(guitar, entry, impedance):
         assert np.abs(made[:, channel] - wanted * bare[:, channel]).max() < 2e-3 * np.abs(bare[:, channel]).max()
 
 
+@pytest.mark.parametrize(
+    "entry",
+    [
+        GRAMS,
+        {"at": "bridge_middle", "mass": 1e-6, "stiffness": 1e6, "damping": 100.0},
+        {"at": "bridge_middle", "stiffness": 1e9, "damping": 1e6},
+    ],
+)
+def test_nothing_of_it_makes_energy(guitar, entry):
+    """Put in = stored + lost, to rounding, with what is stored in the lump and lost in its dashpot."""
+    score = tw.Score([tw.Note(0.0, 0.1, string="G3", stop=0, force=2.0)])
+    audio = tw.render(score, guitar.replace({"body.added": [entry]}), fs=48000, max_duration=0.1, energy=True)
+    assert audio.energy.peak > 1e-4
+    assert abs(audio.energy.worst_cumulative_residual) < 1e-11
+
+
 def test_bounds_know_of_it(guitar):
     """Response of the microphones to the force of G3 with a mass under it: by the body's own mobility."""
     mass = {"at": "bridge_G3", "mass": 0.010}
