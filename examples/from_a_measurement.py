@@ -1,7 +1,7 @@
 """From hammer hits on a bridge to an instrument, and to the same one with 10 g more on its bridge.
 
 The hits are made here, of a guitar that is known: six on the middle of its bridge, with what accelerometers and
-microphones would have given, and noise. What is fitted to them can then be compared with the truth.
+microphones would have given, and noise. The fitted body can then be compared with the truth.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from tonewood.cli.common import need, progress
+from tonewood.cli.common import Json, need, print_json, progress
 from tonewood.errors import OutputError, TonewoodError
 
 
@@ -23,32 +23,27 @@ def accuracy(
         bool,
         typer.Option("--stability", help="instead: which methods stay stable, by modes, pluck force and sampling rate"),
     ] = False,
-    json: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="write everything to FILE as JSON")
-    ] = None,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE.png", help="Pareto charts, one per system")
     ] = None,
     report: Annotated[
         Path | None, typer.Option("--report", metavar="FILE.html", help="everything on one page, .html or .md")
     ] = None,
+    as_json: Json = False,
 ) -> None:
     """Compare error and time of this project with methods of the literature, and of each of its own settings."""
     from tonewood.lab.accuracy import catalogue
 
     catalogue.selected(system)
-    files = {"--json": json, "--plot": plot, "--report": report}
-    for key, path in files.items():
+    for path in (plot, report):
         if path is not None and not path.absolute().parent.is_dir():
             raise OutputError(f"there is no folder {str(path.parent)!r}", file=path)
-        if path is not None and list(files.values()).count(path) > 1:
-            raise TonewoodError(f"{key} and another option name the same file {str(path)!r}", key=key)
     if plot is not None and plot.suffix.lower() != ".png":
         raise TonewoodError(f"is {plot.name!r}; a name ending in .png is allowed", key="--plot")
     if report is not None and report.suffix.lower() not in (".html", ".md"):
         raise TonewoodError(f"is {report.name!r}; a name ending in .html or .md is allowed", key="--report")
     if stability:
-        _stability(system, quick, json, plot, report)
+        _stability(system, quick, plot, report, as_json)
         return
     drawing = plot is not None or (report is not None and report.suffix.lower() == ".html")
     if drawing:
@@ -74,8 +69,6 @@ def accuracy(
         png = pareto_png(outcomes)
     # everything is made before anything is written
     contents: list[tuple[Path, str | bytes]] = []
-    if json is not None:
-        contents.append((json, study.json()))
     if plot is not None:
         contents.append((plot, png))
     if report is not None and report.suffix.lower() == ".html":
@@ -85,6 +78,9 @@ def accuracy(
         contents.append((report, study.markdown(seen)))
     for path, content in contents:
         write_whole(path, content)
+    if as_json:
+        print_json("accuracy", study.to_json())
+        return
     print(study.machine_line)
     for outcome in outcomes:
         print(f"\n{tables.section(outcome)}", end="")
@@ -97,9 +93,7 @@ def accuracy(
         print(path)
 
 
-def _stability(system: str | None, quick: bool, json: Path | None, plot: Path | None, report: Path | None) -> None:
-    from json import dumps
-
+def _stability(system: str | None, quick: bool, plot: Path | None, report: Path | None, as_json: bool) -> None:
     from tonewood.lab.accuracy import stability
     from tonewood.whole_files import write_whole
 
@@ -111,11 +105,11 @@ def _stability(system: str | None, quick: bool, json: Path | None, plot: Path | 
         raise TonewoodError(f"is {report.name!r}; with --stability a name ending in .md is allowed", key="--report")
     with progress("stability", 1.0) as advance:
         grid = stability.run(quick, advance)
-    if json is not None:
-        write_whole(json, dumps(grid.to_json(), allow_nan=False))
     if report is not None:
         write_whole(report, grid.markdown())
+    if as_json:
+        print_json("stability", grid.to_json())
+        return
     print(grid.table(), end="")
-    for path in (json, report):
-        if path is not None:
-            print(path)
+    if report is not None:
+        print(report)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from dataclasses import replace
@@ -12,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tonewood.cli.commands import InterruptError
-from tonewood.cli.common import Json, allow, warn
+from tonewood.cli.common import Json, allow, print_json, warn
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
     from tonewood.fit.folder import FitFolder, MeasuredPoint
     from tonewood.fit.responses import Responses
-    from tonewood.fit.search import Turn
+    from tonewood.fit.search import Iteration
 
 #: names of points and microphones: words of paths and columns; these are other columns of the table
 _NAME, _COLUMNS = re.compile(r"[A-Za-z][A-Za-z0-9_]*"), ("f_Hz", "Q", "zeta", "modal_mass", "measured")
@@ -111,7 +110,7 @@ def fit(
         warnings.append("fit.png was not drawn: matplotlib is not installed (pip install 'tonewood[plot]')")
     if as_json:
         report = {**folder.facts(), "warnings": warnings, "written": [str(path) for path in written]}
-        print(json.dumps(report, allow_nan=False))
+        print_json("fit", report)
         return
     warn(warnings)
     _print(folder, written)
@@ -221,7 +220,7 @@ def _place_on_bridge(text: str, word: str) -> float:
 
 
 def _figure() -> Any:
-    """What draws the figure; None without matplotlib."""
+    """Function that draws the figure; None without matplotlib."""
     from importlib.util import find_spec
 
     if find_spec("matplotlib") is None:
@@ -237,9 +236,10 @@ class _Teller:
     def __init__(self) -> None:
         self._on = sys.stderr.isatty()
 
-    def __call__(self, turn: Turn) -> None:
+    def __call__(self, iteration: Iteration) -> None:
         if self._on:
-            print(f"\r{len(turn.freq)} modes, misfit {turn.misfit:.3g} re noise  ", end="", file=sys.stderr, flush=True)
+            line = f"\r{len(iteration.freq)} modes, misfit {iteration.misfit:.3g} re noise  "
+            print(line, end="", file=sys.stderr, flush=True)
 
     def end(self) -> None:
         if self._on:
@@ -256,8 +256,8 @@ def _print(folder: FitFolder, written: list[Path]) -> None:
     kept = "" if r.kept is None else f", {r.kept[0]} of {r.kept[1]} hits kept"
     pairs = ", ".join(f"{point}:{reference}" for point, reference in r.pairs)
     print(f"{pairs}: {r.freq[0]:g} to {r.freq[-1]:g} Hz in steps of {r.freq[1] - r.freq[0]:g} Hz{kept}")
-    turns = ", ".join(f"{len(turn.freq)} ({turn.misfit:.3g})" for turn in made.modes.turns)
-    print(f"modes found turn by turn, and misfit re noise: {turns}")
+    found = ", ".join(f"{len(iteration.freq)} ({iteration.misfit:.3g})" for iteration in made.modes.iterations)
+    print(f"modes found iteration by iteration, and misfit re noise: {found}")
     print(f"     f/Hz       Q   mass at {made.body.points[0]}/kg  +-cents   +-Q    without it")
     for row in facts["modes"]:
         mass = "" if row["mass_kg"] is None else f"{row['mass_kg']:.3g}"

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from typing import TYPE_CHECKING
 
-from tonewood.cli.common import AllowCode, Json
+from tonewood.cli.common import AllowCode, Json, print_json
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
@@ -45,11 +44,8 @@ def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None
         for name, found in string_sets().items()
     ]
     if as_json:
-        report = {
-            "schema": "tonewood-list/1", "version": __version__, "instruments": instruments, "plugins": plugins,
-            "string_sets": sets,
-        }  # fmt: skip
-        print(json.dumps(report))
+        report = {"version": __version__, "instruments": instruments, "plugins": plugins, "string_sets": sets}
+        print_json("list", report)
         return
     print(f"tonewood {__version__}\n\ninstruments")
     for row in instruments:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from tonewood.cli.commands import InterruptError
-from tonewood.cli.common import AllowCode, Json, StringSetName
+from tonewood.cli.common import AllowCode, Json, StringSetName, print_json
 
 
 def new(
@@ -23,7 +22,7 @@ def new(
 ) -> None:
     """Make a folder NAME with an instrument to be changed: it plays at once, and says where a person has to decide.
 
-    What is copied is of unknown origin until its maker says more.
+    Copied figures are of unknown origin until the maker says more.
     """
     from tonewood.instrument.new_bundle import new_bundle
 
@@ -33,11 +32,8 @@ def new(
         raise InterruptError from None
     files = sorted(str(path.relative_to(made.folder)) for path in made.folder.rglob("*") if path.is_file())
     if as_json:
-        report = {
-            "schema": "tonewood-new/1", "name": made.name, "folder": str(made.folder), "files": files,
-            "unknown": made.of_unknown_origin(),
-        }  # fmt: skip
-        print(json.dumps(report))
+        unknown = made.of_unknown_origin()
+        print_json("new", {"name": made.name, "folder": str(made.folder), "files": files, "unknown": unknown})
         return
     print(f"{made.folder}: {', '.join(files)}")
     print(f"strings {', '.join(made.resonators)}; {len(made.of_unknown_origin())} figures of unknown origin")

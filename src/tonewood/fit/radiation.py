@@ -22,7 +22,7 @@ from tonewood.fit import noise
 from tonewood.fit.body import FittedBody
 from tonewood.fit.projection import Line, Poles, Shape
 from tonewood.fit.responses import Responses
-from tonewood.fit.search import NothingFoundError, Turn, sought
+from tonewood.fit.search import Iteration, NothingFoundError, sought
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -86,7 +86,7 @@ def fit_radiation(
     body: FittedBody,
     places: Mapping[str, float],
     *,
-    tell: Callable[[Turn], None] = lambda turn: None,
+    tell: Callable[[Iteration], None] = lambda iteration: None,
 ) -> FittedRadiation | None:
     """Fit the bank of all microphones; None where there are none.
 
@@ -96,7 +96,7 @@ def fit_radiation(
     body : whose modes the search begins with.
     places : reference -> u, place along the bridge from -1 to 1; with one reference it tells nothing of `moment`,
         which is 0 then.
-    tell : called after each turn of the search.
+    tell : called after each iteration of the search.
 
     Raises
     ------

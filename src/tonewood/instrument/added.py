@@ -22,11 +22,12 @@ from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import Added
 from tonewood.modal.loaded import loaded
 from tonewood.modal.modes import ModalBasis
+from tonewood.validation_messages import did_you_mean
 
 
 @dataclass(frozen=True)
 class BodyParts:
-    """What `body.added` adds to a system.
+    """Components and connections that `body.added` adds to a system.
 
     Attributes
     ----------
@@ -90,8 +91,8 @@ def _factor(instrument: Instrument, i: int, entry: Added, points: Mapping[str, B
     file = instrument.folder / MANIFEST
     driven = {name: point for name, point in points.items() if point.driven}
     if entry.at not in driven:
-        known = ", ".join(driven)
-        raise BundleError(f"there is no point {entry.at!r}; there are {known}", file=file, key=f"body.added.{i}.at")
+        known = f"{did_you_mean(entry.at, driven)}there are {', '.join(driven)}"
+        raise BundleError(f"there is no point {entry.at!r}; {known}", file=file, key=f"body.added.{i}.at")
     own = driven[entry.at].direction
     factor = 1.0 if entry.direction is None else dot(unit_vector(entry.direction), own)
     if factor == 0.0:
@@ -108,6 +109,6 @@ def _shown(direction: Sequence[float]) -> str:
 
 
 def added_line(entry: Added) -> str:
-    """What is added where, one line."""
+    """Mass, stiffness, damping and place of an entry, one line."""
     named = ((entry.mass, "kg"), (entry.stiffness, "N/m"), (entry.damping, "N s/m"))
     return f"{', '.join(f'{value:g} {unit}' for value, unit in named if value)} at {entry.at}"

@@ -44,8 +44,8 @@ _DECIDE = {
         "# stand_in. `tonewood check` lists what is unknown."
     ),
     "body": (
-        "# DECIDE: is this the body? `tonewood fit` makes one from a measurement. What is put on it goes here too:\n"
-        "#   added: [{at: POINT, mass: 0.010}]"
+        "# DECIDE: is this the body? `tonewood fit` makes one from a measurement. Masses, springs and dashpots on it go\n"
+        "# here as well:  added: [{at: POINT, mass: 0.010}]"
     ),
     "strings": "# DECIDE: scale length, strings (`tonewood list` has sets for strings_from), and where each one ends.",
     "stops": "# DECIDE: frets?",
@@ -175,7 +175,7 @@ def _given_by(strings: str) -> tuple[str, ...]:
 
 
 def _blocks(text: str) -> tuple[str, list[tuple[str, str]]]:
-    """What stands before the first key, and each key of the file with all that belongs to it."""
+    """The text before the first key, and each key of the file with all that belongs to it."""
     starts = list(_KEY.finditer(text))
     ends = [match.start() for match in starts[1:]] + [len(text)]
     found = [(match[1], text[match.start() : end]) for match, end in zip(starts, ends, strict=True)]

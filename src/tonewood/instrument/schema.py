@@ -76,7 +76,7 @@ class Added(Parameters):
 
 
 class BodyPart(PluginPart):
-    """What the strings are joined to."""
+    """The body, to which strings are joined."""
 
     added: list[Added] = described("masses, springs and dashpots put on it", default=[], max_length=MOST_PARTS)
 
@@ -136,7 +136,11 @@ class StringPart(PluginPart):
         "cents", low=-50.0, high=50.0, default=0.0, doc="by how much the second polarization is sharper"
     )
     break_angle_deg: float | None = quantity(
-        "deg", low=0.0, high=90.0, default=None, doc="by which the string bends down behind the bridge; told by `check`"
+        "deg",
+        low=0.0,
+        high=90.0,
+        default=None,
+        doc="by which the string bends down behind the bridge; `check` computes the force",
     )
     freq_upper: float = quantity("Hz", low=100.0, high=1e5, default=20000.0, doc="highest mode")
     end_compliance: float = quantity(

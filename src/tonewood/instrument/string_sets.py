@@ -18,6 +18,7 @@ from tonewood.instrument import registry
 from tonewood.instrument.schema import StringSet, StringSetEntry
 from tonewood.params import validated
 from tonewood.score.scales import note_number
+from tonewood.validation_messages import did_you_mean
 from tonewood.yaml_io import load_yaml
 
 _FILE = Path(__file__).with_name("string_sets.yaml")
@@ -43,7 +44,8 @@ def string_set(name: str, *, file: Any = None) -> StringSet:
     """
     known = string_sets()
     if name not in known:
-        raise BundleError(f"there is no string set {name!r}; there are {', '.join(known)}", file=file, key=_KEY)
+        reason = f"there is no string set {name!r}; {did_you_mean(name, known)}there are {', '.join(known)}"
+        raise BundleError(reason, file=file, key=_KEY)
     return known[name]
 
 

@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 #: frequency of the modes that stand for a residual compliance, re the highest mode
 _FAR = 1e3
-#: condition of the eigenvectors beyond which modes cannot be told apart
+#: condition of the eigenvectors beyond which modes cannot be distinguished
 _WORST = 1e12
 
 
@@ -49,7 +49,7 @@ def loaded(basis: ModalBasis, rows: ArrayLike, mass: ArrayLike, damping: ArrayLi
 
     Raises
     ------
-    ValueError : a number is negative, or modes coincide so that they cannot be told apart.
+    ValueError : a number is negative, or modes coincide so that they cannot be distinguished.
     """
     import scipy.linalg as sla
 
@@ -67,15 +67,15 @@ def loaded(basis: ModalBasis, rows: ArrayLike, mass: ArrayLike, damping: ArrayLi
     B, C = form.B.reshape(n_points, n).T, form.C.reshape(n_points, n)
     read = P @ C
     read[M == 0, 2 * basis.n_modes :] = 0.0
-    push = B @ P.T
-    push[2 * basis.n_modes :, M == 0] = 0.0
+    inject = B @ P.T
+    inject[2 * basis.n_modes :, M == 0] = 0.0
     inertia = M[:, None] * (read @ A)
-    solve = sla.inv(np.eye(len(P)) + inertia @ push)
+    solve = sla.inv(np.eye(len(P)) + inertia @ inject)
     G = solve @ (K[:, None] * read + D[:, None] * (read @ A) + inertia @ A)
-    poles, vectors = sla.eig(A - push @ G)
+    poles, vectors = sla.eig(A - inject @ G)
     if np.divide(*sla.svdvals(vectors)[[0, -1]]) > _WORST:
-        raise ValueError("modes coincide, and cannot be told apart")
-    entry = sla.solve(vectors, (B - push @ (solve @ (inertia @ B))).astype(np.complex128))
+        raise ValueError("modes coincide, and cannot be distinguished")
+    entry = sla.solve(vectors, (B - inject @ (solve @ (inertia @ B))).astype(np.complex128))
     kept = poles.imag >= 0
     right, left = C @ vectors[:, kept], entry[kept].T
     made = ModalBasis.complex(

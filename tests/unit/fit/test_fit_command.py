@@ -123,7 +123,7 @@ def test_points_get_names_directions_and_places(folder):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "reason"),
     [
         (["--form", "accelerance"], "negative real part over"),
         (["--form", "speed"], "--form: is 'speed'; receptance, mobility, accelerance are allowed"),
@@ -138,11 +138,11 @@ def test_points_get_names_directions_and_places(folder):
         (["--form", "mobility", "--estimator", "H3"], "--estimator: is 'H3'"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line_and_nothing_is_written(folder, capsys, options, told):
+def test_what_is_wrong_is_reported_in_one_line_and_nothing_is_written(folder, capsys, options, reason):
     before = sorted(path.name for path in folder.iterdir())
     assert command("fit", "bridge.csv", "-o", "fitted", *options) == 2
     said = capsys.readouterr().err
-    assert told in said
+    assert reason in said
     assert said.count("\n") == 1
     assert sorted(path.name for path in folder.iterdir()) == before
 

@@ -62,7 +62,7 @@ def test_one_place_tells_nothing_of_rock():
     assert np.sqrt(np.mean(found.error_db**2)) < 0.5
 
 
-def test_what_is_missing_is_told():
+def test_what_is_missing_is_reported():
     given = measured({"a": 0.0, "b": 0.0})
     body = fit_responses(given).body
     with pytest.raises(TonewoodError, match="say where these lie along the bridge"):

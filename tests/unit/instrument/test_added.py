@@ -119,7 +119,7 @@ def test_bounds_know_of_it(guitar):
 
 
 @pytest.mark.parametrize(
-    ("entry", "told"),
+    ("entry", "shown"),
     [
         ({"at": "nowhere", "mass": 0.01}, r"body\.added\.0\.at: there is no point 'nowhere'; there are bridge_E2"),
         ({"at": "bridge_E2", "mass": 0.01, "direction": "x"}, r"body\.added\.0\.direction: the body does not move"),
@@ -127,7 +127,7 @@ def test_bounds_know_of_it(guitar):
         ({"at": "bridge_E2", "mass": -0.01}, r"body\.added\.0\.mass"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(guitar, entry, told):
-    with pytest.raises(TonewoodError, match=told) as fault:
+def test_what_is_wrong_is_reported_in_one_line(guitar, entry, shown):
+    with pytest.raises(TonewoodError, match=shown) as fault:
         assemble(guitar.replace({"body.added": [entry]}), 48000)
     assert "\n" not in str(fault.value)

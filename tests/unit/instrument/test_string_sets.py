@@ -91,13 +91,13 @@ def test_check_tells_how_strings_feel(capsys):
 
 
 @pytest.mark.parametrize(
-    ("instrument", "name", "told"),
+    ("instrument", "name", "shown"),
     [
-        ("classical_guitar", "ej4", "there is no string set 'ej4'; there are ej46, ej45"),
+        ("classical_guitar", "ej4", "there is no string set 'ej4'; did you mean ej46. there are ej46, ej45"),
         ("monochord", "ej45", "ej45 has 6 strings .E2, A2, D3, G3, B3, E4.; this instrument has 1"),
         ("steel_guitar", "ej46", "strings.E2.axial_stiffness: the string set does not say it"),
     ],
 )
-def test_a_set_that_does_not_fit(instrument, name, told):
-    with pytest.raises(TonewoodError, match=told):
+def test_a_set_that_does_not_fit(instrument, name, shown):
+    with pytest.raises(TonewoodError, match=shown):
         tw.load_instrument(instrument).replace({"strings_from": name})

@@ -94,6 +94,6 @@ def test_draft_steps_fewer_modes_and_is_near(monochord: tw.Instrument) -> None:
     assert highest <= LEVELS["draft"].freq_limit
 
 
-def test_unknown_setting_is_told_in_one_line(monochord: tw.Instrument) -> None:
+def test_unknown_setting_is_reported_in_one_line(monochord: tw.Instrument) -> None:
     with pytest.raises(tw.TonewoodError, match=r"accuracy: is 'best'; draft, standard, reference are allowed"):
         tw.Renderer(SCORE, monochord, accuracy="best")

@@ -93,7 +93,7 @@ class BridgeResponse:
 
 
 def _stopped(size: Floats, freq_rad: Floats) -> Floats:
-    """What a force cos(w t + a) that stops at once leaves behind at frequencies v other than its own.
+    """Motion that a force cos(w t + a) leaves behind, when it stops at once, at frequencies v other than its own.
 
     Its spectrum is no larger than max(v, w) / |w^2 - v^2|, some 1/w below w and 1/v above: the sound is at most
     (1/pi) (int_0^w |H| dv / w + int_w |H| dv / v).
@@ -138,9 +138,13 @@ def response(basis: ModalBasis, form: RealForm, freq_rad: Floats, out: Floats, i
 
 
 def _added(model: Model, s: Complexes) -> tuple[list[str], Floats, Complexes]:
-    """What is added to the body: connections, (n, n_points) body's share in their gaps, (n, f) N/m of each at s.
+    """List masses, springs and dashpots on the body.
 
-    The force of such a connection is minus that stiffness times the body's share of the gap.
+    The force of such a connection is minus its dynamic stiffness times the body's share of the gap.
+
+    Returns
+    -------
+    names of the connections; (n, n_points) share of the body's points in their gaps; (n, f) N/m of each at s.
     """
     connections = [c for c in model.system.connections if c.role == "added"]
     gaps = np.zeros((len(connections), len(model.body.points)))

@@ -25,7 +25,7 @@ from tonewood.score.note import Note, Score
 Floats = NDArray[np.float64]
 
 #: of the note; Hz of the sound; s of it, from when on partials are compared
-VELOCITY_MIDI, FS, DURATION, SETTLED = 64, 48000, 4.0, 0.1
+VELOCITY_MIDI, FS, DURATION, STEADY = 64, 48000, 4.0, 0.1
 #: s, in a quick run
 SHORT = 1.5
 #: how far `standard` may be from `reference`: cents, share of a decay rate, dB
@@ -46,14 +46,15 @@ TEXT = f"""\
 
 The middle string of every instrument, one open note of MIDI velocity {VELOCITY_MIDI} at 48 kHz, heard for
 {DURATION:g} s. Median / worst over the partials, of the first twenty, that lie within 40 dB of the loudest, against
-`reference`: pitch and level from {SETTLED:g} s after the note on; decay as the slope, in dB per second, of the energy
+`reference`: pitch and level from {STEADY:g} s after the note on; decay as the slope, in dB per second, of the energy
 still to come (Schroeder's backward integration, ISO 3382-1), which is the rate of an exponential and still a number
 where partials beat or feed each other. A bow plays for half of the time, and the decay is what follows.
 
 Time is wall time of the engine. Where a thousandth more force changes `reference` by more than a fifth of a limit,
 contacts or a bow make the motion sensitive: two strokes never sound alike, and no step is fine enough to tell which one
-follows. What is compared then is what strokes have in common, the mean pitch of {STROKES} strokes with forces spread
-over {100 * SPREAD:g} % to either side, and the mean energy of their partials. *{OTHERS}* holds one half of them against
+follows. Properties that strokes have in common are compared then: the mean pitch of {STROKES} strokes with forces
+spread over {100 * SPREAD:g} % to either side, and the mean energy of their partials. *{OTHERS}* holds one half of them
+against
 the other: that much is left to chance."""
 
 #: cents and dB that leaving an effect out may cost
@@ -173,8 +174,8 @@ class _Case:
     def errors(self, strokes: _Strokes, truth: _Strokes) -> PartialErrors:
         """Of some strokes against others."""
         freq = self.instrument.tuning.freq(self.instrument.open_note(self.string))
-        skip = int(SETTLED * FS)
-        let_go = self.let_go and self.let_go - SETTLED
+        skip = int(STEADY * FS)
+        let_go = self.let_go and self.let_go - STEADY
         return compare(strokes.sounds[:, skip:], truth.sounds[:, skip:], FS, freq, let_go)
 
     def point(self, label: str, strokes: _Strokes, truth: _Strokes) -> DialPoint:
@@ -190,7 +191,7 @@ class _Case:
 
 
 def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
-    """What effects cost and add: the steel-string guitar with all of them, with budgets, without."""
+    """Measure time and errors of effects: the steel-string guitar with all of them, with budgets, without."""
     instrument = Instrument.load("steel_guitar")
     options: dict[str, dict[str, Any]] = {"all": {"effects": "all"}}
     for cents, db in BUDGETS:
@@ -229,9 +230,9 @@ def beyond(errors: PartialErrors, *, worst: bool = False) -> str:
 def _within(points: Sequence[DialPoint]) -> str:
     """Which instruments keep the limits with `standard`, and which do not."""
     points = [p for p in points if p.accuracy == "standard"]
-    outside = {p.instrument: told for p in points if (told := beyond(p.errors))}
+    outside = {p.instrument: missed for p in points if (missed := beyond(p.errors))}
     worse = {
-        p.instrument: told for p in points if (told := beyond(p.errors, worst=True)) and p.instrument not in outside
+        p.instrument: missed for p in points if (missed := beyond(p.errors, worst=True)) and p.instrument not in outside
     }
     inside = [p.instrument for p in points if p.instrument not in outside and p.instrument not in worse]
     cents, decay, level = LIMITS
@@ -240,7 +241,7 @@ def _within(points: Sequence[DialPoint]) -> str:
     for which, names in (("in the median of the partials on", worse), ("not on", outside)):
         if names:
             worst = "worst: " if names is worse else ""
-            parts.append(f"{which} {', '.join(f'{name} ({worst}{told})' for name, told in names.items())}")
+            parts.append(f"{which} {', '.join(f'{name} ({worst}{missed})' for name, missed in names.items())}")
     return f"{text} {'; '.join(parts)}."
 
 
@@ -256,13 +257,13 @@ def _table(points: Sequence[DialPoint], heading: str, unit: str, truth: str) -> 
     for p in points:
         e = p.errors
         pairs = [(e.cents, e.cents_worst), (100 * e.decay, 100 * e.decay_worst), (e.level, e.level_worst)]
-        told = ["" if p.accuracy == truth else f"{number(middle)} / {number(worst)}" for middle, worst in pairs]
+        errors = ["" if p.accuracy == truth else f"{number(middle)} / {number(worst)}" for middle, worst in pairs]
         cost = (
             []
             if p.accuracy in (NUDGED, OTHERS)
             else [number(p.seconds, 3), number(p.seconds / seconds[p.instrument], 3)]
         )
-        rows.append([p.instrument, p.accuracy, str(p.n_modes), *told, *(cost or ["", ""])])
+        rows.append([p.instrument, p.accuracy, str(p.n_modes), *errors, *(cost or ["", ""])])
     heads = ["instrument", heading, "modes", "cents", "decay %", "level dB", "s per s", "time ratio"]
     return markdown(heads, rows, left=2)
 
