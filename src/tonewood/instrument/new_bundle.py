@@ -44,7 +44,7 @@ _DECIDE = {
         "# stand_in. `tonewood check` lists what is unknown."
     ),
     "body": (
-        "# DECIDE: is this the body? `tonewood fit` makes one from a measurement. Masses, springs and dashpots on it go\n"
+        "# DECIDE: is this the body? `tonewood fit` makes one from a measurement. Masses, springs, dashpots on it go\n"
         "# here as well:  added: [{at: POINT, mass: 0.010}]"
     ),
     "strings": "# DECIDE: scale length, strings (`tonewood list` has sets for strings_from), and where each one ends.",
