@@ -91,6 +91,14 @@ class Fit:
                 f"the misfit is {self.modes.misfit:.2f} times the noise: the body is not linear, the records leak, or "
                 "the noise was taken for too small"
             )
+        for i in r.driving:
+            parts = [f"{low:.0f} to {high:.0f} Hz" for low, high in r.incoherent(i) if high > low]
+            if parts:
+                more = f" and {len(parts) - 3} more" if len(parts) > 3 else ""
+                shown = ", ".join(parts[:3]) + more
+                out.append(f"the coherence at {r.pairs[i][0]} is low: {shown}; move --band, or hit anew")
+        if r.coherence is not None and r.n_hits is None:
+            out.append("the coherences were not used: --hits says how many hits were averaged")
         if len(r.references) == 1 and len(r.points) > 1:
             out.append(
                 f"driven at {r.references[0]} alone: mobilities among other points follow from one shape a mode and "

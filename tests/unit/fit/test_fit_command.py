@@ -40,7 +40,7 @@ def noisy(row, seed, share=0.002):
 
 def write_table(path, names=("bridge", "edge"), microphone=True):
     mobility = TRUTH.mobility(FREQ)
-    columns = {f"{name}:{names[0]}": noisy(row, i) for i, (name, row) in enumerate(zip(names, mobility, strict=True))}
+    columns = {f"{name}:{names[0]}": noisy(row, i) for i, (name, row) in enumerate(zip(names, mobility, strict=False))}
     if microphone:
         columns[f"front_Pa:{names[0]}"] = noisy(pressure(FREQ), 7)
     head = ["freq_Hz", *(f"{name}_{part}" for name in columns for part in ("re", "im"))]
@@ -145,6 +145,21 @@ def test_what_is_wrong_is_reported_in_one_line_and_nothing_is_written(folder, ca
     assert reason in said
     assert said.count("\n") == 1
     assert sorted(path.name for path in folder.iterdir()) == before
+
+
+def test_incoherent_bands(folder, capsys):
+    """A hammer that reaches to 450 Hz: a warning if that is a part of the band, a refusal if it is most of it."""
+    write_table(folder / "c.csv", names=("bridge",), microphone=False)
+    header, *rows = (folder / "c.csv").read_text().splitlines()
+    rows = [f"{row},{0.999 if float(row.split(',')[0]) < 450 else 0.2}" for row in rows]
+    (folder / "c.csv").write_text("\n".join([f"{header},bridge:bridge_coherence", *rows]) + "\n")
+    assert command("fit", "c.csv", "-o", "fitted", "--form", "mobility") == 0
+    warned = capsys.readouterr().err
+    assert "the coherence at bridge is low: 450 to 599 Hz" in warned
+    assert "the coherences were not used: --hits" in warned
+    assert command("fit", "c.csv", "-o", "other", "--form", "mobility", "--band", "400", "600") == 2
+    refused = capsys.readouterr().err
+    assert "--band: the coherence at 'bridge' is below 0.5 over most of the band (450 to 599 Hz)" in refused
 
 
 def test_an_instrument_is_not_written_over(folder, capsys):
