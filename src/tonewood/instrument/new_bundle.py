@@ -234,12 +234,12 @@ stops: {{kind: frets, count: 19}}
 tuning: {{reference_freq: 440.0, scale: equal_12, compensate: coupled, at: each_stop}}
 
 exciters:
-  pluck: {{plugin: pluck_ramp, force: 2.0, from_bridge: {{fraction: 0.16}}, angle_deg: 30}}
+  pluck: {{plugin: finger_pluck, force: 2.0, from_bridge: {{fraction: 0.16}}, angle_deg: 55, nail: 0.8}}
   tap: {{plugin: force_pulse, at: body.{ends[0]}, duration: 1.0e-3, force: 5.0}}
 
 {_DECIDE["playing"]}
 playing:
-  velocity: {{parameter: pluck.force, low: 0.4, high: 4.0, curve: exponential}}
+  velocity: {{parameter: pluck.force, low: 0.12, high: 5.0, curve: exponential}}
   note_end: {{kind: damp, t60: 0.12}}
 
 {_DECIDE["outputs"]}
