@@ -14,6 +14,8 @@ COMMANDS = {
     "report": "compare:report",
     "schema": "schema:schema",
     "migrate": "migrate:migrate",
+    "fit": "fit:fit",
+    "new": "new:new",
     "batch": "batch:batch",
     "results": "results:results",
     "validate": "validate:validate",

@@ -29,6 +29,13 @@ def installed() -> list[str]:
     return list(list_instruments())
 
 
+def _string_sets() -> list[str]:
+    """Names of string sets, for shell completion."""
+    from tonewood.instrument.string_sets import string_sets
+
+    return list(string_sets())
+
+
 InstrumentName = Annotated[
     str,
     typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder", autocompletion=installed),
@@ -40,6 +47,15 @@ Bundle = Annotated[
 Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="override a parameter, e.g. strings.E2.note=D2; repeatable"),
+]
+StringSetName = Annotated[
+    str | None,
+    typer.Option(
+        "--strings",
+        metavar="SET",
+        help="put a named string set on; `tonewood list` has them",
+        autocompletion=_string_sets,
+    ),
 ]
 AllowCode = Annotated[
     bool, typer.Option("--allow-code", help="run plugins that lie as Python files in the bundle's folder")
@@ -96,13 +112,14 @@ def progress(label: str, total: float) -> Iterator[Advance]:
         yield lambda position: bar.update(task, completed=min(position, total))
 
 
-def load(name: str, overrides: list[str] | None, allow_code: bool) -> Instrument:
-    """Load an instrument and apply ``--set``."""
+def load(name: str, overrides: list[str] | None, allow_code: bool, strings: str | None = None) -> Instrument:
+    """Load an instrument, put a string set on and apply ``--set``."""
     from tonewood.instrument.bundle import Instrument
     from tonewood.instrument.overrides import parse_assignment
 
     instrument = Instrument.load(name, allow_code=allow_code)
-    return instrument.replace(dict(map(parse_assignment, overrides))) if overrides else instrument
+    changes = {} if strings is None else {"strings_from": strings}
+    return instrument.replace(changes | dict(map(parse_assignment, overrides or [])))
 
 
 def need(extra: str, *modules: str) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, load, need, print_json
+from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, StringSetName, load, need, print_json
 from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.plotting import PICTURES
@@ -27,6 +27,7 @@ def modes(
     plot: Annotated[
         Path | None, typer.Option(help="write the bridge mobility to this picture (.png, .pdf, .svg)")
     ] = None,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -37,7 +38,7 @@ def modes(
     from tonewood.instrument.inspection import mobility_peaks, partials, pitches
 
     render_options({"fs": fs})
-    bundle = load(instrument, settings, allow_code)
+    bundle = load(instrument, settings, allow_code, strings)
     model = assemble(bundle, fs)
     if string is not None and string not in model.strings:
         known = f"{did_you_mean(string, model.strings)}there are {', '.join(model.strings)}"

@@ -14,6 +14,7 @@ from tonewood.cli.common import (
     LevelOption,
     Overrides,
     ScorePath,
+    StringSetName,
     allow,
     dropped_notes_listed,
     load,
@@ -36,6 +37,7 @@ def play(
     level: LevelOption = None,
     limiter: Annotated[bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS")] = False,
     device: Annotated[str | None, typer.Option(help="sound device, by name or number")] = None,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -52,7 +54,7 @@ def play(
     if wanted == "LUFS":
         raise TonewoodError("the loudness of what is played is not known before; calibrated or peak", key="--level")
     with dropped_notes_listed():
-        bundle = load(instrument, settings, allow_code)
+        bundle = load(instrument, settings, allow_code, strings)
         if wanted == "peak":
             options = options.at(gain_db=preview_gain(notes, bundle, options))
         renderer = Renderer(notes, bundle, options=options)

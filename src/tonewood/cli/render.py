@@ -17,6 +17,7 @@ from tonewood.cli.common import (
     LevelOption,
     Overrides,
     ScorePath,
+    StringSetName,
     Subtype,
     allow,
     dropped_notes_listed,
@@ -61,6 +62,7 @@ def render(
             help="account of energy every 64 samples: .json, .csv or .png; may be given again; many times slower",
         ),
     ] = None,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -87,7 +89,7 @@ def render(
         need("batch", "pyloudnorm")
     for path in energy or ():
         check_energy_file(path)
-    bundle = load(instrument, settings, allow_code)
+    bundle = load(instrument, settings, allow_code, strings)
     with dropped_notes_listed():
         renderer = Renderer(read_midi(score), bundle, options=options.at(energy=bool(energy)))
     loaded = time.perf_counter()

@@ -21,6 +21,7 @@ from tonewood.instrument.files import Files
 from tonewood.instrument.migration import bundle_edits
 from tonewood.instrument.overrides import apply_overrides
 from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance
+from tonewood.instrument.string_sets import with_set
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.views import SHOWN_TO, ModalViews
 from tonewood.params import Vector, validated
@@ -127,7 +128,7 @@ class Instrument(ModalViews):
             what = f"{files.manifest}: schema: {values['schema']} is deprecated; run: tonewood migrate {root}"
             warnings.warn(what, OldFormatWarning, stacklevel=3)
             values = apply_edits(values, edits)
-        spec = validated(Bundle, _merged(values, files), key="", file=files.manifest)
+        spec = validated(Bundle, _with_strings(_merged(values, files), files), key="", file=files.manifest)
 
         def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
             try:
@@ -162,7 +163,8 @@ class Instrument(ModalViews):
 
         Parameters
         ----------
-        overrides : path -> value, ``{"scale": x}`` or ``{"fraction": x}``; see `overrides`. A scale or keymap may be
+        overrides : path -> value, ``{"scale": x}`` or ``{"fraction": x}``; see `overrides`. ``strings_from`` puts
+            another string set on, before anything else is changed. A scale or keymap may be
             any file that the caller may read, while a bundle is confined to its folder.
 
         Examples
@@ -184,7 +186,10 @@ class Instrument(ModalViews):
             if Path(value).is_file():
                 given[key] = str(Path(value).resolve())
                 granted.add(Path(value).resolve())
-        values = apply_overrides(self.resolved, given, file=self._files.manifest)
+        values = dict(self.resolved)
+        if (strings := given.get("strings_from")) is not None:
+            values = with_set(values, str(strings), over=True, file=self._files.manifest)
+        values = apply_overrides(values, given, file=self._files.manifest)
         return Instrument.from_values(values, self.folder, frozenset(granted), allow_code=self.allow_code)
 
     @property
@@ -249,6 +254,10 @@ class Instrument(ModalViews):
     def stand_ins(self) -> list[str]:
         """Paths of values that the bundle declares to be stand-ins."""
         return [path for path, entry in self.spec.provenance.items() if entry.kind == "stand_in"]
+
+    def of_unknown_origin(self) -> list[str]:
+        """Paths of values of which nobody has said yet where they come from."""
+        return [path for path, entry in self.spec.provenance.items() if entry.kind == "unknown"]
 
     def table_doubts(self) -> list[str]:
         """List tables whose provenance may be that of another table, one line each.
@@ -362,7 +371,7 @@ class Instrument(ModalViews):
         for path, found in self.spec.provenance.items():
             if found.source is not None and found.source not in self.spec.sources:
                 raise self._none("source", found.source, self.spec.sources, f"provenance.{path}.source")
-            if found.source is None and found.kind not in ("authored", "stand_in"):
+            if found.source is None and found.kind in ("measured", "published", "computed"):
                 raise self._fault(f"{found.kind} figures need a source", f"provenance.{path}.source")
 
     def _parameter(self, path: str, key: str) -> None:
@@ -394,6 +403,12 @@ def _merged(values: Mapping[str, Any], files: Files) -> dict[str, Any]:
         name: _merge(defaults, part) if isinstance(part, Mapping) else part for name, part in rest.items()
     }
     return out
+
+
+def _with_strings(values: dict[str, Any], files: Files) -> dict[str, Any]:
+    """Put the string set that a bundle names under its strings."""
+    name = values.get("strings_from")
+    return values if not isinstance(name, str) else with_set(values, name, over=False, file=files.manifest)
 
 
 def _merge(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -393,7 +393,7 @@ class Attachment(Plugin[P]):
 
 @dataclass(frozen=True, slots=True)
 class BridgeForce:
-    """Force of a string's end on one point of the body.
+    """Force of a string's end, or of something added to the body, on one point of the body.
 
     Attributes
     ----------
@@ -414,7 +414,7 @@ class Scene:
     Attributes
     ----------
     body_points : name -> place and direction.
-    bridge_forces : of every string polarization that moves the body.
+    bridge_forces : of every string polarization that moves the body, and of what is added to the body.
     string_points : ``string.point`` -> (component, point, unit vector of that polarization), for each polarization.
     end_forces : string -> (connection, unit vector): force of the string on its bridge is minus the connection's.
     freq_upper : Hz, highest frequency that will be stepped.
