@@ -184,7 +184,7 @@ def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = ()) -> 
     label : A, B, ... in a comparison.
     changes : as the caller wrote them.
     """
-    body = model.system.compiled[model.system.slot("body")].basis
+    body = model.body
     instrument, spec = model.instrument, model.instrument.spec
     freq = frequencies(body, model.fs)
     return InstrumentFacts(
@@ -225,7 +225,7 @@ def frequencies(body: ModalBasis, fs: float) -> Floats:
 
 def body_modes(model: Model) -> tuple[BodyMode, ...]:
     """Modes of the body at the points where strings end, by frequency."""
-    body = model.system.compiled[model.system.slot("body")].basis
+    body = model.body
     points = [
         max(ends, key=lambda p: abs(ends[p])) for s in model.strings.values() if (ends := s.polarizations[0].ends)
     ]
