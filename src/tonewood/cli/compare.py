@@ -76,7 +76,7 @@ def compare(
     """
     from tonewood.report.comparison import Candidate
 
-    changes = tuple(settings or ())
+    changes = _changes(strings, settings)
     candidates = [Candidate(load(name, settings, allow_code, strings), changes) for name in instruments]
     for text in variant or ():
         made = tuple(part.strip() for part in text.split(";") if part.strip())
@@ -105,8 +105,13 @@ def report(
     """
     from tonewood.report.comparison import Candidate
 
-    candidate = Candidate(load(instrument, settings, allow_code, strings), tuple(settings or ()))
+    candidate = Candidate(load(instrument, settings, allow_code, strings), _changes(strings, settings))
     _run([candidate], notes, output, duration, velocity, fs, as_json)
+
+
+def _changes(strings: str | None, settings: Sequence[str] | None) -> tuple[str, ...]:
+    """Changes of all instruments, as PATH=VALUE."""
+    return (*([] if strings is None else [f"strings_from={strings}"]), *(settings or ()))
 
 
 def _run(
