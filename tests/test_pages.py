@@ -38,7 +38,13 @@ NAMES = [p.relative_to(ROOT).as_posix() for p in PAGES]
 _MARKER = r"(?:^<!-- (not run|run in part|file): (.+?) -->\n)?"
 _BLOCK = re.compile(_MARKER + r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 #: what makes a command quick
-SHORT = {"render": ["--max-duration", "0.1"], "batch": ["--dry-run"], "fit": ["--band", "70", "260"]}
+SHORT = {
+    "render": ["--max-duration", "0.1"],
+    "batch": ["--dry-run"],
+    "compare": ["--fs", "16000"],
+    "report": ["--fs", "16000"],
+    "fit": ["--band", "70", "260"],
+}
 #: commands of which the page's own option gives way
 SHORTENED = {"fit"}
 
