@@ -114,7 +114,8 @@ def _from_bundle(name: str, original: Instrument, strings: str | None) -> str:
     title = f"{name}, begun as a copy of {original.name}: {original.spec.title}"
     provenance = ["provenance:"]
     given = () if strings is None else _given_by(strings)
-    for path, entry in original.spec.provenance.items():
+    for path in values.get("provenance", {}):  # of the file alone: a string set keeps its own
+        entry = original.spec.provenance[path]
         kind, *rest = path.split(".")
         if kind == "strings" and rest[1:2] and rest[1] in given:
             continue  # the set's own

@@ -208,6 +208,8 @@ def test_a_copy_takes_another_string_set(tmp_path):
     mine = tw.load_instrument(tmp_path / "mine")
     assert mine.spec.strings_from == "ej16"
     assert mine.provenance("strings.E2.tension").source == "strings_ej16"
+    assert command("new", tmp_path / "again", "--from", tmp_path / "mine") == 0
+    assert tw.load_instrument(tmp_path / "again").provenance("strings.E2.tension").source == "strings_ej16"
     assert mine.resolved["strings"]["B3"]["bending_stiffness"] == pytest.approx(np.pi * 2e11 * 0.406e-3**4 / 64)
 
 
