@@ -60,6 +60,15 @@ StringSetName = Annotated[
 AllowCode = Annotated[
     bool, typer.Option("--allow-code", help="run plugins that lie as Python files in the bundle's folder")
 ]
+LevelOption = Annotated[
+    str | None,
+    typer.Option(
+        "--level",
+        metavar="calibrated|peak|LUFS",
+        help="calibrated: the instrument's full scale; peak: -1 dBFS; LUFS: -23 LUFS, no peak above -1 dBFS; "
+        "default: peak, or calibrated with --gain or --limiter",
+    ),
+]
 Subtype = Annotated[str, typer.Option(help="PCM_16, PCM_24, PCM_32, FLOAT or DOUBLE")]
 Json = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, nothing else")]
 

@@ -73,9 +73,8 @@ def fit(
 ) -> None:
     """Fit the modes of a passive body to measured responses, some of them where it was driven.
 
-    Writes body.csv, body.yaml, fit.json, fit.png, and radiation.csv where there are microphones. `tonewood new` makes
-    an instrument of them.
-    """  # fmt: skip
+    Writes body.csv, body.yaml, fit.json, fit.png and, with microphones, radiation.csv; `tonewood new` reads the folder.
+    """
     from tonewood.fit.files import Reading, read_responses
     from tonewood.fit.fit import fit_responses
     from tonewood.fit.folder import UNKNOWN, FitFolder, Origin

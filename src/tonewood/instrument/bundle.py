@@ -235,7 +235,7 @@ class Instrument(ModalViews):
         if abs(size - 1.0) > 1e-2:
             raise self._fault(f"has length {size:.4g}; a vector of length 1 is wanted", f"strings.{string}.axis")
         try:
-            return polarization_vectors(part.axis, tuple(part.polarizations), part.tilt_deg)
+            return polarization_vectors(part.axis, tuple(part.polarizations), part.tilt_deg + part.scatter.tilt(string))
         except ValueError as fault:
             raise self._fault(str(fault), f"strings.{string}.polarizations") from None
 

@@ -40,6 +40,7 @@ from tonewood.instrument.files import Files
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.views import SHOWN_TO, ModalViews
 from tonewood.params import Parameters, Vector, validated
+from tonewood.stepping.forcing import SampledForce
 from tonewood.stepping.forcing import Segment as Segment
 from tonewood.tables import properties_html
 
@@ -296,6 +297,8 @@ class Gesture:
         start on.
     touches : point the exciter has `attach`ed -> course of its place, m from the bridge; followed on the control grid.
         Points that are not named lie where `attach` has put them.
+    width : m, of the string, about `from_bridge`, over which the forces are spread evenly; 0 for a point.
+    noise : a random part of the force, added to the segments; None without one.
     """
 
     segments: tuple[Segment, ...]
@@ -306,17 +309,19 @@ class Gesture:
     motions: tuple[Motion, ...] = ()
     stops: tuple[Segment, ...] = ()
     touches: Mapping[str, tuple[Segment, ...]] = field(default_factory=dict)
+    width: float = 0.0
+    noise: SampledForce | None = None
 
     @property
     def start(self) -> float:
         """Beginning of the gesture, s relative to the event."""
-        begins = [s.start for s in self._pieces] + ([self.hold.start] if self.hold else [])
+        begins = [s.start for s in self._pieces] + [part.start for part in (self.hold, self.noise) if part]
         return min(begins, default=0.0)
 
     @property
     def stop(self) -> float:
         """End of the gesture, s relative to the event."""
-        ends = [s.stop for s in self._pieces] + ([self.hold.stop] if self.hold else [])
+        ends = [s.stop for s in self._pieces] + [part.stop for part in (self.hold, self.noise) if part]
         return max(ends, default=0.0)
 
     @property
@@ -324,7 +329,7 @@ class Gesture:
         return self.segments + tuple(s for motion in self.motions for s in motion.segments)
 
     def force(self, time: float) -> float:
-        """Force at a time, N."""
+        """Force at a time without its random part, N."""
         return sum(
             s.c0 + s.c1 * (time - s.start) + s.c2 * (time - s.start) ** 2
             for s in self.segments

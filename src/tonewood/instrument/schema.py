@@ -6,8 +6,11 @@ the keys of that plugin beside those listed here.
 
 from __future__ import annotations
 
+import math
+import zlib
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from tonewood.instrument.directions import Direction
@@ -118,6 +121,27 @@ class StringSet(Parameters):
     strings: list[StringSetEntry] = described("from bass to treble", min_length=1)
 
 
+class Scatter(Parameters):
+    """How far real strings are from the same ideal one: normal scatter, drawn from a seed."""
+
+    seed: int = described("of the draws; the string's name and stop are part of it", default=1, ge=0)
+    tilt_deg: float = quantity("deg", low=0.0, high=45.0, default=0.0, doc="standard deviation, one draw per string")
+    split_cents: float = quantity("cents", low=0.0, high=20.0, default=0.0, doc="standard deviation, one draw per stop")
+
+    def tilt(self, string: str) -> float:
+        """Add to a string's `tilt_deg`, deg."""
+        return self.tilt_deg * self._draw(f"tilt {string}")
+
+    def split(self, string: str, stop: float) -> float:
+        """Add to a string's `split_cents` at a stop, cents; between whole stops on a straight line."""
+        low = math.floor(stop)
+        parts = ((low, low + 1 - stop), (low + 1, stop - low))
+        return self.split_cents * sum(w * self._draw(f"split {string} {i}") for i, w in parts if w > 0)
+
+    def _draw(self, what: str) -> float:
+        return float(np.random.default_rng([self.seed, zlib.crc32(what.encode())]).standard_normal())
+
+
 class StringPart(PluginPart):
     """A string; `defaults` gives keys for all of them."""
 
@@ -142,6 +166,7 @@ class StringPart(PluginPart):
         default=None,
         doc="by which the string bends down behind the bridge; `check` computes the force",
     )
+    scatter: Scatter = described("of tilt and split, from string to string and stop to stop", default=Scatter())
     freq_upper: float = quantity("Hz", low=100.0, high=1e5, default=20000.0, doc="highest mode")
     end_compliance: float = quantity(
         "m/N", low=0.0, high=1e-4, default=2e-8, doc="local compliance of the string's seat on the bridge"
@@ -273,12 +298,24 @@ class ControllerMap(Parameters):
         return self.low + (self.high - self.low) * min(max(position, 0.0), 1.0)
 
 
+class HumanVariation(Parameters):
+    """Human variation from note to note: standard deviations; off unless there is a seed."""
+
+    seed: int | None = described("of the performance; none where left out", default=None, ge=0)
+    time: float = quantity("s", low=0.0, high=1.0, default=0.008, doc="of a note's beginning")
+    force_db: float = quantity("dB", low=0.0, high=20.0, default=1.5, doc="of its force")
+    from_bridge: float = quantity("m", low=0.0, high=0.2, default=0.010, doc="of its place: fingers alternate")
+    angle_deg: float = quantity("deg", low=0.0, high=90.0, default=10.0, doc="of its direction")
+    nail: float = quantity("1", low=0.0, high=1.0, default=0.15, doc="of the share of nail")
+
+
 class Playing(Parameters):
     """From notes to gestures."""
 
     exciter: str | None = described("of notes that name no technique; the velocity's where left out", default=None)
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
+    variation: HumanVariation = described("from note to note", default=HumanVariation())
     controls: dict[Annotated[str, Field(pattern=_CC)], ControllerMap] = described("ccN -> parameter", default={})
     keyswitches: dict[str, Name] = described("key -> exciter that notes after it ask for, on its channel", default={})
     switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(

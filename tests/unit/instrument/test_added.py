@@ -104,9 +104,9 @@ def test_nothing_of_it_makes_energy(guitar, entry):
 
 def test_bounds_know_of_it(guitar):
     """Response of the microphones to the force of G3 with a mass under it: by the body's own mobility."""
-    mass = {"at": "bridge_G3", "mass": 0.010}
-    light = BridgeResponse(assemble(guitar, 48000))
-    heavy = BridgeResponse(assemble(guitar.replace({"body.added": [mass]}), 48000))
+    mass, alone = {"at": "bridge_G3", "mass": 0.010}, {"strings.G3.end": "body.bridge_G3"}
+    light = BridgeResponse(assemble(guitar.replace(alone), 48000))
+    heavy = BridgeResponse(assemble(guitar.replace({**alone, "body.added": [mass]}), 48000))
     s = 1j * light.freq_rad
     Y = guitar.body.basis(21600.0).frf(light.freq_rad / (2 * np.pi), "bridge_G3", "bridge_G3")
     factor = 1 / np.abs(1 + 0.010 * s * Y)
