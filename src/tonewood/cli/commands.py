@@ -10,6 +10,8 @@ COMMANDS = {
     "plan": "plan:plan",
     "check": "check:check",
     "modes": "modes:modes",
+    "compare": "compare:compare",
+    "report": "compare:report",
     "schema": "schema:schema",
     "migrate": "migrate:migrate",
     "fit": "fit:fit",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 ScorePath = Annotated[Path, typer.Argument(help="MIDI file", metavar="SCORE")]
 
 
-def _instruments() -> list[str]:
+def installed() -> list[str]:
     """Names of installed instruments, for shell completion."""
     from tonewood.instrument.registry import list_instruments
 
@@ -38,11 +38,11 @@ def _string_sets() -> list[str]:
 
 InstrumentName = Annotated[
     str,
-    typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder", autocompletion=_instruments),
+    typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder", autocompletion=installed),
 ]
 Bundle = Annotated[
     str,
-    typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT", autocompletion=_instruments),
+    typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT", autocompletion=installed),
 ]
 Overrides = Annotated[
     list[str] | None,

@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError, TonewoodError
+from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError, TonewoodError, kind_of
 from tonewood.instrument import registry
 from tonewood.instrument.bundle_code import code_hash, code_plugin, is_code
 from tonewood.instrument.contract import Attachment, Body, Exciter, Pickup, Plugin, Resonator
@@ -22,15 +22,18 @@ from tonewood.instrument.migration import bundle_edits
 from tonewood.instrument.overrides import apply_overrides
 from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance
 from tonewood.instrument.string_sets import with_set
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.views import SHOWN_TO, ModalViews
 from tonewood.params import Vector, validated
 from tonewood.score.scales import Tuning, note_number, read_tuning
+from tonewood.tables import properties_html
 from tonewood.validation_messages import did_you_mean
 from tonewood.yaml_edit import apply_edits
 from tonewood.yaml_io import load_yaml, located
 
 
 @dataclass(frozen=True, eq=False)
-class Instrument:
+class Instrument(ModalViews):
     """A checked bundle with its plugins; immutable, `replace` makes another one.
 
     Attributes
@@ -62,6 +65,28 @@ class Instrument:
         strings = ", ".join(self.resonators)
         return f"Instrument({self.name!r}, body {self.spec.body.plugin}, strings {strings})"
 
+    def _repr_html_(self) -> str:
+        spec = self.spec
+        strings = ", ".join(f"{name} ({part.note or part.freq})" for name, part in spec.strings.items())
+        rows = {
+            "name": self.name,
+            "body": spec.body.plugin,
+            "strings": strings,
+            "stops": f"{spec.stops.kind}, {spec.stops.count}" if spec.stops.count else "none",
+            "exciters": ", ".join(spec.exciters),
+            "outputs": ", ".join(part.name for part in spec.outputs),
+            "licence": spec.licence,
+            "stand-ins": ", ".join(self.stand_ins()) or "none",
+        }
+        return properties_html(spec.title, rows)
+
+    def _viewed(self) -> tuple[ModalBasis, Mapping[str, str]]:
+        """Modes of the body, and the point that each string ends on."""
+        return self.body.basis(SHOWN_TO), {name: part.body_points[0] for name, part in self.spec.strings.items()}
+
+    def _view_title(self) -> str:
+        return self.spec.title
+
     @classmethod
     def load(cls, name_or_path: str | os.PathLike[str], *, allow_code: bool = False) -> Instrument:
         """Load an installed instrument by name, or a folder with an ``instrument.yaml``.
@@ -78,6 +103,8 @@ class Instrument:
         -----
         OldFormatWarning : the bundle is of an earlier schema; it is read as `tonewood migrate` would rewrite it.
         """
+        if not isinstance(name_or_path, str | os.PathLike):
+            raise BundleError(f"is {kind_of(name_or_path)}; a name or a folder is allowed", key="instrument")
         folder = registry.instrument_folder(name_or_path)
         manifest = folder / registry.MANIFEST
         try:
@@ -147,6 +174,8 @@ class Instrument:
         >>> lower.resolved["strings"]["E2"]["note"]
         'D2'
         """
+        if not isinstance(overrides, Mapping):
+            raise BundleError(f"is {kind_of(overrides)}; a mapping of path to value is allowed", key="overrides")
         if not overrides:
             return self
         given, granted = dict(overrides), set(self.granted)

@@ -38,9 +38,11 @@ from tonewood.instrument.effects import (
 )
 from tonewood.instrument.files import Files
 from tonewood.modal.modes import ModalBasis
+from tonewood.modal.views import SHOWN_TO, ModalViews
 from tonewood.params import Parameters, Vector, validated
 from tonewood.stepping.forcing import SampledForce
 from tonewood.stepping.forcing import Segment as Segment
+from tonewood.tables import properties_html
 
 API = 1
 
@@ -82,6 +84,13 @@ class Plugin(ABC, Generic[P]):
         """
         files = files or Files(None)
         return cls(validated(cls.Parameters, values, key=key, file=files.manifest), files, key)  # type: ignore[arg-type]  # Parameters of this very class
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.key or self.kind})"
+
+    def _repr_html_(self) -> str:
+        heading = f"{type(self).__name__}, {self.kind} {self.key}".rstrip()
+        return properties_html(heading, self.parameters.model_dump(mode="json", by_alias=True))
 
     @property
     def name(self) -> str:
@@ -195,8 +204,8 @@ class BodyPoint:
     driven: bool = True
 
 
-class Body(Plugin[P]):
-    """The body that strings are joined to."""
+class Body(Plugin[P], ModalViews):
+    """The body that strings are joined to; with tables and figures of its modes."""
 
     kind = "body"
     effects: ClassVar[tuple[Effect, ...]] = (BODY_MODES,)
@@ -208,6 +217,10 @@ class Body(Plugin[P]):
     @abstractmethod
     def points(self) -> Mapping[str, BodyPoint]:
         """Every point of the basis with its direction."""
+
+    def _viewed(self) -> tuple[ModalBasis, Mapping[str, str]]:
+        basis = self.basis(SHOWN_TO)
+        return basis, {point: point for point in basis.points}
 
 
 @dataclass(frozen=True, slots=True)

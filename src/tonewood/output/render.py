@@ -20,12 +20,12 @@ from tonewood.engine.engine import GRID, Engine, Snapshot
 from tonewood.engine.playing import Performance, perform
 from tonewood.errors import DroppedNotesWarning, TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
-from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.string_setup import GivenTension
 from tonewood.output.accuracy import LEVELS, Decimator
 from tonewood.output.audio import Audio, decibels
+from tonewood.output.inputs import InstrumentLike, ScoreLike, as_instrument, as_score
 from tonewood.output.options import RenderOptions
-from tonewood.score.note import Dropped, Score
+from tonewood.score.note import Dropped
 
 Floats = NDArray[np.float64]
 
@@ -105,8 +105,8 @@ class Renderer:
 
     Parameters
     ----------
-    score : notes and controllers.
-    instrument : a loaded instrument.
+    score : notes and controllers, or the path of a MIDI file.
+    instrument : a loaded instrument, or its name or folder.
     fs : sampling rate, Hz.
     options : of the render; single ones may be given as keywords instead.
 
@@ -119,13 +119,14 @@ class Renderer:
     @one_blas_thread
     def __init__(
         self,
-        score: Score,
-        instrument: Instrument,
+        score: ScoreLike,
+        instrument: InstrumentLike,
         fs: float | None = None,
         *,
         options: RenderOptions | None = None,
         **settings: Any,
     ):
+        score, instrument = as_score(score), as_instrument(instrument)
         self.options = options = RenderOptions.of(options, fs, settings)
         self.fs, level = options.fs, LEVELS[options.accuracy]
         # an instrument may need finer steps to be as accurate as others are
@@ -309,8 +310,8 @@ def _warn_of(dropped: Sequence[Dropped]) -> None:
 
 
 def render(
-    score: Score,
-    instrument: Instrument,
+    score: ScoreLike,
+    instrument: InstrumentLike,
     fs: float | None = None,
     *,
     options: RenderOptions | None = None,
