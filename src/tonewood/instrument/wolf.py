@@ -25,8 +25,9 @@ modes and the splitting; depth, breadth and severity are this module's.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -40,14 +41,14 @@ Floats = NDArray[np.float64]
 
 #: least share of the string's energy in other modes that counts
 LEAST_SHARE = 0.2
-#: steps of pitch, cents: first everywhere, then where the share exceeds `_HINT` in a step around a stop
-_COARSE_CENTS, STEP_CENTS, _HINT = 12.5, 4.0, 0.05
+#: widest step of pitch, cents, and where the share at an end of the step exceeds `_HINT`
+_COARSE_CENTS, STEP_CENTS, _HINT = 25.0, 6.5, 0.05
 #: how far from a stop's pitch a body mode may lie to matter, cents
 _NEAR_CENTS = 250.0
 #: cents below the open string and above the last stop that are looked at
 _MARGIN_CENTS = 50.0
-#: points per step between which the share is interpolated
-_FINER = 20
+#: cents between points to which the share is interpolated
+_FINE_CENTS = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,15 +127,14 @@ def _of_string(model: Model, name: str, body_freq: Floats) -> list[WolfNote]:
     for stop, (low, high) in enumerate(pairwise(edges)):
         if high <= low:
             continue
-        near = np.abs(1200 * np.log2(np.maximum(body_freq, 1e-9) / freqs[stop])) < _NEAR_CENTS + (high - low) / 2
-        x = _points(low, high, _COARSE_CENTS)
-        d = np.zeros(x.size)
-        if near.any():
-            at, tension, freq = string.coupled(stop), string.tension(stop), float(freqs[stop])
-            d = share_curve(at, tension, freq, x - above[stop])
-            if d.max() > _HINT:
-                x = _points(low, high, STEP_CENTS)
-                d = share_curve(at, tension, freq, x - above[stop])
+        own = 1200 * np.log2(np.maximum(body_freq, 1e-9) / freqs[0])
+        if not np.any(np.abs(own - above[stop]) < _NEAR_CENTS + (high - low) / 2):
+            x = np.array([low, high])
+            d = np.zeros(2)
+        else:
+            at = partial(share_curve, string.coupled(stop), string.tension(stop), float(freqs[stop]))
+            even = np.linspace(low, high, max(2, round((high - low) / _COARSE_CENTS) + 1))
+            x, d = _refined(at, np.unique(np.concatenate([even, own[(own > low) & (own < high)]])), above[stop])
         places.append(x)
         shares.append(d)
     where, share = np.concatenate(places), np.concatenate(shares)
@@ -154,8 +154,17 @@ def _of_string(model: Model, name: str, body_freq: Floats) -> list[WolfNote]:
     ]
 
 
-def _points(low: float, high: float, step: float) -> Floats:
-    return np.linspace(low, high, max(2, round((high - low) / step) + 1))
+def _refined(curve: Callable[[Floats], Floats], x: Floats, origin: float) -> tuple[Floats, Floats]:
+    """Places and values of a curve of x - origin, steps halved to `STEP_CENTS` where it exceeds `_HINT`."""
+    d = curve(x - origin)
+    while True:
+        halve = (np.diff(x) > STEP_CENTS) & (np.maximum(d[:-1], d[1:]) > _HINT)
+        if not halve.any():
+            return x, d
+        new = ((x[:-1] + x[1:]) / 2)[halve]
+        order = np.argsort(np.concatenate([x, new]))
+        d = np.concatenate([d, curve(new - origin)])[order]
+        x = np.concatenate([x, new])[order]
 
 
 def intervals(x: Floats, share: Floats) -> list[tuple[float, float, float, float, float]]:
@@ -169,8 +178,7 @@ def intervals(x: Floats, share: Floats) -> list[tuple[float, float, float, float
     -------
     low, high, place of the largest share, largest share, integral of the share over the interval; in cents.
     """
-    step = float(np.min(np.diff(x)[np.diff(x) > 0], initial=STEP_CENTS)) / _FINER
-    fine = np.linspace(x[0], x[-1], int((x[-1] - x[0]) / step) + 1)
+    fine = np.linspace(x[0], x[-1], int((x[-1] - x[0]) / _FINE_CENTS) + 1)
     d = np.interp(fine, x, share)
     inside = np.concatenate([[0], (d >= LEAST_SHARE).astype(int), [0]])
     starts, stops = np.flatnonzero(np.diff(inside) == 1), np.flatnonzero(np.diff(inside) == -1)

@@ -35,12 +35,12 @@ def half_splitting(mass: float) -> float:
 
 @pytest.mark.parametrize("mass", [0.5, 2.0])
 def test_a_string_on_one_mode_without_loss(tmp_path: Path, values: dict[str, Any], mass: float) -> None:
-    """Depth 1/2, breadth 3 c and severity c, c half the splitting; pitch goes in steps of 4 cents."""
+    """Depth 1/2, breadth 3 c and severity c, c half the splitting; pitch goes in steps of 6.25 cents."""
     c = half_splitting(mass)
     (wolf,) = wolf_notes(instrument(tmp_path, values, mass, q=1e5))
     assert wolf.severity_cents == pytest.approx(c, rel=0.04)
     assert wolf.breadth_cents == pytest.approx(3 * c, rel=0.04)
-    assert (1 - 2 / math.hypot(2, 2 * c)) / 2 - 0.01 < wolf.depth < 0.51
+    assert (1 - 3.125 / math.hypot(3.125, 2 * c)) / 2 - 0.01 < wolf.depth < 0.51
     assert 1200 * math.log2(wolf.worst_freq / FREQ) == pytest.approx(0.0, abs=4.0)
     assert wolf.body_freq == pytest.approx(FREQ, rel=1e-6)
     assert wolf.stops == (6,)
