@@ -42,9 +42,9 @@ _BLOCK = re.compile(_MARKER + r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE
 SHORT = {
     "render": ["--max-duration", "0.1"],
     "batch": ["--dry-run"],
-    "compare": ["--fs", "16000"],
-    "report": ["--fs", "16000"],
     "fit": ["--band", "70", "260"],
+    "compare": ["--fs", "16000", "--set", "stops.count=7"],
+    "report": ["--fs", "16000", "--set", "stops.count=7"],
 }
 #: commands of which the page's own option gives way
 SHORTENED = {"fit"}
