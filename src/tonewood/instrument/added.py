@@ -9,16 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.errors import BundleError
 from tonewood.instrument.attached import loose_mass
-from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.contract import BodyPoint, BridgeForce, dot
 from tonewood.instrument.directions import unit_vector
-from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import Added
 from tonewood.modal.loaded import loaded
 from tonewood.modal.modes import ModalBasis
@@ -42,21 +41,24 @@ class BodyParts:
     forces: tuple[BridgeForce, ...] = ()
 
 
-def body_parts(instrument: Instrument, body: ModalBasis, points: Mapping[str, BodyPoint]) -> BodyParts:
+def body_parts(
+    entries: Sequence[Added], body: ModalBasis, points: Mapping[str, BodyPoint], file: Path | None = None
+) -> BodyParts:
     """Make the parts that an instrument's bundle adds to its body.
 
     Parameters
     ----------
+    entries : `body.added` of the bundle.
     body, points : the body's modes, and its points.
+    file : the bundle's, for errors.
 
     Raises
     ------
     BundleError : a point does not exist, takes no forces, or does not move along the direction given.
     """
-    entries = instrument.spec.body.added
     if not entries:
         return BodyParts(body)
-    factors = [_factor(instrument, i, entry, points) for i, entry in enumerate(entries)]
+    factors = [_factor(i, entry, points, file) for i, entry in enumerate(entries)]
     components: dict[str, ModalBasis] = {}
     connections: list[Connection] = []
     forces: list[BridgeForce] = []
@@ -77,7 +79,7 @@ def body_parts(instrument: Instrument, body: ModalBasis, points: Mapping[str, Bo
     try:
         whole = loaded(body, rows, *_numbers(entries))
     except ValueError as fault:
-        raise BundleError(str(fault), file=instrument.folder / MANIFEST, key="body.added") from None
+        raise BundleError(str(fault), file=file, key="body.added") from None
     return BodyParts(whole, components, tuple(connections), tuple(forces))
 
 
@@ -86,9 +88,8 @@ def _numbers(entries: Sequence[Added]) -> tuple[list[float], list[float], list[f
     return [e.mass for e in entries], [e.damping for e in entries], [e.stiffness for e in entries]
 
 
-def _factor(instrument: Instrument, i: int, entry: Added, points: Mapping[str, BodyPoint]) -> float:
+def _factor(i: int, entry: Added, points: Mapping[str, BodyPoint], file: Path | None) -> float:
     """Displacement along the direction of what is added, per displacement of the point along its own."""
-    file = instrument.folder / MANIFEST
     driven = {name: point for name, point in points.items() if point.driven}
     if entry.at not in driven:
         known = f"{did_you_mean(entry.at, driven)}there are {', '.join(driven)}"

@@ -126,7 +126,7 @@ def assemble(
     limit = FREQ_LIMIT * fs if freq_limit is None else freq_limit
     choice = Choice.of(instrument.spec.effects, declared(instrument.plugins))
     body, body_points = instrument.body.basis(limit), instrument.body.points()
-    added = body_parts(instrument, body, body_points)
+    added = body_parts(instrument.spec.body.added, body, body_points, instrument.folder / MANIFEST)
     strings = string_models(instrument, added.body, body_points, limit, choice)
     _check_places(instrument, strings)
     _check_body(instrument, strings, body, 1.0 / fs)

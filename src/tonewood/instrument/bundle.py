@@ -14,6 +14,7 @@ from typing import Any
 
 from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError, TonewoodError, kind_of
 from tonewood.instrument import registry
+from tonewood.instrument.added import body_parts
 from tonewood.instrument.bundle_code import code_hash, code_plugin, is_code
 from tonewood.instrument.contract import Attachment, Body, Exciter, Pickup, Plugin, Resonator
 from tonewood.instrument.directions import polarization_vectors
@@ -81,8 +82,10 @@ class Instrument(ModalViews):
         return properties_html(spec.title, rows)
 
     def _viewed(self) -> tuple[ModalBasis, Mapping[str, str]]:
-        """Modes of the body, without what is added to it, and the point that each string ends on."""
-        return self.body.basis(SHOWN_TO), {name: part.body_points[0] for name, part in self.spec.strings.items()}
+        """Modes of the body with what is added to it, and the point that each string ends on."""
+        body, manifest = self.body.basis(SHOWN_TO), self._files.manifest
+        whole = body_parts(self.spec.body.added, body, self.body.points(), manifest).body
+        return whole, {name: part.body_points[0] for name, part in self.spec.strings.items()}
 
     def _view_title(self) -> str:
         return self.spec.title

@@ -38,6 +38,22 @@ def body_table() -> list[dict[str, float]]:
     return [{key: float(value) for key, value in row.items()} for row in rows]
 
 
+def test_ten_grams_are_seen_everywhere() -> None:
+    """The mode at 216.4 Hz of a guitar with 10 g in the middle of its bridge: a peak at 201.1 Hz, a pole beside it."""
+    guitar = tw.load_instrument("classical_guitar").replace({"stops.kind": "none"})
+    heavy = guitar.replace({"body.added": [{"at": "bridge_middle", "mass": 0.010}]})
+    light, loaded = compare([Candidate(guitar), Candidate(heavy)], notes=["E2"], fs=FS, duration=0.2).instruments
+    assert min(abs(mode.freq - 216.4) for mode in light.body_modes) < 0.1
+    assert min(abs(mode.freq - 201.0) for mode in loaded.body_modes) < 0.2
+    assert min(abs(mode.freq - 216.4) for mode in loaded.body_modes) > 5
+    for facts, peak in ((light, 216.4), (loaded, 201.1)):
+        inside = (facts.freq > 150) & (facts.freq < 300)
+        size = np.abs(facts.mobility["G3"][inside])
+        assert facts.freq[inside][np.argmax(size)] == pytest.approx(peak, abs=2.0)
+    freq = np.array(heavy.modes()["freq"])
+    assert np.abs(freq - 201.0).min() < 0.2
+
+
 def test_modes_are_those_of_the_table(found: Comparison) -> None:
     """Shapes at the bridge are 1: mass is the table's, T60 = ln 1000 Q / (pi f)."""
     modes = found.instruments[0].body_modes
