@@ -6,6 +6,7 @@ the motion is regular, many times with forces a little apart where it is sensiti
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
 from typing import Any
@@ -30,6 +31,11 @@ VELOCITY_MIDI, FS, DURATION, SETTLED = 64, 48000, 4.0, 0.1
 SHORT = 1.5
 #: how far `standard` may be from `reference`: cents, share of a decay rate, dB
 LIMITS = (1.0, 0.05, 1.0)
+#: measures of a `PartialErrors`, and their units in print
+MEASURES = {
+    "cents": " cents", "cents_worst": " cents", "decay": "", "decay_worst": "", "level": " dB", "level_worst": " dB",
+    "waveform": "",
+}  # fmt: skip
 #: share of these by which a thousandth more force makes a motion a sensitive one; its strokes, and how far apart
 SENSITIVE, STROKES, SPREAD = 0.2, 32, 0.01
 #: labels of `reference` with a thousandth more force, and of one half of its strokes against the other
@@ -40,17 +46,21 @@ TEXT = f"""\
 
 | `tonewood render --accuracy` | engine runs at | modes up to |
 | --- | --- | --- |
-| `draft` | the rate of the sound | 10 kHz |
-| `standard`, the default | that rate, or twice or four times it where a bundle asks for it | 0.45 of it |
-| `reference` | four times that of `standard`, brought down by a linear-phase filter | 0.45 of that |
+| `draft` | half the rate of `standard`, or three quarters of it where a bundle asks for it | 0.45 of it |
+| `standard`, the default | the rate of the sound, or twice or four times it where a bundle asks for it | 0.45 of it |
+| `reference` | four times that of `standard` | 0.45 of that |
+
+A linear-phase filter leads from the engine's rate to that of the sound.
 
 The middle string of every instrument, one open note of MIDI velocity {VELOCITY_MIDI} at 48 kHz, heard for
 {DURATION:g} s. Median / worst over the partials, of the first twenty, that lie within 40 dB of the loudest, against
 `reference`: pitch and level from {SETTLED:g} s after the note on; decay as the slope, in dB per second, of the energy
 still to come (Schroeder's backward integration, ISO 3382-1), which is the rate of an exponential and still a number
-where partials beat or feed each other. A bow plays for half of the time, and the decay is what follows.
+where partials beat or feed each other. A bow plays for half of the time, and the decay is what follows. Waveform: the
+relative difference in the first second, under a Hann window, after the mean delay is taken out (accelerations are means
+over the step that begins at a frame, half a step early).
 
-Time is wall time of the engine. Where a thousandth more force changes `reference` by more than a fifth of a limit,
+Time is processor time of one thread. Where a thousandth more force changes `reference` by more than a fifth of a limit,
 contacts or a bow make the motion sensitive: two strokes never sound alike, and no step is fine enough to tell which one
 follows. What is compared then is what strokes have in common, the mean pitch of {STROKES} strokes with forces spread
 over {100 * SPREAD:g} % to either side, and the mean energy of their partials. *{OTHERS}* holds one half of them against
@@ -160,15 +170,16 @@ class _Case:
 
     def strokes(self, options: Mapping[str, Any], factors: Sequence[float] = (1.0,)) -> _Strokes:
         """A note rendered with some options, with these times the force."""
-        sounds, spent, n_modes = [], 0.0, 0
+        sounds, spent, heard, n_modes = [], 0.0, 0.0, 0
         for factor in factors:
             note = Note(0.0, self.let_go or self.duration, string=self.string, stop=0, force=self.force * factor)
             renderer = Renderer(Score([note]), self.instrument, FS, max_duration=self.duration, **options)
+            began = time.thread_time()
             sounds.append(np.concatenate(list(renderer.blocks(4096)))[:, 0])
-            summary = renderer.summary()
-            spent, n_modes = spent + 1 / summary.realtime_factor, summary.n_modes
+            spent, heard = spent + time.thread_time() - began, heard + len(sounds[-1]) / FS
+            n_modes = renderer.model.n_modes
         shortest = min(len(sound) for sound in sounds)
-        return _Strokes(np.stack([sound[:shortest] for sound in sounds]), spent / len(sounds), n_modes)
+        return _Strokes(np.stack([sound[:shortest] for sound in sounds]), spent / heard, n_modes)
 
     def errors(self, strokes: _Strokes, truth: _Strokes) -> PartialErrors:
         """Of some strokes against others."""
@@ -216,7 +227,41 @@ def run(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
 
 def section(points: Sequence[DialPoint]) -> str:
     """Markdown."""
-    return f"{TEXT}\n\n{_table(points, '--accuracy', 'standard', 'reference')}\n\n{_within(points)}"
+    table = _table(points, "--accuracy", "standard", "reference")
+    return f"{TEXT}\n\n{table}\n\n{_within(points)}\n\n{_order(points)}"
+
+
+def out_of_order(points: Sequence[DialPoint]) -> list[str]:
+    """Measures of one instrument by which `standard` is farther from `reference` than `draft`, worded.
+
+    A difference counts that is larger than the change by which the reference itself is uncertain: that from a
+    thousandth more force or from other strokes, and a tenth of the errors compared.
+    """
+    at = {p.accuracy: p.errors for p in points}
+    chance = next((at[label] for label in (OTHERS, NUDGED) if label in at), None)
+    out = []
+    for name, unit in MEASURES.items():
+        coarse, fine = getattr(at["draft"], name), getattr(at["standard"], name)
+        if coarse is None or fine is None:
+            continue
+        allowed = 1.1 * coarse + (0.0 if chance is None else getattr(chance, name) or 0.0)
+        if fine > allowed:
+            out.append(f"{name} {number(fine)} against {number(coarse)}{unit}")
+    return out
+
+
+def _order(points: Sequence[DialPoint]) -> str:
+    """Whether each step of the dial leads nearer to the reference."""
+    by_name: dict[str, list[DialPoint]] = {}
+    for p in points:
+        by_name.setdefault(p.instrument, []).append(p)
+    wrong = {name: told for name, own in by_name.items() if (told := out_of_order(own))}
+    cheaper = [own[1].seconds / own[0].seconds for own in by_name.values()]
+    text = f"`draft` takes {number(1 / max(cheaper), 2)} to {number(1 / min(cheaper), 2)} of the time of `standard`"
+    if not wrong:
+        return f"{text}, and by no measure does it lie nearer to `reference`, beyond chance."
+    listed = "; ".join(f"{name} ({', '.join(told)})" for name, told in wrong.items())
+    return f"{text}; it lies nearer to `reference`: {listed}."
 
 
 def beyond(errors: PartialErrors, *, worst: bool = False) -> str:
@@ -257,13 +302,14 @@ def _table(points: Sequence[DialPoint], heading: str, unit: str, truth: str) -> 
         e = p.errors
         pairs = [(e.cents, e.cents_worst), (100 * e.decay, 100 * e.decay_worst), (e.level, e.level_worst)]
         told = ["" if p.accuracy == truth else f"{number(middle)} / {number(worst)}" for middle, worst in pairs]
+        told.append("" if p.accuracy == truth or e.waveform is None else number(100 * e.waveform))
         cost = (
             []
             if p.accuracy in (NUDGED, OTHERS)
             else [number(p.seconds, 3), number(p.seconds / seconds[p.instrument], 3)]
         )
         rows.append([p.instrument, p.accuracy, str(p.n_modes), *told, *(cost or ["", ""])])
-    heads = ["instrument", heading, "modes", "cents", "decay %", "level dB", "s per s", "time ratio"]
+    heads = ["instrument", heading, "modes", "cents", "decay %", "level dB", "waveform %", "s per s", "time ratio"]
     return markdown(heads, rows, left=2)
 
 

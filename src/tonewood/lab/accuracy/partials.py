@@ -29,6 +29,9 @@ class PartialErrors:
     decay, decay_worst : decay rate, relative.
     level, level_worst : dB.
     partials : how many were compared.
+    waveform : ||x - y|| / ||y|| in the first second, after the delay of x is taken out; None for several strokes.
+    delay : that delay, s. Forces and accelerations are read as their mean over the step that begins at a sample: half
+        a step early.
     """
 
     cents: float
@@ -38,6 +41,8 @@ class PartialErrors:
     level: float
     level_worst: float
     partials: int
+    waveform: float | None = None
+    delay: float | None = None
 
 
 def compare(sounds: ArrayLike, truths: ArrayLike, fs: float, freq: float, let_go: float = 0.0) -> PartialErrors:
@@ -75,7 +80,30 @@ def compare(sounds: ArrayLike, truths: ArrayLike, fs: float, freq: float, let_go
     decay = [abs(_decay(t[free], A[k, free]) / _decay(t[free], B[k, free]) - 1) for k in kept]
     level = np.abs(10 * np.log10(A[kept][:, heard].sum(axis=1) / sums[kept]))
     (c, c_worst), (d, d_worst), (v, v_worst) = ((float(np.median(x)), float(np.max(x))) for x in (cents, decay, level))
-    return PartialErrors(c, c_worst, d, d_worst, v, v_worst, len(kept))
+    wave = waveform(ours[0], theirs[0], fs) if len(ours) == len(theirs) == 1 else (None, None)
+    return PartialErrors(c, c_worst, d, d_worst, v, v_worst, len(kept), *wave)
+
+
+def waveform(sound: Floats, truth: Floats, fs: float) -> tuple[float, float]:
+    """Relative error of a waveform in the first second, and the delay (s) that was taken out before.
+
+    The delay is the slope of the phase of X Y* over frequency, weighted by |X Y|, found anew twice after it is taken
+    out.
+    """
+    from scipy.fft import irfft, rfft, rfftfreq
+
+    n = min(len(sound), len(truth), round(fs))
+    window = np.hanning(n + 2)[1:-1]
+    x, y, freq = rfft(sound[:n] * window), rfft(truth[:n] * window), rfftfreq(n, 1 / fs)
+    if not (size := float(np.sum((truth[:n] * window) ** 2))):
+        return 0.0, 0.0
+    delay = 0.0
+    for _ in range(3):
+        pair = x * np.exp(2j * np.pi * freq * delay) * np.conj(y)
+        weight = np.abs(pair) * freq
+        delay -= float(np.sum(weight * np.angle(pair)) / np.sum(weight * freq)) / (2 * np.pi)
+    shifted = irfft(x * np.exp(2j * np.pi * freq * delay), n)
+    return float(np.sqrt(np.sum((shifted - truth[:n] * window) ** 2) / size)), delay
 
 
 def _partials(truth: Floats, fs: float, freq: float) -> list[float]:
