@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tonewood.cli.common import need, progress
+from tonewood.cli.common import AllowCode, Overrides, allow, load, need, progress
 from tonewood.errors import OutputError, TonewoodError
+
+if TYPE_CHECKING:
+    from tonewood.instrument.bundle import Instrument
 
 
 def accuracy(
@@ -23,6 +26,25 @@ def accuracy(
         bool,
         typer.Option("--stability", help="instead: which methods stay stable, by modes, pluck force and sampling rate"),
     ] = False,
+    instrument: Annotated[
+        str | None,
+        typer.Option("-i", "--instrument", help="instead: the cheapest setting of this bundle that meets --target"),
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option("--target", help="with -i: 1cent, 5%decay, 0.5dB, -60dB, or several with commas")
+    ] = None,
+    notes: Annotated[
+        str, typer.Option("--notes", metavar="STRING[:STOP],...", help="with -i; default: outer strings and the middle")
+    ] = "",
+    fs: Annotated[int, typer.Option("--fs", help="with -i: sampling rate of the sound, Hz")] = 48000,
+    bandwidth: Annotated[
+        float, typer.Option("--bandwidth", help="with -i: no setting is tried whose modes end below this, Hz")
+    ] = 10e3,
+    apply: Annotated[
+        bool, typer.Option("--apply", help="with -i: print nothing but the options for `tonewood render`")
+    ] = False,
+    settings: Overrides = None,
+    allow_code: AllowCode = False,
     json: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="write everything to FILE as JSON")
     ] = None,
@@ -34,9 +56,6 @@ def accuracy(
     ] = None,
 ) -> None:
     """Compare error and time of this project with methods of the literature, and of each of its own settings."""
-    from tonewood.lab.accuracy import catalogue
-
-    catalogue.selected(system)
     files = {"--json": json, "--plot": plot, "--report": report}
     for key, path in files.items():
         if path is not None and not path.absolute().parent.is_dir():
@@ -47,6 +66,16 @@ def accuracy(
         raise TonewoodError(f"is {plot.name!r}; a name ending in .png is allowed", key="--plot")
     if report is not None and report.suffix.lower() not in (".html", ".md"):
         raise TonewoodError(f"is {report.name!r}; a name ending in .html or .md is allowed", key="--report")
+    if instrument is not None:
+        if system is not None or quick or stability or report is not None:
+            raise TonewoodError("--system, --quick, --stability and --report are of another comparison", key="-i")
+        _target(load(instrument, settings, allow_code), target, notes, fs, bandwidth, apply, json, plot)
+        return
+    if target is not None or notes or apply or settings:
+        raise TonewoodError("--target, --notes, --apply and --set need -i INSTRUMENT", key="-i")
+    from tonewood.lab.accuracy import catalogue
+
+    catalogue.selected(system)
     if stability:
         _stability(system, quick, json, plot, report)
         return
@@ -93,6 +122,47 @@ def accuracy(
     for text, _ in more.values():
         print(f"\n{text}")
     print(f"\n{SHORT}\n\n{tables.summary_table(outcomes)}")
+    for path, _ in contents:
+        print(path)
+
+
+def _target(
+    instrument: Instrument, target: str | None, notes: str, fs: int, bandwidth: float, apply: bool, json: Path | None,
+    plot: Path | None,
+) -> None:  # fmt: skip
+    from tonewood.lab.accuracy.target import Target, search
+    from tonewood.output.options import RenderOptions, limits
+    from tonewood.whole_files import write_whole
+
+    if target is None:
+        raise TonewoodError(
+            "is missing; 1cent, 5%decay, 0.5dB, -60dB or several with commas are allowed", key="--target"
+        )
+    wanted = Target.parse(target)
+    options = RenderOptions.model_fields
+    for key, value, field in (("--fs", fs, "fs"), ("--bandwidth", bandwidth, "freq_limit")):
+        low, high = limits(options[field]) or (0.0, 0.0)
+        allow(key, value, low, high, "Hz")
+    if plot is not None:
+        need("plot", "matplotlib")
+    listed = [name for name in (word.strip() for word in notes.split(",")) if name]
+    with progress("searching", 1.0) as advance:
+        found = search(instrument, wanted, notes=listed, fs=fs, bandwidth=bandwidth, tell=advance)
+    from tonewood.lab.accuracy import target_report
+
+    if apply and found.cheapest is None:
+        raise TonewoodError(f"no setting meets {target}; without --apply the nearest is named", key="--target")
+    contents: list[tuple[Path, str | bytes]] = []
+    if json is not None:
+        contents.append((json, target_report.to_json(found)))
+    if plot is not None:
+        contents.append((plot, target_report.chart_png(found)))
+    for path, content in contents:
+        write_whole(path, content)
+    if apply and found.cheapest is not None:
+        print(found.cheapest.setting.words)
+        return
+    print(target_report.summary(found))
     for path, _ in contents:
         print(path)
 

@@ -69,12 +69,20 @@ class Resampler:
         p, q = self.ratio.numerator, self.ratio.denominator
         joined = np.concatenate([self.memory, sound])
         self.memory = joined[len(joined) - len(self.memory) :]
-        windows = np.lib.stride_tricks.sliding_window_view(joined, self._phases.shape[1], axis=0)
         first, stop = self.frame(sample), self.frame(sample + len(sound))
         out = np.empty((stop - first, sound.shape[1]))
         for k in range(min(q, stop - first)):
             last, phase = divmod((first + k) * p + self._half, q)
-            # einsum, whose sums do not depend on the number of frames
-            part = np.einsum("nct,t->nc", windows[last - sample :: p], self._phases[phase])
-            out[k::q] = part[: len(out[k::q])]
+            count = len(range(first + k, stop, q))
+            for channel in range(out.shape[1]):
+                out[k::q, channel] = _correlated(joined[last - sample :, channel], self._phases[phase], p, count)
         return out
+
+
+def _correlated(x: Floats, taps: Floats, stride: int, count: int) -> Floats:
+    """Sums over t of x[j stride + t] taps[t], j from 0 to count - 1; they do not depend on `count`."""
+    out = np.zeros(count)
+    for r in range(min(stride, len(taps))):
+        own = taps[r::stride]
+        out += np.correlate(x[r::stride][: count + len(own) - 1], own, "valid")
+    return out

@@ -6,27 +6,22 @@ the motion is regular, many times with forces a little apart where it is sensiti
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.registry import list_instruments
-from tonewood.lab.accuracy.partials import PartialErrors, compare
+from tonewood.lab.accuracy.partials import PartialErrors
+from tonewood.lab.accuracy.strokes import SETTLED, VELOCITY_MIDI, NoteCase, Strokes
 from tonewood.lab.accuracy.study import Tell, silent
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.output.accuracy import LEVELS
-from tonewood.output.render import Renderer
-from tonewood.score.note import Note, Score
 
-Floats = NDArray[np.float64]
-
-#: of the note; Hz of the sound; s of it, from when on partials are compared
-VELOCITY_MIDI, FS, DURATION, SETTLED = 64, 48000, 4.0, 0.1
+#: Hz and s of the sound
+FS, DURATION = 48000, 4.0
 #: s, in a quick run
 SHORT = 1.5
 #: how far `standard` may be from `reference`: cents, share of a decay rate, dB
@@ -114,90 +109,33 @@ def measure(instrument: Instrument, string: str, *, nudge: bool = True) -> list[
     nudge : also what `reference` does for a thousandth more force; where that is much, strokes are compared by their
         means. Without it one stroke is, and not for so long.
     """
-    case = _Case.of(instrument, string, duration=DURATION if nudge else SHORT)
+    case = NoteCase.of(instrument, string, DURATION if nudge else SHORT, fs=FS)
     options: dict[str, dict[str, Any]] = {name: {"accuracy": name} for name in LEVELS}
     if not nudge:
-        return case.held_against({label: case.strokes(given) for label, given in options.items()}, "reference")
+        return _against(case, {label: case.strokes(given) for label, given in options.items()}, "reference")
     truth = case.strokes(options["reference"])
     again = case.strokes(options["reference"], (1.001,))
     chance = case.errors(again, truth)
     spread = (chance.cents, chance.decay, chance.level)
     if all(e <= SENSITIVE * limit for e, limit in zip(spread, LIMITS, strict=True)):
         rendered = {label: case.strokes(given) for label, given in options.items() if label != "reference"}
-        return case.held_against({**rendered, "reference": truth, NUDGED: again}, "reference")
+        return _against(case, {**rendered, "reference": truth, NUDGED: again}, "reference")
     forces = tuple(1 + SPREAD * (2 * (np.arange(STROKES) + 0.5) / STROKES - 1))
     rendered = {label: case.strokes(given, forces) for label, given in options.items()}
     truth = rendered["reference"]
-    points = case.held_against(rendered, "reference")
-    halves = [_Strokes(truth.sounds[i::2], truth.seconds, truth.n_modes) for i in (0, 1)]
-    return [*points, case.point(OTHERS, *halves)]
+    points = _against(case, rendered, "reference")
+    return [*points, _point(case, OTHERS, *truth.halves())]
 
 
-@dataclass(frozen=True, slots=True)
-class _Strokes:
-    """Sounds (n_strokes, n) of some setting; s of computing per second of sound; modes stepped."""
-
-    sounds: Floats
-    seconds: float
-    n_modes: int
+def _point(case: NoteCase, label: str, strokes: Strokes, truth: Strokes) -> DialPoint:
+    """One setting."""
+    errors, name = case.errors(strokes, truth), case.instrument.spec.name
+    return DialPoint(name, case.string, label, errors, strokes.seconds, strokes.n_modes, len(strokes.sounds))
 
 
-@dataclass(frozen=True, slots=True)
-class _Case:
-    """A string of an instrument, played with a force, driven until `let_go` s or not at all (0)."""
-
-    instrument: Instrument
-    string: str
-    force: float
-    let_go: float
-    duration: float = DURATION
-
-    @classmethod
-    def of(cls, instrument: Instrument, string: str, force: float | None = None, duration: float = DURATION) -> _Case:
-        """With the force of a velocity in the middle, if none is given."""
-        note = Note(0.0, DURATION, string=string, stop=0, force=force, velocity_midi=None if force else VELOCITY_MIDI)
-        renderer = Renderer(Score([note]), instrument, FS)
-        motions = [m for play in renderer.performance.timeline.plays for m in play.gesture.motions]
-        force = renderer.model.playing.velocity.value(VELOCITY_MIDI) if force is None else force
-        # what moves on at a velocity goes on giving energy
-        return cls(
-            instrument,
-            string,
-            force,
-            0.5 * duration if any(m.quantity == "velocity" for m in motions) else 0.0,
-            duration,
-        )
-
-    def strokes(self, options: Mapping[str, Any], factors: Sequence[float] = (1.0,)) -> _Strokes:
-        """A note rendered with some options, with these times the force."""
-        sounds, spent, heard, n_modes = [], 0.0, 0.0, 0
-        for factor in factors:
-            note = Note(0.0, self.let_go or self.duration, string=self.string, stop=0, force=self.force * factor)
-            renderer = Renderer(Score([note]), self.instrument, FS, max_duration=self.duration, **options)
-            began = time.thread_time()
-            sounds.append(np.concatenate(list(renderer.blocks(4096)))[:, 0])
-            spent, heard = spent + time.thread_time() - began, heard + len(sounds[-1]) / FS
-            n_modes = renderer.model.n_modes
-        shortest = min(len(sound) for sound in sounds)
-        return _Strokes(np.stack([sound[:shortest] for sound in sounds]), spent / heard, n_modes)
-
-    def errors(self, strokes: _Strokes, truth: _Strokes) -> PartialErrors:
-        """Of some strokes against others."""
-        freq = self.instrument.tuning.freq(self.instrument.open_note(self.string))
-        skip = int(SETTLED * FS)
-        let_go = self.let_go and self.let_go - SETTLED
-        return compare(strokes.sounds[:, skip:], truth.sounds[:, skip:], FS, freq, let_go)
-
-    def point(self, label: str, strokes: _Strokes, truth: _Strokes) -> DialPoint:
-        """One setting."""
-        name = self.instrument.spec.name
-        return DialPoint(
-            name, self.string, label, self.errors(strokes, truth), strokes.seconds, strokes.n_modes, len(strokes.sounds)
-        )
-
-    def held_against(self, rendered: Mapping[str, _Strokes], truth: str) -> list[DialPoint]:
-        """All of them against one."""
-        return [self.point(label, strokes, rendered[truth]) for label, strokes in rendered.items()]
+def _against(case: NoteCase, rendered: Mapping[str, Strokes], truth: str) -> list[DialPoint]:
+    """All settings against one."""
+    return [_point(case, label, strokes, rendered[truth]) for label, strokes in rendered.items()]
 
 
 def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
@@ -208,8 +146,8 @@ def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
         named = f"auto, {cents:g} cents, {db:g} dB"
         options[named] = {"effects": "auto", "budget_cents": cents, "budget_db": db}
     options["none"] = {"effects": "none"}
-    case = _Case.of(instrument, middle_string(instrument), FORCE, SHORT if quick else DURATION)
-    out = case.held_against({label: case.strokes(given) for label, given in options.items()}, "all")
+    case = NoteCase.of(instrument, middle_string(instrument), SHORT if quick else DURATION, force=FORCE, fs=FS)
+    out = _against(case, {label: case.strokes(given) for label, given in options.items()}, "all")
     tell(1.0)
     return out
 

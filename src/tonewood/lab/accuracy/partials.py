@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -140,14 +141,26 @@ def _detuning(t: Floats, a: Complexes, b: Complexes, freq: float) -> float:
 
 def _decay(t: Floats, energy: Floats) -> float:
     """Rate of a partial's energy (n_looks), nepers in the time there is: see `compare`."""
-    rates = np.concatenate([np.linspace(-10, 20, 121), np.geomspace(20, 500, 60)[1:]])
     span = (t - t[0]) / (t[-1] - t[0])
-    slopes = [_slope(span, np.exp(-rate * span)) for rate in rates]
-    return float(np.interp(-_slope(span, energy), np.negative(slopes), rates))
+    rates, slopes = _slopes_of_exponentials(span.tobytes())
+    return float(np.interp(-_slope(span, energy[None])[0], np.negative(slopes), rates))
 
 
-def _slope(t: Floats, energy: Floats) -> float:
-    """Of the level of the energy still to come, dB/s, weighted by its root."""
-    left = np.maximum(np.cumsum(energy[::-1])[::-1], 1e-300)
-    left /= left[0]
-    return float(np.polynomial.polynomial.polyfit(t, 10 * np.log10(left), 1, w=left**0.25)[1])
+@lru_cache(maxsize=8)
+def _slopes_of_exponentials(span: bytes) -> tuple[Floats, Floats]:
+    """Rates, and the slopes that exponentials of these rates have, for times (float64, 0 to 1)."""
+    t = np.frombuffer(span)
+    rates = np.concatenate([np.linspace(-10, 20, 121), np.geomspace(20, 500, 60)[1:]])
+    return rates, _slope(t, np.exp(-rates[:, None] * t))
+
+
+def _slope(t: Floats, energy: Floats) -> Floats:
+    """Slopes of the levels of the energy still to come (n, n_looks), dB per unit of t, weighted by its root."""
+    left = np.maximum(np.cumsum(energy[:, ::-1], axis=1)[:, ::-1], 1e-300)
+    left /= left[:, :1]
+    weight = np.sqrt(left)
+    level = 10 * np.log10(left)
+    total = weight.sum(axis=1)
+    mean = (weight @ t) / total
+    off = t - mean[:, None]
+    return np.asarray((weight * off * level).sum(axis=1) / (weight * off**2).sum(axis=1))
