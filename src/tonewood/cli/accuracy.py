@@ -49,10 +49,11 @@ def accuracy(
         Path | None, typer.Option("--json", metavar="FILE", help="write everything to FILE as JSON")
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE.png", help="Pareto charts, one per system")
+        Path | None, typer.Option("--plot", metavar="FILE.png", help="error against time, one quantity a row")
     ] = None,
     report: Annotated[
-        Path | None, typer.Option("--report", metavar="FILE.html", help="everything on one page, .html or .md")
+        Path | None,
+        typer.Option("--report", metavar="FILE.html", help="a page, .html or .md; beside the latter FILE-tables.md"),
     ] = None,
 ) -> None:
     """Compare error and time of this project with methods of the literature, and of each of its own settings."""
@@ -98,9 +99,9 @@ def accuracy(
     study = Study(outcomes, timing.machine(), quick, more)
     png = b""
     if drawing:
-        from tonewood.lab.accuracy.picture import pareto_png
+        from tonewood.lab.accuracy.answer import chart_png
 
-        png = pareto_png(outcomes)
+        png = chart_png(outcomes)
     # everything is made before anything is written
     contents: list[tuple[Path, str | bytes]] = []
     if json is not None:
@@ -112,6 +113,7 @@ def accuracy(
     elif report is not None:
         seen = None if plot is None else Path(os.path.relpath(plot, report.absolute().parent)).as_posix()
         contents.append((report, study.markdown(seen)))
+        contents.append((report.with_name(f"{report.stem}-tables.md"), study.tables()))
     for path, content in contents:
         write_whole(path, content)
     print(study.machine_line)

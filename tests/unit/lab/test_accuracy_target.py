@@ -72,7 +72,7 @@ def test_notes_that_cannot_be_played_are_said() -> None:
 
 @pytest.fixture(scope="module")
 def monochord() -> Frontier:
-    return search(tw.load_instrument("monochord"), Target.parse("0.2cent,0.2dB"), notes=["A2:5"], fs=FS, bandwidth=5e3)
+    return search(tw.load_instrument("monochord"), Target.parse("2cent,1dB"), notes=["A2:5"], fs=FS, bandwidth=5e3)
 
 
 def test_the_setting_found_meets_the_target_against_another_reference(monochord: Frontier) -> None:
@@ -81,11 +81,11 @@ def test_the_setting_found_meets_the_target_against_another_reference(monochord:
     truth = case.strokes({"oversampling": 6.0})
     assert monochord.cheapest is not None
     best = case.errors(case.strokes(monochord.cheapest.setting.options), truth)
-    assert best.cents_worst < 0.2
-    assert best.level_worst < 0.2
+    assert best.cents_worst < 2.0
+    assert best.level_worst < 1.0
     for cheaper in monochord.tried[: monochord.tried.index(monochord.cheapest)]:
         errors = case.errors(case.strokes(cheaper.setting.options), truth)
-        assert errors.cents_worst > 0.2 or errors.level_worst > 0.2
+        assert errors.cents_worst > 2.0 or errors.level_worst > 1.0
 
 
 def test_the_own_error_of_the_reference_is_of_the_right_size(monochord: Frontier) -> None:

@@ -413,7 +413,7 @@ class _Search:
                 renderer.restore(start)
 
             tasks.append(Task(play, self.cases[0].duration, restore))
-        times = time_tasks(tasks, 3, lambda share: self.tell(0.8 + 0.15 * share))
+        times = time_tasks(tasks, 2, lambda share: self.tell(0.8 + 0.15 * share))
         timed = [
             Tried(t.setting, t.errors, t.met, time.median, t.n_modes, t.highest)
             for t, time in zip(tried, times, strict=True)
