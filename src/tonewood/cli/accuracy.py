@@ -172,7 +172,7 @@ def _target(
 def _stability(system: str | None, quick: bool, json: Path | None, plot: Path | None, report: Path | None) -> None:
     from json import dumps
 
-    from tonewood.lab.accuracy import stability
+    from tonewood.lab.accuracy import attacks, stability
     from tonewood.whole_files import write_whole
 
     if system is not None or plot is not None:
@@ -187,7 +187,7 @@ def _stability(system: str | None, quick: bool, json: Path | None, plot: Path | 
         write_whole(json, dumps(grid.to_json(), allow_nan=False))
     if report is not None:
         write_whole(report, grid.markdown())
-    print(grid.table(), end="")
+    print(f"{attacks.section(grid.attacks)}\n\n{grid.table()}", end="")
     for path in (json, report):
         if path is not None:
             print(path)
