@@ -40,8 +40,9 @@ class Resampler:
         size = -(-len(taps) // q)
         padded = np.zeros(size * q)
         padded[: len(taps)] = taps
-        #: taps of each phase (q, size), the earliest sample first
-        self._phases = padded.reshape(size, q).T[:, ::-1].copy()
+        # taps of each phase, the earliest sample first, cut into those of every p-th sample
+        phases = padded.reshape(size, q).T[:, ::-1]
+        self._phases = [[phase[r::p].copy() for r in range(p)] for phase in phases]
         self.memory: Floats = np.zeros((size - 1, n_channels))
 
     def frame(self, sample: int) -> int:
@@ -75,14 +76,12 @@ class Resampler:
             last, phase = divmod((first + k) * p + self._half, q)
             count = len(range(first + k, stop, q))
             for channel in range(out.shape[1]):
-                out[k::q, channel] = _correlated(joined[last - sample :, channel], self._phases[phase], p, count)
+                out[k::q, channel] = _correlated(joined[last - sample :, channel], self._phases[phase], count)
         return out
 
 
-def _correlated(x: Floats, taps: Floats, stride: int, count: int) -> Floats:
-    """Sums over t of x[j stride + t] taps[t], j from 0 to count - 1; they do not depend on `count`."""
-    out = np.zeros(count)
-    for r in range(min(stride, len(taps))):
-        own = taps[r::stride]
-        out += np.correlate(x[r::stride][: count + len(own) - 1], own, "valid")
-    return out
+def _correlated(x: Floats, parts: list[Floats], count: int) -> Floats:
+    """Sums over r and i of x[j p + r + i p] parts[r][i], j from 0 to count - 1; they do not depend on `count`."""
+    strided = [x[r :: len(parts)] if len(parts) > 1 else x for r in range(len(parts))]
+    sums = [np.correlate(own[: count + len(part) - 1], part) for own, part in zip(strided, parts, strict=True)]
+    return np.asarray(sum(sums[1:], sums[0]))

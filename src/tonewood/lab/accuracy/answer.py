@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -120,7 +121,7 @@ def sentences(outcomes: Sequence[Outcome]) -> str:
 
 def section(outcomes: Sequence[Outcome]) -> str:
     """Sentences and tables."""
-    parts = [sentences(outcomes)]
+    parts = [textwrap.fill(sentences(outcomes), 120)]
     for measure in (PITCH, WAVEFORM):
         made = table(outcomes, measure)
         if made.count("\n") > 1:

@@ -57,7 +57,9 @@ A cell has the cheapest setting of tonewood that was measured with an error no l
 mode of strings at 48 kHz), its seconds of computing per second of sound, and the best other method with its time as a
 multiple of ours. All methods step the same modes of the same system, compiled alike, so a multiple has two factors: the
 scheme, and cache blocking (modes are moved once per block of samples), which the other methods were not given. The
-second one alone is the time of *tonewood's scheme, a sweep per sample* in the [tables](accuracy-tables.md).
+second one alone is the ratio of *tonewood's scheme, a sweep per sample* in the [tables](accuracy-tables.md). *Velocity
+level* is that scheme with the velocities of a joint made equal instead of its positions: no published method, of second
+order, and unstable with modes above the Nyquist frequency.
 *Superposition* of the coupled modes has no error of pitch or waveform at any rate, as long as no stop, bend or contact
 changes; the eigenproblem of the whole is not in its time.
 
