@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds the kernel with AddressSanitizer and UndefinedBehaviorSanitizer into a throwaway environment and runs the tests
-# that reach it there. Needs GCC or Clang with their sanitizer libraries. Arguments go to pytest, in place of the
-# default choice of tests.
+# that reach it there. Needs Clang with its sanitizer libraries (Debian: clang-16 and libclang-rt-16-dev), or GCC, which
+# takes half an hour to build this; CXX names one. Arguments go to pytest, in place of the default choice of tests.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -13,7 +13,14 @@ export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PIP_DISABLE_PIP_VERSION_CHECK=1 
 "$python" -m venv "$work/venv"
 # shellcheck disable=SC1091
 . "$work/venv/bin/activate"
-echo "== building"
+if [ -z "${CXX:-}" ] && command -v clang++-16 >/dev/null && clang++-16 -print-runtime-dir >/dev/null; then
+    export CXX=clang++-16
+fi
+if [[ ${CXX:-} == *clang* ]]; then
+    LD_LIBRARY_PATH=$("$CXX" -print-runtime-dir)${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
+    export LD_LIBRARY_PATH
+fi
+echo "== building by ${CXX:-c++}"
 pip install -q ".[test]" -Cbuild-dir="$work/build" -Ccmake.define.TONEWOOD_SANITIZE=ON -Cinstall.strip=false
 
 module=$(cd "$work" && python -c "import importlib.util as u; print(u.find_spec('tonewood._kernel').origin)")

@@ -40,8 +40,9 @@ def tension_effect(model: Model) -> TensionEffect:
     return found
 
 
-def moment(system: System, state: State) -> Moment:
-    """What effects see of a motion, with nothing heard or played."""
+def moment(system: System, state: State, sample: int = 0) -> Moment:
+    """What effects see of a motion at a sample, with nothing heard or played."""
+    state.sample = sample
     return Moment(system, state, {}, np.zeros(len(system.readouts)))
 
 

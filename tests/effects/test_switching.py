@@ -10,8 +10,9 @@ from effect_scenes import FS, TENSION, compared, duet, moment, renderer, sound, 
 
 import tonewood as tw
 from tonewood.energy.stored import stored_energy
-from tonewood.engine.effects.base import Switching, pay, switch
-from tonewood.engine.effects.tension import LOOK
+from tonewood.engine.effect_usage import Bound
+from tonewood.engine.effects.base import Switching, Watched, pay, switch
+from tonewood.engine.effects.tension import LOOK, SELDOM
 from tonewood.engine.engine import GRID
 from tonewood.instrument.assembly import assemble
 from tonewood.stepping.motion import from_motion, share_velocities, to_motion
@@ -93,11 +94,11 @@ def test_a_gesture_a_hair_before_a_grid_point_does_not_see_the_blocks(mode: str)
 
 
 def test_a_snapshot_between_switches_continues() -> None:
-    notes, _, _ = SCENES["quiet and loud in turn"]
-    stream = renderer(notes, 1.2, duet())
+    notes, _, _ = SCENES["a loud pluck after a long silence"]
+    stream = renderer(notes, 1.6, duet())
     blocks = stream.blocks(512)
     kept = []
-    for _ in itertools.islice(blocks, 14):
+    for _ in itertools.islice(blocks, 40):
         pass
     for _ in range(25):
         kept.append((stream.snapshot(), stream.engine.running(TENSION)))
@@ -105,7 +106,7 @@ def test_a_snapshot_between_switches_continues() -> None:
     assert len({tense for _, tense in kept}) > 1
     rest = np.concatenate(list(blocks))
     for snapshot, _ in kept[::6]:
-        again = renderer(notes, 1.2, duet())
+        again = renderer(notes, 1.6, duet())
         again.restore(snapshot)
         left = np.concatenate(list(again.blocks(512)))[-len(rest) :]
         assert np.array_equal(left, rest)
@@ -206,7 +207,7 @@ def test_switches_are_paid_in_the_strings_order(wanted: tuple[str, ...], monkeyp
     model = assemble(duet(mode="auto"), FS)
     effect, asked = tension_effect(model), []
     monkeypatch.setattr(effect, "cost", lambda moment, component, on: asked.append(component) or 0.0)
-    after = switch(effect, moment(model.system, model.system.start()), Switching(), wanted)
+    after = switch(effect, moment(model.system, model.system.start()), Switching(), Watched(frozenset(wanted)))
     assert after == Switching(frozenset(wanted))
     assert asked == list(effect.components)
 
@@ -215,6 +216,28 @@ def test_a_switch_that_cannot_be_paid_is_pending(monkeypatch: pytest.MonkeyPatch
     model = assemble(duet(mode="auto"), FS)
     effect, at_rest = tension_effect(model), moment(model.system, model.system.start())
     monkeypatch.setattr(effect, "cost", lambda moment, component, on: 1e-6 if on else 0.0)
-    after = switch(effect, at_rest, Switching(frozenset({"B3"})), {"E4"})
+    after = switch(effect, at_rest, Switching(frozenset({"B3"})), Watched(frozenset({"E4"})))
     assert after == Switching(frozenset(), frozenset({"E4"}))
     assert effect.next_watch(128, after) == 128 + GRID
+
+
+def test_a_rise_far_above_its_budget_is_not_looked_at_until_it_may_have_fallen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The slowest mode alone would take ln(r) / 2 s to fall to the budget: half of that passes without a look."""
+    model = assemble(duet(mode="auto"), FS)
+    effect, system = tension_effect(model), model.system
+    rates = [system.compiled[system.slot(c)].basis.damping_rate.min() for c in model.strings["B3"].components]
+    over = 4.0
+    monkeypatch.setattr(
+        effect, "bounds", lambda m, energies, names: {n: Bound(over * BUDGET, np.inf) for n in energies}
+    )
+    at = moment(system, system.start())
+    on = Switching(frozenset(effect.components))
+    found = effect.watch(at, on)
+    assert found is not None
+    seconds = np.log(over) / (4.0 * min(rates))
+    assert abs(found.until["B3"] - min(seconds, 0.5) * FS) <= 1.0
+    resting = Switching(found.wanted, until=found.until)
+    later = effect.watch(moment(system, system.start(), sample=GRID * SELDOM), resting)
+    assert later is None  # all stay on: nothing to look at
+    beyond = -(-max(found.until.values()) // (GRID * SELDOM)) * GRID * SELDOM
+    assert effect.watch(moment(system, system.start(), sample=beyond), resting) is not None

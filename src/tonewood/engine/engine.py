@@ -262,9 +262,9 @@ class Engine:
                 continue
             self.usage.enter(effect.name, found.bounds)
             if self.only_watch:
-                self.switchings[effect.name] = Switching(found.wanted)
+                self.switchings[effect.name] = Switching(found.wanted, until=found.until)
                 continue
-            after = switch(effect, moment, before, found.wanted)
+            after = switch(effect, moment, before, found)
             self.switchings[effect.name] = after
             if after.on != before.on:
                 effect.reset(self.system, self.state, after.on ^ before.on)

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -52,10 +52,12 @@ class Switching:
     ----------
     on : components on which the effect runs.
     pending : components on which it is wanted, but which cannot pay for the switch yet.
+    until : component -> sample before which it stays on unwatched, since its bound is far above the budget.
     """
 
     on: frozenset[str] = frozenset()
     pending: frozenset[str] = frozenset()
+    until: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +68,12 @@ class Watched:
     ----------
     wanted : components on which the effect is to run from now on.
     bounds : component, bound on what is missing without the effect, and whether it is left out; in order.
+    until : component -> sample before which it stays on unwatched, of `Switching`.
     """
 
     wanted: frozenset[str]
     bounds: Sequence[tuple[str, Bound, bool]] = ()
+    until: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,7 +342,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         return self.effect.before
 
 
-def switch(effect: SwitchedEffect, moment: Moment, before: Switching, wanted: Collection[str]) -> Switching:
+def switch(effect: SwitchedEffect, moment: Moment, before: Switching, found: Watched) -> Switching:
     """Switch components on or off as wanted, where the energy of the switch can be paid; the system is not changed.
 
     The energy is taken from the kinetic energy of the effect's `payers`, in the moment's state. A component that cannot
@@ -346,10 +350,10 @@ def switch(effect: SwitchedEffect, moment: Moment, before: Switching, wanted: Co
     """
     on = set(before.on)
     for component in effect.components:
-        wants = component in wanted
+        wants = component in found.wanted
         if wants != (component in before.on) and pay(effect, moment, component, wants):
             (on.add if wants else on.remove)(component)
-    return Switching(frozenset(on), frozenset(wanted) - on)
+    return Switching(frozenset(on), found.wanted - on, found.until)
 
 
 def pay(effect: SwitchedEffect, moment: Moment, component: str, on: bool) -> bool:

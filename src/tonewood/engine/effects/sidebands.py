@@ -144,6 +144,16 @@ def _resonant(
     return np.asarray(pull + driven / np.maximum(held.damping_rate[near] + decay, apart))
 
 
+def _same_modes(one: ModalBasis, other: ModalBasis) -> bool:
+    """Whether two planes of a string have the same modes, as they have where nothing tells the planes apart."""
+    shapes = (basis.right[basis.index("bridge")] for basis in (one, other))
+    return (
+        np.array_equal(one.stiffness, other.stiffness)
+        and np.array_equal(one.damping_rate, other.damping_rate)
+        and np.array_equal(*shapes)
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Sidebands:
     """Sidebands of one string as it is held now.
@@ -161,9 +171,12 @@ class Sidebands:
     def of(cls, compiled: Mapping[str, Compiled], rise: float, system: System, response: BridgeResponse) -> Sidebands:
         """Of a string's transverse components."""
         planes = {}
+        before: tuple[ModalBasis, HeldModes] | None = None
         for name, part in compiled.items():
             if part.basis.n_modes > 1:
-                held = HeldModes.of(part.basis, "bridge")
+                same = before is not None and _same_modes(before[0], part.basis)
+                held = before[1] if same and before else HeldModes.of(part.basis, "bridge")
+                before = part.basis, held
                 planes[name] = Plane.of(name, part.basis, held, system, response)
         return cls(planes, rise)
 

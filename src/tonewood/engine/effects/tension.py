@@ -49,6 +49,8 @@ LOOK, SELDOM = 16, 64
 #: s, shortest time for which a rise is left out: two switches and the bounds before them cost some 5 ms, a rise saves
 #: some 20 ms/s (a steel guitar's string at 48 kHz)
 SHORTEST = 0.3
+#: s, longest time for which a rise goes on without another look at its bound
+_LONGEST_UNWATCHED = 0.5
 #: share of the budget below which a rise is left out; above the whole of it, it comes back
 _LEAVE = 0.9
 #: share of the additive budget that sidebands may take; the rest is left to other effects that are left out
@@ -118,6 +120,9 @@ class TensionEffect(SwitchedEffect):
         self._starts = np.cumsum([0, *sizes[:-1]]).astype(np.intp)
         self._forms = np.zeros((3, len(self._places)))
         self._formed: list[Compiled | None] = [None] * len(self._slots)
+        # the system that they describe, and what its strings rise per joule, cents: `Effect.bound` is proportional
+        self._system: System | None = None
+        self._per_joule = np.zeros(len(self.components))
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -147,23 +152,30 @@ class TensionEffect(SwitchedEffect):
         if not (look or moved or fresh or switching.pending):
             return None
         wanted = on | switching.pending
-        staying = {name for name in wanted if not whole or name in moment.busy or moment.until(name) < SHORTEST}
+        until = {name: sample for name, sample in switching.until.items() if sample > moment.sample}
+        staying = {
+            name
+            for name in wanted
+            if not whole or name in moment.busy or name in until or moment.until(name) < SHORTEST
+        }
         if len(staying) == len(self.components) and not (fresh or switching.pending):
             return None  # all rise, and none is to be switched off
-        energies = dict(zip(self.components, self.energies(moment.system, moment.state).tolist(), strict=True))
+        energies = self.energies(moment.system, moment.state)
+        cents = dict(zip(self.components, (energies * self._per_joule).tolist(), strict=True))
         seen: list[tuple[str, Bound, bool]] = []
         if look or moved:
-            others = {name: energy for name, energy in energies.items() if name not in staying}
+            others = {name: value for name, value in cents.items() if name not in staying}
             bounds = self.bounds(moment, others, [name for name in others if whole or name in moved])
             wanted = self.wanted(bounds, wanted) | staying
+            until |= {name: self.next_bound(name, moment, bound) for name, bound in bounds.items() if name in wanted}
             seen += [(name, bound, name not in wanted) for name, bound in bounds.items()]
         for play in fresh:
             name = play.string or ""
-            bound = self.foreseen(play, moment, energies[name])
+            bound = self.foreseen(play, moment, float(energies[self.components.index(name)]))
             if bound.cents > self.budget or bound.level > self.budget_level:
                 wanted |= {name}
             seen.append((name, bound, name not in wanted))
-        return Watched(wanted, seen)
+        return Watched(wanted, seen, until)
 
     def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
         """Switch the tensions of these strings on, and all others off."""
@@ -198,6 +210,15 @@ class TensionEffect(SwitchedEffect):
 
     def energies(self, system: System, state: State) -> Floats:
         """(n_strings,) J, energy of each string's modes, and of what moves at it."""
+        if system is not self._system:
+            self._follow(system)
+        x, y = state.modes[:, self._places]
+        xx, xy, yy = self._forms
+        each = np.add.reduceat((xx * x + xy * y) * x + yy * y * y, self._starts)
+        return np.asarray(np.bincount(self._owner, each, len(self.components)), dtype=np.float64)
+
+    def _follow(self, system: System) -> None:
+        """Keep up with a system that is stepped from now on: energies of its modes, and cents per joule."""
         for i, slot in enumerate(self._slots):
             compiled = system.compiled[slot]
             if self._formed[i] is not compiled:
@@ -206,12 +227,10 @@ class TensionEffect(SwitchedEffect):
                 self._forms[:, start : start + system.capacities[slot]] = 0.0
                 self._forms[:, start : start + n] = forms.xx, forms.xy, forms.yy
                 self._formed[i] = compiled
-        x, y = state.modes[:, self._places]
-        xx, xy, yy = self._forms
-        each = np.add.reduceat((xx * x + xy * y) * x + yy * y * y, self._starts)
-        return np.asarray(np.bincount(self._owner, each, len(self.components)), dtype=np.float64)
+        self._per_joule = np.array([self.rise(name, system, 1.0) for name in self.components])
+        self._system = system
 
-    def bounds(self, moment: Moment, energies: Mapping[str, float], names: Collection[str]) -> dict[str, Bound]:
+    def bounds(self, moment: Moment, cents: Mapping[str, float], names: Collection[str]) -> dict[str, Bound]:
         """Bound on what leaving out strings' rise would cost: cents, and levels of `names`.
 
         The strings with the least level share the budget: a string's level is the sum of its own and of all lower
@@ -219,14 +238,14 @@ class TensionEffect(SwitchedEffect):
 
         Parameters
         ----------
-        energies : string -> J.
+        cents : string -> mean rise of its pitch.
         """
         system, state, peak = moment.system, moment.state, np.maximum(moment.peak, _SILENT)
-        cents = {name: self.rise(name, system, energy) for name, energy in energies.items()}
+        cents = dict(cents)
         alone: dict[str, float] = {}
         for name in names:
-            if cents[name] > self.budget or energies[name] == 0.0:  # beyond the budget, or at rest
-                alone[name] = math.inf if energies[name] else 0.0
+            if cents[name] > self.budget or cents[name] == 0.0:  # beyond the budget, or at rest
+                alone[name] = math.inf if cents[name] else 0.0
                 continue
             moving = {c: motion(system, state, c) for c in self._laws[name].components}
             alone[name] = self.sidebands(name, system, moment.frettings[name]).level(moving, peak)
@@ -306,6 +325,19 @@ class TensionEffect(SwitchedEffect):
             return bound.cents > share * self.budget or bound.level > share * self.budget_level
 
         return frozenset(name for name, bound in bounds.items() if beyond(bound, _LEAVE if name in on else 1.0))
+
+    def next_bound(self, name: str, moment: Moment, bound: Bound) -> int:
+        """Sample before which a bound is not worth another look: half the time in which it may fall to the budget.
+
+        The rise follows the string's energy, and the sidebands its power 3/2; energy falls as exp(-2 s t), s the least
+        damping rate of its modes. Where it falls faster, the tension rises for longer than it has to.
+        """
+        level = bound.level / self.budget_level if bound.level < math.inf else 0.0
+        over = max(bound.cents / self.budget, level ** (2 / 3), 1.0) if self.budget > 0.0 else math.inf
+        slots = self._planes[name]
+        rate = min(float(moment.system.compiled[slot].basis.damping_rate.min()) for slot in slots)
+        seconds = min(math.log(over) / (4.0 * max(rate, _TINY)), _LONGEST_UNWATCHED)
+        return moment.sample + int(seconds / moment.system.dt)
 
     def foreseen(self, play: Play, moment: Moment, energy: float) -> Bound:
         """Bound after a gesture on a string of `energy` (J); infinite if unknown."""
