@@ -18,7 +18,7 @@ from tonewood.coupling.laws import Contact
 from tonewood.coupling.system import System
 from tonewood.energy.account import EnergyAccount
 from tonewood.energy.stored import stored_energy
-from tonewood.engine.effects.base import Moment, SwitchedEffect, switch
+from tonewood.engine.effects.base import Moment, SwitchedEffect, Watched, switch
 from tonewood.instrument.bundle import Instrument
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.systems.harp_body import harp_body
@@ -194,7 +194,7 @@ def switched_strings(times: int) -> Attack:
     stepper = KernelStepper(engine.system)
     for i in range(times):
         system = stepper.system
-        wanted = () if now.on else effect.components
+        wanted = Watched(frozenset(() if now.on else effect.components))
         now = switch(effect, Moment(system, state, engine.frettings, np.zeros(1)), now, wanted)
         made = effect.apply(system, now.on, engine.frettings)
         if made is not system:
