@@ -117,10 +117,10 @@ def test_options_it_prints_are_those_of_render(tmp_path: Path, capsys: pytest.Ca
         assert (ended.value.code, err) == (0, "")
         return out
 
-    words = call("accuracy", "-i", "monochord", "--target", "1cent", "--notes", "A2", "--fs", 24000, "--apply").split()
+    words = call("accuracy", "-i", "monochord", "--target", "1cent", "--notes", "A2", "--fs", 16000, "--bandwidth", 3000, "--apply").split()
     assert words[0] == "--oversampling"
     score = write(tmp_path / "a.mid", note(0.0, 0.1, 45))
-    call("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.1, "--fs", 24000, *words)
+    call("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.1, "--fs", 16000, *words)
 
 
 @pytest.mark.parametrize(
