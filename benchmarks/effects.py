@@ -1,10 +1,10 @@
-"""What leaving effects out saves and costs: one table over scores and instruments.
+"""Time saved and error made by leaving effects out: one table over scores and instruments.
 
     python benchmarks/effects.py SCORE.mid ... [--seconds 8] [--instruments steel_guitar african_harp]
 
 Each score, or its first seconds, is rendered with effects `all`, `auto` and none but the second polarization (linear),
 a block of each in turn, on one core; times are seconds of the processor. `nylon_guitar` is the classical guitar with
-all there is: rising tensions and frets; `steel_guitar` is taken with frets, too. With `_along` after their names
+all there is: rising tensions and frets; `steel_guitar` is taken with frets, too. With `_longitudinal` after their names
 the longitudinal motion of their strings is coupled, too: ten times slower than they sound.
 Errors are those of `auto` against `all`: the largest sample difference with rising tension always on, over the first
 seconds, in dB re the peak (additive effects alone), and by how much the fundamentals of the notes are off while they
@@ -46,7 +46,7 @@ NYLON = 5e9
 
 def instrument(name: str) -> tw.Instrument:
     """A bundle, the steel-string guitar with frets if it has none, the classical guitar with all there is."""
-    if (plain_name := name.removesuffix("_along")) != name:
+    if (plain_name := name.removesuffix("_longitudinal")) != name:
         made = instrument(plain_name)
         return made.replace({"strings.*.plugin": "geometric_string"})
     if name == "nylon_guitar":
@@ -101,11 +101,11 @@ class Listened:
             stepper._step = kept  # type: ignore[method-assign]  # watched, not changed
         self._blocks = self.renderer.blocks(4096)
 
-    def _keep(self, pushes: Floats) -> None:
+    def _keep(self, forces: Floats) -> None:
         """Every COARSE-th sample of what a low pass leaves."""
-        low, self._memory = lfilter(LOW_PASS, 1.0, pushes, axis=0, zi=self._memory)
+        low, self._memory = lfilter(LOW_PASS, 1.0, forces, axis=0, zi=self._memory)
         self.forces.append(low[-self._count % COARSE :: COARSE].astype(np.float32))
-        self._count += len(pushes)
+        self._count += len(forces)
 
     def advance(self) -> bool:
         """Render the next block and count its time; False at the end."""
@@ -150,14 +150,14 @@ def detuning(a: Floats, b: Floats, freq: float) -> tuple[Floats, float]:
     return abs(cents[strong[1:] & strong[:-1]]), abs(float(power @ cents)) / max(float(power.sum()), 1e-300)
 
 
-def row(score: tw.Score, made: tw.Instrument, seconds: float | None, predict: bool, told: Told) -> str:
+def row(score: tw.Score, made: tw.Instrument, seconds: float | None, predict: bool, progress: Progress) -> str:
     """One line of the table; the three renders take turns, a block at a time."""
     auto, every = (Listened(score, made, seconds, effects=mode) for mode in ("auto", "all"))
     linear = Listened(score, made, seconds, strings=False, effects=LINEAR)
     going = [auto, every, linear]
     while going:
         going = [one for one in going if one.advance()]
-        told(auto.renderer.time)
+        progress(auto.renderer.time)
     stream, strings = auto.renderer, auto.renderer.model.strings
     a, b = (np.concatenate(one.forces) for one in (auto, every))
     windows, worst, fs = [np.zeros(1)], 0.0, FS / COARSE
@@ -188,7 +188,7 @@ def row(score: tw.Score, made: tw.Instrument, seconds: float | None, predict: bo
     )
 
 
-class Told:
+class Progress:
     """Says how far it is, on one line of the error stream, if that is a terminal or a file that is watched."""
 
     def __init__(self, what: str):
@@ -230,8 +230,8 @@ def main() -> None:
             print(f"| {name} without frets: {fault} |{' |' * (len(columns) - 1)}")
             made = tw.load_instrument(name)
         for path in args.scores:
-            told = Told(f"{name} {path.stem}")
-            line = row(tw.read_midi(path), made, args.seconds, not args.no_plan, told)
+            progress = Progress(f"{name} {path.stem}")
+            line = row(tw.read_midi(path), made, args.seconds, not args.no_plan, progress)
             print("\r", end="", file=sys.stderr)
             print(f"| {name} | {path.stem} | {line} |", flush=True)
     print(f"\n{time.perf_counter() - began:.0f} s in all")

@@ -3,7 +3,7 @@
     python benchmarks/ladder.py [--seconds 2] [--fs 48000]
 
 Six steel strings on the body of `steel_guitar`, plucked together by ramps of 2 N; one core. Only stepping is timed, not
-the making of the model. Each rung is stepped in turn, three times over, and every block counts as it was quickest, so
+the making of the model. Each scene is stepped in turn, three times over, and every block counts as it was quickest, so
 that all see the same machine.
 """
 
@@ -29,7 +29,7 @@ LOW = {"action_first": 2.5e-4, "action_twelfth": 1.2e-3}
 FINGER = {"plugin": "stopping_finger", "from_bridge": 0.1}
 
 
-def rung(
+def assembled(
     planes: list[str], tension: bool, action: dict[str, float] | None, finger: bool, plugin: str | None = None
 ) -> tw.Instrument:
     """The steel-string guitar with more or less of what is not linear."""
@@ -47,7 +47,7 @@ def rung(
 
 
 class Scene:
-    """An assembled rung, its strings pulled and let go at 20 ms."""
+    """An assembled scene, its strings plucked at 20 ms."""
 
     def __init__(self, instrument: tw.Instrument, fs: float, finger: bool):
         self.model: Model = assemble(instrument, fs)
@@ -81,11 +81,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     args = parser.parse_args()
     both = ["z", "y"]
-    rungs: dict[str, tuple[Any, ...]] = {
+    setups: dict[str, tuple[Any, ...]] = {
         "linear, one polarization": (["z"], False, None, False),
         "+ second polarization": (both, False, None, False),
         "+ tension modulation": (both, True, None, False),
-        "+ motion along the strings": (both, True, None, False, "geometric_string"),
+        "+ longitudinal motion": (both, True, None, False, "geometric_string"),
         "second polarization + 20 frets, not touched": (both, False, HIGH, False),
         "second polarization + 20 frets, buzzing": (both, False, LOW, False),
         "second polarization + a finger on each string": (both, False, None, True),
@@ -94,9 +94,9 @@ def main() -> None:
     }
     scenes: dict[str, Scene] = {}
     left_out: dict[str, str] = {}
-    for name, what in rungs.items():
+    for name, what in setups.items():
         try:
-            scenes[name] = Scene(rung(*what), args.fs, what[3])
+            scenes[name] = Scene(assembled(*what), args.fs, what[3])
         except (ValueError, tw.TonewoodError) as fault:  # a combination that the kernel does not step
             left_out[name] = str(fault)
     least: dict[str, NDArray[np.float64]] = {}

@@ -1,4 +1,4 @@
-"""What tonewood costs on this machine: one table.
+"""Measure the time that tonewood takes on this machine: one table.
 
     python benchmarks/run.py            # some minutes
     python benchmarks/run.py --quick    # shorter scores, fewer repeats
@@ -134,7 +134,7 @@ def kernel_cost(repeats: int) -> Iterator[Row]:
 
 
 def where_it_goes(repeats: int) -> Iterator[Row]:
-    """What the kernel spends on what, from the same guitar with parts left out."""
+    """Time of the kernel by task, from the same guitar with parts left out."""
     guitar = tw.load_instrument("classical_guitar")
     low = guitar.replace({f"strings.{name}.freq_upper": 1500.0 for name in guitar.string_names})
     systems = [chord(guitar).model.system, *(chord(g, ["bridge"]).model.system for g in (guitar, low))]

@@ -39,7 +39,7 @@ def main() -> None:
     print("| scene | " + " | ".join(f"`{name}`" for name in names) + " |")
     print("|---" * (len(names) + 1) + "|")
     for scene, what in SCENES.items():
-        stepped = ladder.Scene(ladder.rung(*what), 48000.0, what[3])
+        stepped = ladder.Scene(ladder.assembled(*what), 48000.0, what[3])
         system = stepped.stepper.system
         variants = {None: Shortcuts()} | {name: replace(Shortcuts(), **{name: False}) for name in names}
         steppers = {name: KernelStepper(system, shortcuts=on) for name, on in variants.items()}

@@ -1,4 +1,4 @@
-"""What reacts, heard: tension, contacts, friction, and both hands, one sound file for each instrument that has them.
+"""Hear reactions: tension, contacts, friction, and both hands, one sound file for each instrument that has them.
 
 python examples/effects.py
 """
@@ -11,7 +11,7 @@ import tonewood as tw
 
 #: instrument -> notes: (time, duration, string, stop, technique, force or velocity of the gesture)
 SCENES: dict[str, list[tw.Note]] = {
-    # a soft pluck, a hard one that glides down and turns; then both hands of the left-handed kind
+    # a soft pluck, a hard one that glides down and turns its plane; then both hands of the left-handed kind
     "steel_guitar": [
         tw.Note(0.0, 0.9, string="A2", stop=0, force=0.8),
         tw.Note(0.9, 1.2, string="A2", stop=0, force=12.0),

@@ -1,4 +1,4 @@
-"""A string that moves along itself too: `tension_modulated_string` with longitudinal waves and phantom partials.
+"""A string with longitudinal motion too: `tension_modulated_string` with longitudinal waves and phantom partials.
 
     strain e = u_x + (v_x^2 + w_x^2) / 2,   potential EA/2 int_0^L e^2 dx beside the tension at rest,
 
@@ -61,9 +61,9 @@ class GeometricString(TensionModulatedString):
     @property
     def longitudinal(self) -> Longitudinal:
         """Motion along the string."""
-        return Longitudinal(self._along, self.parameters.freq_coupled, self.parameters.bridge_leverage)
+        return Longitudinal(self._longitudinal, self.parameters.freq_coupled, self.parameters.bridge_leverage)
 
-    def _along(self, freq_upper: float, stop: float) -> ModalBasis:
+    def _longitudinal(self, freq_upper: float, stop: float) -> ModalBasis:
         p = self.parameters
 
         def loss(freq_rad: np.ndarray, wavenumber: np.ndarray) -> np.ndarray:

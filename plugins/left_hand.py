@@ -30,7 +30,7 @@ from tonewood.authoring import (
 )
 
 #: s after a hammer-on's push until the stop has changed: more than a tick of the control grid
-_SETTLED = 2e-3
+_STOPPED = 2e-3
 
 
 class LeftHandParameters(Parameters):
@@ -64,7 +64,7 @@ class LeftHand(Exciter[LeftHandParameters]):
             return Gesture((Segment(-time, 0.0, 0.0),), metres(p.from_bridge, place), stops=course)
         if p.action == "hammer_on":
             push = smooth_step(-time, -time / 2, 0.0, force) + smooth_step(-time / 2, 0.0, force, 0.0)
-            until = Segment(-time, _SETTLED, event.stop_before)
+            until = Segment(-time, _STOPPED, event.stop_before)
             return Gesture(push, place.length, p.angle_deg, stops=(until,))
         drag = smooth_step(-time, 0.0, 0.0, force) + smooth_step(0.0, 2e-4, force, 0.0)
         left = min(event.length_before, 0.99 * place.length)

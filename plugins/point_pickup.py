@@ -76,7 +76,7 @@ class PointPickup(Pickup[PointPickupParameters]):
 
     def _readout(self, name: str, source: Source, scene: Scene) -> Readout:
         points = source.mean if isinstance(source, Mean) else [source]
-        share, along = 1.0 / len(points), unit_vector(self.parameters.direction)
+        share, direction = 1.0 / len(points), unit_vector(self.parameters.direction)
         if self.parameters.quantity == "force":
             forces: list[tuple[str, float]] = []
             for point in points:
@@ -84,7 +84,7 @@ class PointPickup(Pickup[PointPickupParameters]):
                 if string not in scene.end_forces or end != "bridge":
                     allowed = ", ".join(f"{s}.bridge" for s in scene.end_forces)
                     raise self.fault(f"force can be read at {allowed}; not at {point!r}")
-                forces += [(connection, -share * dot(v, along)) for connection, v in scene.end_forces[string]]
+                forces += [(connection, -share * dot(v, direction)) for connection, v in scene.end_forces[string]]
             return Readout(name, "force", forces=tuple(f for f in forces if f[1] != 0.0))
         probes: list[Probe] = []
         for point in points:
@@ -92,7 +92,7 @@ class PointPickup(Pickup[PointPickupParameters]):
             if component == "body" and place in scene.body_points:
                 probes.append(Probe("body", place, share))
             elif point in scene.string_points:
-                probes += [Probe(c, p, share * dot(v, along)) for c, p, v in scene.string_points[point]]
+                probes += [Probe(c, p, share * dot(v, direction)) for c, p, v in scene.string_points[point]]
             else:
                 known = [f"body.{p}" for p in scene.body_points] + list(scene.string_points)
                 raise self.fault(f"there is no point {point!r}; there are {', '.join(known)}")

@@ -169,11 +169,39 @@ def _cite(path: Path) -> str:
     )
 
 
+_COMMANDS = """# Commands
+
+How do I call tonewood, and read its answers in a script?
+
+- **Help.** `tonewood -h` lists the commands, `tonewood COMMAND -h` prints the text below, `tonewood --version` the
+  version.
+- **Completion.** Run `tonewood --install-completion` once and open a new shell (bash, zsh, fish, PowerShell): Tab
+  completes commands, options and names of instruments. `tonewood --show-completion` prints the script instead.
+- **Report.** With `--json` a command prints one object on standard output, nothing else.
+- **Exit codes.** 0: done. 1: a test failed, no note could be played, or `--check` found something. 2: an error to mend.
+  130: Ctrl-C.
+
+Every report under `--json` begins with the same two keys: `{"schema": "tonewood-render/1", "ok": true, ...}`. `ok` is
+whether the exit code is 0; numbers that are not finite are null. An error stands there, too, beside its one line on
+standard error, with null for what does not apply:
+
+```json
+{"schema": "tonewood-error/1", "ok": false, "error": {"kind": "BundleError", "file": "m/instrument.yaml",
+ "line": 20, "key": "strings.A2.length", "reason": "is 900 m; at most 5 m: did you mean 900 mm (0.9)?",
+ "exit_code": 2}}
+```
+
+`kind` is the class of the error, `UsageError` for wrong arguments, or `Interrupted`. `tonewood schema` prints a JSON
+schema and takes no `--json`. To foresee a render, put `plan` in place of `render` in its command line and leave out
+`--block`, `--normalize`, `--limiter` and `--energy`.
+"""
+
+
 def _commands() -> str:
     """Reference of the command line, from the declarations of the commands."""
     from tonewood.cli.commands import COMMANDS
 
-    lines = ["# Commands\n", "`tonewood --version` prints the version, `tonewood COMMAND --help` what stands here.\n"]
+    lines = [_COMMANDS]
     for name, place in COMMANDS.items():
         module, _, function = place.partition(":")
         command = getattr(importlib.import_module(f"tonewood.cli.{module}"), function)

@@ -1,6 +1,6 @@
 """Mechanical systems in physical coordinates, solved with scipy and none of the project's own numerics.
 
-What the tests of modes, steppers and energies compare with: mass, damping and stiffness matrices of several parts,
+Reference for the tests of modes, steppers and energies: mass, damping and stiffness matrices of several parts,
 joined by rows over their degrees of freedom.
 """
 

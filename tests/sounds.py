@@ -31,7 +31,7 @@ def cents(a: float, b: float) -> float:
 
 
 def above(x: Floats, fs: float, freq: float) -> Floats:
-    """What lies above a frequency, by a steep linear-phase filter; as long as x."""
+    """The part of a sound above a frequency, by a steep linear-phase filter; as long as x."""
     from scipy.signal import fftconvolve, firwin
 
     n = 401

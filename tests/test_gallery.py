@@ -47,13 +47,13 @@ def test_a_sound_of_it(gallery: ModuleType, tmp_path: Path) -> None:
     assert freq[low][np.argmax(spectrum[low])] == pytest.approx(110.0, rel=0.01)
 
 
-def test_a_command_that_fails_is_told(gallery: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_that_fails_is_reported(gallery: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gallery, "command", lambda name: ["render", f"{name}.mid", "-i", "none", "-o", f"{name}.wav"])
     with pytest.raises(RuntimeError, match="exit code 2"):
         gallery.make(tmp_path, "monochord")
 
 
-def test_a_note_that_is_not_played_is_told(
+def test_a_note_that_is_not_played_is_reported(
     gallery: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(gallery.PIECES, "monochord", [(45, 80, 0.5), (20, 80, 0.5)])

@@ -49,9 +49,9 @@ def test_names_that_have_moved_still_work_and_say_where_they_are() -> None:
     for name in PUBLIC_IN_0_1.split():
         if name in tw.__all__:
             continue
-        with pytest.warns(DeprecationWarning, match=f"tonewood.{name} is deprecated since 0.2") as told:
+        with pytest.warns(DeprecationWarning, match=f"tonewood.{name} is deprecated since 0.2") as reported:
             value = getattr(tw, name)
-        place, _, last = str(told[0].message).rpartition(" ")[2].rpartition(".")
+        place, _, last = str(reported[0].message).rpartition(" ")[2].rpartition(".")
         assert getattr(import_module(place), last) is value
     assert len(tw.__all__) <= 18
 

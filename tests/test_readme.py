@@ -1,4 +1,4 @@
-"""What the README says is so: its commands and instruments are there."""
+"""The README is true: its commands and instruments are there."""
 
 from __future__ import annotations
 

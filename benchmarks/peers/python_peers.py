@@ -3,7 +3,7 @@
     python python_peers.py NAME SECONDS < modes.json      prints processor time and rms of the sound
 
 NAME is jaxdiffmodal, jaxdiffmodal-tension or genny; modes.json has freq (Hz), decay (1/s) and gain of each mode.
-What is compiled on first use is compiled before the clock starts.
+Code that is compiled on first use is compiled before the clock starts.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def child(command: Sequence[str], given: str = "") -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def told(command: Sequence[str], given: str = "") -> float:
+def printed(command: Sequence[str], given: str = "") -> float:
     """Processor time that a program prints as its first word, s; the second is the rms of a sound that must be one."""
     out = subprocess.run(command, input=given, text=True, check=True, capture_output=True).stdout.split()
     if not 0 < float(out[1]) < np.inf:
@@ -190,7 +190,7 @@ def faust(folder: Path) -> list[Peer]:
     return [
         Peer("modes", "Faust, tf2 filters", "modes, 64-bit samples, this machine's instructions",
              "compiled for these modes; -ffast-math; the quickest of the compilers here",
-             lambda seconds: min(told([program, f"{seconds:g}"]) for program in programs))
+             lambda seconds: min(printed([program, f"{seconds:g}"]) for program in programs))
     ]  # fmt: skip
 
 
@@ -202,7 +202,7 @@ def stk(folder: Path) -> list[Peer]:
     subprocess.run([compiler, "-O3", str(HERE / "stk_chord.cpp"), "-o", str(program), "-lstk"], check=True)
     return [
         Peer("chord", "STK, StifKarp", "six stiff strings", "delay lines with filters; one plane, no body or coupling",
-             lambda seconds: told([str(program), f"{seconds:g}"]))
+             lambda seconds: printed([str(program), f"{seconds:g}"]))
     ]  # fmt: skip
 
 
@@ -230,7 +230,7 @@ def python_peers(interpreter: str | None) -> list[Peer]:
 
     def run(name: str) -> Run:
         script = str(HERE / "python_peers.py")
-        return lambda seconds: told([interpreter, script, name, f"{seconds:g}"], given)
+        return lambda seconds: printed([interpreter, script, name, f"{seconds:g}"], given)
 
     jax = "Stoermer-Verlet; returns every mode at every sample"
     peers = [

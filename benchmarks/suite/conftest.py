@@ -10,17 +10,17 @@ from collections.abc import Callable
 
 import pytest
 
-Told = pytest.StashKey[list[tuple[str, str]]]()
+REPORTED = pytest.StashKey[list[tuple[str, str]]]()
 
 
 @pytest.fixture
 def tell(request: pytest.FixtureRequest) -> Callable[[str], None]:
     """Add a line to the summary."""
-    return lambda text: request.config.stash.setdefault(Told, []).append((request.node.name, text))
+    return lambda text: request.config.stash.setdefault(REPORTED, []).append((request.node.name, text))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    lines = config.stash.get(Told, [])
+    lines = config.stash.get(REPORTED, [])
     if lines:
         terminalreporter.section("per mode and sample")
         width = max(len(name) for name, _ in lines)

@@ -1,4 +1,4 @@
-"""What happens around the steps: loading a bundle, assembling a model, reading a score, rendering a second."""
+"""Work around the steps: loading a bundle, assembling a model, reading a score, rendering a second."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@
 #include <memory>
 
 #include "connect/coupled.hpp"
-#include "connect/linear_step.hpp"
+#include "connect/general_step.hpp"
 #include "connect/longitudinal.hpp"
 #include "connect/tension_step.hpp"
 #include "modal/motion.hpp"
@@ -16,7 +16,7 @@
 namespace tonewood {
 namespace {
 
-inline std::unique_ptr<ConnectionStep> connection_step(Block& block, ContactStep& laws) {
+inline std::unique_ptr<ConnectionStep> connection_step(Block& block, LawForces& laws) {
     const Model& m = block.model;
     if (!m.tensions.strings.empty() && laws.any()) return std::make_unique<CoupledStep>(block, laws);
     if (!m.tensions.strings.empty()) return std::make_unique<TensionStep>(block);
@@ -29,7 +29,7 @@ inline std::unique_ptr<ConnectionStep> connection_step(Block& block, ContactStep
 inline Fault run(Model& model, const Job& job) {
     const FlushDenormals flush;
     Block block(model, job);
-    ContactStep laws(block);
+    LawForces laws(block);
     const auto connections = connection_step(block, laws);
     Propagate propagate(model.layout);
     FusedPass fused(block);

@@ -6,8 +6,8 @@
 >>> audio.samples.shape
 (4800, 2)
 
-What plays scores stands here; `tonewood.authoring` has all that the author of a plugin needs, and `tonewood.errors`
-every error. Each name is imported when it is first used, so that ``import tonewood`` costs next to nothing.
+This module plays scores; `tonewood.authoring` has all that the author of a plugin needs, and `tonewood.errors` every
+error. Each name is imported when it is first used, so that ``import tonewood`` costs next to nothing.
 """
 
 from __future__ import annotations

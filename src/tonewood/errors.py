@@ -21,32 +21,43 @@ class OldFormatWarning(FutureWarning):
 
 
 class TonewoodError(Exception):
-    """A fault the user can mend, told in one line.
+    """A fault the user can mend, in one line.
 
     Parameters
     ----------
     reason : what is wrong and what is allowed.
     file : the file at fault, if there is one.
     key : dotted path of the key at fault, e.g. ``strings.E2.tension``.
+    line : number of the file's line at fault, from 1.
     """
 
     #: of the command line
     exit_code = 2
 
-    def __init__(self, reason: str, *, file: str | os.PathLike[str] | None = None, key: str | None = None):
-        line = " ".join(reason.split())
-        self.reason = line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} [...] {line[-_LONGEST // 2 :]}"
+    def __init__(
+        self,
+        reason: str,
+        *,
+        file: str | os.PathLike[str] | None = None,
+        key: str | None = None,
+        line: int | None = None,
+    ):
+        text = " ".join(reason.split())
+        self.reason = text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} [...] {text[-_LONGEST // 2 :]}"
         self.file = None if file is None else os.fspath(file)
-        self.key = key
-        super().__init__(": ".join(part for part in (self.file, self.key, self.reason) if part))
+        self.key, self.line = key, line
+        place = None if line is None else f"line {line}"
+        super().__init__(": ".join(part for part in (self.file, place, self.key, self.reason) if part))
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle with the keywords, so that the line survives a worker process."""
-        return (_rebuild, (type(self), self.reason, self.file, self.key))
+        return (_rebuild, (type(self), self.reason, self.file, self.key, self.line))
 
 
-def _rebuild(cls: type[TonewoodError], reason: str, file: str | None, key: str | None) -> TonewoodError:
-    return cls(reason, file=file, key=key)
+def _rebuild(
+    cls: type[TonewoodError], reason: str, file: str | None, key: str | None, line: int | None
+) -> TonewoodError:
+    return cls(reason, file=file, key=key, line=line)
 
 
 class BundleError(TonewoodError):

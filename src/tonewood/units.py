@@ -1,4 +1,4 @@
-"""The few units besides SI that people name pitch, level and decay in."""
+"""The few units besides SI that people name pitch, level and decay in; counts with their nouns."""
 
 from __future__ import annotations
 
@@ -26,3 +26,8 @@ def decibel(ratio: float) -> float:
 def t60(damping_rate: float) -> float:
     """Time in which an oscillation of damping rate sigma (1/s) falls by 60 dB, s."""
     return LN_1000 / damping_rate if damping_rate > 0 else math.inf
+
+
+def counted(count: int, noun: str) -> str:
+    """A number with its noun: ``1 channel``, ``2 channels``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

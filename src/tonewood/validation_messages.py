@@ -3,13 +3,35 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
+#: kinds of pydantic's errors for a number beyond a bound -> its name there, and words
+_BOUNDS = {
+    "less_than_equal": ("le", "at most"),
+    "less_than": ("lt", "less than"),
+    "greater_than_equal": ("ge", "at least"),
+    "greater_than": ("gt", "more than"),
+}
+#: units in which people measure -> in SI
+_SCALES = {
+    "m": {"mm": 1e-3, "cm": 1e-2},
+    "s": {"ms": 1e-3},
+    "kg": {"g": 1e-3},
+    "kg/m": {"g/m": 1e-3},
+    "Hz": {"kHz": 1e3},
+    "Pa": {"MPa": 1e6, "GPa": 1e9},
+    "N": {"mN": 1e-3, "kN": 1e3},
+    "N/m": {"N/mm": 1e3},
+    "kg/m^3": {"g/cm^3": 1e3},
+    "1": {"%": 1e-2},
+}
 _PLACE = re.compile(r"([\w.*-]+): ")
 _CONTAINERS = (dict, list, tuple, Mapping, Sequence)
 #: what pydantic puts before the text of a check's own error
@@ -20,11 +42,11 @@ def first_message(error: ValidationError, model: type[BaseModel]) -> tuple[str, 
     """Dotted key and reason of the first fault of a validation against `model`.
 
     Parts of a location that are not keys of the file (the tags pydantic puts in for members of a union) are left
-    out. An unknown key is answered with the keys allowed beside it; a key of earlier versions with what the model's
-    mapping `removed` says of it.
+    out. An unknown key is answered with the keys allowed beside it, and comes before a missing one that it resembles; a
+    key of earlier versions is answered by the model's mapping `removed`, a number beyond its bounds by these in units.
     """
     faults = error.errors(include_url=False)
-    fault = faults[0]
+    fault = next((f for f in faults if _misspelt(f, faults)), faults[0])
     keys, owners = _walk(fault["loc"], model)
     kind, reason = fault["type"], _RAISED.sub("", fault["msg"])
     if kind == "extra_forbidden":
@@ -36,6 +58,8 @@ def first_message(error: ValidationError, model: type[BaseModel]) -> tuple[str, 
     if kind == "union_tag_invalid":
         context = fault["ctx"]
         return ".".join([*keys, _discriminator(fault)]), f"{context['tag']} is not one of {context['expected_tags']}"
+    if kind in _BOUNDS and (beyond := _beyond(fault, keys, owners)):
+        return ".".join(keys), beyond
     named = None if keys else _PLACE.match(reason)  # a check over several keys that names its own place
     if named:
         return named[1], reason[named.end() :]
@@ -89,9 +113,46 @@ def _unknown(key: str, owners: list[type[BaseModel]]) -> str:
         if key in (removed := getattr(m, "removed", {})):
             return str(removed[key])
     allowed = list(dict.fromkeys(str(k) for m in owners for k in _fields(m)))
-    close = difflib.get_close_matches(key, allowed, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    return f"is not a known key; {hint}allowed: {', '.join(allowed)}"
+    return f"is not a known key; {did_you_mean(key, allowed)}allowed: {', '.join(allowed)}"
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """``did you mean tension? `` for a name that resembles a known one in its last part, else nothing."""
+    spelt = {word.lower().rpartition(".")[2]: word for word in known}
+    close = difflib.get_close_matches(name.lower().rpartition(".")[2], spelt, n=1, cutoff=0.7)
+    return f"did you mean {spelt[close[0]]}? " if close else ""
+
+
+def _misspelt(fault: Any, faults: Sequence[Any]) -> bool:
+    """Whether a fault is an unknown key that resembles a missing one beside it."""
+    missing = [f["loc"][-1] for f in faults if f["type"] == "missing" and f["loc"][:-1] == fault["loc"][:-1]]
+    return fault["type"] == "extra_forbidden" and bool(did_you_mean(str(fault["loc"][-1]), map(str, missing)))
+
+
+def _beyond(fault: Any, keys: Sequence[str], owners: Sequence[type[BaseModel]]) -> str | None:
+    """``is 650 m; at most 5 m: did you mean 650 mm (0.65)?``; None for a number without a declared unit."""
+    fields = [f for m in owners for name, f in m.model_fields.items() if keys and keys[-1] in (name, f.alias)]
+    unit = next((unit_of(f) for f in fields if unit_of(f)), None)
+    value, (bound, words) = fault["input"], _BOUNDS[fault["type"]]
+    if unit is None or not isinstance(value, (int, float)):
+        return None
+    low = max((x for f in fields for x in _limits(f, "ge", "gt")), default=-math.inf)
+    high = min((x for f in fields for x in _limits(f, "le", "lt")), default=math.inf)
+    scaled = [(name, value * factor) for name, factor in _SCALES.get(unit, {}).items()]
+    meant = " or ".join(f"{value:.12g} {name} ({x:.6g})" for name, x in scaled if low < x < high)
+    of = "" if unit == "1" else f" {unit}"
+    hint = f": did you mean {meant}?" if meant else " is allowed"
+    return f"is {value:.12g}{of}; {words} {fault['ctx'][bound]:.12g}{of}{hint}"
+
+
+def unit_of(field: FieldInfo) -> str:
+    """Unit of a number; empty for any other field."""
+    extra = field.json_schema_extra
+    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+
+
+def _limits(field: FieldInfo, *names: str) -> list[float]:
+    return [float(getattr(m, name)) for m in field.metadata for name in names if hasattr(m, name)]
 
 
 def _lower_first(text: str) -> str:

@@ -17,13 +17,14 @@ from ruamel.yaml import YAML
 from ruamel.yaml.composer import Composer
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import AliasEvent
-from ruamel.yaml.nodes import MappingNode
+from ruamel.yaml.nodes import MappingNode, SequenceNode
 
 from tonewood.errors import TonewoodError
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 24
 
+_SUFFIXES = (".yaml", ".yml")
 _STRING = "tag:yaml.org,2002:str"
 _MERGE = "tag:yaml.org,2002:merge"
 _TIMESTAMP = "tag:yaml.org,2002:timestamp"
@@ -77,14 +78,47 @@ def parse_yaml(
         data = yaml.load(text)
     except MarkedYAMLError as fault:
         mark = fault.problem_mark or fault.context_mark
-        where = f"line {mark.line + 1}: " if mark is not None else ""
-        raise error(f"{where}{fault.problem or 'not YAML'}", file=file) from None
+        line = None if mark is None else mark.line + 1
+        raise error(fault.problem or "not YAML", file=file, line=line) from None
     except (YAMLError, ValueError) as fault:  # ValueError: an integer of thousands of digits
         raise error(f"not YAML: {' '.join(str(fault).split())[:200]}", file=file) from None
     if not isinstance(data, dict):
         raise error(f"holds {_kind(data)}; a mapping of keys is wanted", file=file)
     _check_finite(data, "", file, error)
     return data
+
+
+def located(fault: TonewoodError) -> TonewoodError:
+    """Return an error with the line of its key, or of the nearest key above it, if its file is a YAML file.
+
+    A key of `strings.NAME` that stands under `strings.defaults` instead is found there.
+    """
+    if fault.file is None or not fault.key or fault.line is not None or Path(fault.file).suffix not in _SUFFIXES:
+        return fault
+    try:
+        node = YAML(typ="safe", pure=True).compose(Path(fault.file).read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, YAMLError):
+        return fault
+    line, parent = None, None
+    for part in fault.key.split("."):
+        defaults = _entry(parent, "defaults")
+        found = _entry(node, part) or (_entry(defaults[1], part) if defaults else None)
+        if found is None:
+            break
+        parent, (place, node) = node, found
+        line = place.start_mark.line + 1
+    return fault if line is None else type(fault)(fault.reason, file=fault.file, key=fault.key, line=line)
+
+
+def _entry(node: Any, key: str) -> tuple[Any, Any] | None:
+    """Node where an entry of a mapping, or of a list (by number or `name`), begins, and its value's node."""
+    if isinstance(node, MappingNode):
+        return next(((name, value) for name, value in node.value if name.value == key), None)
+    if isinstance(node, SequenceNode):
+        members = enumerate(node.value)
+        named = ((m, m) for i, m in members if key == str(i) or ((_entry(m, "name") or (m, m))[1].value == key))
+        return next(named, None)
+    return None
 
 
 class _StrictComposer(Composer):

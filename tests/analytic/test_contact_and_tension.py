@@ -124,7 +124,7 @@ def steel_string(n_modes, rate, components=("part",), axial=True, damping=0.0):
 
 
 @pytest.mark.parametrize(("amplitude", "printed"), [(0.0005, 76.598626), (0.001, 76.647562), (0.002, 76.842943)])
-def test_one_mode_of_a_tense_string_is_a_duffing_oscillator(amplitude, printed):
+def test_one_mode_of_a_tension_modulated_string_is_a_duffing_oscillator(amplitude, printed):
     rate = 48e3
     system = steel_string(1, rate)
     state = system.start()
@@ -159,7 +159,7 @@ def test_a_plane_motion_whirls_when_its_tension_is_shared():
     assert moved[1] < 0.02
 
 
-def test_pitch_of_a_plucked_tense_string_glides_down():
+def test_pitch_of_a_plucked_tension_modulated_string_glides_down():
     rate = 48e3
     system = steel_string(30, rate, damping=3.0)
     state = system.start()
@@ -193,7 +193,7 @@ class TestBow:
         return System.build({"part": basis}, [bow], BOTH, dt=1 / self.rate), omega[0] / (2 * math.pi)
 
     def bowed(self, force):
-        """Strongest frequency over the string's own, and share of the time spent sliding, once it has settled."""
+        """Strongest frequency over the string's own, and share of time spent sliding, once the motion is periodic."""
         system, pitch = self.scene(force)
         state, stepper = system.start(), KernelStepper(system)
         stepper.run(state, 36000)

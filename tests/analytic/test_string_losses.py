@@ -144,17 +144,17 @@ def test_on_a_bridge_with_mass_against_the_exact_dynamic_stiffness(string, law):
         assert 1200 * np.log2(pole.imag / s.imag) == pytest.approx(0.0, abs=0.01)
 
 
-def test_what_a_law_asks_in_vain_is_told():
+def test_what_a_law_asks_in_vain_is_reported():
     """Bending loss alone: no loss of modes gives so steep a law; the error is reported, and is what comes out."""
     string = STRINGS["nylon bass"]
     eta = law_of(string, (0.0, 2e-2, 0.0, 0.0))
     basis = string_basis(*string, eta, n_modes=70)
     omega, k = fixed_partials(string, 69)
     error = -held_poles(basis).real / (omega * eta(omega, k) / 2) - 1
-    told = basis.metadata["loss_error"]
-    np.testing.assert_allclose(told, error, atol=2e-3)
-    assert told[0] > 0.3
-    assert np.all(np.abs(told[10:]) < 2e-3)
+    reported = basis.metadata["loss_error"]
+    np.testing.assert_allclose(reported, error, atol=2e-3)
+    assert reported[0] > 0.3
+    assert np.all(np.abs(reported[10:]) < 2e-3)
 
 
 def test_rates_are_found_where_there_are_some():

@@ -26,18 +26,20 @@ def call(*arguments: object) -> object:
 
 def test_one_small_system_in_every_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
-    files = {name: tmp_path / name for name in ("a.json", "a.png", "a.html")}
-    options = ("--json", files["a.json"], "--plot", files["a.png"], "--report", files["a.html"])
-    assert call("--system", "klosner_d", "--quick", *options) == 0
+    assert call("--system", "klosner_d", "--quick") == 0
     out, err = capsys.readouterr()
     assert err == ""
     assert "problem D" in out
     assert "velocity Verlet" in out
+    files = {name: tmp_path / name for name in ("a.png", "a.html")}
+    assert (
+        call("--system", "klosner_d", "--quick", "--json", "--plot", files["a.png"], "--report", files["a.html"]) == 0
+    )
     assert sorted(tmp_path.iterdir()) == sorted(files.values())
     assert files["a.png"].read_bytes().startswith(b"\x89PNG")
     assert files["a.html"].read_text().startswith("<!DOCTYPE html>")
-    found = json.loads(files["a.json"].read_text(), parse_constant=pytest.fail)
-    assert (found["schema"], found["quick"]) == ("tonewood-accuracy/1", True)
+    found = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert (found["schema"], found["ok"], found["quick"]) == ("tonewood-accuracy/1", True, True)
     assert {"processor", "system", "instruction_set", "fma_peak"} == set(found["machine"])
     (system,) = found["systems"]
     assert system["name"] == "klosner_d"
@@ -68,8 +70,7 @@ def test_a_page_in_markdown_names_the_picture(tmp_path: Path) -> None:
         (["--system", "violin"], "--system: is 'violin'; there are fabre_guitar"),
         (["--plot", "a.svg"], "--plot: is 'a.svg'; a name ending in .png is allowed"),
         (["--report", "a.txt"], "--report: is 'a.txt'; a name ending in .html or .md is allowed"),
-        (["--json", "nowhere/a.json"], "there is no folder 'nowhere'"),
-        (["--json", "a.png", "--plot", "a.png"], "name the same file 'a.png'"),
+        (["--report", "nowhere/a.md"], "there is no folder 'nowhere'"),
         (["--sytem", "harp"], "--sytem"),
     ],
 )
@@ -89,7 +90,7 @@ def test_refusals_are_one_line_and_code_2(
 def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
     reader, writer = pty.openpty()  # a terminal, so that there is a bar to wait for
     process = subprocess.Popen(
-        [sys.executable, "-m", "tonewood", "accuracy", "--json", tmp_path / "a.json"],
+        [sys.executable, "-m", "tonewood", "accuracy", "--report", tmp_path / "a.md"],
         stdout=subprocess.PIPE, stderr=writer,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
     )  # fmt: skip

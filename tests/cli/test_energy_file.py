@@ -30,14 +30,14 @@ def test_account_is_written_beside_the_same_sound(
     score: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     common = ("render", score, "-i", "monochord", "--max-duration", 0.06, "--json")
-    plain, told = tmp_path / "plain.wav", tmp_path / "told.wav"
+    plain, reported = tmp_path / "plain.wav", tmp_path / "reported.wav"
     files = [tmp_path / f"energy.{ending}" for ending in ("json", "csv", "png")]
     assert call(*common, "-o", plain) == 0
     assert json.loads(capsys.readouterr().out)["energy"] is None
-    assert call(*common, "-o", told, *(a for file in files for a in ("--energy", file))) == 0
+    assert call(*common, "-o", reported, *(a for file in files for a in ("--energy", file))) == 0
     said = json.loads(capsys.readouterr().out)["energy"]
     account = json.loads(files[0].read_text())
-    assert (sf.read(plain)[0] == sf.read(told)[0]).all()
+    assert (sf.read(plain)[0] == sf.read(reported)[0]).all()
     assert said["peak_J"] == account["peak"] > 0
     assert said["worst_residual"] <= 1e-10
     assert len(files[1].read_text().splitlines()) == len(account["residual"]) + 1

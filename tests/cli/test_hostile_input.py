@@ -90,7 +90,7 @@ def test_a_string_that_moves_no_body_sounds_with_its_bridge_end_rigid(
     assert partials_of(samples[4800:], fs, wanted) == pytest.approx(wanted, abs=0.3)
 
 
-def test_a_body_that_does_not_move_is_told(tonewood: Run, score: Path, tmp_path: Path) -> None:
+def test_a_body_that_does_not_move_is_reported(tonewood: Run, score: Path, tmp_path: Path) -> None:
     wav = tmp_path / "out.wav"
     change = settings("strings.A2.end=[]")
     code, out, _ = tonewood("render", score, "-i", "monochord", "-o", wav, "--max-duration", 0.1, "--json", *change)
@@ -149,7 +149,7 @@ def test_a_long_field_of_a_table_is_one_line(
     assert_one_line(result, tmp_path, "body.csv: line ", "field limit")
 
 
-def test_a_body_above_the_highest_mode_is_told_and_its_account_closes(
+def test_a_body_above_the_highest_mode_is_reported_and_its_account_closes(
     tonewood: Run, score: Path, tmp_path: Path, bundle: Path
 ) -> None:
     (bundle / "body.csv").write_text("f_Hz,Q,modal_mass,bridge\n30000,30,10.0,1\n40000,30,10.0,1\n")
@@ -206,7 +206,7 @@ def test_names_the_file_system_cannot_hold_are_one_line(tonewood: Run, score: Pa
     assert_one_line(tonewood("render", score, "-i", "monochord", "-o", wav, *energy), tmp_path, "too long")
 
 
-def test_a_pitch_far_from_a_tension_that_stays_is_told(tonewood: Run) -> None:
+def test_a_pitch_far_from_a_tension_that_stays_is_reported(tonewood: Run) -> None:
     """A string four times as light sounds an octave higher, at every stop."""
     change = settings("tuning.compensate=none", "strings.A2.linear_density=0.000375")
     code, out, _ = tonewood("check", "monochord", *change, "--json")
@@ -215,3 +215,10 @@ def test_a_pitch_far_from_a_tension_that_stays_is_told(tonewood: Run) -> None:
     assert len(off) == 25
     assert all(abs(cents - 1200) < 25 for cents in off)
     assert tonewood("modes", "monochord", *change)[0] == 0
+
+
+def test_a_string_that_does_not_vibrate_names_its_loss(tonewood: Run, tmp_path: Path) -> None:
+    """At the damping rate 2 pi 110 Hz = 691 1/s the lowest mode is critically damped."""
+    change = settings("strings.A2.loss={law: sigma, sigma0: 2000, sigma1: 0}")
+    said = "strings.A2.note: at stop 0: no mode", "decays at 2000 1/s, and from 691.2 1/s on", "lower `loss`"
+    assert_one_line(tonewood("check", "monochord", *change), tmp_path, *said)

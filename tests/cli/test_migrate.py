@@ -83,7 +83,7 @@ def test_a_later_schema_is_refused(tmp_path: Path, migrate: Run) -> None:
     file = folder / "instrument.yaml"
     file.write_bytes(file.read_bytes().replace(OLD.encode(), b"tonewood-instrument/3"))
     reason = f"tonewood-instrument/3 is of a later version of tonewood; this one reads {SCHEMA}: upgrade tonewood"
-    line = f"{file}: schema: {reason}"
+    line = f"{file}: line {1 + file.read_text().splitlines().index('schema: tonewood-instrument/3')}: schema: {reason}"
     for command in ("migrate", "modes"):
         assert migrate(folder, command=command) == (2, "", f"tonewood: {line}\n")
     with pytest.raises(BundleError, match="upgrade tonewood"):
@@ -117,7 +117,10 @@ def test_a_factor_of_precision_is_left_to_its_author(tmp_path: Path, migrate: Ru
     before = file.read_bytes()
     code, out, err = migrate(file)
     assert (code, out) == (2, "")
-    assert err.startswith(f"tonewood: {file}: factors.p: varies render.precision, which was removed in 0.2")
+    line = 1 + next(i for i, text in enumerate(file.read_text().splitlines()) if text.startswith("  p: "))
+    assert err.startswith(
+        f"tonewood: {file}: line {line}: factors.p: varies render.precision, which was removed in 0.2"
+    )
     assert err.count("\n") == 1
     assert file.read_bytes() == before
 

@@ -174,7 +174,7 @@ def test_what_an_extra_would_bring_is_named_before_any_work(
 
 
 def test_rendering_imports_nothing_heavy_it_does_not_need(tmp_path: Path, score: Path) -> None:
-    """What a cold start costs is imports above all."""
+    """Imports take most of a cold start."""
     program = (
         "import sys\nimport scipy.linalg\nbefore = set(sys.modules)\n"  # SciPy 1.13 brings scipy.sparse along
         "from tonewood.cli.main import run\n"

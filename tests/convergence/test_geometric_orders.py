@@ -1,4 +1,4 @@
-"""Order of a string that moves along itself: against an independent integration, and against 32 times the rate."""
+"""Order of a string with longitudinal motion: against an independent integration, and against 32 times the rate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tonewood.stepping.motion import from_motion
 Floats = NDArray[np.float64]
 
 LENGTH, TENSION, DENSITY, AXIAL = 0.645, 104.1, 5.735e-4, 14613.0
-N_ACROSS, N_ALONG, END = 8, 3, 1.5e-3
+N_ACROSS, N_LONGITUDINAL, END = 8, 3, 1.5e-3
 
 
 def string(fs: float) -> System:
@@ -27,10 +27,10 @@ def string(fs: float) -> System:
         return np.full_like(w, 1e-3)
 
     across = string_basis(LENGTH, TENSION, DENSITY, 1e-4, lossy, n_modes=N_ACROSS).with_places({"pick": 0.3})
-    along = string_basis(LENGTH, AXIAL, DENSITY, 0.0, lossy, n_modes=N_ALONG)
+    longitudinal = string_basis(LENGTH, AXIAL, DENSITY, 0.0, lossy, n_modes=N_LONGITUDINAL)
     readouts = [Readout("across", "displacement", (Probe("y", "pick"),)),
                 Readout("along", "displacement", (Probe("x", "bridge"),))]  # fmt: skip
-    components = {"y": across, "z": across, "x": along}
+    components = {"y": across, "z": across, "x": longitudinal}
     return System.build(components, [], readouts, dt=1 / fs, geometric=[GeometricStretch("s", ("y", "z"), "x", AXIAL)])
 
 
@@ -62,9 +62,9 @@ def integrated() -> Floats:
         k = np.arange(1, len(vec)) * np.pi / LENGTH
         return np.asarray(-vec[0] / LENGTH + (k * np.cos(np.outer(x, k))) @ vec[1:])
 
-    across, along = slopes(bases[0], N_ACROSS), slopes(bases[2], N_ALONG)
-    cosines = np.cos(np.outer(x, np.arange(N_ALONG)) * np.pi / LENGTH)
-    project = cosines @ np.diag(np.where(np.arange(N_ALONG) == 0, 1.0, 2.0)) @ cosines.T / len(x)
+    across, longitudinal = slopes(bases[0], N_ACROSS), slopes(bases[2], N_LONGITUDINAL)
+    cosines = np.cos(np.outer(x, np.arange(N_LONGITUDINAL)) * np.pi / LENGTH)
+    project = cosines @ np.diag(np.where(np.arange(N_LONGITUDINAL) == 0, 1.0, 2.0)) @ cosines.T / len(x)
     sizes = np.cumsum([0, *(b.n_modes for b in bases)])
     stiffness = np.concatenate([b.stiffness for b in bases])
     damping = 2 * np.concatenate([b.damping_rate for b in bases])
@@ -74,9 +74,9 @@ def integrated() -> Floats:
         q, v = np.split(state, 2)
         y, z, u = (q[a:b] for a, b in pairwise(sizes))
         square = project @ (0.5 * (across @ y) ** 2 + 0.5 * (across @ z) ** 2)
-        pull = AXIAL * (square + along @ u)
+        pull = AXIAL * (square + longitudinal @ u)
         on_y, on_z = (-across.T @ (pull * (across @ q)) * dx for q in (y, z))
-        force = np.concatenate([on_y, on_z, -AXIAL * along.T @ square * dx])
+        force = np.concatenate([on_y, on_z, -AXIAL * longitudinal.T @ square * dx])
         return np.concatenate([v, force - stiffness * q - damping * v])
 
     begin = np.concatenate(start(system))
@@ -105,5 +105,5 @@ def test_it_tends_to_its_own_limit_with_order_two() -> None:
     assert np.log2(errors[1] / errors[2]).min() > 1.8
 
 
-def test_nothing_but_the_coupling_moves_it_along_itself() -> None:
+def test_nothing_but_the_coupling_moves_it_longitudinally() -> None:
     assert np.abs(stepped(96000.0)[:, 1]).max() > 1e-9

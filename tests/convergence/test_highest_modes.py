@@ -1,4 +1,4 @@
-"""What the modes near the Nyquist frequency add to the error of partials far below them.
+"""Errors of partials that modes near the Nyquist frequency, far above them, add.
 
 A force that is constant over a step reaches a mode of frequency w, theta = w h / 2, as
 

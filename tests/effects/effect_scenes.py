@@ -41,7 +41,7 @@ def tension_effect(model: Model) -> TensionEffect:
 
 
 def moment(system: System, state: State, sample: int = 0) -> Moment:
-    """What effects see of a motion at a sample, with nothing heard or played."""
+    """Moment of a motion at a sample as effects read it, with nothing heard or played."""
     state.sample = sample
     return Moment(system, state, {}, np.zeros(len(system.readouts)))
 

@@ -1,4 +1,4 @@
-"""What steps take, on a clock that tells what was put into it: rates that are fitted, and renders that are foreseen."""
+"""Costs of steps on a clock that the tests set: rates that are fitted, and renders that are foreseen."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tonewood.output import render as render_module
 from tonewood.stepping.kernel import KernelStepper
 
 NOTE = tw.Note
-MODE, TENSE, TENSE_MODE = 5e-10, 7e-7, 4e-9
+MODE, RISING, RISING_MODE = 5e-10, 7e-7, 4e-9
 DECLARED = {TENSION: TENSION_MODULATION.cost(1)}
 
 
@@ -30,11 +30,16 @@ def test_rates_are_those_of_the_clock() -> None:
     costs, rng = Costs(DECLARED), np.random.default_rng(3)
     for _ in range(60):
         samples, modes = int(rng.integers(64, 4000)), int(rng.integers(400, 1500))
-        tense = int(rng.choice([0, 90, 200, 330]))
-        costs.add(samples * (MODE * modes + TENSE * (tense > 0) + TENSE_MODE * tense), samples, modes, [tense])
+        modulated = int(rng.choice([0, 90, 200, 330]))
+        costs.add(
+            samples * (MODE * modes + RISING * (modulated > 0) + RISING_MODE * modulated),
+            samples,
+            modes,
+            [modulated],
+        )
     rates = costs.rates()
-    assert (rates.mode, rates.load[TENSION]) == pytest.approx((MODE, TENSE_MODE), rel=0.05)
-    assert rates.running[TENSION] == pytest.approx(TENSE, rel=0.15)
+    assert (rates.mode, rates.load[TENSION]) == pytest.approx((MODE, RISING_MODE), rel=0.05)
+    assert rates.running[TENSION] == pytest.approx(RISING, rel=0.15)
 
 
 def test_where_nothing_was_measured_costs_are_the_declared_ones() -> None:
@@ -58,29 +63,29 @@ def test_no_rate_is_negative() -> None:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A clock that goes by what is stepped and exchanged."""
-    told = SimpleNamespace(now=0.0, exchange=2e-3)
-    told.perf_counter = told.thread_time = lambda: told.now
+    reported = SimpleNamespace(now=0.0, exchange=2e-3)
+    reported.perf_counter = reported.thread_time = lambda: reported.now
     for module in (engine_module, plan_module, render_module):
-        monkeypatch.setattr(module, "time", told)
+        monkeypatch.setattr(module, "time", reported)
     step, exchange = KernelStepper._step, KernelStepper.exchange
 
     def per_sample(system: System) -> float:
         modes = {name: c.basis.n_modes for name, c in zip(system.names, system.compiled, strict=True)}
         rising = [t for t, on in zip(system.tensions, system.tension_on, strict=True) if on]
-        tense = sum(modes[c] for t in rising for c in t.components)
-        return MODE * sum(modes.values()) + TENSE * (tense > 0) + TENSE_MODE * tense
+        modulated = sum(modes[c] for t in rising for c in t.components)
+        return MODE * sum(modes.values()) + RISING * (modulated > 0) + RISING_MODE * modulated
 
     def timed_step(self: KernelStepper, state: object, n: int, *rest: object) -> object:
-        told.now += n * per_sample(self.system)
+        reported.now += n * per_sample(self.system)
         return step(self, state, n, *rest)  # type: ignore[arg-type]  # passed on as it came
 
     def timed_exchange(self: KernelStepper, system: System) -> None:
-        told.now += told.exchange
+        reported.now += reported.exchange
         exchange(self, system)
 
     monkeypatch.setattr(KernelStepper, "_step", timed_step)
     monkeypatch.setattr(KernelStepper, "exchange", timed_exchange)
-    return told
+    return reported
 
 
 SCORES = {

@@ -1,4 +1,4 @@
-"""What parts declare, and the choices auto, all, none and lists of names."""
+"""Declared effects, and the choices auto, all, none and lists of names."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_strings_bodies_contacts_and_outputs_declare() -> None:
     assert "dampers" in found["pluck_ramp"]
 
 
-def test_the_bound_of_a_rise_is_that_of_the_string_swinging_in_one_mode() -> None:
+def test_the_bound_of_a_rise_is_that_of_the_string_vibrating_in_one_mode() -> None:
     # y'' + w^2 y (1 + EA/T (pi y / 2L)^2) = 0 is Duffing's equation: dw/w = 3/8 of the cubic term's share
     axial, tension, length, amplitude = 14612.0, 104.1, 0.645, 1e-3
     shift = 3 / 8 * axial / tension * (math.pi * amplitude / (2 * length)) ** 2

@@ -1,4 +1,4 @@
-"""Strings that move along themselves are linear while little is heard of that: bounds, switches, energy."""
+"""Strings with longitudinal motion are linear while little is heard of that: bounds, switches, energy."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from tonewood.stepping.motion import from_motion, share_velocities, to_motion
 NOTES = [tw.Note(0.0, 3, note=59, force=2.0), tw.Note(0.3, 3, note=64, force=4.0)]
 
 
-def along(**changes: object) -> tw.Instrument:
-    """The duet, its lower string free to move along itself, over frets that it does not reach."""
+def longitudinal(**changes: object) -> tw.Instrument:
+    """The duet, its lower string free to move longitudinally, over frets that it does not reach."""
     high = {"connections.frets.action_first": 3e-3, "connections.frets.action_twelfth": 6e-3}
     return duet(**changes).replace({"strings.B3.plugin": "geometric_string", **high})
 
@@ -56,7 +56,7 @@ def bounds(model: Model) -> Phantoms:
 def test_what_is_missing_stays_below_its_bound(seed: int) -> None:
     """Against the coupled string itself, in motions so small that their pitch is that of the linear one."""
     rng = np.random.default_rng(seed)
-    model = assemble(along(mode="all"), FS)
+    model = assemble(longitudinal(mode="all"), FS)
     numbers = rng.choice(np.arange(1, 13), 3, replace=False)
     state = partials(model, rng, {int(n): 2e-5 / n for n in numbers})
     q, v = to_motion(
@@ -79,7 +79,7 @@ def test_what_is_missing_stays_below_its_bound(seed: int) -> None:
 
 def test_slopes_are_those_of_the_partials() -> None:
     """Amplitude times wavenumber of a partial, whatever its phase."""
-    model = assemble(along(mode="all"), FS)
+    model = assemble(longitudinal(mode="all"), FS)
     basis = model.system.compiled[model.system.slot("B3.z")].basis
     found, still = bounds(model), np.zeros(basis.n_modes)
     for seed in range(3):
@@ -93,22 +93,22 @@ def test_slopes_are_those_of_the_partials() -> None:
 
 def test_switches_lose_no_more_than_the_budget_and_gain_no_energy() -> None:
     options = {"mode": "auto", "budget_db": -40.0, "budget_cents": 2.0}
-    engine, other = (renderer(NOTES, 3.0, along(**options)).engine for _ in range(2))
+    engine, other = (renderer(NOTES, 3.0, longitudinal(**options)).engine for _ in range(2))
     other._switch = lambda moved, fresh: None  # type: ignore[method-assign]  # never switches
     peak, left, energies, ways = 0.0, [], [], set()
     while engine.state.sample < 2.0 * FS:
-        before, tense = engine.snapshot(), engine.running(TENSION)
+        before, modulated = engine.snapshot(), engine.running(TENSION)
         out = engine.advance(LOOK // 2)
         peak = max(peak, abs(out).max())
         if engine.done:
             energies.append(stored_energy(engine.system, engine.state).total)
         now = engine.running(TENSION)
-        if now != tense:
-            if now < tense:
+        if now != modulated:
+            if now < modulated:
                 other.restore(before)
-                n = LOOK // 2 if "B3" in tense - now else 1  # the other's pitch parts from what it was
+                n = LOOK // 2 if "B3" in modulated - now else 1  # the other's pitch parts from what it was
                 left.append((abs(other.advance(n) - out[: n * GRID]).max(), peak))
-            ways |= {("rises" if name in now else "rests", name) for name in now ^ tense}
+            ways |= {("rises" if name in now else "rests", name) for name in now ^ modulated}
     assert {("rises", "B3"), ("rests", "B3"), ("rises", "E4")} <= ways
     assert len(left) > 1
     assert all(lost <= 1e-2 * loudest for lost, loudest in left)
@@ -116,7 +116,7 @@ def test_switches_lose_no_more_than_the_budget_and_gain_no_energy() -> None:
 
 
 def test_auto_keeps_the_pitch_of_all() -> None:
-    streams = {mode: renderer(NOTES, 3.0, along(mode=mode, budget_db=-30.0)) for mode in ("all", "auto")}
+    streams = {mode: renderer(NOTES, 3.0, longitudinal(mode=mode, budget_db=-30.0)) for mode in ("all", "auto")}
     every, auto = (sound(stream)[:, 0] for stream in streams.values())
     for freq in (246.9, 493.9, 329.6):
         cents, _ = compared(every, auto, freq)
@@ -128,7 +128,7 @@ def test_auto_keeps_the_pitch_of_all() -> None:
 
 
 def test_a_string_that_nobody_plays_is_linear_from_the_beginning() -> None:
-    quiet = renderer([tw.Note(0.0, 1, note=64, force=0.02)], 0.3, along(mode="auto", budget_db=-60.0))
+    quiet = renderer([tw.Note(0.0, 1, note=64, force=0.02)], 0.3, longitudinal(mode="auto", budget_db=-60.0))
     sound(quiet)
     assert not quiet.engine.usage.spans[TENSION, "B3"].samples
     assert not quiet.engine.system.geometric
@@ -136,14 +136,14 @@ def test_a_string_that_nobody_plays_is_linear_from_the_beginning() -> None:
 
 def test_a_soft_pluck_is_coupled_from_the_beginning() -> None:
     """Its rise is within the budget of cents; whether its phantoms are heard is only known once they sound."""
-    soft = renderer([tw.Note(0.0, 1, note=59, force=0.05)], 0.2, along(mode="auto"))
+    soft = renderer([tw.Note(0.0, 1, note=59, force=0.05)], 0.2, longitudinal(mode="auto"))
     sound(soft)
     assert soft.engine.usage.spans[TENSION, "B3"].all[0][0] <= 0
 
 
 def test_a_coupling_that_would_set_energy_free_is_paid_or_kept() -> None:
     """With longitudinal modes strained against the slope the potential beside the modes is below zero."""
-    model = assemble(along(mode="all"), FS)
+    model = assemble(longitudinal(mode="all"), FS)
     system = model.system
     state = partials(model, np.random.default_rng(1), {1: 2e-4, 2: 1e-4})
     KernelStepper(system).run(state, 400)
@@ -162,7 +162,7 @@ def test_a_coupling_that_would_set_energy_free_is_paid_or_kept() -> None:
 
 
 def test_a_tension_is_left_out_below_nine_tenths_of_the_budget() -> None:
-    effect = tension_effect(assemble(along(mode="auto"), FS))
+    effect = tension_effect(assemble(longitudinal(mode="auto"), FS))
 
     def wanted(level: float, on: set[str]) -> frozenset[str]:
         return effect.wanted({"B3": Bound(0.1, level), "E4": Bound(0.1)}, on)

@@ -53,7 +53,7 @@ def test_a_wide_budget_leaves_the_tension_out() -> None:
     assert all(e.seconds < 0.6 for e in foreseen.effects if e.name == "tension_modulation")
 
 
-def test_choices_are_told() -> None:
+def test_choices_are_reported() -> None:
     everything = tw.plan(tw.Score(NOTES), duet(), FS, max_duration=0.3, effects="all")
     rises = [e for e in everything.effects if e.name == "tension_modulation"]
     assert all(e.seconds >= 0.3 and e.why == "always: effects are all" for e in rises)
@@ -63,7 +63,7 @@ def test_choices_are_told() -> None:
     assert all(not e.spans_s and e.why == "left out: effects are none" for e in left)
 
 
-def test_a_string_that_moves_along_itself_is_foreseen_as_it_runs() -> None:
+def test_a_string_with_longitudinal_motion_is_foreseen_as_it_runs() -> None:
     guitar = duet().replace({"strings.B3.plugin": "geometric_string"})
     score = tw.Score([tw.Note(0.1, 1, note=59, force=3.0)])
     foreseen = tw.plan(score, guitar, 24000, max_duration=0.3)
@@ -100,9 +100,9 @@ def test_the_command_tells_as_text_and_json(capsys: pytest.CaptureFixture[str]) 
     assert run([*arguments, "--verbose"]) == 0
     assert "body_modes body: 0.30 s" in capsys.readouterr().out
     assert run([*arguments, "--json", "--effects", "none", "--budget-cents", "0.1"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["schema"] == "tonewood-plan/1"
-    assert {"name", "component", "spans_s", "why", "predicted_s"} == set(told["effects"][0])
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["schema"] == "tonewood-plan/1"
+    assert {"name", "component", "spans_s", "why", "predicted_s"} == set(reported["effects"][0])
     assert run([*arguments, "--budget-cents", "-1"]) == 2
     assert capsys.readouterr().err == "tonewood: --budget-cents: is -1 cents; 0 to 100 are allowed\n"
 

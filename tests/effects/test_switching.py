@@ -51,7 +51,7 @@ def test_auto_is_within_its_budget_of_all(scene: str) -> None:
 
 
 def test_without_the_effect_the_comparison_fails() -> None:
-    """What the tests above could not do without: the pitch that is followed is that of the glide."""
+    """The tests above rest on it: the pitch that is followed is that of the glide."""
     notes, seconds, (freq, _) = SCENES["a glide in the attack"]
     all_ = sound(renderer(notes, seconds, duet(mode="all")))[:, 0]
     never = sound(renderer(notes, seconds, duet(mode=["second_polarization", "dampers"])))[:, 0]
@@ -103,7 +103,7 @@ def test_a_snapshot_between_switches_continues() -> None:
     for _ in range(25):
         kept.append((stream.snapshot(), stream.engine.running(TENSION)))
         next(blocks)
-    assert len({tense for _, tense in kept}) > 1
+    assert len({modulated for _, modulated in kept}) > 1
     rest = np.concatenate(list(blocks))
     for snapshot, _ in kept[::6]:
         again = renderer(notes, 1.6, duet())
@@ -114,13 +114,13 @@ def test_a_snapshot_between_switches_continues() -> None:
 
 def test_energy_falls_through_switches() -> None:
     engine = renderer([NOTE(0.0, 3, note=64, force=3.0), NOTE(0.01, 3, note=59, force=2.0)], 3.0, duet()).engine
-    course, tense = [], []
+    course, modulated = [], []
     while engine.state.sample < 2.5 * FS:
         engine.advance(LOOK // 4)
         if engine.done:
             course.append(stored_energy(engine.system, engine.state).total)
-            tense.append(engine.running(TENSION))
-    assert len(set(tense)) > 1
+            modulated.append(engine.running(TENSION))
+    assert len(set(modulated)) > 1
     assert np.all(np.diff(course) <= 1e-12 * course[0])
 
 
@@ -173,13 +173,13 @@ def test_switches_do_not_click() -> None:
     other._switch = lambda moved, fresh: None  # type: ignore[method-assign]  # never switches
     peak, clicks, ways = 0.0, [], set()
     while engine.state.sample < 1.9 * FS:
-        before, tense = engine.snapshot(), engine.running(TENSION)
+        before, modulated = engine.snapshot(), engine.running(TENSION)
         out = engine.advance(1)
         peak = max(peak, abs(out).max())
-        if engine.running(TENSION) != tense:
+        if engine.running(TENSION) != modulated:
             other.restore(before)
             clicks.append(abs(other.advance(1) - out)[:8].max())
-            ways.add(len(engine.running(TENSION)) > len(tense))
+            ways.add(len(engine.running(TENSION)) > len(modulated))
     assert ways == {True, False}
     assert max(clicks) < 1e-4 * peak
 

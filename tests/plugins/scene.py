@@ -90,9 +90,11 @@ def play(
     for component, basis in string.bases(stop, pluck_from_bridge=gesture.from_bridge).items():
         system = system.with_basis(component, basis)
     mine = {c.name: c for c in string.connections(stop)}
-    awake = {n: c for n, c in mine.items() if n not in model.resting or any(m.connection == n for m in gesture.motions)}
-    if awake:
-        system = system.with_laws(awake)
+    acting = {
+        n: c for n, c in mine.items() if n not in model.resting or any(m.connection == n for m in gesture.motions)
+    }
+    if acting:
+        system = system.with_laws(acting)
     dt, first = system.dt, int(np.floor(min(gesture.start, 0.0) / model.system.dt))
     n = round(duration / dt) - first
     if gesture.on is not None:

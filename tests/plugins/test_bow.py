@@ -54,7 +54,7 @@ def test_helmholtz(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("fs", [96000, 192000, 384000])
 def test_helmholtz_at_any_rate(tmp_path: Path, fs: int) -> None:
-    """What yields to the hair has a resistance of its own, so that a finer step changes nothing."""
+    """The string's rolling under the hair has a resistance of its own, so that a finer step changes nothing."""
     played = bowed(tmp_path, 0.7, fs=fs)
     found = slips(played, 0.7)
     periods = np.diff(found) * played.system.dt

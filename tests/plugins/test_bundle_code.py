@@ -55,7 +55,7 @@ def test_it_is_not_run_unless_allowed(bundle: Path) -> None:
     for load in (tw.load_instrument, tw.Instrument.load):
         with pytest.raises(PluginError) as caught:
             load(bundle)
-        assert str(caught.value).startswith(f"{bundle / 'instrument.yaml'}: {REFUSED}")
+        assert str(caught.value).startswith(f"{bundle / 'instrument.yaml'}: line {caught.value.line}: {REFUSED}")
     with pytest.raises(PluginError, match="holds code"):
         tw.load_instrument("monochord").replace({"exciters.pluck.plugin": "hand.py:PluckRamp"})
     assert not (bundle.parent / "was_run").exists()
@@ -121,7 +121,7 @@ def tw_playback() -> Any:
             "from tonewood.plugins.frets import Frets",
             "is of kind connection; one of kind exciter is wanted",
         ),
-        ("hand.py", SOURCE, "there is no plugin 'hand.py'; installed are"),
+        ("hand.py", SOURCE, "there is no plugin 'hand.py'; installed: "),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(name: str, source: str, line: str, bundle: Path) -> None:
@@ -131,7 +131,8 @@ def test_what_is_wrong_is_said_in_one_line(name: str, source: str, line: str, bu
     with pytest.raises(PluginError) as caught:
         tw.load_instrument(bundle, allow_code=True)
     said = str(caught.value)
-    assert said.startswith(f"{manifest}: exciters.pluck.plugin: ")
+    number = 1 + next(i for i, text in enumerate(manifest.read_text().splitlines()) if name in text)
+    assert said.startswith(f"{manifest}: line {number}: exciters.pluck.plugin: ")
     assert line in said
     assert "\n" not in said
 

@@ -114,7 +114,7 @@ def test_a_finer_board_is_the_same_board(tmp_path: Path) -> None:
 
 
 def test_rattle_keeps_momentum_and_energy(tmp_path: Path) -> None:
-    """What contact takes from the string it gives to the ring; all of it is in the books."""
+    """Contact gives the ring the energy that it takes from the string; the energy budget holds all of it."""
     ring = {"plugin": "rattle", "from_bridge": 0.2, "mass": 5e-4, "clearance": 2e-4, "freq": 20.0, "loss": 0.5}
     played = play(instrument(tmp_path, connections={"ring": ring}), {"force": 2.0}, duration=0.2, energy=True)
     trace = played.energy

@@ -1,4 +1,4 @@
-"""What every plugin found must keep, whoever wrote it."""
+"""Rules that every plugin found must keep, whoever wrote it."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def _leaves(value: Any, path: str = "") -> list[tuple[str, Any]]:
 
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_instruments_cross_processes(name: str) -> None:
-    """What a worker needs to make the same instrument is plain data."""
+    """Plain data are enough for a worker to make the same instrument."""
     instrument = Instrument.load(name)
     again = Instrument.from_values(pickle.loads(pickle.dumps(dict(instrument.resolved))), instrument.folder)
     assert again.resolved == instrument.resolved

@@ -10,7 +10,7 @@ import pytest
 from scene import instrument, play
 
 from tonewood.coupling import law_solve
-from tonewood.coupling.law_solve import FrictionBranch, settle
+from tonewood.coupling.law_solve import FrictionBranch, solve_branches
 from tonewood.coupling.laws import Friction
 
 STATIC = {"plectrum": 1.0, "bow": 0.8}
@@ -85,27 +85,27 @@ def test_strokes_at_random(tmp_path: Path) -> None:
 @pytest.mark.parametrize("patience", [0, 4])
 @pytest.mark.parametrize("before", [0.0, 0.3, -0.3])
 def test_branches_meet_the_curve(monkeypatch: pytest.MonkeyPatch, before: float, patience: int) -> None:
-    """Velocity v = c + m f + n f^3 of all else: where friction settles it sticks within its limit or lies on its curve,
+    """Velocity v = c + m f + n f^3 of all else: the friction found sticks within its limit or lies on its curve,
     by changing branches or, without patience, by halving alone.
     """
     monkeypatch.setattr(law_solve, "PATIENCE", patience)
     law, m, n = Friction(1.0, 0.8, 0.2, 0.1), 0.4, 0.5
     found = []
     for c in np.linspace(-1.0, 1.0, 81):
-        grip, force = FrictionBranch(law, 1.0, before), [0.0]
+        friction, force = FrictionBranch(law, 1.0, before), [0.0]
 
-        def solve(grip: FrictionBranch = grip, force: list[float] = force, c: float = c) -> None:
+        def solve(friction: FrictionBranch = friction, force: list[float] = force, c: float = c) -> None:
             for _ in range(200):
                 f = force[0]
                 mobility = m + 3 * n * f * f
-                grip.meet(c + m * f + n * f**3 - mobility * f, mobility)
-                force[0] = grip.force
+                friction.meet(c + m * f + n * f**3 - mobility * f, mobility)
+                force[0] = friction.force
                 if abs(force[0] - f) < 1e-14:
                     return
             raise AssertionError("no force")
 
-        settle([grip], solve)
-        v, f = grip.velocity, grip.force
+        solve_branches([friction], solve)
+        v, f = friction.velocity, friction.force
         assert v == pytest.approx(c + m * f + n * f**3, abs=1e-12)
         if v == 0.0:
             assert abs(f) <= 0.8 * (1 + 1e-12)

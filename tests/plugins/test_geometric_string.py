@@ -1,4 +1,4 @@
-"""A string that moves along itself, as a bundle's part: with gestures, contacts, stops, a body, and left out."""
+"""A string with longitudinal motion, as a bundle's part: with gestures, contacts, stops, a body, and left out."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_kernel_and_twin_agree_whatever_touches_it(tmp_path: Path, gesture: str,
 
 
 @pytest.mark.parametrize(("gesture", "part"), [("pluck", None), ("pluck", "frets"), ("hammer", None), ("bow", None)])
-def test_the_books_close(tmp_path: Path, gesture: str, part: str | None) -> None:
+def test_the_energy_budget_closes(tmp_path: Path, gesture: str, part: str | None) -> None:
     played = play(
         made(tmp_path, gesture, part), GESTURES[gesture][1], duration=0.006, exciter="it", fs=24000, energy=True
     )

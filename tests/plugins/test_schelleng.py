@@ -60,7 +60,7 @@ def test_inside_and_outside(tmp_path: Path, beta: float) -> None:
 def test_the_map(tmp_path: Path) -> None:
     """The bounds go with the powers of the place that Schelleng found, 1 and 2.
 
-    Near a bound whether a stroke settles is chaotic: rounding decides. So a bound is where half of all strokes do: the
+    Near a bound rounding decides whether a stroke becomes periodic. So a bound is where half of all strokes do: the
     share of five that differ by 20 % in force, each tenth of a decade, is summed from well inside outwards. Measured:
     low bounds 3.9, 5.2 and 4.6 times Schelleng's, high ones 0.9 to 1.1; single strokes scatter by a factor of 1.6.
     """

@@ -82,7 +82,7 @@ BUSY = tw.Score(
 
 
 def test_a_render_of_everything_adds_up_and_knows_no_blocks(tmp_path: Path) -> None:
-    """Books that close in every interval; every part at work on every string; the same samples from any block."""
+    """The energy budget closes in every interval; every part acts on every string; blocks change no sample."""
     made = band(tmp_path)
     longitudinal = [(g.name, g.longitudinal) for g in assemble(made, 12000).system.geometric]
     assert longitudinal == [("along", "along.longitudinal"), ("rising", None)]
@@ -110,7 +110,7 @@ def test_a_render_of_everything_adds_up_and_knows_no_blocks(tmp_path: Path) -> N
 
 
 def two(fs: float = 24000) -> tuple[System, System]:
-    """A string of rising tension on a light mass, over an edge: alone, and beside one that moves along itself."""
+    """A string of rising tension on a light mass, over an edge: alone, and beside one with longitudinal motion."""
     loss = lambda omega, k: np.full_like(omega, 1e-3)  # noqa: E731
     made = {
         f"{name}{p}": string_basis(0.645, T, mu, 8e-5, loss, freq_upper=9000.0).with_places({"edge": 0.2})

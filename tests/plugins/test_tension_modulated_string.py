@@ -129,7 +129,7 @@ def test_a_decaying_pitch_glides_down_its_backbone(tmp_path: Path) -> None:
 
 
 def test_energy_never_rises(tmp_path: Path) -> None:
-    """A pluck far beyond what a string bears: 60 modes, 300 N; the books close and nothing is gained."""
+    """A pluck far beyond what a string bears: 60 modes, 300 N; the energy budget closes and nothing is gained."""
     lossy = {"loss": {"law": "sigma", "sigma0": 0.5, "sigma1": 1e-4}, "freq_upper": 7000.0}
     played = play(pluck(tmp_path, **lossy), {"force": 300.0}, duration=0.02, energy=True)
     trace = played.energy

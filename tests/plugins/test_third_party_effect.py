@@ -43,7 +43,7 @@ def effect_of(engine: Engine) -> SwitchedEffect:
 
 
 def test_nothing_is_lost_where_it_is_switched_off() -> None:
-    """Rounding apart, which a taut thread magnifies from 1.2 s on; without the thread the sound is another one."""
+    """Rounding apart, which a stretched thread magnifies from 1.2 s on; without the thread the sound is another one."""
     streams = {mode: renderer(LOUD, 2.5, mode=mode) for mode in ("auto", "all", "none")}
     sounds = {mode: sound(stream) for mode, stream in streams.items()}
     peak = abs(sounds["all"]).max()
@@ -96,7 +96,7 @@ def test_samples_do_not_depend_on_blocks_and_snapshots_restore_it() -> None:
         assert np.array_equal(sound(again, 512), reference[done[i] :])
 
 
-def test_a_taut_thread_is_paid_for_when_it_is_switched_on() -> None:
+def test_a_stretched_thread_is_paid_for_when_it_is_switched_on() -> None:
     """Switched on beyond its slack, which no look lets happen, it takes its potential from the string's motion."""
     engine = renderer(LOUD, 3.0, mode="auto").engine
     engine.advance(int(1.25 * FS) // 64)
@@ -112,7 +112,7 @@ def test_a_taut_thread_is_paid_for_when_it_is_switched_on() -> None:
         before = stored_energy(off, still).total
         moment = ta.Moment(off, state, engine.frettings, engine.peak)
         if not (stored_energy(on, still).total > before * (1 + 1e-9)):
-            continue  # it is not taut
+            continue  # it is not stretched
         paid = pay(effect, moment, "D3", True)
         tried.add(paid)
         if paid:

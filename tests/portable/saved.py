@@ -59,7 +59,7 @@ def flat(value: Any, path: str = "") -> Arrays:
 
 
 def record(system: System, n: int, injections: Sequence[Injection]) -> Arrays:
-    """What the kernel is given to step `system` from rest, and the n samples that it gives (in the baseline set)."""
+    """Description of `system` for the kernel, and the n samples that it gives from rest (in the baseline set)."""
     stepper = KernelStepper(system, isa="baseline")
     state = stepper.start()
     description = stepper.describe()

@@ -1,4 +1,4 @@
-"""What must hold for any instrument: no energy from nothing, reciprocity, linearity, invariances, exactness."""
+"""Properties of any instrument: no energy from nothing, reciprocity, linearity, invariances, exactness."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def motion(instrument, injections, steps=STEPS):
 
 
 def alone(instrument, *dofs):
-    """What 1 N moves the lightest of these masses in one step when nothing holds it, m.
+    """Displacement (m) that 1 N gives the lightest of these masses in one step when nothing holds it.
 
     Joints may hold a driven mass fast; what is left of its motion is then the rounding of this, 1e-11 of it at worst.
     """

@@ -23,7 +23,7 @@ KINDS = ("stiff_string", "tension_modulated_string", "geometric_string")
 
 @dataclass(frozen=True)
 class Scene:
-    """What is played on what: at `fs` Hz for `duration` s."""
+    """A score on an instrument: at `fs` Hz for `duration` s."""
 
     instrument: Instrument
     score: tw.Score

@@ -75,7 +75,7 @@ def test_nearly_redundant_joints_neither_tear_nor_explode(offset):
     assert np.abs(np.array(E) / E[0] - 1).max() < 1e-6
 
 
-def test_contradicting_joints_settle_on_the_middle():
+def test_contradicting_joints_converge_on_the_middle():
     """The same gap asked to be 1 mm and 3 mm: it is 2 mm, and stays there."""
     system = system_of([JOINT, JOINT], [Rigid(1e-3), Rigid(3e-3)])
     out, forces = KernelStepper(system).run(system.start(), STEPS)

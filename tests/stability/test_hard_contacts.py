@@ -86,7 +86,7 @@ def test_the_forces_do_not_depend_on_where_the_search_began(rng):
 
 
 @pytest.mark.validate
-def test_energy_of_a_tense_string_falls_over_a_million_steps():
+def test_energy_of_a_tension_modulated_string_falls_over_a_million_steps():
     system = System.build({"x": string({"q": 0.2}, 20)}, [], dt=DT, tensions=[TensionModulation("t", ("x",), 2e4)])
     state, stepper = system.start(), KernelStepper(system)
     pluck(system, state, "x", 5e-3)

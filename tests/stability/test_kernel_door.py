@@ -88,7 +88,7 @@ def stretched() -> dict[str, Any]:
     return made
 
 
-def along() -> dict[str, Any]:
+def longitudinal() -> dict[str, Any]:
     """The first two components are a string's transverse and longitudinal motion."""
     made = described()
     parts = [
@@ -128,7 +128,7 @@ MADE = {
     "contact": lambda: described(1),
     "ports": contact_ports,
     "tension": stretched,
-    "along": along,
+    "along": longitudinal,
 }
 
 

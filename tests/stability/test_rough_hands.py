@@ -1,4 +1,4 @@
-"""What hands can do to an instrument, and more: finite, no energy out of nothing, pitch where it was.
+"""Gestures that hands can make, and rougher ones: finite, no energy out of nothing, pitch where it was.
 
 Energy is read from the engine's state after every interval of the control grid.
 """
@@ -224,8 +224,8 @@ def test_a_state_that_is_not_a_number_reaches_no_file(monochord: tw.Instrument, 
 
     with pytest.raises(NumericalError, match=rf"^{component} is no longer finite at ([\d.]+) s$") as fault:
         render()
-    told = float(str(fault.value).split()[-2])
-    assert 0 <= told - bad[0] / FS <= 16 / FS + 1e-6
+    reported = float(str(fault.value).split()[-2])
+    assert 0 <= reported - bad[0] / FS <= 16 / FS + 1e-6
     assert np.isfinite(np.concatenate(seen)).all()
     assert list(tmp_path.iterdir()) == []
 
@@ -264,7 +264,7 @@ def test_silence_leaves_nothing_behind(monochord: tw.Instrument) -> None:
 
 @pytest.mark.validate
 def test_ten_minutes_of_silence(monochord: tw.Instrument, capsys: pytest.CaptureFixture[str]) -> None:
-    """The same after ten minutes; what a silent second costs beside a loud one is told, not judged."""
+    """The same after ten minutes; what a silent second costs beside a loud one is printed, not judged."""
     first, second, cost, _ = silence(monochord, 600.0)
     np.testing.assert_allclose(second, first, atol=1e-9 * np.abs(first).max(), rtol=0)
     with capsys.disabled():

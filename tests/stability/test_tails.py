@@ -29,7 +29,7 @@ def undamped(n=512, connected=True):
 
 @pytest.mark.parametrize("isa", ISAS)
 def test_tails_do_not_end_in_denormals(isa):
-    """What decays below the smallest normal number is flushed: no slow numbers are left in the state.
+    """Modes that decay below the smallest normal number are flushed: no slow numbers are left in the state.
 
     Some numbers stay near the smallest one for ever: in a step a mode of 20 Hz changes by 1e-3 to 1e-5 of itself, and
     below a thousand to a hundred thousand times the smallest number it is that change which is flushed.

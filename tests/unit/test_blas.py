@@ -77,7 +77,7 @@ def test_overlapping_threads_keep_the_limit_until_the_last_ends() -> None:
         assert threads() == before
 
 
-def test_libraries_are_told_with_version_and_processor_kernel() -> None:
+def test_libraries_are_listed_with_version_and_processor_kernel() -> None:
     libraries = blas_libraries()
     assert libraries
     assert all(len(name.split()) >= 2 for name in libraries)

@@ -38,7 +38,7 @@ def test_sound_values() -> None:
         ({"mass": "2"}, "f.yaml: o.mass: Input should be a valid number, not '2'"),
         ({"mass": True}, "f.yaml: o.mass: Input should be a valid number, not True"),
         ({"mass": math.inf}, "f.yaml: o.mass: Input should be a finite number, not inf"),
-        ({"mass": -1.0}, "f.yaml: o.mass: Input should be greater than or equal to 0, not -1.0"),
+        ({"mass": -1.0}, "f.yaml: o.mass: is -1 kg; at least 0 kg is allowed"),
         ({"mass": 1, "way": [1, 0]}, "f.yaml: o.way"),
         ({"mass": 1, "way": [1, 0, "z"]}, "f.yaml: o.way.2: Input should be a valid number, not 'z'"),
         ({"mass": 1, "kind": "c"}, "f.yaml: o.kind: Input should be 'a' or 'b', not 'c'"),
@@ -67,3 +67,43 @@ def test_units() -> None:
     assert decibel(0.0) == -math.inf
     assert math.exp(-3.0 * t60(3.0)) == pytest.approx(1e-3)
     assert t60(0.0) == math.inf
+
+
+class Measured(Parameters):
+    """Numbers with units that people mistake."""
+
+    length: float = quantity("m", low=0.05, high=5.0, default=1.0, doc="of a string")
+    time: float = quantity("s", low=0.0, high=0.5, default=0.1, doc="of a stroke")
+    modulus: float = quantity("Pa", low=1e6, high=1e13, default=1e9, doc="of wood")
+    ratio: float = quantity("1", low=0.0, high=1.0, default=0.5, doc="of two")
+    density: float = quantity("kg/m", low=0.0, default=1e-3, doc="of a string")
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"length": 650}, "length: is 650 m; at most 5 m: did you mean 650 mm (0.65)?"),
+        ({"length": 65}, "length: is 65 m; at most 5 m: did you mean 65 mm (0.065) or 65 cm (0.65)?"),
+        ({"length": 9e9}, "length: is 9000000000 m; at most 5 m is allowed"),
+        ({"length": -1}, "length: is -1 m; at least 0.05 m is allowed"),
+        ({"time": 30}, "time: is 30 s; at most 0.5 s: did you mean 30 ms (0.03)?"),
+        ({"modulus": 12}, "modulus: is 12 Pa; at least 1000000 Pa: did you mean 12 MPa (1.2e+07) or 12 GPa (1.2e+10)?"),
+        ({"ratio": 20}, "ratio: is 20; at most 1: did you mean 20 % (0.2)?"),
+        ({"density": -0.5}, "density: is -0.5 kg/m; at least 0 kg/m is allowed"),
+        ({"lenth": 1.0}, "lenth: is not a known key; did you mean length? allowed: "),
+    ],
+)
+def test_numbers_beyond_their_bounds_are_shown_in_units(values: dict[str, Any], said: str) -> None:
+    with pytest.raises(BundleError) as fault:
+        validated(Measured, values, key="")
+    assert said in str(fault.value)
+
+
+def test_an_unknown_key_comes_before_the_missing_one_it_resembles() -> None:
+    for values, said in (
+        ({"mas": 1.0}, "mas: is not a known key; did you mean mass?"),
+        ({"depth": 1}, "mass: is missing"),
+    ):
+        with pytest.raises(BundleError) as fault:
+            validated(Outer, values, key="")
+        assert str(fault.value).startswith(said)

@@ -1,4 +1,4 @@
-"""What an interpreter prints of the larger objects: one short line."""
+"""Reprs of the larger objects: one short line."""
 
 from __future__ import annotations
 

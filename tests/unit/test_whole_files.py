@@ -109,7 +109,7 @@ def test_what_cannot_be_a_file_is_said(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
-def test_what_cannot_be_removed_is_told_unless_something_worse_is(
+def test_what_cannot_be_removed_is_reported_unless_something_worse_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     part = AtomicFile(tmp_path / "file")

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
 import pytest
 
 from tonewood.errors import BundleError, TonewoodError
-from tonewood.yaml_io import MAX_DEPTH, load_yaml, parse_yaml
+from tonewood.yaml_io import MAX_DEPTH, load_yaml, located, parse_yaml
 
 
 def test_yaml_1_2_scalars() -> None:
@@ -81,3 +82,38 @@ def test_files(tmp_path) -> None:
         load_yaml(tmp_path / "absent.yaml")
     with pytest.raises(TonewoodError, match="cannot be read"):
         load_yaml(tmp_path)
+
+
+PLACES = """\
+schema: x
+strings:
+  defaults:
+    loss: {law: sigma}
+  A2:
+    length: 1
+    note:
+      A2
+outputs:
+  - {name: air}
+  - name: bridge
+    at: body
+"""
+
+
+@pytest.mark.parametrize(
+    ("key", "line"),
+    [
+        ("schema", 1), ("strings.A2.length", 6), ("strings.A2.note", 7), ("strings.A2.missing", 5), ("strings.B2", 2),
+        ("strings.A2.loss.law", 4), ("outputs.0.name", 10), ("outputs.bridge.at", 12), ("outputs.1", 11),
+        ("nothing.here", None), ("--option", None),
+    ],
+)  # fmt: skip
+def test_errors_find_the_line_of_their_key(tmp_path: Path, key: str, line: int | None) -> None:
+    file = tmp_path / "a.yaml"
+    file.write_text(PLACES)
+    fault = located(BundleError("is wrong", file=file, key=key))
+    assert (fault.line, fault.key, type(fault)) == (line, key, BundleError)
+    assert str(fault) == f"{file}: {f'line {line}: ' if line else ''}{key}: is wrong"
+    assert str(pickle.loads(pickle.dumps(fault))) == str(fault)
+    file.write_text("a: [")
+    assert located(BundleError("is wrong", file=file, key=key)).line is None

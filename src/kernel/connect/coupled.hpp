@@ -1,6 +1,6 @@
 // Samples in which tensions rise and nonlinear connections act: both in one system.
 //
-// For given tensions the step is that of contact_step.hpp with other compliances. Laws that act on fixed ports keep their
+// For given tensions the step is that of law_forces.hpp with other compliances. Laws that act on fixed ports keep their
 // compliances at rest, and the tensions change the displacements of the ports alone (fixed_step); contacts on strings need
 // sums over their modes (joint.hpp). Without an active law nothing differs from tension_step.hpp.
 #pragma once
@@ -17,7 +17,7 @@ class CoupledStep : public ConnectionStep {
     using Term = Nonlinear::Term;
 
 public:
-    CoupledStep(Block& block, ContactStep& laws)
+    CoupledStep(Block& block, LawForces& laws)
         : block_(block), components_(block.model.components), layout_(block.model.layout), m_(block.model.solve.m),
           nl_(block.model.nonlinear), tensions_(block.model.tensions), on_(block.model.shortcuts),
           ws_(block.model.contacts), ts_(block.model.tension), laws_(laws), linear_(block),
@@ -246,7 +246,7 @@ private:
     const Shortcuts& on_;
     ContactState& ws_;
     TensionState& ts_;
-    ContactStep& laws_;
+    LawForces& laws_;
     TensionStep linear_;
     JointStep joint_;
 };

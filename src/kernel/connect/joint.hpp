@@ -4,7 +4,7 @@
 // tensions encloses that on the forces; the whole step is one monotone problem.
 #pragma once
 
-#include "contact_step.hpp"
+#include "law_forces.hpp"
 #include "tension_search.hpp"
 
 namespace tonewood {
@@ -14,7 +14,7 @@ class JointStep {
     using Term = Nonlinear::Term;
 
 public:
-    JointStep(Block& block, ContactStep& laws, TensionPasses& passes, TensionSearch& search)
+    JointStep(Block& block, LawForces& laws, TensionPasses& passes, TensionSearch& search)
         : block_(block), components_(block.model.components), layout_(block.model.layout), solve_(block.model.solve),
           m_(block.model.solve.m), nl_(block.model.nonlinear), tensions_(block.model.tensions),
           ws_(block.model.contacts), ts_(block.model.tension), laws_(laws), passes_(passes), search_(search),
@@ -338,7 +338,7 @@ private:
     const Tensions& tensions_;
     ContactState& ws_;
     TensionState& ts_;
-    ContactStep& laws_;
+    LawForces& laws_;
     TensionPasses& passes_;
     TensionSearch& search_;
     std::vector<char> is_moved_, is_ready_;  // by component: moved after the step, coordinates known in this sample

@@ -8,7 +8,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "linear_step.hpp"
+#include "general_step.hpp"
 
 namespace tonewood {
 namespace {
@@ -22,7 +22,7 @@ class LongitudinalStep : public ConnectionStep {
     using S = Simd;
 
 public:
-    LongitudinalStep(Block& block, ContactStep& laws)
+    LongitudinalStep(Block& block, LawForces& laws)
         : block_(block), components_(block.model.components), layout_(block.model.layout),
           geometric_(block.model.geometric), statistics_(block.model.statistics), laws_(laws), general_(block, laws) {
         for (const auto& given : geometric_.strings) {
@@ -400,7 +400,7 @@ private:
     const Layout& layout_;
     const Geometric& geometric_;
     Statistics& statistics_;
-    ContactStep& laws_;
+    LawForces& laws_;
     GeneralStep general_;
     std::vector<String> strings_;
 };

@@ -65,7 +65,7 @@ inline int correct(Block& block, const ContactRows& contacts, FusedPass& fused) 
             } else {
                 step_modes<true, true>(c, x, y, inputs.data(), int(inputs.size()), block.nb, rows);
             }
-            if (!finite(driven + block.nb, c.n_rows, kBlock + 1)) return i;
+            if (c.n_rows && !finite(driven + block.nb, c.n_rows, kBlock + 1)) return i;
             add_readouts(c, driven, 1, kBlock + 1, block);
             continue;
         }

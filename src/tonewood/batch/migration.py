@@ -1,4 +1,4 @@
-"""What batch manifests written for earlier versions need: the schema is the same, one key is gone."""
+"""Edits to batch manifests written for earlier versions: the schema is the same, one key is gone."""
 
 from __future__ import annotations
 

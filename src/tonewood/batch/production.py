@@ -1,4 +1,4 @@
-"""Making the sound files: measure every sound, settle the level of each group, write.
+"""Making the sound files: measure every sound, set the level of each group, write.
 
 Two passes over the finished renders, both free to run many at once: the first finds each sound's gain and true peak,
 the second writes the files. Between them each group that would pass the true-peak limit is lowered as a whole.

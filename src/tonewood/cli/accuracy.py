@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tonewood.cli.common import AllowCode, Overrides, allow, load, need, progress
+from tonewood.cli.common import AllowCode, Json, Overrides, allow, load, need, print_json, progress
 from tonewood.errors import OutputError, TonewoodError
 
 if TYPE_CHECKING:
@@ -45,9 +45,6 @@ def accuracy(
     ] = False,
     settings: Overrides = None,
     allow_code: AllowCode = False,
-    json: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="write everything to FILE as JSON")
-    ] = None,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE.png", help="error against time, one quantity a row")
     ] = None,
@@ -55,14 +52,12 @@ def accuracy(
         Path | None,
         typer.Option("--report", metavar="FILE.html", help="a page, .html or .md; beside the latter FILE-tables.md"),
     ] = None,
+    as_json: Json = False,
 ) -> None:
     """Compare error and time of this project with methods of the literature, and of each of its own settings."""
-    files = {"--json": json, "--plot": plot, "--report": report}
-    for key, path in files.items():
+    for path in (plot, report):
         if path is not None and not path.absolute().parent.is_dir():
             raise OutputError(f"there is no folder {str(path.parent)!r}", file=path)
-        if path is not None and list(files.values()).count(path) > 1:
-            raise TonewoodError(f"{key} and another option name the same file {str(path)!r}", key=key)
     if plot is not None and plot.suffix.lower() != ".png":
         raise TonewoodError(f"is {plot.name!r}; a name ending in .png is allowed", key="--plot")
     if report is not None and report.suffix.lower() not in (".html", ".md"):
@@ -70,7 +65,7 @@ def accuracy(
     if instrument is not None:
         if system is not None or quick or stability or report is not None:
             raise TonewoodError("--system, --quick, --stability and --report are of another comparison", key="-i")
-        _target(load(instrument, settings, allow_code), target, notes, fs, bandwidth, apply, json, plot)
+        _target(load(instrument, settings, allow_code), target, notes, fs, bandwidth, apply, plot, as_json)
         return
     if target is not None or notes or apply or settings:
         raise TonewoodError("--target, --notes, --apply and --set need -i INSTRUMENT", key="-i")
@@ -78,7 +73,7 @@ def accuracy(
 
     catalogue.selected(system)
     if stability:
-        _stability(system, quick, json, plot, report)
+        _stability(system, quick, plot, report, as_json)
         return
     drawing = plot is not None or (report is not None and report.suffix.lower() == ".html")
     if drawing:
@@ -104,8 +99,6 @@ def accuracy(
         png = chart_png(outcomes)
     # everything is made before anything is written
     contents: list[tuple[Path, str | bytes]] = []
-    if json is not None:
-        contents.append((json, study.json()))
     if plot is not None:
         contents.append((plot, png))
     if report is not None and report.suffix.lower() == ".html":
@@ -116,6 +109,9 @@ def accuracy(
         contents.append((report.with_name(f"{report.stem}-tables.md"), study.tables()))
     for path, content in contents:
         write_whole(path, content)
+    if as_json:
+        print_json("accuracy", study.to_json())
+        return
     print(study.machine_line)
     for outcome in outcomes:
         print(f"\n{tables.section(outcome)}", end="")
@@ -129,8 +125,8 @@ def accuracy(
 
 
 def _target(
-    instrument: Instrument, target: str | None, notes: str, fs: int, bandwidth: float, apply: bool, json: Path | None,
-    plot: Path | None,
+    instrument: Instrument, target: str | None, notes: str, fs: int, bandwidth: float, apply: bool,
+    plot: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     from tonewood.lab.accuracy.target import Target, search
     from tonewood.output.options import RenderOptions, limits
@@ -154,24 +150,19 @@ def _target(
 
     if apply and found.cheapest is None:
         raise TonewoodError(f"no setting meets {target}; without --apply the nearest is named", key="--target")
-    contents: list[tuple[Path, str | bytes]] = []
-    if json is not None:
-        contents.append((json, target_report.to_json(found)))
     if plot is not None:
-        contents.append((plot, target_report.chart_png(found)))
-    for path, content in contents:
-        write_whole(path, content)
-    if apply and found.cheapest is not None:
+        write_whole(plot, target_report.chart_png(found))
+    if as_json:
+        print_json("accuracy-target", target_report.to_json(found))
+    elif found.cheapest is not None and apply:
         print(found.cheapest.setting.words)
-        return
-    print(target_report.summary(found))
-    for path, _ in contents:
-        print(path)
+    else:
+        print(target_report.summary(found))
+        if plot is not None:
+            print(plot)
 
 
-def _stability(system: str | None, quick: bool, json: Path | None, plot: Path | None, report: Path | None) -> None:
-    from json import dumps
-
+def _stability(system: str | None, quick: bool, plot: Path | None, report: Path | None, as_json: bool) -> None:
     from tonewood.lab.accuracy import attacks, stability
     from tonewood.whole_files import write_whole
 
@@ -183,11 +174,11 @@ def _stability(system: str | None, quick: bool, json: Path | None, plot: Path | 
         raise TonewoodError(f"is {report.name!r}; with --stability a name ending in .md is allowed", key="--report")
     with progress("stability", 1.0) as advance:
         grid = stability.run(quick, advance)
-    if json is not None:
-        write_whole(json, dumps(grid.to_json(), allow_nan=False))
     if report is not None:
         write_whole(report, grid.markdown())
+    if as_json:
+        print_json("stability", grid.to_json())
+        return
     print(f"{attacks.section(grid.attacks)}\n\n{grid.table()}", end="")
-    for path in (json, report):
-        if path is not None:
-            print(path)
+    if report is not None:
+        print(report)

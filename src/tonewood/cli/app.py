@@ -25,7 +25,7 @@ def application(first: str | None) -> typer.Typer:
     """Make the application with the command `first`, or with all commands if there is none of that name."""
     app = typer.Typer(
         name="tonewood",
-        add_completion=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
         pretty_exceptions_enable=False,
         help="Physical sound synthesis: render and play scores on modelled instruments, and look into them.",
     )

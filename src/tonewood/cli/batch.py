@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tonewood.cli.common import Advance, AllowCode, Json, need, progress, warn
+from tonewood.cli.common import Advance, AllowCode, Json, need, print_json, progress, warn
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
@@ -44,14 +43,14 @@ def batch(
     place = Workers(jobs, "threads" if workers == "threads" else "processes", cluster)
     if dry_run:
         plan = plan_batch(manifest, output, EngineRenderer(allow_code), place, predict=True)
-        print(json.dumps(plan.summary())) if as_json else _print_plan(plan)
+        print_json("batch-plan", plan.summary(), ok=not plan.faults) if as_json else _print_plan(plan)
         return 1 if plan.faults else 0
     with _Bars() as bars:
         try:
             report = run_batch(manifest, output, EngineRenderer(allow_code), place, bars)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("finished renders are kept, run it again to go on") from None
-    print(json.dumps(report.summary())) if as_json else _print_report(report)
+    print_json("batch-report", report.summary(), ok=report.ok) if as_json else _print_report(report)
     return 0 if report.ok else 1
 
 

@@ -2,33 +2,34 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import AllowCode, Json, Overrides, load
+from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, load, print_json
 from tonewood.cli.options import render_options
 
 if TYPE_CHECKING:
     from tonewood.instrument.assembly import Model
-    from tonewood.instrument.inspection import Pitch
+    from tonewood.instrument.inspection import MicrophoneResponse, Pitch
     from tonewood.instrument.mounted import MountedPitch
 
 #: relative error of a partial's decay rate from which on a string is reported to miss its loss law
 LOSS_TOLERANCE = 1e-3
+#: peak sound of a microphone per N on the bridge, re full scale, from which on its table is doubted
+LOUD = 1e3
 
 
 def check(
-    instrument: Annotated[str, typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT")],
+    instrument: Bundle,
     fs: Annotated[int, typer.Option(help="sampling rate to assemble it at, Hz")] = 48000,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> int:
-    """Load INSTRUMENT, test its body, tune every stop, list wolf notes, shared partials, stand-ins and sources.
+    """Load INSTRUMENT, test its body, microphones and stops, list wolf notes, shared partials, stand-ins and sources.
 
     Every stop is checked twice: its string alone on the body, as it is tuned, and with all other strings open beside
     it.
@@ -36,12 +37,13 @@ def check(
     Exit code 2 if it cannot be played or its body could create energy.
     """
     from tonewood.instrument.assembly import assemble
-    from tonewood.instrument.inspection import TOLERANCE_CENTS, pitches
+    from tonewood.instrument.inspection import TOLERANCE_CENTS, check_transfers, microphone_responses, pitches
     from tonewood.instrument.mounted import Mounted
 
     render_options({"fs": fs})
     bundle = load(instrument, settings, allow_code)
     model = assemble(bundle, fs, outputs=tuple(bundle.pickups))
+    check_transfers(model)
     body = _body(model)
     found = pitches(model)
     wolves = [p for p in found if p.wolf is not None]
@@ -51,17 +53,16 @@ def check(
     pairs = list(zip(found, together, strict=True))
     spec = bundle.spec
     report: dict[str, Any] = {
-        "schema": "tonewood-check/1",
         "instrument": bundle.name,
         "title": spec.title,
         "licence": spec.licence,
         "folder": str(bundle.folder),
-        "ok": body["passive"],
         "plugins": list(bundle.plugin_names),
         "fs": fs,
         "n_modes": model.n_modes,
         "body": body,
         "strings": {name: _string(model, name, pairs) for name in model.strings},
+        "microphones": [_microphone(response) for response in microphone_responses(model)],
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
         "wolf_notes": [pitch_row(p) for p in wolves],
@@ -70,11 +71,12 @@ def check(
         "provenance": dict(Counter(entry.kind for entry in spec.provenance.values())),
         "sources": {key: source.model_dump(exclude_none=True) for key, source in spec.sources.items()},
     }
+    ok = bool(body["passive"])
     if as_json:
-        print(json.dumps(report))
+        print_json("check", report, ok=ok)
     else:
-        _print(report)
-    return 0 if report["ok"] else 2
+        _print(report, ok)
+    return 0 if ok else 2
 
 
 def _body(model: Model) -> dict[str, Any]:
@@ -94,6 +96,27 @@ def _body(model: Model) -> dict[str, Any]:
         "passive": passive,
         "summary": summary,
         **{key: str(value) for key, value in basis.metadata.items() if key == "repair"},
+    }
+
+
+def _microphone(response: MicrophoneResponse) -> dict[str, Any]:
+    """A microphone's strongest response to a string, and what is wrong with its table."""
+    doubt = None
+    if response.peak == 0.0:
+        doubt = "hears nothing of the strings: its table has no residues below the highest mode that is stepped"
+    elif response.peak > LOUD * response.full_scale:
+        doubt = (
+            f"gives {response.peak / response.full_scale:.0e} times full scale per N: check the table's unit and "
+            "`full_scale`"
+        )
+    return {
+        "output": response.output,
+        "channel": response.channel,
+        "unit": response.unit,
+        "n_modes": response.n_modes,
+        "peak": response.peak,
+        "peak_freq": response.freq if response.peak else None,
+        "doubt": doubt,
     }
 
 
@@ -187,7 +210,7 @@ def _mounted_line(row: dict[str, Any]) -> str:
     )
 
 
-def _print(report: dict[str, Any]) -> None:
+def _print(report: dict[str, Any], ok: bool) -> None:
     body = report["body"]
     print(f"{report['instrument']}: {report['title']} ({report['licence']})")
     print(f"  folder: {report['folder']}")
@@ -211,6 +234,13 @@ def _print(report: dict[str, Any]) -> None:
                 f"    warning: partial {loss['partial']} decays at {1 + loss['relative']:.3g} times the rate of its "
                 "loss law on a rigid end: the law grows too steeply without loss to the air or of stretching"
             )
+    for row in report["microphones"]:
+        name = f"{row['output']}.{row['channel']}"
+        if row["peak"]:
+            peak = f"at most {row['peak']:.3g} {row['unit']}/N, at {row['peak_freq']:.0f} Hz"
+            print(f"  microphone {name}: {row['n_modes']} modes in its bank, {peak}")
+        if row["doubt"]:
+            print(f"  warning: {name} {row['doubt']}")
     for row in report["off_pitch"]:
         print(f"  off pitch: {row['string']} stop {row['stop']} ({row['note']}): {row['error_cents']:+.1f} cents")
     for row in report["off_pitch_mounted"]:
@@ -222,8 +252,8 @@ def _print(report: dict[str, Any]) -> None:
     for row in report["stand_ins"]:
         print(f"  stand-in: {row['path']}" + (f": {row['note']}" if row["note"] else ""))
     kinds = ", ".join(f"{count} {kind}" for kind, count in report["provenance"].items())
-    print(f"  figures: {kinds or 'none told apart'}")
+    print(f"  figures: {kinds or 'of unknown kind'}")
     for key, source in report["sources"].items():
         place = source.get("doi") or source.get("url") or ""
         print(f"  source {key}: {source['text']}{', ' + place if place else ''} ({source['licence']})")
-    print("ok" if report["ok"] else "not ok: its body could create energy")
+    print("ok" if ok else "not ok: its body could create energy")

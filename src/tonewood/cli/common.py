@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import math
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
@@ -18,7 +20,23 @@ if TYPE_CHECKING:
     from tonewood.score.note import Dropped
 
 ScorePath = Annotated[Path, typer.Argument(help="MIDI file", metavar="SCORE")]
-InstrumentName = Annotated[str, typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder")]
+
+
+def _instruments() -> list[str]:
+    """Names of installed instruments, for shell completion."""
+    from tonewood.instrument.registry import list_instruments
+
+    return list(list_instruments())
+
+
+InstrumentName = Annotated[
+    str,
+    typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder", autocompletion=_instruments),
+]
+Bundle = Annotated[
+    str,
+    typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT", autocompletion=_instruments),
+]
 Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="override a parameter, e.g. strings.E2.note=D2; repeatable"),
@@ -26,7 +44,25 @@ Overrides = Annotated[
 AllowCode = Annotated[
     bool, typer.Option("--allow-code", help="run plugins that lie as Python files in the bundle's folder")
 ]
+Subtype = Annotated[str, typer.Option(help="PCM_16, PCM_24, PCM_32, FLOAT or DOUBLE")]
 Json = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, nothing else")]
+
+
+def print_json(command: str, report: Mapping[str, Any], *, ok: bool = True) -> None:
+    """Print the report of a command: one JSON object, with its schema, and whether the exit code is 0, first.
+
+    Numbers that are not finite become null.
+    """
+    plain = {"schema": f"tonewood-{command}/1", "ok": ok, **report}
+    print(json.dumps(_finite(plain), allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class Advance(Protocol):
@@ -86,7 +122,7 @@ def allow(option: str, value: float, low: float, high: float, unit: str) -> None
 
 
 @contextmanager
-def drops_told() -> Iterator[None]:
+def dropped_notes_listed() -> Iterator[None]:
     """Suppress the library's warning of dropped notes: the command lists them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DroppedNotesWarning)

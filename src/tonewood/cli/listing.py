@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from typing import TYPE_CHECKING
 
-from tonewood.cli.common import AllowCode, Json
+from tonewood.cli.common import AllowCode, Json, print_json
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
@@ -40,8 +39,7 @@ def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None
             summary = (sys.modules[plugin.__module__].__doc__ or "").strip().partition("\n")[0]
         plugins.append({**_owner(entry), "kind": plugin.kind, "summary": summary})
     if as_json:
-        report = {"schema": "tonewood-list/1", "version": __version__, "instruments": instruments, "plugins": plugins}
-        print(json.dumps(report))
+        print_json("list", {"version": __version__, "instruments": instruments, "plugins": plugins})
         return
     print(f"tonewood {__version__}\n\ninstruments")
     for row in instruments:

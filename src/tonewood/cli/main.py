@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import suppress
+from itertools import pairwise
 from typing import NoReturn
 
-from tonewood.cli.commands import InterruptError, ReaderGoneError
+from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.errors import TonewoodError
+from tonewood.validation_messages import did_you_mean
 
 #: exit code, as shells have it
 _INTERRUPTED = 130
@@ -25,21 +27,27 @@ def run(arguments: list[str] | None = None) -> None:
         from tonewood.cli.app import ABORTED, ClickError, application
 
         try:
-            code = application(given[0] if given else None)(args=given or ["--help"], standalone_mode=False)
+            app = application(given[0] if given else None)
+            code = app(args=given or ["--help"], prog_name="tonewood", standalone_mode=False)
         except ClickError as error:
-            message = error.format_message() if hasattr(error, "format_message") else str(error)
-            _fail(" ".join(message.split()), 2)
+            usage = TonewoodError(_usage(error, given))
+            _print_error(given, "UsageError", usage, 2)
+            _fail(usage.reason, 2)
         except ABORTED:
             raise InterruptError from None
         if code == _INTERRUPTED:  # exit code of typer for a Ctrl-C before the command has begun
             raise InterruptError
     except TonewoodError as error:
-        _fail(str(error), error.exit_code)
+        fault = _in_its_line(error, given)
+        _print_error(given, type(fault).__name__, fault, fault.exit_code)
+        _fail(str(fault), fault.exit_code)
     except (InterruptError, KeyboardInterrupt) as error:
         # Where a KeyboardInterrupt has passed a call of exec (every dataclass makes some), CPython ends by killing
         # itself with the signal, whatever the exit code; another call makes it forget.
         exec("")
-        _fail(f"interrupted; {str(error) or 'nothing was written'}", _INTERRUPTED)
+        fault = TonewoodError(f"interrupted; {str(error) or 'nothing was written'}")
+        _print_error(given, "Interrupted", fault, _INTERRUPTED)
+        _fail(fault.reason, _INTERRUPTED)
     except ReaderGoneError:
         _no_more_output()
         sys.exit(0)
@@ -49,6 +57,41 @@ def run(arguments: list[str] | None = None) -> None:
         _no_more_output()
         _fail(f"standard output: cannot be written: {error.strerror}", 2)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _print_error(given: list[str], kind: str, fault: TonewoodError, code: int) -> None:
+    """With ``--json``, print an error as one object on stdout; its first keys are those of every report."""
+    if "--json" in given:
+        import json
+
+        place = {"file": fault.file, "line": fault.line, "key": fault.key}
+        error = {"kind": kind, **place, "reason": fault.reason, "exit_code": code}
+        with suppress(OSError):
+            print(json.dumps({"schema": "tonewood-error/1", "ok": False, "error": error}))
+
+
+def _usage(error: Exception, given: list[str]) -> str:
+    """One line for a wrong argument, with the option that it resembles and the command to ask."""
+    text = " ".join((error.format_message() if hasattr(error, "format_message") else str(error)).split())
+    if hasattr(error, "possibilities"):  # of an option that there is not
+        option = str(getattr(error, "option_name", ""))
+        hint = did_you_mean(option, error.possibilities or ()).replace("did", "Did")
+        text = f"No such option: {option}. {hint}".strip()
+    command = " ".join(["tonewood", *(name for name in given[:1] if name in COMMANDS), "-h"])
+    return f"{text if text.endswith(('.', '?')) else text + '.'} See: {command}"
+
+
+def _in_its_line(error: TonewoodError, given: list[str]) -> TonewoodError:
+    """Return an error with the line of its file, unless an option gave the value at fault."""
+    if error.key and f"--{error.key}" in given:
+        return error
+    words = [b for a, b in pairwise(given) if a == "--set"] + [a[6:] for a in given if a.startswith("--set=")]
+    for path in (word.partition("=")[0].split(".") for word in words):
+        if error.key and all(a in ("*", b) for a, b in zip(path, error.key.split("."), strict=False)):
+            return error
+    from tonewood.yaml_io import located
+
+    return located(error)
 
 
 def _no_more_output() -> None:

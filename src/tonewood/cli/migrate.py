@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tonewood.cli.common import Json, print_json
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ def migrate(
         list[Path], typer.Argument(help="folder of a bundle, its instrument.yaml, or a batch manifest", metavar="PATH")
     ],
     check: Annotated[bool, typer.Option("--check", help="report only, write nothing")] = False,
+    as_json: Json = False,
 ) -> int:
     """Rewrite bundles and batch manifests of earlier versions in place.
 
@@ -35,13 +37,19 @@ def migrate(
     for file, edits, text in found:
         if edits and not check:
             write_whole(file, text)
-        done = "would be rewritten" if check else "rewritten"
+    ok = not (check and any(edits for _, edits, _ in found))
+    if as_json:
+        files = [{"file": str(file), "edits": [e.reason for e in edits]} for file, edits, _ in found]
+        print_json("migrate", {"written": not check, "files": files}, ok=ok)
+        return 0 if ok else 1
+    done = "would be rewritten" if check else "rewritten"
+    for file, edits, _ in found:
         print(f"{file}: {done}: {'; '.join(e.reason for e in edits)}" if edits else f"{file}: up to date")
-    return 1 if check and any(edits for _, edits, _ in found) else 0
+    return 0 if ok else 1
 
 
 def _edits(file: Path) -> tuple[list[Edit], str]:
-    """What a file needs, by the kind of its schema, and its text as it stands."""
+    """Return the edits that a file needs, by the kind of its schema, and its present text."""
     from tonewood.batch.migration import manifest_edits
     from tonewood.instrument.migration import bundle_edits
     from tonewood.yaml_io import load_yaml

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import AllowCode, Json, Overrides, load, need
+from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, load, need, print_json
 from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import decibel
+from tonewood.validation_messages import did_you_mean
 from tonewood.whole_files import whole_file
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ _PICTURES = (".png", ".pdf", ".svg")
 
 
 def modes(
-    instrument: Annotated[str, typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT")],
+    instrument: Bundle,
     string: Annotated[str | None, typer.Option(help="name of one string; all of them otherwise")] = None,
     stop: Annotated[int, typer.Option(help="stop at which partials are listed, 0 is open")] = 0,
     count: Annotated[int, typer.Option(help="partials listed of each string")] = 12,
@@ -43,7 +42,8 @@ def modes(
     bundle = load(instrument, settings, allow_code)
     model = assemble(bundle, fs)
     if string is not None and string not in model.strings:
-        raise TonewoodError(f"there is no string {string!r}; there are {', '.join(model.strings)}", key="--string")
+        known = f"{did_you_mean(string, model.strings)}there are {', '.join(model.strings)}"
+        raise TonewoodError(f"there is no string {string!r}; {known}", key="--string")
     if count < 1:
         raise TonewoodError(f"is {count}; 1 or more is allowed", key="--count")
     if plot is not None and plot.suffix.lower() not in _PICTURES:
@@ -63,7 +63,6 @@ def modes(
         _plot(model, names, plot)
     if as_json:
         report: dict[str, Any] = {
-            "schema": "tonewood-modes/1",
             "instrument": bundle.name,
             "stop": stop,
             "strings": {
@@ -71,7 +70,7 @@ def modes(
                     "wanted_freq": model.strings[name].freq(stop),
                     "tension": model.strings[name].tension(stop),
                     "partials": [
-                        {"number": p.number, "freq": p.freq, "cents": p.cents, "t60": _finite(p.t60),
+                        {"number": p.number, "freq": p.freq, "cents": p.cents, "t60": p.t60,
                          "string_share": sum(p.shares[:-1]), "body_share": p.shares[-1]}
                         for p in rows
                     ],
@@ -82,7 +81,7 @@ def modes(
             "wolf_notes": wolves,
             "plot": None if plot is None else str(plot),
         }  # fmt: skip
-        print(json.dumps(report))
+        print_json("modes", report)
         return
     for name, rows in listed.items():
         print(
@@ -98,10 +97,6 @@ def modes(
         print(f"wolf note: {wolf_line(row)}")
     if plot is not None:
         print(f"bridge mobility: {plot}")
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _plot(model: Model, names: list[str], path: Path) -> None:

@@ -12,7 +12,8 @@ import typer
 from pydantic.fields import FieldInfo
 
 from tonewood.errors import TonewoodError
-from tonewood.output.options import RenderOptions, choices, limits, unit_of
+from tonewood.output.options import RenderOptions, choices, limits
+from tonewood.validation_messages import unit_of
 
 #: options whose names leave out the unit; their help texts state it
 _NAMES = {"gain_db": "--gain", "tail_level_db": "--tail-level"}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -15,12 +15,15 @@ from tonewood.cli.common import (
     Json,
     Overrides,
     ScorePath,
-    drops_told,
+    Subtype,
+    dropped_notes_listed,
     load,
+    print_json,
     progress,
     warn_of_dropped,
 )
 from tonewood.cli.options import takes_render_options
+from tonewood.errors import OutputError
 from tonewood.output.options import RenderOptions
 
 if TYPE_CHECKING:
@@ -31,11 +34,18 @@ if TYPE_CHECKING:
 _WORTH = 0.02
 
 
-@takes_render_options(without=["energy", "gain_db"])
+@takes_render_options(without=["energy"])
 def plan(
     score: ScorePath,
     instrument: InstrumentName,
     options: RenderOptions,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="sound file of the render: its name and folder are checked, nothing is written"
+        ),
+    ] = None,
+    subtype: Subtype = "PCM_24",
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -44,24 +54,28 @@ def plan(
     ] = False,
 ) -> None:
     """Predict the render of SCORE: effects that will run, when and why, and the time of computing."""
+    from tonewood.output.audio import file_format
     from tonewood.output.plan import plan as foresee
     from tonewood.score.midi import read_midi
 
+    if output is not None:
+        file_format(output, subtype)
+        if not output.absolute().parent.is_dir():
+            raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
     bundle, notes = load(instrument, settings, allow_code), read_midi(score)
     longest = max((n.time + n.duration for n in notes.notes), default=0.0) + options.tail
     bar = progress("sketching", longest if options.max_duration is None else min(longest, options.max_duration))
-    with drops_told(), bar as advance:
+    with dropped_notes_listed(), bar as advance:
         found = foresee(notes, bundle, options=options, progress=advance)
     if as_json:
-        report = {"schema": "tonewood-plan/1", "score": str(score), "instrument": bundle.name, "fs": options.fs}
-        print(json.dumps({**report, **asdict(found)}, allow_nan=False))
+        print_json("plan", {"score": str(score), "instrument": bundle.name, "fs": options.fs, **asdict(found)})
         return
     warn_of_dropped(found.notes_dropped)
     print(f"{found.duration_s:.2f} s of sound in about {found.predicted_s:.1f} s of computing")
     if verbose:
         for effect in found.effects:
-            told = f"{effect.seconds:.2f} s{_when(effect)}{_cost([effect])}"
-            print(f"  {effect.name} {effect.component}: {told}: {effect.why}")
+            shown = f"{effect.seconds:.2f} s{_when(effect)}{_cost([effect])}"
+            print(f"  {effect.name} {effect.component}: {shown}: {effect.why}")
         return
     named: dict[str, list[PlannedEffect]] = {}
     for effect in found.effects:

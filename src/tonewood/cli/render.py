@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from dataclasses import asdict
@@ -17,9 +16,11 @@ from tonewood.cli.common import (
     Json,
     Overrides,
     ScorePath,
+    Subtype,
     allow,
-    drops_told,
+    dropped_notes_listed,
     load,
+    print_json,
     progress,
     warn,
     warn_of_dropped,
@@ -27,7 +28,7 @@ from tonewood.cli.common import (
 from tonewood.cli.options import takes_render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.output.options import RenderOptions
-from tonewood.units import decibel
+from tonewood.units import counted, decibel
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -44,7 +45,7 @@ def render(
     output: Annotated[Path, typer.Option("-o", "--output", help="sound file: .wav, .flac or .rf64")],
     options: RenderOptions,
     block: Annotated[int, typer.Option(help="frames written at a time; does not change the samples")] = 4096,
-    subtype: Annotated[str, typer.Option(help="PCM_16, PCM_24, PCM_32, FLOAT or DOUBLE")] = "PCM_24",
+    subtype: Subtype = "PCM_24",
     normalize: Annotated[float | None, typer.Option(help="scale the whole to this peak, dB re full scale")] = None,
     limiter: Annotated[
         bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS by a look-ahead limiter")
@@ -78,7 +79,7 @@ def render(
     for path in energy or ():
         check_energy_file(path)
     bundle = load(instrument, settings, allow_code)
-    with drops_told():
+    with dropped_notes_listed():
         renderer = Renderer(read_midi(score), bundle, options=options.at(energy=bool(energy)))
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
@@ -91,18 +92,19 @@ def render(
     warnings = list(summary.warnings)
     if clipped:
         fate = "beyond full scale" if subtype.upper() in ("FLOAT", "DOUBLE") else "clipped"
-        warnings.append(f"{clipped} samples were {fate}; lower --gain, or use --normalize or --limiter")
+        were = "sample was" if clipped == 1 else "samples were"
+        warnings.append(f"{clipped} {were} {fate}; lower --gain, or use --normalize or --limiter")
     if hold is not None and hold.reduction_db > 0:
         warnings.append(f"the limiter took away up to {hold.reduction_db:.1f} dB")
     if as_json:
-        print(json.dumps(_report(renderer, output, clipped, peak, loaded - began, warnings), allow_nan=False))
+        print_json("render", _report(renderer, output, clipped, peak, loaded - began, warnings))
         return
     warn(warnings)
     warn_of_dropped(summary.notes_dropped)
     played, lost = summary.notes, len(summary.notes_dropped)
     print(
-        f"{output}: {summary.duration_s:.2f} s, {len(renderer.channels)} channels at {fs} Hz, "
-        f"peak {decibel(peak):.1f} dBFS; {played} notes, {lost} dropped; "
+        f"{output}: {summary.duration_s:.2f} s, {counted(len(renderer.channels), 'channel')} at {fs} Hz, "
+        f"peak {decibel(peak):.1f} dBFS; {counted(played, 'note')}, {lost} dropped; "
         f"{summary.realtime_factor:.1f} x real time; ended: {summary.end}"
     )
     if summary.ignored:
@@ -181,11 +183,11 @@ def _left_out(summary: Summary) -> list[str]:
     for title, reports in by_title.items():
         seconds = [summary.duration_s - report.seconds_active for report in reports]
         if len(reports) <= _NAMED:
-            told = " and ".join(f"{r.component} for {s:.2g} s" for r, s in zip(reports, seconds, strict=True))
+            where = " and ".join(f"{r.component} for {s:.2g} s" for r, s in zip(reports, seconds, strict=True))
         else:
-            told = f"{len(reports)} strings for {min(seconds):.2g} to {max(seconds):.2g} s"
+            where = f"{len(reports)} strings for {min(seconds):.2g} to {max(seconds):.2g} s"
         bounds = [f"{max(values):.2g} {unit}" for values, unit in _bounds(reports)]
-        lines.append(f"  Left out: {title} of {told}, at most {' and '.join(bounds)}.")
+        lines.append(f"  Left out: {title} of {where}, at most {' and '.join(bounds)}.")
     saved = sum(report.seconds_saved for reports in by_title.values() for report in reports)
     whole = saved + summary.render_s
     if lines and saved >= _WORTH * whole:
@@ -205,11 +207,8 @@ def _bounds(reports: Sequence[EffectReport]) -> Iterator[tuple[list[float], str]
 def _report(
     renderer: Renderer, output: Path, clipped: int, peak: float, load_s: float, warnings: list[str]
 ) -> dict[str, Any]:
-    from tonewood.engine.effect_usage import finite
-
     s, account = renderer.summary(), renderer.energy
     return {
-        "schema": "tonewood-render/1",
         "output": str(output),
         "outputs": [group.name for group in renderer.model.outputs],
         "fs": s.fs,
@@ -234,5 +233,5 @@ def _report(
         "onset_step_dbfs": s.onset_step_dbfs,
         "warnings": warnings,
         "energy": None if account is None else account.balance(),
-        "effects": [{**asdict(e), "bound": finite(e.bound), "bound_db": finite(e.bound_db)} for e in s.effects],
+        "effects": [asdict(e) for e in s.effects],
     }

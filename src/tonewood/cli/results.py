@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tonewood.cli.common import Json, need, warn
+from tonewood.cli.common import Json, need, print_json, warn
 
 if TYPE_CHECKING:
     from tonewood.batch.results import Rate, RatingMean, Results
@@ -31,7 +30,7 @@ def results(
     picture = plot or table.with_suffix(".png")
     write_plot(found, picture)
     if as_json:
-        print(json.dumps({**found.to_dict(), "plot": str(picture)}))
+        print_json("results", {**found.to_dict(), "plot": str(picture)})
         return
     _print(found, per_trial)
     print(f"plot: {picture}")

@@ -10,12 +10,10 @@ from typing import Annotated
 
 import typer
 
-from tonewood.cli.common import need
-from tonewood.errors import OutputError
+from tonewood.cli.common import Json, need, print_json
 
 
 def validate(
-    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write all rows to FILE as JSON")] = None,
     only: Annotated[
         list[str] | None,
         typer.Option("--only", metavar="NAME", help="system, or the beginning of some names, e.g. fabre; repeatable"),
@@ -23,13 +21,12 @@ def validate(
     plots: Annotated[
         Path | None, typer.Option("--plots", metavar="DIR", help="redraw the papers' figures into DIR")
     ] = None,
+    as_json: Json = False,
 ) -> int:
     """Print one row per checked quantity; exit code 1 if one fails.
 
     Rows whose system was fitted to the reference (a reconstruction, a stand-in) are called regression, not validation.
     """
-    if json is not None and not json.absolute().parent.is_dir():
-        raise OutputError(f"there is no folder {str(json.parent)!r}", file=json)
     if plots is not None:
         need("plot", "matplotlib")
     from rich.console import Console
@@ -37,9 +34,9 @@ def validate(
     from tonewood.lab import validation
 
     validation.selected(only)
-    console = Console(highlight=False)
+    console = Console(highlight=False, quiet=as_json)
     if not console.is_terminal:
-        console = Console(width=180, highlight=False)
+        console = Console(width=180, highlight=False, quiet=as_json)
     rows = []
     for name, found in validation.run_each(only):
         console.print(validation.table(name, found))
@@ -48,9 +45,9 @@ def validate(
     console.print(f"{validation.counted(rows)}, {len(failed)} failed")
     for row in failed:
         console.print(f"FAILED: {row.system}: {row.quantity}: error {row.error:.3g}, tolerance {row.tolerance:.3g}")
-    if json is not None:
-        validation.write_json(rows, json)
     if plots is not None:
         for path in validation.draw(plots, only):
             console.print(f"{path}")
+    if as_json:
+        print_json("validation", validation.to_json(rows), ok=not failed)
     return 1 if failed else 0

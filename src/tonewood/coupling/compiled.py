@@ -77,7 +77,7 @@ class Compiled:
         return np.asarray(self.shares @ rows.reshape(len(self.ports), 2 * self.basis.n_modes))
 
     @cached_property
-    def gap_push(self) -> Floats:
+    def gap_scatter(self) -> Floats:
         """(g, 2 n_modes) what an impulse of 1 N s across each gap adds to these numbers."""
         B = self.form.B[self.ports].swapaxes(1, 2)
         return np.asarray(self.shares @ B.reshape(len(self.ports), 2 * self.basis.n_modes))
@@ -85,7 +85,7 @@ class Compiled:
     @cached_property
     def gap_mobility(self) -> Floats:
         """(g, g) m/s of each gap (first index) per impulse of 1 N s across another."""
-        return np.asarray(self.gap_velocity @ self.gap_push.T)
+        return np.asarray(self.gap_velocity @ self.gap_scatter.T)
 
 
 @dataclass(eq=False)
@@ -153,7 +153,7 @@ class Injection:
 class PrescribedMotion:
     """Moves or scales a nonlinear connection's partner sample by sample, in place of its law's constants.
 
-    What it does to the partner is work from outside: only f (g+ - g) is balanced by the law.
+    Its work on the partner comes from outside: only f (g+ - g) is balanced by the law.
 
     Attributes
     ----------

@@ -330,11 +330,12 @@ class NonlinearSolve:
         Z = self.gaps.compliance - self.gaps.from_linear[:, on] @ self.answer[on]
         return np.asarray(0.5 * (Z + Z.T))
 
-    def settled_series(self, series: Floats) -> Floats:
+    def carried_series(self, series: Floats) -> Floats:
         """(m,) displacements in series as this system goes on with those of the one before it.
 
-        What no longer yields (a finger that left, a fret behind the stop) has none. What has just come shares what the
-        others make of its place, R_jq R_qq^+ rho_q, which leaves the energy as it is: laws at one place yield alike.
+        A connection that no longer yields (a finger that left, a fret behind the stop) has none. A new one shares the
+        displacement of the others at its place, R_jq R_qq^+ rho_q, which leaves the energy as it is: laws at one place
+        yield alike.
         """
         rho, R = series[self.index], self.residual
         rho[np.diag(R) <= 0.0] = 0.0

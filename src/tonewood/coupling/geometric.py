@@ -56,7 +56,7 @@ class GeometricStretch:
     name : of the string.
     components : its polarizations: components of real modes, made by `string_modes.string_basis`.
     longitudinal : component of its longitudinal motion: the same, with EA in place of the tension; None is a string
-        that does not move along itself, and all its modes take part: Kirchhoff and Carrier's.
+        without longitudinal motion, and all its modes take part: Kirchhoff and Carrier's.
     axial_stiffness : EA, N.
     freq_coupled : Hz, transverse modes below it take part.
     """
@@ -91,14 +91,14 @@ class GeometricStretch:
         if not basis.is_real or "vec" not in known:
             raise ValueError(f"{self.name}: {component} does not tell its shapes as a ramp and sines")
         vec, length = cast(Floats, known["vec"]), cast(float, known["length"])
-        along = component == self.longitudinal
+        longitudinal = component == self.longitudinal
         if self.longitudinal is None:
             count = basis.n_modes
             stretch = np.asarray(known.get("stretch_part", known["tension_part"]), dtype=np.float64) / length
             slopes = np.zeros((0, count))
         else:
-            count = basis.n_modes if along else int(np.searchsorted(basis.natural_freq, self.freq_coupled))
-            rows = len(vec) if along else min(len(vec), count + 1 + MORE_COSINES)
+            count = basis.n_modes if longitudinal else int(np.searchsorted(basis.natural_freq, self.freq_coupled))
+            rows = len(vec) if longitudinal else min(len(vec), count + 1 + MORE_COSINES)
             wavenumber = np.arange(rows) * np.pi / length
             wavenumber[0] = -1.0 / length
             slopes = np.ascontiguousarray(wavenumber[:, None] * vec[:rows, :count])
@@ -109,7 +109,7 @@ class GeometricStretch:
             reading=np.where(pair, 2.0, 1.0)[:count],
             kick=apply(held, kick)[:count],
             scale=self.axial_stiffness * length,
-            along=along,
+            longitudinal=longitudinal,
             stretch=stretch,
         )
 
@@ -124,7 +124,7 @@ class GeometricShare:
     reading : (n,) coordinate y = reading times the first number of the mode.
     kick : (n, 2) state added by a unit modal force held over one step.
     scale : EA L, N m.
-    along : whether this is the longitudinal component.
+    longitudinal : whether this is the longitudinal component.
     stretch : (n,) of a string without one, in place of the slopes: s_0 = 1/2 sum stretch y^2, 1 / (kg m^2).
     """
 
@@ -132,7 +132,7 @@ class GeometricShare:
     reading: Floats
     kick: Floats
     scale: float
-    along: bool
+    longitudinal: bool
     stretch: Floats | None = None
 
     @property
@@ -144,7 +144,7 @@ class GeometricShare:
         """(n,) y of a state (n_modes, 2)."""
         return self.reading * x[: self.n, 0]
 
-    def pushed(self, x: Floats, force: Floats) -> Floats:
+    def after(self, x: Floats, force: Floats) -> Floats:
         """State after modal forces (n,) held over the step that led to x."""
         out = x.copy()
         out[: self.n] += self.kick * force[:, None]
@@ -188,7 +188,7 @@ class GeometricShares:
     @cached_property
     def forms(self) -> Floats:
         """(P + 1, n, n): s_n = y^T forms_n y / 2."""
-        if not self.parts[-1].along:
+        if not self.parts[-1].longitudinal:
             return np.diag(np.concatenate([p.stretch for p in self.parts if p.stretch is not None]))[None]
         count = len(self.parts[-1].slopes)
         out = np.zeros((count, self.n, self.n))
@@ -201,10 +201,10 @@ class GeometricShares:
     @cached_property
     def strains(self) -> Floats:
         """(P + 1, n): l = strains y."""
-        along = self.parts[-1]
-        if not along.along:
+        longitudinal = self.parts[-1]
+        if not longitudinal.longitudinal:
             return np.zeros((1, self.n))
-        return np.hstack([np.zeros((len(along.slopes), self.n - along.n)), along.slopes])
+        return np.hstack([np.zeros((len(longitudinal.slopes), self.n - longitudinal.n)), longitudinal.slopes])
 
     @cached_property
     def weights(self) -> Floats:
@@ -219,10 +219,10 @@ class GeometricShares:
     def force(self, before: Floats, after: Floats) -> Floats:
         """Modal forces (n,) over a step between coordinates `before` and `after`, N / sqrt(kg)."""
         mean = 0.5 * (before + after)
-        pulls = self.forms @ mean
+        per_tension = self.forms @ mean
         s = 0.25 * (self.forms @ before @ before + self.forms @ after @ after)
         tension = self.weights * (s + self.strains @ mean)
-        return np.asarray(-(tension @ pulls + (self.weights * s) @ self.strains))
+        return np.asarray(-(tension @ per_tension + (self.weights * s) @ self.strains))
 
     def slope(self, before: Floats, after: Floats) -> Floats:
         """(n, n) derivative of `force` with `after`."""
@@ -230,6 +230,6 @@ class GeometricShares:
         s = 0.25 * (self.forms @ before @ before + self.forms @ after @ after)
         tension = self.weights * (s + self.strains @ mean)
         ds = 0.5 * (self.forms @ after)
-        pulls = self.weights[:, None] * (self.forms @ mean)
-        out = pulls.T @ (ds + 0.5 * self.strains) + 0.5 * np.einsum("n,nij->ij", tension, self.forms)
+        per_tension = self.weights[:, None] * (self.forms @ mean)
+        out = per_tension.T @ (ds + 0.5 * self.strains) + 0.5 * np.einsum("n,nij->ij", tension, self.forms)
         return np.asarray(-(out + (self.weights[:, None] * self.strains).T @ ds))

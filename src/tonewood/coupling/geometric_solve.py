@@ -101,11 +101,11 @@ class GeometricSolve:
             out[self.system.names[slot]][: part.n] = force[at]
         return out
 
-    def pushed(self, free: Sequence[Floats], force: Floats) -> list[Floats]:
+    def after(self, free: Sequence[Floats], force: Floats) -> list[Floats]:
         """States after modal forces (n,)."""
         out = list(free)
         for slot, part, at in self._all():
-            out[slot] = part.pushed(out[slot], force[at])
+            out[slot] = part.after(out[slot], force[at])
         return out
 
     def force(self, before: Floats, after: Floats) -> Floats:
@@ -143,7 +143,7 @@ class GeometricSolve:
             """Residual of F, coordinates after the step, and the norm of the residual."""
             nonlocal count
             count += 1
-            after = self.coordinates(attempt(self.pushed(free, F)))
+            after = self.coordinates(attempt(self.after(free, F)))
             off = share * self.force(before, after) - F
             return off, after, float(sla.norm(size * off))
 

@@ -10,11 +10,10 @@ which never inverts Z, made safe by a search along the step: the slope of the co
 
 Friction's curve falls, and what slides under one force of a contact, or one tension of its string, may stick under the
 next, and so on for ever. So each friction law keeps to a branch of its curve (`FrictionBranch`) until all else is
-found, and only
-then it is asked whether that branch is its own (`settle`). At a given velocity the rest of the step is a monotone
-problem, with one solution, and the force it asks of friction rises with that velocity; where friction cannot stick, its
-curve is met on the way to the velocity without friction. Where changing branches goes on for too long, halving that
-interval finds the meeting.
+found; then `solve_branches` changes a branch that the motion contradicts. At a given velocity the rest of the step is
+a monotone problem, with one solution, and the force it asks of friction rises with that velocity; where friction cannot
+stick, its curve is met on the way to the velocity without friction. Where changing branches goes on for too long,
+halving that interval finds the meeting.
 """
 
 from __future__ import annotations
@@ -110,19 +109,19 @@ class FrictionBranch:
         return self.branch != before
 
 
-def settle(branches: Sequence[FrictionBranch], solve: Callable[[], Found]) -> Found:
+def solve_branches(branches: Sequence[FrictionBranch], solve: Callable[[], Found]) -> Found:
     """Call `solve`, which finds all else with friction on its branches, until each is on its own; see the module.
 
     Raises
     ------
     ValueError : they are not found.
     """
-    for turn in range((PATIENCE + 1) * len(branches) + 1):
+    for iteration in range((PATIENCE + 1) * len(branches) + 1):
         found = solve()
         changed = next((friction for friction in branches if friction.changes()), None)
         if changed is None:
             return found
-        if turn >= PATIENCE * len(branches):
+        if iteration >= PATIENCE * len(branches):
             _halve(changed, solve)
     raise ValueError("friction finds no branch")
 
@@ -234,8 +233,8 @@ def _find_friction(
 ) -> Solution:  # fmt: skip
     """Find the forces by damped Newton iterations on the friction forces, on their branches, with contacts for each.
 
-    What is wrong with a friction force is what `FrictionBranch.meet` makes of the motion, less that force; it answers
-    a change of friction forces through the compliance that contacts leave, at their slopes.
+    The residual of a friction force is the force that `FrictionBranch.meet` gives for the motion, less that force; it
+    answers a change of friction forces through the compliance that contacts leave, at their slopes.
     """
     import scipy.linalg as sla
 
@@ -344,8 +343,8 @@ def newton(
         for _ in range(60):
             p_try = p - t * moved
             law_force, slope = evaluate(p_try)
-            along = float(moved @ (f + t * step - law_force))
-            if along < 0 or abs(along) <= 0.9 * abs(start):
+            descent = float(moved @ (f + t * step - law_force))
+            if descent < 0 or abs(descent) <= 0.9 * abs(start):
                 break
             t *= 0.5
         f, p = f + t * step, p_try

@@ -281,7 +281,7 @@ class CompiledPotential:
     """A potential given as C functions of the elongation d = g - offset: f = -V'(d) (1 - loss d') - damping d'.
 
     The discrete gradient is the quotient of V where that is accurate, and Gauss' rule over V' where the quotient
-    cancels: the two are told apart by the rounding of the quotient, so that they agree to it where they meet.
+    cancels: the two differ by the rounding of the quotient, so that they agree to it where they meet.
     V should be convex; otherwise a step may have several solutions, and the one found is the nearest to the last.
 
     Attributes

@@ -116,7 +116,7 @@ class System:
                 raise ValueError(f"a tension needs two-way components of its own, not {name!r}")
         if tensions and geometric:
             both = f"{tensions[0].name} and {geometric[0].name}"
-            raise ValueError(f"{both}: where a string moves along itself, all rising tensions go into `geometric`")
+            raise ValueError(f"{both}: where a string has longitudinal motion, all rising tensions go into `geometric`")
         names, joined = tuple(components), tuple(connections)
         room = tuple(_padded(max(components[n].n_modes, (capacities or {}).get(n, 0))) for n in names)
         layout = Layout(names, room, joined, tuple(readouts), tuple(drives), dict(owners or {}))
@@ -231,7 +231,7 @@ class System:
     def with_tensions(self, names: Collection[str]) -> System:
         """Switch on the tensions of these names, and off all others.
 
-        A string that moves along itself is then linear, too: its longitudinal motion is stepped, but no longer coupled
+        A string with longitudinal motion is then linear, too: its longitudinal motion is stepped, but no longer coupled
         to the transverse one. The stored energy, EA/(8 L) S^2 without longitudinal motion, appears or vanishes with the
         coupling: switch where it is small, or book it.
         """

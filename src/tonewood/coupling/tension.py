@@ -129,9 +129,9 @@ class TensionShare:
         half = 0.5 * self.weights * tension
         yields = 1.0 / (1.0 + self.reading * self.kick[:, 0] * half)
         y, y_free = self.reading * x[:, 0], self.reading * free[:, 0]
-        pull = half * yields * (y_free + y)
-        pulls = half * yields * self.reading * W[..., 0]
-        return free - self.kick * pull[:, None], W - self.kick * pulls[..., None]
+        of_motion = half * yields * (y_free + y)
+        of_ports = half * yields * self.reading * W[..., 0]
+        return free - self.kick * of_motion[:, None], W - self.kick * of_ports[..., None]
 
     def slope(self, x: Floats, after: Floats, tension: float) -> float:
         """dS+/dT at constant port forces, m/N."""

@@ -6,8 +6,8 @@ For every step of a run
 
 The terms are found apart from each other: stored energy from the states, dissipation and work in closed form from the
 state a step begins with and the forces over it (`energy_forms`), losses of connections from their laws
-(`energy_laws`). What changes the energy between two steps (a string stopped, bent or joined anew) is booked by whoever
-does it. So the residual is rounding, or a mistake.
+(`energy_laws`). Whoever changes the energy between two steps (a string stopped, bent or joined anew) books
+the change. So the residual is rounding, or a mistake.
 
 Components that are driven one way (microphones) carry no energy of the instrument and are left out.
 """
@@ -39,7 +39,7 @@ _CHUNK = 512
 
 @dataclass(eq=False)
 class _Record:
-    """What happened up to some time, J."""
+    """Energies entered up to some time, J."""
 
     time: float
     steps: int
@@ -77,7 +77,7 @@ class EnergyAccount:
         self._initial = self.stored(self.state)
         self._last = dict(self._initial)
         #: what is stored after the changes made since the last step
-        self._settled = dict(self._initial)
+        self._changed = dict(self._initial)
 
     def stored(self, state: State) -> dict[str, float]:
         """Stored energy of a state, J, by component, connection and tension."""
@@ -94,11 +94,11 @@ class EnergyAccount:
         """Enter energy put in (J, negative if taken out) between two steps, by a bend, a stop or an impact."""
         self._booked[label] = self._booked.get(label, 0.0) + amount
 
-    def settle(self, label: str, state: State) -> None:
+    def book_change(self, label: str, state: State) -> None:
         """Book what a change between two steps put in: stored energy of this state, less what was there before."""
         now = self.stored(state)
-        self.book(label, sum(now.values()) - sum(self._settled.values()))
-        self._settled = now
+        self.book(label, sum(now.values()) - sum(self._changed.values()))
+        self._changed = now
 
     def follow(
         self,
@@ -122,13 +122,13 @@ class EnergyAccount:
         chunk = max(_CHUNK // self.interval, 1) * self.interval
         for start in range(0, len(forces), chunk):
             part, sample = forces[start : start + chunk], before.sample + start
-            path, pulls = step_again(self.system, x, sample, part, injections)
+            path, modal_forces = step_again(self.system, x, sample, part, injections)
             if start + chunk >= len(forces):
                 for name, end in self._states(after).items():
                     path[name][-1] = end
             within = self._laws.series(series, part)
             moving = self.system.controlled(controls, sample, len(part)) if controls else {}
-            self._enter(sample, path, pulls, within, part, known, moving)
+            self._enter(sample, path, modal_forces, within, part, known, moving)
             x, series = {name: states[-1] for name, states in path.items()}, self._laws.spread(within[-1])
 
     def trace(self) -> EnergyTrace:
@@ -180,8 +180,8 @@ class EnergyAccount:
         if self.system.geometric:
             solve, steps = GeometricSolve(self.system), len(next(iter(path.values())))
             none = np.zeros((steps, 0, 2))
-            along = [solve.energy([path.get(name, none)[t] for name in self.system.names]) for t in range(steps)]
-            strings = zip(self.system.geometric, np.transpose(along), strict=True)
+            energies = [solve.energy([path.get(name, none)[t] for name in self.system.names]) for t in range(steps)]
+            strings = zip(self.system.geometric, np.transpose(energies), strict=True)
             out |= {f"{law.name}.stretch": np.array(values) for law, values in strings}
         return out
 
@@ -199,7 +199,7 @@ class EnergyAccount:
         self,
         sample: int,
         path: Mapping[str, Floats],
-        pulls: Mapping[str, Floats],
+        modal_forces: Mapping[str, Floats],
         series: Floats,
         forces: Floats,
         known: Sequence[KnownForce],
@@ -215,13 +215,13 @@ class EnergyAccount:
             ports = [energy.points.index(p) for p in self.system.ports_of(name)]
             held[:, ports] = forces @ self.system.incidence(self.system.slot(name))
             mine = [k for k in known if k.component == name]
-            lost[name], works = over_steps(energy, x[:-1], held, pulls.get(name), mine, sample, dt)
+            lost[name], works = over_steps(energy, x[:-1], held, modal_forces.get(name), mine, sample, dt)
             for force, work in zip(mine, works, strict=True):
                 supplied[force.label] = supplied.get(force.label, np.zeros(T)) + work
         stored |= flows.stored
         for name in self._laws.moved(moving):
             # a partner may have been moved at once since the last step
-            supplied[name][0] += stored[name][0] - self._settled.get(name, 0.0)
+            supplied[name][0] += stored[name][0] - self._changed.get(name, 0.0)
         total, last_total = np.sum(list(stored.values()), axis=0), sum(self._last.values())
         for first in range(0, T, self.interval):
             last = min(first + self.interval, T)
@@ -237,5 +237,5 @@ class EnergyAccount:
             into = sum(entry.supplied.values()) + sum(entry.booked.values()) - sum(entry.lost.values())
             entry.residual = float(total[last] - last_total - into)
             last_total, self._booked = float(total[last]), {}
-            self._last = self._settled = entry.stored
+            self._last = self._changed = entry.stored
             self._records.append(entry)

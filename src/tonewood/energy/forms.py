@@ -1,4 +1,4 @@
-"""What a component stores, loses and receives over an interval, in closed form from where it begins.
+"""Energy that a component stores, loses and receives over an interval, in closed form from where it begins.
 
 Over an interval of length d a component x' = A x + B F(t) moves under forces that are known polynomials,
 F = c0 + c1 tau + c2 tau^2 with tau = t / d. With s = (x, c0, c1, 2 c2), all at the beginning,
@@ -136,21 +136,21 @@ class ComponentEnergy:
             self._known[duration] = forms
         return forms
 
-    def start(self, x: Floats, forces: Floats, pulls: Floats | None = None) -> Floats:
+    def start(self, x: Floats, forces: Floats, modal_forces: Floats | None = None) -> Floats:
         """States s of T intervals, (b, T, n_s).
 
         Parameters
         ----------
         x : (T, n_modes, 2).
         forces : (T, n_points, k) N, c0 .. c(k-1) over each interval, k = 1 or 3; fewer make s shorter.
-        pulls : (T, n_modes) modal forces that are constant over each interval, on real modes.
+        modal_forces : (T, n_modes) modal forces that are constant over each interval, on real modes.
         """
         T, k = len(x), forces.shape[2]
         if self._P is None:
             states = (x * self._unit).transpose(1, 0, 2)
             inputs = np.einsum("pm,tpk->mtk", self._shapes, forces)[:, :, :, None]
-            if pulls is not None:
-                inputs[:, :, 0, 0] += pulls.T
+            if modal_forces is not None:
+                inputs[:, :, 0, 0] += modal_forces.T
         else:
             states = (x * self._unit).reshape(1, T, -1)
             inputs = forces.transpose(0, 2, 1)[None]

@@ -1,4 +1,4 @@
-"""What connections store, lose and receive from outside over the steps of a known motion.
+"""Energy that connections store, lose and receive from outside over the steps of a known motion.
 
 Losses come from the laws at the gaps of each step: of a dashpot r (g+ - g)^2 / h, of a nonlinear law the part of its
 force that its potential does not have, times the motion; never from the forces that a solver found, so that a force
@@ -69,16 +69,16 @@ class LawEnergies:
         """
         path = np.zeros((len(forces) + 1, self._on.size))
         path[0] = self._start(start)
-        pushed = forces[:, self._on] @ self._residual.T / self._theta
+        driven = forces[:, self._on] @ self._residual.T / self._theta
         for t in range(len(forces) if self._on.size else 0):
-            path[t + 1] = pushed[t] - (1 - self._theta) / self._theta * path[t]
+            path[t + 1] = driven[t] - (1 - self._theta) / self._theta * path[t]
         return path
 
     def _start(self, start: Floats) -> Floats:
         """(k,) of what still yields in series."""
         if self._solve is None or not start.size:
             return np.zeros(self._on.size)
-        return self._solve.settled_series(start)[self._on]
+        return self._solve.carried_series(start)[self._on]
 
     def spread(self, series: Floats) -> Floats:
         """(m,) series displacements of all connections, from those (k,) of the nonlinear ones."""

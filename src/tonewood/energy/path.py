@@ -32,7 +32,7 @@ def step_again(
     Returns
     -------
     states : name -> (T + 1, n_modes, 2).
-    pulls : name -> (T, n_modes) modal forces of rising tension and of longitudinal motion, for strings that have it.
+    modal_forces : name -> (T, n_modes), of rising tension and of longitudinal motion, for strings that have it.
     """
     names, T = list(start), len(forces)
     slots = [system.slot(name) for name in names]
@@ -41,8 +41,8 @@ def step_again(
     spans = {name: slice(sizes[i], sizes[i + 1]) for i, name in enumerate(names)}
     path = np.empty((T + 1, sizes[-1], 2))
     for name, slot, c in zip(names, slots, compiled, strict=True):
-        pushed, flat = forces @ system.incidence(slot), c.W.reshape(len(c.ports), 2 * c.basis.n_modes)
-        path[1:, spans[name]] = (pushed @ flat).reshape(T, c.basis.n_modes, 2)
+        at_ports, flat = forces @ system.incidence(slot), c.W.reshape(len(c.ports), 2 * c.basis.n_modes)
+        path[1:, spans[name]] = (at_ports @ flat).reshape(T, c.basis.n_modes, 2)
         path[0, spans[name]] = start[name]
     for injection in injections:
         first, last = max(injection.start, sample), min(injection.stop, sample + T)
@@ -57,10 +57,10 @@ def step_again(
         for law, on in zip(system.tensions, system.tension_on, strict=True)
         if on
     ]
-    pulls = {name: np.zeros((T, part.weights.size)) for string in strings for name, part in string}
-    along = GeometricSolve(system) if system.geometric else None
+    modal_forces = {name: np.zeros((T, part.weights.size)) for string in strings for name, part in string}
+    solve = GeometricSolve(system) if system.geometric else None
     stretched = [name for law in system.geometric for name in law.parts]
-    pulls |= {name: np.zeros((T, system.compiled[system.slot(name)].basis.n_modes)) for name in stretched}
+    modal_forces |= {name: np.zeros((T, system.compiled[system.slot(name)].basis.n_modes)) for name in stretched}
     for t in range(T):
         x, y = path[t, :, 0], path[t, :, 1]
         path[t + 1, :, 0] += e00 * x + e01 * y
@@ -70,20 +70,20 @@ def step_again(
             tension = _tension(parts, (sample + t) * system.dt)
             for (name, part), (_, before, free) in zip(string, parts, strict=True):
                 after = part.step(before, free, np.zeros((0, *free.shape)), tension)[0]
-                pulls[name][t] = -0.5 * tension * part.weights * part.reading * (before[:, 0] + after[:, 0])
+                modal_forces[name][t] = -0.5 * tension * part.weights * part.reading * (before[:, 0] + after[:, 0])
                 path[t + 1, spans[name]] = after
-        if along is not None:
+        if solve is not None:
             none = np.zeros((0, 2))
             earlier, later = ([p[spans[n]] if n in spans else none for n in system.names] for p in path[t : t + 2])
-            force, _, found = along.find(earlier, later, list)
+            force, _, found = solve.find(earlier, later, list)
             if not found:
                 raise NumericalError(f"the forces of a string were not found again at {(sample + t) * system.dt:.6f} s")
-            for name, pull in along.by_component(force).items():
-                pulls[name][t] = pull
-            moved = along.pushed(later, force)
+            for name, held in solve.by_component(force).items():
+                modal_forces[name][t] = held
+            moved = solve.after(later, force)
             for name in stretched:
                 path[t + 1, spans[name]] = moved[system.slot(name)]
-    return {name: path[:, spans[name]] for name in names}, pulls
+    return {name: path[:, spans[name]] for name in names}, modal_forces
 
 
 def _tension(parts: Sequence[tuple[TensionShare, Floats, Floats]], time: float) -> float:

@@ -31,7 +31,7 @@ def over_steps(
     energy: ComponentEnergy,
     x: Floats,
     held: Floats,
-    pulls: Floats | None,
+    modal_forces: Floats | None,
     known: Sequence[KnownForce],
     sample: int,
     dt: float,
@@ -42,7 +42,7 @@ def over_steps(
     ----------
     x : (T, n_modes, 2) states at the beginning of each step.
     held : (T, n_points) N, forces on points that are constant over each step.
-    pulls : (T, n_modes) modal forces that are, or None.
+    modal_forces : (T, n_modes) modal forces that are, or None.
     known : forces on this component.
     sample : absolute number of the first step.
     """
@@ -60,7 +60,7 @@ def over_steps(
     lost, works = np.zeros(T), [np.zeros(T) for _ in known]
 
     def of(which: NDArray[np.bool_] | slice) -> Floats | None:
-        return None if pulls is None else pulls[which]
+        return None if modal_forces is None else modal_forces[which]
 
     forms = energy.forms(dt)
     quiet = ~driven & ~broken

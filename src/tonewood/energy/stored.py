@@ -23,7 +23,7 @@ class Energy:
     Attributes
     ----------
     modes : kinetic and potential energy of all two-way components.
-    tension : EA/(8 L) S^2 of the strings whose tension modulation is on; of strings that stretch along themselves, what
+    tension : EA/(8 L) S^2 of the strings whose tension modulation is on; of strings with longitudinal motion, what
         they store beside their modes, which may be negative.
     connections : of springs and nonlinear potentials.
     residual : of residual compliance, of rigid joints and in series with nonlinear laws.

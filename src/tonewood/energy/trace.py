@@ -103,7 +103,7 @@ class EnergyTrace:
     def plot(self, file: str | Path | BinaryIO) -> None:
         """Draw stored energy, powers and the balance residual into a picture; needs matplotlib.
 
-        What is open for writing gets a PNG; a name decides by its suffix.
+        A stream open for writing gets a PNG; a file name decides by its suffix.
         """
         from matplotlib.figure import Figure
 

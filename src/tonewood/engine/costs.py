@@ -1,4 +1,4 @@
-"""What steps cost on this machine, fitted to the processor's clock while they are made."""
+"""Time that steps take on this machine, fitted to the processor's clock while they are made."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -110,7 +109,7 @@ class EffectUsage:
     def saved(self, name: str, component: str) -> float:
         """Seconds of computing that a switched effect would have taken on a component while it was off there.
 
-        What it costs to run on any component at all is saved while it runs on none, in shares of the loads.
+        The cost of running on any component at all is saved while it runs on none, in shares of the loads.
         """
         rates, loads = self.costs.rates(), self.loads[name]
         off = self.samples - self.spans[name, component].samples
@@ -120,8 +119,3 @@ class EffectUsage:
     def saved_as_declared(self, cost: float) -> float:
         """Seconds of computing that a declared cost, in steps of one mode per sample, would have taken all the time."""
         return self.samples * cost * self.costs.rates().mode
-
-
-def finite(value: float | None) -> float | None:
-    """For JSON: None where there is no number."""
-    return value if value is not None and math.isfinite(value) else None

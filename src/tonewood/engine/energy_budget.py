@@ -36,7 +36,7 @@ class EnergyBudget:
     def changed(self, label: str, system: System, state: State) -> None:
         """Go on with a changed system or state, and enter the energy that the change added under `label`."""
         self.account.exchange(system)
-        self.account.settle(label, state)
+        self.account.book_change(label, state)
 
     def follow(
         self,

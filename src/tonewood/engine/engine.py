@@ -23,7 +23,7 @@ from tonewood.engine.effect_usage import EffectUsage
 from tonewood.engine.effects import runtime_effects
 from tonewood.engine.effects.base import Moment, Run, SwitchedEffect, Switching, switch
 from tonewood.engine.energy_budget import EnergyBudget
-from tonewood.engine.fretting import FrettedBases, Fretting, pulls
+from tonewood.engine.fretting import FrettedBases, Fretting, bridge_forces
 from tonewood.engine.gesture_connections import GestureConnections, holds_at
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, quasi_static, samples
 from tonewood.engine.timeline import GRID, Play, Timeline
@@ -59,7 +59,7 @@ class Snapshot:
 
 @dataclass(eq=False)
 class Counters:
-    """What an engine did.
+    """Counts of the work that an engine did.
 
     Attributes
     ----------
@@ -184,15 +184,15 @@ class Engine:
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)
             ready = time.thread_time()
-            pushes: Floats | None = None
+            forces: Floats | None = None
             if self.energy_budget:
-                sound, pushes = self.stepper.run(self.state, steps, self.injections, self.controls)
-                acted = np.flatnonzero(np.any(pushes, axis=0))
+                sound, forces = self.stepper.run(self.state, steps, self.injections, self.controls)
+                acted = np.flatnonzero(np.any(forces, axis=0))
             else:
                 sound, acted = self.stepper.advance(self.state, steps, self.injections, self.controls)
             stepped = time.thread_time()
-            if self.energy_budget and before and pushes is not None:
-                self.energy_budget.follow(before, self.state, pushes, self.injections, self.controls, self.active)
+            if self.energy_budget and before and forces is not None:
+                self.energy_budget.follow(before, self.state, forces, self.injections, self.controls, self.active)
             added = quasi_static(self.active, self.model, self.system, start, steps)
             if added is not None:
                 sound = sound + added
@@ -346,12 +346,12 @@ class Engine:
         """Exchange the bases of strings, and project their motion to the new ones."""
         carried: dict[str, Floats] = {}
         restopped = {}
-        pull = pulls(self.system, self.state)
+        bridge_force = bridge_forces(self.system, self.state)
         for name, fretting in wanted.items():
             before = self.frettings[name]
             components = self.model.strings[name].components
             modes = {c: np.array(self.system.modes_of(self.state, c), dtype=np.float64) for c in components}
-            carried |= self.fingerboard.carried(name, before, fretting, modes, pull)
+            carried |= self.fingerboard.carried(name, before, fretting, modes, bridge_force)
             if fretting.stop != before.stop:
                 restopped[name] = fretting
         self.frettings |= wanted

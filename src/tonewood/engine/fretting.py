@@ -20,7 +20,7 @@ from tonewood.stepping.motion import from_motion, to_motion
 
 Floats = NDArray[np.float64]
 #: component -> force of its bridge on a string's end, N
-Pull = Callable[[str], float]
+BridgeForce = Callable[[str], float]
 
 #: compiled bases that are kept for use again
 _CACHE = 96
@@ -103,14 +103,14 @@ class FrettedBases:
         return {c.name: c for c in touching if c.name not in self.model.resting}
 
     def carried(
-        self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], pull: Pull
+        self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], bridge_force: BridgeForce
     ) -> dict[str, Floats]:
         """Project the motion of a string to the bases of another way to hold it.
 
         Parameters
         ----------
         modes : component -> (2, n_modes) as it is stepped before.
-        pull : component -> N, of the bridge on its end, see `pulls`; called only where modes come back.
+        bridge_force : component -> N, of the bridge on its end, see `bridge_forces`; called only where modes come back.
 
         Returns
         -------
@@ -118,12 +118,12 @@ class FrettedBases:
         """
         old, new = self.bases(name, before), self.bases(name, after)
         if before.stop == after.stop:
-            return {c: _resized(old[c].basis, new[c].basis, modes[c], c, pull) for c in new}
+            return {c: _resized(old[c].basis, new[c].basis, modes[c], c, bridge_force) for c in new}
         string, out = self.model.strings[name], {}
         old_whole, new_whole = self._whole(name, before), self._whole(name, after)
         for component, compiled in new.items():
             basis = old_whole[component]
-            q, v = to_motion(basis, _resized(old[component].basis, basis, modes[component], component, pull))
+            q, v = to_motion(basis, _resized(old[component].basis, basis, modes[component], component, bridge_force))
             q, v = string.carried(component, basis, new_whole[component], q, v)
             n = compiled.basis.n_modes
             out[component] = from_motion(compiled.basis, q[:n], v[:n])
@@ -139,7 +139,7 @@ class FrettedBases:
         return string.bases(fretting.stop, bend_cents=fretting.cents, whole=True)
 
 
-def pulls(system: System, state: State) -> Pull:
+def bridge_forces(system: System, state: State) -> BridgeForce:
     """Return the forces of bridges on strings' ends, N, from the residual compliance; all are solved for at once."""
 
     @cache
@@ -153,11 +153,11 @@ def pulls(system: System, state: State) -> Pull:
     return lambda component: found()[component]
 
 
-def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, component: str, pull: Pull) -> Floats:
+def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, component: str, bridge_force: BridgeForce) -> Floats:
     """Return the modes' numbers for the same shapes at other frequencies or decay rates.
 
     Modes that leave the basis lose their energy, and their compliance goes into the residual. Modes that come back are
-    displaced as the residual was under the `pull` on the string's end (N), so that they bring no energy.
+    displaced as the residual was under the `bridge_force` on the string's end (N), so that they bring no energy.
     """
     n = min(old.n_modes, new.n_modes)
     if old is new:
@@ -172,5 +172,5 @@ def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, component: str, pu
         shape = new.right[end, n:].real
         static = shape / new.stiffness[n:]
         softer = old.residual[old_end, old_end] - new.residual[end, end]
-        full_q[n:] = static * (pull(component) * softer / (shape @ static))
+        full_q[n:] = static * (bridge_force(component) * softer / (shape @ static))
     return from_motion(new, full_q, full_v)

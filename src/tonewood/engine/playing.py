@@ -19,6 +19,7 @@ from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.controllers import Controllers, History
 from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
 from tonewood.stepping.forcing import Segment
+from tonewood.validation_messages import did_you_mean
 
 #: a damped string is released after this many times its T60; then it rings with the others
 _LET_GO_AFTER = 1.5
@@ -112,7 +113,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
 
 
 def _ignored(score: Score, playing: Playing) -> dict[str, int]:
-    """What was ignored while reading, and changes of controllers that neither the player nor the bundle reads."""
+    """Count events ignored while reading, and changes of controllers that neither the player nor the bundle reads."""
     read = {"bend", *_READ_CONTROLLERS, *playing.controls, *playing.switches}
     unread = Counter(f"controller {c.kind[2:]}" for c in score.controls if c.kind not in read)
     return dict(Counter(score.ignored) + unread)
@@ -121,9 +122,9 @@ def _ignored(score: Score, playing: Playing) -> dict[str, int]:
 def _why_nothing(dropped: Sequence[Dropped]) -> str:
     """One line: how many notes were dropped, and the reasons from the most frequent on."""
     reasons = Counter(drop.reason for drop in dropped).most_common()
-    told = "; ".join(f"{reason} ({count})" if count > 1 else reason for reason, count in reasons[:3])
+    listed = "; ".join(f"{reason} ({count})" if count > 1 else reason for reason, count in reasons[:3])
     count = "the one note cannot" if len(dropped) == 1 else f"none of {len(dropped)} notes can"
-    return f"{count} be played: {told}" + ("; and others" if len(reasons) > 3 else "")
+    return f"{count} be played: {listed}" + ("; and others" if len(reasons) > 3 else "")
 
 
 def playable(model: Model) -> list[PlayableString]:
@@ -146,10 +147,8 @@ def _split_taps(score: Score, model: Model) -> tuple[list[Note], list[Play]]:
     for note in score.notes:
         if note.technique is None or note.technique not in model.exciters:
             if note.technique is not None:
-                names = ", ".join(model.exciters)
-                raise ScoreError(
-                    f"technique {note.technique!r} is not one of the instrument's: {names}", file=score.name
-                )
+                names = f"{did_you_mean(note.technique, model.exciters)}there are {', '.join(model.exciters)}"
+                raise ScoreError(f"there is no technique {note.technique!r}; {names}", file=score.name)
             strings.append(note)
             continue
         exciter = model.exciters[note.technique]
@@ -195,7 +194,7 @@ def _is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) -
 def _event(
     assigned: Assigned, before: Assigned | None, following: Assigned | None, model: Model, controllers: Controllers
 ) -> Event:
-    """What is asked of the exciter: the note's own values, and what controllers are at."""
+    """Return the values that the exciter is given: the note's own values, and what controllers are at."""
     note, string = assigned.note, model.strings[assigned.string]
     name = note.technique or model.default_exciter
     values: dict[str, float] = {}
@@ -223,7 +222,7 @@ def _event(
 def _hurried(gesture: Gesture, available: float) -> Gesture:
     """The same gesture prepared within `available` s: the string's last pluck has to be over before it begins.
 
-    What moves a mass or a bow is not hurried: its impulse would change. It takes over from what went before.
+    A gesture that moves a mass or a bow is not hurried: its impulse would change. It takes over from what went before.
     """
     if gesture.on is not None or gesture.motions:
         return gesture

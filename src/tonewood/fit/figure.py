@@ -23,7 +23,7 @@ def draw_fit(fit: Fit, path: Path) -> None:
 
     From the top: mobility measured (grey) and of the body, dB re 1 (m/s)/N; their difference in dB; coherence where it
     was measured; one standard deviation of frequency and Q of each mode, modes beyond the band hollow; poles after each
-    turn of the search, the stability chart of this method.
+    iteration of the search, the stability chart of this method.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -33,7 +33,7 @@ def draw_fit(fit: Fit, path: Path) -> None:
         heights = [4.0, 1.3, *([1.0] if r.coherence is not None else []), 1.6, 1.6]
         figure = Figure(figsize=(11, 1.35 * sum(heights)), layout="constrained")
         axes = list(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
-        top, off, *middle, spread, turns = axes
+        top, off, *middle, spread, iterations = axes
         for i, (point, reference) in enumerate(r.pairs):
             shift, colour = -_APART * i, _COLOURS[i % len(_COLOURS)]
             top.plot(r.freq, 20 * np.log10(np.abs(r.mobility[i])) + shift, color="0.65", lw=2.0)
@@ -58,12 +58,12 @@ def draw_fit(fit: Fit, path: Path) -> None:
         spread.plot(body.freq[sure], 100 * body.quality_error[sure], "x", color=_COLOURS[1], ms=6, label="Q, %")
         spread.set(ylabel="1 s.d.", yscale="log")
         spread.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
-        for number, turn in enumerate(fit.modes.turns, 1):
-            turns.plot(turn.freq, np.full(len(turn.freq), number), "|", color="0.3", ms=9)
-        last = len(fit.modes.turns) + 1
-        turns.plot(body.freq[sure], np.full(np.count_nonzero(sure), last), "|", color=_COLOURS[0], ms=11, mew=2)
-        turns.set(ylabel="turn", xlabel="frequency, Hz", ylim=(0.4, last + 0.6), yticks=range(1, last + 1))
-        turns.xaxis.set_major_formatter(mpl.ticker.ScalarFormatter())
-        turns.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
+        for number, iteration in enumerate(fit.modes.iterations, 1):
+            iterations.plot(iteration.freq, np.full(len(iteration.freq), number), "|", color="0.3", ms=9)
+        last = len(fit.modes.iterations) + 1
+        iterations.plot(body.freq[sure], np.full(np.count_nonzero(sure), last), "|", color=_COLOURS[0], ms=11, mew=2)
+        iterations.set(ylabel="iteration", xlabel="frequency, Hz", ylim=(0.4, last + 0.6), yticks=range(1, last + 1))
+        iterations.xaxis.set_major_formatter(mpl.ticker.ScalarFormatter())
+        iterations.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
         with whole_file(path) as file:
             figure.savefig(file, format=path.suffix[1:].lower(), dpi=110)

@@ -20,13 +20,13 @@ from tonewood.fit.body import FittedBody, passive_body
 from tonewood.fit.identify import Modes, identify
 from tonewood.fit.projection import Shape
 from tonewood.fit.responses import Responses
-from tonewood.fit.search import NothingFoundError, Turn
+from tonewood.fit.search import Iteration, NothingFoundError
 from tonewood.whole_files import whole_file
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-#: bins that a bandwidth has to hold for its damping to be told from the bins
+#: bins that a bandwidth has to hold for the bins to show its damping
 BINS_IN_BANDWIDTH = 3.0
 #: misfit, re the noise, above which the model does not do
 MOST_MISFIT = 1.5
@@ -63,7 +63,7 @@ class Fit:
 
     @property
     def warnings(self) -> list[str]:
-        """What a reader has to know before this body is believed, a line each."""
+        """List doubts about this body, a line each."""
         r, body, out = self.responses, self.body, []
         step = float(r.freq[1] - r.freq[0])
         bandwidth = body.freq / body.quality + r.alpha / np.pi
@@ -173,7 +173,7 @@ def fit_responses(
     responses: Responses,
     *,
     band: tuple[float | None, float | None] = (None, None),
-    tell: Callable[[Turn], None] = lambda turn: None,
+    tell: Callable[[Iteration], None] = lambda iteration: None,
 ) -> Fit:
     """Fit a passive body of real modes to measured responses.
 
@@ -181,7 +181,7 @@ def fit_responses(
     ----------
     responses : of points and references; each reference was measured where it was driven.
     band : Hz, lower and upper end; the ends of the data where None.
-    tell : called after each turn of the search.
+    tell : called after each iteration of the search.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tonewood.blas import one_blas_thread
 from tonewood.fit import noise
 from tonewood.fit.projection import Line, LinearFit, Poles, Projection, Shape
-from tonewood.fit.search import DOUBT, Turn, sought, straightened
+from tonewood.fit.search import DOUBT, Iteration, sought, straightened
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -23,7 +23,7 @@ TURNED = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """What was found.
+    """Result of an identification.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Modes:
     poles : sorted.
     solution : residues (P, K + edges).
     bent : poles found with complex residues, before these were made real, and their problem.
-    turns : of the search, in order.
+    iterations : of the search, in order.
     turned : median chi-squared of the residues' imaginary parts; 1 by chance.
     """
 
@@ -39,7 +39,7 @@ class Modes:
     poles: Poles
     solution: LinearFit
     bent: tuple[Projection, Poles]
-    turns: list[Turn]
+    iterations: list[Iteration]
     turned: float
 
     @property
@@ -60,7 +60,7 @@ def identify(
     *,
     sigma: Floats | None = None,
     alpha: float = 0.0,
-    tell: Callable[[Turn], None] = lambda turn: None,
+    tell: Callable[[Iteration], None] = lambda iteration: None,
 ) -> Modes:
     """Identify the modes of a band.
 
@@ -77,11 +77,11 @@ def identify(
     ------
     NothingFoundError : no mode stands out of the noise.
     """
-    turns: list[Turn] = []
+    iterations: list[Iteration] = []
 
-    def note(turn: Turn) -> None:
-        turns.append(turn)
-        tell(turn)
+    def note(iteration: Iteration) -> None:
+        iterations.append(iteration)
+        tell(iteration)
 
     together = noise.tied(alpha, float(freq[1] - freq[0]))
     level = noise.of_neighbours(mobility) if sigma is None else sigma * together
@@ -112,7 +112,7 @@ def identify(
         if real.solve(poles).cost > cost + real.price:
             _, more = sought(line, replace(shape, complex=False), poles, note)
             real, poles = straightened(line, shape, more)
-    return Modes(real, poles, real.solve(poles), (problem, start), turns, turned)
+    return Modes(real, poles, real.solve(poles), (problem, start), iterations, turned)
 
 
 def _without_idle_edges(problem: Projection, poles: Poles) -> Shape:

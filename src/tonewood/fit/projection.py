@@ -125,7 +125,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Shape:
-    """What residues are asked for.
+    """Points and forms of the residues sought.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ from tonewood.fit.projection import Line, LinearFit, Poles, Projection, Shape
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-#: damping ratios of modes that may be told from the bins and from what lies around
+#: damping ratios of modes that the bins and the neighbouring modes can show
 ZETA_LOW, ZETA_HIGH = 1e-5, 0.35
 #: frequencies, re the ends of the band, up to which a pole may leave it: it stands for modes there
 BELOW, ABOVE = 0.5, 1.6
@@ -29,8 +29,8 @@ BELOW, ABOVE = 0.5, 1.6
 DOUBT = 3.0
 #: Q of the matched filters
 _QUALITIES = (3, 6, 12, 25, 50, 100, 200, 400, 800)
-#: modes added in a turn, and turns
-_AT_ONCE, _TURNS = 12, 16
+#: modes added in an iteration, and most iterations
+_AT_ONCE, _ITERATIONS = 12, 16
 #: modes of a group that is moved by itself, and modes on each side that move with it
 _GROUP = 8
 
@@ -40,8 +40,8 @@ class NothingFoundError(ValueError):
 
 
 @dataclass(frozen=True)
-class Turn:
-    """State of the search after one turn: the stability chart of this method.
+class Iteration:
+    """State of the search after one iteration: the stability chart of this method.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ def joined(problem: Projection, poles: Poles) -> tuple[Poles, LinearFit]:
 
 @dataclass(frozen=True, eq=False)
 class MatchedFilters:
-    """What one more mode would gain at most, at every frequency and Q of a grid."""
+    """Bound the gain of one more mode, at every frequency and Q of a grid."""
 
     problem: Projection
 
@@ -182,7 +182,7 @@ class MatchedFilters:
         step = float(np.median(np.diff(freq)))
         at, quality = [], []
         for q in _QUALITIES:
-            # a resonance narrower than two bins is not told from a wider one
+            # a resonance narrower than two bins cannot be distinguished from a wider one
             f = np.exp(np.arange(np.log(freq[0]), np.log(freq[-1]), 0.3 / q))
             f = f[f / q > 0.5 * step]
             at.append(f)
@@ -227,7 +227,7 @@ class MatchedFilters:
 
 
 def sought(
-    line: Line, shape: Shape, start: Poles | None = None, tell: Callable[[Turn], None] = lambda turn: None
+    line: Line, shape: Shape, start: Poles | None = None, tell: Callable[[Iteration], None] = lambda iteration: None
 ) -> tuple[Projection, Poles]:
     """Modes that stand out of the noise, on thinned bins.
 
@@ -240,7 +240,7 @@ def sought(
     best = np.inf
     if len(poles):
         best = problem.solve(poles).cost + problem.price * len(poles)
-    for _ in range(_TURNS):
+    for _ in range(_ITERATIONS):
         misfit = problem.misfit(poles, problem.solve(poles).residues) if len(poles) else problem.line.mobility
         new = filters.candidates(misfit)
         if not len(new):
@@ -248,7 +248,7 @@ def sought(
         more = descend_in_groups(problem, poles.joined(new), 8)
         more, found = pruned(problem, descend(problem, more, 4, 1e-4)[0])
         total = found.cost + problem.price * len(more)
-        tell(Turn(more.freq, more.quality, found.cost / problem.size))
+        tell(Iteration(more.freq, more.quality, found.cost / problem.size))
         if total >= best - 1:
             break
         poles, best = more, total

@@ -6,13 +6,13 @@ import hashlib
 import json
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError
+from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError, TonewoodError
 from tonewood.instrument import registry
 from tonewood.instrument.bundle_code import code_hash, code_plugin, is_code
 from tonewood.instrument.contract import Attachment, Body, Exciter, Pickup, Plugin, Resonator
@@ -23,8 +23,9 @@ from tonewood.instrument.overrides import apply_overrides
 from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance
 from tonewood.params import Vector, validated
 from tonewood.score.scales import Tuning, note_number, read_tuning
+from tonewood.validation_messages import did_you_mean
 from tonewood.yaml_edit import apply_edits
-from tonewood.yaml_io import load_yaml
+from tonewood.yaml_io import load_yaml, located
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,10 @@ class Instrument:
         """
         folder = registry.instrument_folder(name_or_path)
         manifest = folder / registry.MANIFEST
-        return cls.from_values(load_yaml(manifest, error=BundleError), folder, allow_code=allow_code)
+        try:
+            return cls.from_values(load_yaml(manifest, error=BundleError), folder, allow_code=allow_code)
+        except TonewoodError as fault:
+            raise located(fault) from None
 
     @classmethod
     def from_values(
@@ -288,6 +292,12 @@ class Instrument:
     def _fault(self, reason: str, key: str) -> BundleError:
         return BundleError(reason, file=self._files.manifest, key=key)
 
+    def _none(self, kind: str, name: str, known: Iterable[str], key: str) -> BundleError:
+        """Error for a name that none of the `known` things of a kind has."""
+        words = list(known)
+        hint = did_you_mean(name, words)
+        return self._fault(f"there is no {kind} {name!r}; {hint}there are {', '.join(words) or 'none'}", key)
+
     def _check(self) -> None:
         """Check references between parts."""
         points = {name: point for name, point in self.body.points().items() if point.driven}
@@ -295,28 +305,23 @@ class Instrument:
             for end in part.ends:
                 component, _, point = end.partition(".")
                 if component != "body" or point not in points:
-                    known = ", ".join(f"body.{p}" for p in points)
-                    raise self._fault(f"there is no point {end!r}; there are {known}", f"strings.{name}.end")
+                    raise self._none("point", end, [f"body.{p}" for p in points], f"strings.{name}.end")
             self.polarizations(name)
             self.open_note(name)
         for name, attached in self.spec.connections.items():
             for string in attached.strings or ():
                 if string not in self.spec.strings:
-                    known = ", ".join(self.spec.strings)
-                    raise self._fault(
-                        f"there is no string {string!r}; there are {known}", f"connections.{name}.strings"
-                    )
+                    raise self._none("string", string, self.spec.strings, f"connections.{name}.strings")
         playing = self.spec.playing
         self._parameter(playing.velocity.parameter, "playing.velocity.parameter")
         for control, entry in playing.controls.items():
             self._parameter(entry.parameter, f"playing.controls.{control}.parameter")
         if playing.exciter is not None and playing.exciter not in self.exciters:
-            raise self._fault(f"there is no exciter {playing.exciter!r}", "playing.exciter")
+            raise self._none("exciter", playing.exciter, self.exciters, "playing.exciter")
         switched = [("switches", k, v) for k, v in playing.switches.items()]
         for kind, key, wanted in [*switched, *(("keyswitches", k, v) for k, v in playing.keyswitches.items())]:
             if wanted not in self.exciters:
-                known = ", ".join(self.exciters)
-                raise self._fault(f"there is no exciter {wanted!r}; there are {known}", f"playing.{kind}.{key}")
+                raise self._none("exciter", wanted, self.exciters, f"playing.{kind}.{key}")
             if kind == "keyswitches":
                 try:
                     note_number(key)
@@ -324,21 +329,20 @@ class Instrument:
                     raise self._fault(fault.reason, f"playing.{kind}.{key}") from None
         for name, exciter in self.exciters.items():
             if exciter.at is not None and exciter.at not in {f"body.{p}" for p in points}:
-                known = ", ".join(f"body.{p}" for p in points)
-                raise self._fault(f"there is no point {exciter.at!r}; there are {known}", f"exciters.{name}.at")
+                raise self._none("point", exciter.at, [f"body.{p}" for p in points], f"exciters.{name}.at")
         for path, found in self.spec.provenance.items():
             if found.source is not None and found.source not in self.spec.sources:
-                raise self._fault(f"there is no source {found.source!r}", f"provenance.{path}.source")
+                raise self._none("source", found.source, self.spec.sources, f"provenance.{path}.source")
             if found.source is None and found.kind not in ("authored", "stand_in"):
                 raise self._fault(f"{found.kind} figures need a source", f"provenance.{path}.source")
 
     def _parameter(self, path: str, key: str) -> None:
         exciter, _, parameter = path.partition(".")
         if exciter not in self.exciters:
-            raise self._fault(f"there is no exciter {exciter!r}; there are {', '.join(self.exciters)}", key)
+            raise self._none("exciter", exciter, self.exciters, key)
         fields = self.exciters[exciter].Parameters.model_fields
         if parameter not in fields:
-            raise self._fault(f"{exciter} has no parameter {parameter!r}; it has {', '.join(fields)}", key)
+            raise self._none(f"parameter of {exciter}", parameter, fields, key)
 
 
 def _flat(part: PluginPart, plugin: Plugin[Any]) -> dict[str, Any]:

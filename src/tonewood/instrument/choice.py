@@ -10,6 +10,7 @@ from tonewood.errors import TonewoodError
 from tonewood.instrument.contract import Plugin
 from tonewood.instrument.effects import Effect
 from tonewood.instrument.schema import Effects
+from tonewood.validation_messages import did_you_mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,8 @@ class Choice:
         unknown = [name for name in wanted.mode if name not in declared]
         if unknown:
             known = ", ".join(sorted(declared)) or "none"
-            raise TonewoodError(f"there is no effect {unknown[0]!r}; auto, all, none or {known}", key="effects")
+            hint = did_you_mean(unknown[0], declared)
+            raise TonewoodError(f"there is no effect {unknown[0]!r}; {hint}auto, all, none or {known}", key="effects")
         return cls("list", frozenset(basic | set(wanted.mode)), wanted.budget_db, wanted.budget_cents)
 
     def keeps(self, plugin: Plugin[Any], name: str | None = None) -> bool:

@@ -110,7 +110,7 @@ TENSION_MODULATION = Effect(
     "the string's energy, which bounds the mean rise of its tension; its partials, which bound the sidebands",
     bound=rise_of_tension, cost=lambda n: 8.0 * n, title="rising tension",
 )  # fmt: skip
-#: motion of a string along itself; for plugins whose strings have it
+#: longitudinal motion of a string; for plugins whose strings have it
 LONGITUDINAL = Effect(
     "longitudinal", "motion along the string: partials at sums of transverse ones", "additive",
     "any gesture on the string", "a bound on the phantom partials that the string's partials would "

@@ -1,4 +1,4 @@
-"""Properties of an assembled instrument, without playing it: pitches, coupled partials, wolf notes, mobility."""
+"""Properties of an assembled instrument, without playing it: pitches, partials, wolf notes, mobility, microphones."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ Complexes = NDArray[np.complex128]
 
 #: a string-dominated mode farther than this from its pitch is reported, cents
 TOLERANCE_CENTS = 1.0
+#: change of the bridge's displacement by a new stop that counts as rounding, relative to its largest shape
+_KEPT_BRIDGE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +81,27 @@ class Partial:
     cents: float
     t60: float
     shares: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MicrophoneResponse:
+    """Strongest response of a microphone, or of another readout of a one-way bank, to the force of one string.
+
+    Attributes
+    ----------
+    output, channel, unit : name of the output group and of its channel; unit of its samples.
+    n_modes : of the bank below the highest frequency that is stepped.
+    peak, freq : unit per N and Hz, the largest magnitude from 20 Hz on; 0 and nan where it hears no string.
+    full_scale : value at 0 dBFS, in `unit`.
+    """
+
+    output: str
+    channel: str
+    unit: str
+    n_modes: int
+    peak: float
+    freq: float
+    full_scale: float
 
 
 def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
@@ -160,3 +183,66 @@ def mobility_peaks(model: Model, string: str, *, count: int = 6) -> list[tuple[f
     peaks = 1 + np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]))
     strongest = peaks[np.argsort(-size[peaks])[:count]]
     return [(float(freq[i]), float(size[i])) for i in np.sort(strongest)]
+
+
+def microphone_responses(model: Model) -> list[MicrophoneResponse]:
+    """Strongest response of every channel that reads a one-way bank, in the order of the outputs."""
+    compiled = dict(zip(model.system.names, model.system.compiled, strict=True))
+    banks = {drive.component for drive in model.system.drives}
+    out = []
+    for group in model.outputs:
+        for channel, index in zip(group.channels, group.readouts, strict=True):
+            readout = model.system.readouts[index]
+            probes = [probe for probe in readout.probes if probe.component in banks]
+            if not probes:
+                continue
+            own = [compiled[name].basis for name in sorted({probe.component for probe in probes})]
+            resonances = np.concatenate([basis.natural_freq for basis in own])
+            freq = np.unique(np.concatenate([np.geomspace(20.0, 0.45 * model.fs, 500), resonances[resonances >= 20.0]]))
+            by_connection: dict[str, Complexes] = {}
+            for drive in model.system.drives:
+                for probe in (probe for probe in probes if probe.component == drive.component):
+                    frf = compiled[probe.component].basis.frf(freq, probe.point, drive.point, "receptance")
+                    heard = by_connection.setdefault(drive.connection, np.zeros(freq.shape, dtype=np.complex128))
+                    heard += probe.factor * drive.factor * frf
+            size = np.max([np.abs(h) for h in by_connection.values()], axis=0, initial=0.0) * np.ones(freq.shape)
+            at = int(np.argmax(size))
+            out.append(
+                MicrophoneResponse(
+                    group.name,
+                    channel,
+                    group.unit,
+                    sum(basis.n_modes for basis in own),
+                    float(size[at]),
+                    float(freq[at]) if size[at] > 0 else math.nan,
+                    group.full_scale,
+                )
+            )
+    return out
+
+
+def check_transfers(model: Model) -> None:
+    """Check the matrices by which every string's motion is carried from its open length to the first stop.
+
+    Raises
+    ------
+    BundleError : names a string whose plugin gives matrices of another shape or with numbers that are not finite, or
+        that move the bridge.
+    """
+    for string in model.strings.values():
+        if not string.n_stops:
+            continue
+        opened, stopped = string.bases(0), string.bases(1)
+        for component in string.components:
+            old, new = opened[component], stopped[component]
+            displacement, velocity = string.transfer(component, old, new)
+            for quantity, matrix in (("displacement", displacement), ("velocity", velocity)):
+                if matrix.shape != (new.n_modes, old.n_modes):
+                    wanted = f"{new.n_modes} x {old.n_modes}"
+                    raise string.resonator.fault(f"transfer: {quantity} has shape {matrix.shape}; {wanted} is wanted")
+                if not np.isfinite(matrix).all():
+                    raise string.resonator.fault(f"transfer: {quantity} holds numbers that are not finite")
+            before = old.right[old.index("bridge")].real
+            moved = float(np.abs(new.right[new.index("bridge")].real @ displacement - before).max())
+            if moved > _KEPT_BRIDGE * float(np.abs(before).max()):
+                raise string.resonator.fault("transfer: the string's end at the bridge moves when the stop changes")

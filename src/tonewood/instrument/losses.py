@@ -102,5 +102,5 @@ class Valette(StringLoss):
         return np.asarray(drag / (freq_rad * linear_density) + bending + self.inverse_q_te)
 
 
-#: the three laws, told apart by their key ``law``
+#: the three laws, distinguished by their key ``law``
 LossLaw = Annotated[Woodhouse | Sigma | Valette, Field(discriminator="law")]

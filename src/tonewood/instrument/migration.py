@@ -1,4 +1,4 @@
-"""What bundles of earlier schemas need to become bundles of this one.
+"""Edits that make bundles of earlier schemas bundles of this one.
 
 ===========================  ============  =====================================================================
 schema                       tonewood      to the next one

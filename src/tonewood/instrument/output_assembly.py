@@ -13,6 +13,7 @@ from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import OutputPart
 from tonewood.instrument.strings import StringModel
 from tonewood.modal.modes import ModalBasis
+from tonewood.validation_messages import did_you_mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,7 @@ def make_outputs(instrument: Instrument, wanted: Sequence[str] | None, scene: Sc
     unknown = [name for name in chosen if name not in names]
     if unknown:
         raise BundleError(
-            f"there is no output {unknown[0]!r}; there are {', '.join(names)}",
+            f"there is no output {unknown[0]!r}; {did_you_mean(unknown[0], names)}there are {', '.join(names)}",
             file=instrument.folder / MANIFEST,
             key="outputs",
         )

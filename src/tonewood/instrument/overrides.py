@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from tonewood.errors import BundleError
+from tonewood.validation_messages import did_you_mean
 from tonewood.yaml_io import parse_yaml
 
 #: pairs of keys that exclude each other: an override of one removes the other
@@ -63,8 +64,8 @@ def _holders(
         return
     for key in _keys(at, path[0], whole, place, file):
         if isinstance(at, dict) and key not in at:
-            allowed = ", ".join(map(str, at)) or "nothing"
-            raise BundleError(f"there is no {key!r}; there is {allowed}", file=file, key=whole)
+            allowed = f"{did_you_mean(key, map(str, at))}there is {', '.join(map(str, at)) or 'nothing'}"
+            raise BundleError(f"there is no {key!r}; {allowed}", file=file, key=whole)
         below = at[key]
         yield from _holders(below, path[1:], [*place, str(key)], whole, file)
 
@@ -80,7 +81,8 @@ def _keys(holder: dict[str, Any] | list[Any], key: str, whole: str, place: list[
     if key.isascii() and key.isdigit() and int(key) < len(holder):
         return [int(key)]
     known = ", ".join(str(n) for n in names if n) or f"0 to {len(holder) - 1}"
-    raise BundleError(f"there is no {key!r} in {'.'.join(place)}; there is {known}", file=file, key=whole)
+    hint = did_you_mean(key, [str(n) for n in names if n])
+    raise BundleError(f"there is no {key!r} in {'.'.join(place)}; {hint}there is {known}", file=file, key=whole)
 
 
 def _assign(holder: dict[str, Any] | list[Any], key: Any, value: Any, place: list[str], file: Any) -> None:

@@ -20,6 +20,7 @@ from typing import Any
 from tonewood.errors import BundleError, PluginError
 from tonewood.instrument.contract import API, KINDS, Plugin
 from tonewood.params import Parameters
+from tonewood.validation_messages import did_you_mean
 
 PLUGINS = "tonewood.plugins"
 INSTRUMENTS = "tonewood.instruments"
@@ -100,7 +101,8 @@ def plugin(name: str, kind: str | None = None) -> type[Plugin[Any]]:
     """
     known = entries(PLUGINS)
     if name not in known:
-        raise PluginError(f"there is no plugin {name!r}; installed are {', '.join(known) or 'none'}")
+        installed = f"{did_you_mean(name, known)}installed: {', '.join(known) or 'none'}"
+        raise PluginError(f"there is no plugin {name!r}; {installed}")
     entry = known[name]
     if entry.fault:
         raise PluginError(entry.fault)
@@ -184,7 +186,8 @@ def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
         if not there:
             looks_like_path = os.sep in text or "/" in text or exists
             reason = f"there is no {MANIFEST} in it" if looks_like_path else "is neither installed nor a folder"
-            raise BundleError(f"instrument {text!r}: {reason}; installed are {', '.join(known) or 'none'}")
+            installed = f"{did_you_mean(text, known)}installed: {', '.join(known) or 'none'}"
+            raise BundleError(f"instrument {text!r}: {reason}; {installed}")
     return folder
 
 

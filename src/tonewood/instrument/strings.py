@@ -18,7 +18,7 @@ from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Reso
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
 from tonewood.instrument.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
-from tonewood.instrument.tuning import StringOnBody, TunedStop, tune
+from tonewood.instrument.tuning import StringOnBody, TunedStop, no_mode, tune
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.receptance import Joint, Ports
 from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
@@ -128,7 +128,7 @@ class StringModel:
         freq = held_freq(string.bases(tension)[0]) or self.stopping.freq(stop)
         modes = string.modes(tension, freq)
         if not modes:
-            raise self._without_mode(stop, f"no mode of the string was found near {freq:.2f} Hz")
+            raise self._without_mode(stop, no_mode(string.bases(tension)[0], freq))
         return TunedStop(modes[0].freq, tension, modes)
 
     def position(self, stop: float) -> float:
@@ -179,9 +179,10 @@ class StringModel:
         ------
         BundleError : none lies near the pitch of the stop.
         """
-        modes = self.coupled(stop).modes(tension, self.freq(stop))
+        string = self.coupled(stop)
+        modes = string.modes(tension, self.freq(stop))
         if not modes:
-            raise self._without_mode(stop, f"no mode of the string was found near {self.freq(stop):.2f} Hz")
+            raise self._without_mode(stop, no_mode(string.bases(tension)[0], self.freq(stop)))
         return TunedStop(self.freq(stop), tension, modes)
 
     def coupled(self, stop: float = 0) -> StringOnBody:

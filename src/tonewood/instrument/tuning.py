@@ -205,8 +205,26 @@ def tune(string: StringOnBody, freq: float, tension: float) -> TunedStop:
             guess = math.sqrt(flat * sharp) if flat > 0 and sharp < math.inf else best * (1.05 if error < 0 else 0.95)
     modes = string.modes(best, freq)
     if not modes:
-        raise ValueError(f"no mode of the string was found near {freq:.2f} Hz")
+        raise ValueError(no_mode(string.bases(best)[0], freq))
     return TunedStop(freq, best, modes)
+
+
+def no_mode(basis: ModalBasis, freq: float) -> str:
+    """Say that no mode lies near a frequency (Hz), and which keys of the string to change; one line.
+
+    Parameters
+    ----------
+    basis : of the string with its bridge end free: its lowest mode lies an octave below the pitch on a rigid bridge.
+    """
+    lowest = int(np.argmin(basis.natural_freq))
+    rate, critical = float(basis.damping_rate[lowest]), 2 * math.pi * freq
+    mend = (
+        f"decays at {rate:.4g} 1/s, and from {critical:.4g} 1/s on nothing vibrates there: lower `loss`"
+        if rate > 0.5 * critical
+        else "check `tension`, `linear_density` and `length` against its pitch"
+    )
+    sounds = f"the string alone sounds near {2 * basis.natural_freq[lowest]:.4g} Hz"
+    return f"no mode of the string on its body was found near {freq:.2f} Hz; {sounds}; {mend}"
 
 
 def _follow(string: StringOnBody, freq: float, tension: float, pole: complex) -> float:

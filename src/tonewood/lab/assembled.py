@@ -90,8 +90,8 @@ def modal_receptance(system: Matrices, s: ArrayLike, output: ArrayLike, source: 
     """(n,) displacement along `output` per force along `source`, both (n_dof,), from one eigenproblem: for many s."""
     values, vectors, scale = _eigenvectors(system)
     n = len(system.M)
-    push = scale * np.concatenate([np.zeros(n), sla.solve(system.M, np.asarray(source, dtype=np.float64))])
-    residue = (np.asarray(output) @ vectors[:n]) * sla.solve(vectors, push)
+    scatter = scale * np.concatenate([np.zeros(n), sla.solve(system.M, np.asarray(source, dtype=np.float64))])
+    residue = (np.asarray(output) @ vectors[:n]) * sla.solve(vectors, scatter)
     return np.asarray(np.sum(residue / (np.atleast_1d(s)[:, None] - values), axis=1), dtype=np.complex128)
 
 
@@ -121,10 +121,10 @@ def ramp_and_release(
     """
     n = len(system.M)
     values, vectors, scale = _eigenvectors(system)
-    push = scale * np.concatenate([np.zeros(n), sla.solve(system.M, np.asarray(direction, dtype=np.float64))])
-    driven = rate * sla.solve(vectors, push)
+    scatter = scale * np.concatenate([np.zeros(n), sla.solve(system.M, np.asarray(direction, dtype=np.float64))])
+    driven = rate * sla.solve(vectors, scatter)
     t = np.asarray(times, dtype=np.float64)
-    pulled = np.minimum(t, release)[:, None] * values
-    ramp = driven * (np.expm1(pulled) - pulled) / values**2
+    decayed = np.minimum(t, release)[:, None] * values
+    ramp = driven * (np.expm1(decayed) - decayed) / values**2
     free = np.exp(np.maximum(t - release, 0.0)[:, None] * values)
     return np.asarray(((ramp * free) @ (np.asarray(output) @ vectors[:n])).real)

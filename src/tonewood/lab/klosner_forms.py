@@ -73,8 +73,8 @@ def fixed_base_form(main: MainStructure, sub: FixedBaseModes, *, as_printed: boo
         raise ValueError("these forms take fixed-base modes of finite frequency: every inner dof needs mass")
     m_bar, m_hat = sub.M[np.ix_(base, base)], sub.M[np.ix_(inside, inside)]
     k_bar, k_cross = sub.K[np.ix_(base, base)], sub.K[np.ix_(base, inside)]
-    push = np.zeros((n + k, sub.M.shape[0]))
-    push[n:, inside] = sub.shapes.T
+    scatter = np.zeros((n + k, sub.M.shape[0]))
+    scatter[n:, inside] = sub.shapes.T
     if as_printed:
         if np.any(sub.M[np.ix_(base, inside)]):
             raise ValueError("Eqs. 16-20 assume a lumped mass")
@@ -83,7 +83,7 @@ def fixed_base_form(main: MainStructure, sub: FixedBaseModes, *, as_printed: boo
         M = np.block([[np.eye(n) + phi.T @ m_bar @ phi, np.zeros((n, k))], [sub.shapes.T @ m_hat @ T @ phi, np.eye(k)]])
         K = np.block([[np.diag(main.omega**2) + phi.T @ stiff_force[:, :n], phi.T @ stiff_force[:, n:]],
                       [np.zeros((k, n)), np.diag(sub.omega**2)]])  # fmt: skip
-        push[:n, base] = phi.T
+        scatter[:n, base] = phi.T
         direct = np.zeros((base.size, sub.M.shape[0]))
         direct[:, base] = -np.eye(base.size)
     else:
@@ -91,11 +91,11 @@ def fixed_base_form(main: MainStructure, sub: FixedBaseModes, *, as_printed: boo
         M, K = W.T @ sub.M @ W, W.T @ sub.K @ W
         M[:n, :n] += np.eye(n)
         K[:n, :n] += np.diag(main.omega**2)
-        push = W.T
+        scatter = W.T
         rows = sub.transformation[:, : base.size].T
         mass_force, stiff_force, direct = rows @ sub.M @ W, rows @ sub.K @ W, -rows
     load = np.concatenate([main.loaded, np.zeros(k)])
-    rate = sla.solve(M, np.hstack([-K, load[:, None], push]))
+    rate = sla.solve(M, np.hstack([-K, load[:, None], scatter]))
     size = n + k
     A = np.block([[np.zeros((size, size)), np.eye(size)], [rate[:, :size], np.zeros((size, size))]])
     d = sub.transformation @ sla.block_diag(phi, np.eye(k))
@@ -103,7 +103,7 @@ def fixed_base_form(main: MainStructure, sub: FixedBaseModes, *, as_printed: boo
     return LinearForm(
         A,
         np.concatenate([np.zeros(size), rate[:, size]]),
-        np.vstack([np.zeros((size, push.shape[1])), rate[:, size + 1 :]]),
+        np.vstack([np.zeros((size, scatter.shape[1])), rate[:, size + 1 :]]),
         np.hstack([d, np.zeros_like(d)]),
         np.zeros((len(d),) * 2),
         np.hstack([from_rate[:, :size] + stiff_force, np.zeros((base.size, size))]),
@@ -125,8 +125,8 @@ def free_free_form(main: MainStructure, sub: FreeFreeModes, interface: NDArray[n
     size, n_dof = n + k, sub.shapes.shape[0]
     gap = np.hstack([phi, -shapes[interface]])
     squared = np.concatenate([main.omega, sub.omega[finite]]) ** 2
-    push_main = np.concatenate([main.loaded, np.zeros(k)])
-    push_sub = np.vstack([np.zeros((n, n_dof)), shapes.T])
+    scatter_main = np.concatenate([main.loaded, np.zeros(k)])
+    scatter_sub = np.vstack([np.zeros((n, n_dof)), shapes.T])
     lag = -soft[interface] @ soft.T  # what forces on the substructure do to its massless modes, seen in the gap
     r, V = sla.eigh(soft[interface] @ soft[interface].T)
     stiff = r > 1e-12 * max(float(r.max()), np.finfo(float).tiny)
@@ -145,16 +145,16 @@ def free_free_form(main: MainStructure, sub: FreeFreeModes, interface: NDArray[n
         return np.asarray(held + project @ (from_rate - Y @ held))
 
     F_state = corrective(gap, -gap * squared)
-    F_main = corrective(np.zeros(len(gap)), gap @ push_main)
-    F_sub = corrective(lag, gap @ push_sub)
+    F_main = corrective(np.zeros(len(gap)), gap @ scatter_main)
+    F_sub = corrective(lag, gap @ scatter_sub)
     A = np.zeros((2 * size, 2 * size))
     A[:size, size:] = np.eye(size)
     A[size:, :size] = -np.diag(squared) - gap.T @ F_state
     motion = np.hstack([np.zeros((n_dof, n)), shapes]) + soft @ soft[interface].T @ F_state
     return LinearForm(
         A,
-        np.concatenate([np.zeros(size), push_main - gap.T @ F_main]),
-        np.vstack([np.zeros((size, n_dof)), push_sub - gap.T @ F_sub]),
+        np.concatenate([np.zeros(size), scatter_main - gap.T @ F_main]),
+        np.vstack([np.zeros((size, n_dof)), scatter_sub - gap.T @ F_sub]),
         np.hstack([motion, np.zeros((n_dof, size))]),
         soft @ (soft[interface].T @ F_sub + soft.T),
         np.hstack([F_state, np.zeros((len(gap), size))]),
@@ -195,14 +195,14 @@ def fixed_base_nonlinear(main: MainStructure, sub: FixedBaseModes, law: Mounting
     stiff = np.diag(-(np.concatenate([main.omega, np.zeros(m), sub.omega]) ** 2))
     stiff[n : n + m] += foot
     stiff[n + m :] -= carried @ foot
-    pull = np.vstack([-phi.T, lightness, -carried @ lightness])
+    scatter = np.vstack([-phi.T, lightness, -carried @ lightness])
     on_main, on_sub = np.zeros(size), np.zeros((size, sub.M.shape[0]))
     on_main[:n] = main.loaded
     on_sub[n : n + m, base], on_sub[n + m :, base] = lightness, -carried @ lightness
     on_sub[n + m :, inside] = sub.shapes.T
     gap = np.hstack([phi, -np.eye(m), np.zeros((m, sub.omega.size))])
     motion = np.hstack([np.zeros((sub.M.shape[0], n)), sub.transformation])
-    return NonlinearForm(size, _affine(stiff, pull, gap, on_main, on_sub, law, loads), motion)
+    return NonlinearForm(size, _affine(stiff, scatter, gap, on_main, on_sub, law, loads), motion)
 
 
 def free_free_nonlinear(
@@ -222,12 +222,12 @@ def free_free_nonlinear(
 
 
 def _affine(
-    stiff: Floats, pull: Floats, gap: Floats, on_main: Floats, on_sub: Floats, law: Mountings, loads: Loads
+    stiff: Floats, scatter: Floats, gap: Floats, on_main: Floats, on_sub: Floats, law: Mountings, loads: Loads
 ) -> Callable[[float, Floats, Floats], Floats]:
-    """Rate x'' = stiff x + pull F_bar(gap x, gap x') + loads."""
+    """Rate x'' = stiff x + scatter F_bar(gap x, gap x') + loads."""
 
     def rate(t: float, x: Floats, v: Floats) -> Floats:
         main, sub = loads(t)
-        return np.asarray(stiff @ x + pull @ law(gap @ x, gap @ v) + on_main * main + on_sub @ sub)
+        return np.asarray(stiff @ x + scatter @ law(gap @ x, gap @ v) + on_main * main + on_sub @ sub)
 
     return rate

@@ -197,8 +197,8 @@ def solve_ports(
         for _ in range(60):
             trial = F + t * step
             gaps, phi, slope = evaluate(trial)
-            along = float(moved @ (trial - phi))
-            if along < 0 or abs(along) <= 0.9 * abs(start):
+            descent = float(moved @ (trial - phi))
+            if descent < 0 or abs(descent) <= 0.9 * abs(start):
                 break
             t *= 0.5
         F = trial
@@ -287,12 +287,12 @@ class PortStepper:
             free = gaps()
             f = self._linear.constant - self._linear.G @ (free + self._linear.gamma * gap)
             unconstrained = (free + self._compliance @ f)[self._at] - rho
-            pull, _, count = solve_ports(self.laws, self._Z, unconstrained, gap[self._at] + rho, s.dt, guess)
+            force, _, count = solve_ports(self.laws, self._Z, unconstrained, gap[self._at] + rho, s.dt, guess)
             self.iterations += count
-            guess = pull
-            rho += -2 * self._residual @ pull - 2 * rho
-            f += self._answer @ pull
-            f[self._at] = -pull
+            guess = force
+            rho += -2 * self._residual @ force - 2 * rho
+            f += self._answer @ force
+            f[self._at] = -force
             forces[step] = f
             for i, compiled in enumerate(s.compiled):
                 x[i] += np.einsum("p,pmx->mx", incidence[i].T @ f, compiled.W)

@@ -8,7 +8,6 @@ listed here is run by ``tonewood validate``, and by the tests.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from importlib import import_module
@@ -19,12 +18,10 @@ from typing import TYPE_CHECKING
 
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.lab.row import Row
-from tonewood.whole_files import write_whole
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-SCHEMA = "tonewood-validation/1"
 #: name -> module of `lab.systems`
 SYSTEMS = {
     "fabre_forms": "fabre_forms",
@@ -79,10 +76,9 @@ def draw(directory: Path, only: Sequence[str] | None = None) -> list[Path]:
     return [path for module in modules if hasattr(module, "plots") for path in module.plots(directory)]
 
 
-def write_json(rows: Sequence[Row], path: Path) -> None:
-    """``{"schema": ..., "rows": [...]}``; a value that is not a number becomes null."""
-    plain = [{key: _plain(value) for key, value in row.to_dict().items()} for row in rows]
-    write_whole(path, json.dumps({"schema": SCHEMA, "rows": plain}, indent=1) + "\n")
+def to_json(rows: Sequence[Row]) -> dict[str, object]:
+    """``{"rows": [...]}``; a value that is not a number becomes null."""
+    return {"rows": [{key: _plain(value) for key, value in row.to_dict().items()} for row in rows]}
 
 
 def counted(rows: Sequence[Row]) -> str:

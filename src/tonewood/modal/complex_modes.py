@@ -152,12 +152,12 @@ def _rigid_modes(P: Floats, omega: Floats, e: int, steady: Floats, slip: Floats)
     """
     import scipy.linalg as sla
 
-    along, bent = steady[2 * e :], steady[:e] / omega[:e, None]
-    carried, slid = P[:, e:] @ along, sla.pinv(along) @ slip if along.size else np.zeros((0, P.shape[0]))
+    travel, bent = steady[2 * e :], steady[:e] / omega[:e, None]
+    carried, slid = P[:, e:] @ travel, sla.pinv(travel) @ slip if travel.size else np.zeros((0, P.shape[0]))
     shapes, inputs = carried + 1j * (P[:, :e] @ bent), carried + 1j * slid.T
     out: list[_Mode] = [(0j, BLOCK, 0.0, 0.0, r, ell) for r, ell in zip(shapes.T, inputs.T, strict=True)]
-    U, size, Vt = sla.svd(slip - along @ slid)
-    for j in range(along.shape[0] - along.shape[1]):
+    U, size, Vt = sla.svd(slip - travel @ slid)
+    for j in range(travel.shape[0] - travel.shape[1]):
         root = np.sqrt(size[j]) + 0j
         out.append((0j, REAL, 0.0, 0.0, P[:, e:] @ U[:, j] * root, Vt[j] * root))
     return out
@@ -207,7 +207,7 @@ def _real_span(A: Floats, lam: Complexes) -> Floats:
     inside: Callable[..., bool] = lambda pole: abs(pole - centre) <= reach  # noqa: E731
     _, vectors, count = sla.schur(A.astype(np.complex128), sort=inside)
     if count != 2:
-        raise ValueError(f"poles about {centre:.6g} 1/s cannot be told apart")
+        raise ValueError(f"poles about {centre:.6g} 1/s cannot be distinguished")
     return np.asarray(sla.svd(np.concatenate([vectors[:, :2].real, vectors[:, :2].imag], axis=1))[0][:, :2])
 
 

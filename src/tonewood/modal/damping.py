@@ -1,7 +1,7 @@
 """How far the damping of a body couples its modes, and what leaving that coupling out makes of them.
 
 The modes of a body whose damping is not proportional are complex: its points do not pass through zero together. Three
-descriptions of one body (Fabre, Le Carrou & Chomette 2024, section 3) are told apart here by a *damping case*:
+descriptions of one body (Fabre, Le Carrou & Chomette 2024, section 3) are distinguished here by a *damping case*:
 
 * ``complex``: the modes as they are (their case 1);
 * ``proportional``: falsely complex modes, real shapes phi = Re(psi sqrt(2j Im lambda)) taken back to

@@ -1,6 +1,6 @@
 """Modes of one component, and what can be asked of them.
 
-Three kinds of mode, told apart by `kind`; every one is a real 2 x 2 block once it is stepped (see `propagator`):
+Three kinds of mode, distinguished by `kind`; every one is a real 2 x 2 block once it is stepped (see `propagator`):
 
 * ``PAIR``   z' = lambda z + sum_i l_i f_i,  y_i = 2 Re(r_i z): one of two conjugate poles, Im lambda > 0;
 * ``REAL``   z' = lambda z + sum_i l_i f_i,  y_i = r_i z: one real pole;

@@ -160,7 +160,7 @@ SERIES_TERMS, _CELL = 24, 4.0
 
 
 def impulse_series(basis: ModalBasis, form: RealForm, point: int, dt: float) -> Floats:
-    """What is left at the end of a step of impulses within it, as power series about the middles of equal cells.
+    """Effect at the end of a step of impulses within it, as power series about the middles of equal cells.
 
     An impulse of 1 N s at the time s of the step leaves exp(A (dt - s)) B; with the middle m of the cell that s lies in
 

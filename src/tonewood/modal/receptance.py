@@ -167,7 +167,7 @@ class Joint:
         tolerance: float = 1e-11,
         steps: int = 40,
     ) -> complex | None:
-        """A zero of det M prod (s - multiply) / prod (s - divide) from `start`; None if it does not settle.
+        """A zero of det M prod (s - multiply) / prod (s - divide) from `start`; None if it does not converge.
 
         Poles of det M near the start are to be multiplied out, zeros already found divided out.
         """  # fmt: skip

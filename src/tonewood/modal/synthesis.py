@@ -3,7 +3,7 @@
 Let P hold the real modes of (M, K), P^T M P = I, P^T K P = Omega^2, and C~ = P^T C P. Proportional damping leaves C~
 diagonal, and the modes are real. Otherwise C~ couples them, and `complex_modes` takes them apart.
 
-What comes of it (kinds of `modes`):
+Results (kinds of `modes`):
 
 * one of each pair of complex poles: ``PAIR``; a real pole: ``REAL``;
 * two poles that coincide, or nearly, on the real axis: one ``BLOCK``, exact through the defect;

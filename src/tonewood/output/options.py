@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 
 from tonewood.errors import TonewoodError
 from tonewood.params import Number, Parameters, described, quantity
-from tonewood.validation_messages import first_message
+from tonewood.validation_messages import first_message, unit_of
 
 if TYPE_CHECKING:
     from tonewood.instrument.bundle import Instrument
@@ -171,12 +171,6 @@ def choices(annotation: Any) -> list[str]:
     if isinstance(annotation, str):
         return [annotation]
     return [word for member in get_args(annotation) for word in choices(member)]
-
-
-def unit_of(field: FieldInfo) -> str:
-    """Unit of a number; empty for any other option."""
-    extra = field.json_schema_extra
-    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
 
 
 def _error(fault: ValidationError, model: type[RenderOptions]) -> TonewoodError:

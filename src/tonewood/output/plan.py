@@ -67,7 +67,7 @@ def plan(
     for _ in Renderer(score, instrument, options=sketched.at(max_duration=first_second)).blocks(4096):
         pass
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DroppedNotesWarning)  # the first one has told
+        warnings.simplefilter("ignore", DroppedNotesWarning)  # the first one has warned
         sketch = Renderer(score, instrument, options=sketched)
     sketch.engine.only_watch = True
     first = Spent()
@@ -105,13 +105,13 @@ class Spent:
 
     @classmethod
     def of(cls, engine: Engine) -> Spent:
-        """What an engine has taken so far."""
+        """Time that an engine has taken so far."""
         return cls(engine.counters.stepping_s, engine.counters.control_s)
 
 
 @dataclass(frozen=True, slots=True)
 class SwitchedRate:
-    """What a switched effect takes: s per sample with any of it, and s per sample and unit of its load."""
+    """Time of a switched effect: s per sample with any of it, and s per sample and unit of its load."""
 
     per_sample: float = 0.0
     per_load: float = 0.0
@@ -151,7 +151,7 @@ def _computing(rates: Mapping[str, SwitchedRate], usage: EffectUsage) -> dict[tu
 
 
 def _switched_rates(engine: Engine) -> dict[str, SwitchedRate]:
-    """What switched effects take, each timed on the state an engine is in with all others as they are."""
+    """Measure the time of switched effects, each on the state an engine is in with all others as they are."""
     out: dict[str, SwitchedRate] = {}
     for effect in engine.effects:
         if not (isinstance(effect, SwitchedEffect) and effect.chosen and effect.components):

@@ -52,7 +52,7 @@ def check_basis(basis: ModalBasis, driven: Sequence[str], *, dt: float | None = 
 def repair_basis(basis: ModalBasis, driven: Sequence[str], *, max_change: float) -> ModalBasis:
     """Return the nearest basis that is passive at the points `driven`; what is only heard stays as it is.
 
-    What was done stands in the metadata under ``repair``.
+    The repair is described in the metadata under ``repair``.
 
     Raises
     ------

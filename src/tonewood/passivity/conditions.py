@@ -10,7 +10,7 @@ semidefinite at every w, and each undamped pole has a Hermitian positive semidef
 structure have this by construction; a truncated or measured list of complex modes has it hardly ever, because the
 direct term D = 2 Re sum r l^T vanishes only for complete lists.
 
-Method. If every mode is passive by itself, that settles it. Otherwise the frequencies where the Hermitian part can
+Method. If every mode is passive by itself, the basis is. Otherwise the frequencies where the Hermitian part can
 change its signature are zeros of G(s) = Y(s) + Y(-s)^T, which are eigenvalues of the even ("Hamiltonian") pencil
 
     [ A  0    B   ]       [ I 0 0 ]
@@ -77,7 +77,7 @@ class Violation:
 
 @dataclass(frozen=True)
 class PassivityReport:
-    """What `check` found; plain data.
+    """Result of `check`; plain data.
 
     Attributes
     ----------

@@ -271,7 +271,7 @@ class _Nearest:
         """Gradient with respect to L of the quadratic terms."""
         return self._W @ L + self._penalty * (self._R.T @ _skew(self._R @ L))
 
-    def _pull(self, gradient: Floats) -> Floats:
+    def _adjoint(self, gradient: Floats) -> Floats:
         """Gradient with respect to Q from that with respect to L."""
         outer = gradient @ self._C
         return self._lyap(0.5 * (outer + outer.T), adjoint=True)
@@ -280,7 +280,7 @@ class _Nearest:
         """Lipschitz constant of a linear gradient, by power iteration."""
         Q, size = np.eye(self._C.shape[1]), 0.0
         for _ in range(40):
-            Q = self._pull(curve(self._lyap(Q) @ self._C.T))
+            Q = self._adjoint(curve(self._lyap(Q) @ self._C.T))
             size = float(linalg.norm(Q))
             if size == 0.0:
                 break
@@ -302,7 +302,7 @@ class _Nearest:
             if count % 10 == 9:
                 self._multiplier += self._penalty * _skew(D)
             gradient = self._curve(L) - self._T + self._R.T @ self._multiplier
-            step = self._project(self._ahead - self._pull(gradient) / self._lipschitz)
+            step = self._project(self._ahead - self._adjoint(gradient) / self._lipschitz)
             if np.sum((self._ahead - step) * (step - self._Q)) > 0.0:
                 self._momentum = 1.0
             momentum = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * self._momentum**2))

@@ -43,14 +43,14 @@ class Controllers:
     """
 
     def __init__(self, controls: Sequence[Control]):
-        lines: dict[str, dict[int | None, list[Control]]] = defaultdict(lambda: defaultdict(list))
+        by_kind: dict[str, dict[int | None, list[Control]]] = defaultdict(lambda: defaultdict(list))
         for control in controls:
-            lines[control.kind][control.channel].append(control)
+            by_kind[control.kind][control.channel].append(control)
         self._histories: dict[tuple[str, int | None], History] = {}
-        for kind, by_channel in lines.items():
+        for kind, by_channel in by_kind.items():
             common = by_channel.get(None, [])
-            for channel, line in by_channel.items():
-                self._histories[kind, channel] = History(line if channel is None else [*common, *line])
+            for channel, changes in by_channel.items():
+                self._histories[kind, channel] = History(changes if channel is None else [*common, *changes])
 
     def at(self, kind: str, channel: int | None, time: float) -> float | None:
         """Value of a controller on a channel at a time (s), None before its first."""

@@ -78,12 +78,12 @@ def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded:
 
 def describe_geometric(system: System, slots: Sequence[int], wiring: Sequence[Wiring]) -> Description:
     """Describe a string whose longitudinal motion is stepped: EA L, whether there is such a motion, and its parts."""
-    scale, along = 0.0, False
+    scale, longitudinal = 0.0, False
     parts: list[Description] = []
     for slot in slots:
         compiled, ports = system.compiled[slot], wiring[slot].fixed
         if (part := compiled.geometric) is not None:
-            scale, along = part.scale, along or part.along
+            scale, longitudinal = part.scale, longitudinal or part.longitudinal
             arrays = {
                 "slopes": part.slopes if part.stretch is None else part.stretch[None],
                 "reading": part.reading,
@@ -93,7 +93,7 @@ def describe_geometric(system: System, slots: Sequence[int], wiring: Sequence[Wi
                 "from_port": part.reading * compiled.W[ports][:, : part.n, 0],
             }
             parts.append({"slot": slot, **{name: np.ascontiguousarray(a) for name, a in arrays.items()}})
-    return {"scale": scale, "along": along, "parts": parts}
+    return {"scale": scale, "along": longitudinal, "parts": parts}
 
 
 def independent_ports(
@@ -124,7 +124,7 @@ def law_arrays(
 ) -> Description:
     """Describe laws: kinds (k), numbers (k, 8): a[4], loss, damping, offset, velocity; samples and functions of some.
 
-    What stands in `arrays`, those of the laws `before`, is taken over where a law is the same.
+    Where a law is the same as in `before`, its arrays are taken over from `arrays`.
     """
     out: Description = {"kinds": np.zeros(len(laws), dtype=np.int64), "numbers": np.zeros((len(laws), 8))}
     out |= {"samples": [], "functions": []}

@@ -100,7 +100,7 @@ class Course:
         return np.flatnonzero(np.any(self.values != 0.0, axis=1))
 
     def injections(self, component: str, impulses: Floats, factor: float = 1.0) -> list[Injection]:
-        """What the force adds to a component, from the `impulse_series` of the point it acts on."""
+        """Injection of the force into a component, from the `impulse_series` of the point it acts on."""
         n_cells, n_terms, n_modes, _ = impulses.shape
         added = factor * (self._moments(n_cells) @ impulses.reshape(n_cells * n_terms, 2 * n_modes))
         added = added.reshape(len(added), n_modes, 2)

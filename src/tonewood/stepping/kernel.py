@@ -158,10 +158,10 @@ class KernelStepper:
         wiring, terms = self._wired(system)
         weights = system.force_weights()
         components = self._components(system, wiring, terms)
-        along = [[system.slot(name) for name in law.parts] for law in system.geometric]
-        keys = [components[slot]["key"] for slots in along for slot in slots]
+        slots_of = [[system.slot(name) for name in law.parts] for law in system.geometric]
+        keys = [components[slot]["key"] for slots in slots_of for slot in slots]
         if keys != self._geometric[0]:
-            self._geometric = keys, [describe_geometric(system, slots, wiring) for slots in along]
+            self._geometric = keys, [describe_geometric(system, slots, wiring) for slots in slots_of]
         tensions = [
             (t, part.kappa, [system.slot(name) for name in string.components])
             for t, string in enumerate(system.tensions)
@@ -284,8 +284,8 @@ class KernelStepper:
     ) -> tuple[Floats, Floats, Floats]:
         """Step; returns the output, the forces of linear connections, and of nonlinear ones.
 
-        The latter are to be put back to zero where `_acted` says that they are not. A step whose forces the kernel does
-        not find is redone by `NumpyStepper`, which has a search of last resort.
+        The caller sets the latter to zero again in the columns that `_acted` names. If the kernel does not find the
+        forces of a step, `NumpyStepper` repeats it, with a search of last resort.
         """
         if state.modes.dtype != np.float64:
             raise ValueError(f"a state of {state.modes.dtype}; float64 is needed")
@@ -346,7 +346,7 @@ class KernelStepper:
             state.series, state.slip = np.zeros(m), np.zeros(m)
         remembers = np.count_nonzero(state.series) > 0
         if self.system.nonlinear is not None and remembers:
-            state.series = self.system.nonlinear.settled_series(state.series)
+            state.series = self.system.nonlinear.carried_series(state.series)
         out = np.empty((n, len(self.system.readouts)))
         active_forces = np.empty((n, len(self._active)))
         if self._law_forces.size < n * len(on):

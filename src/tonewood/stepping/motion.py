@@ -58,4 +58,4 @@ def share_velocities(system: System, state: State, joints: NDArray[np.bool_] | N
     for name, compiled in parts:
         impulse = kick[compiled.gaps]
         if impulse.any():
-            system.modes_of(state, name)[:] += (impulse @ compiled.gap_push).reshape(2, -1)
+            system.modes_of(state, name)[:] += (impulse @ compiled.gap_scatter).reshape(2, -1)

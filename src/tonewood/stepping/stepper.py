@@ -6,7 +6,7 @@ One step: propagate every component without connections, read the gaps, find the
 
 Nonlinear connections see what the linear ones leave of their gaps (`connections`), and their forces are found together
 (`law_solve`). A string whose tension rises is, at a given tension, a linear component with another x_u and W; its
-tension is found around all this (`tension`), and so are the modal forces of strings that stretch along themselves
+tension is found around all this (`tension`), and so are the modal forces of strings with longitudinal motion
 (`geometric`).
 """
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tonewood.coupling.connections import LinearSolve, NonlinearSolve, linear_solve, nonlinear_solve
 from tonewood.coupling.geometric_solve import GeometricSolve
-from tonewood.coupling.law_solve import FrictionBranch, Partners, find_forces, settle, stiffness
+from tonewood.coupling.law_solve import FrictionBranch, Partners, find_forces, solve_branches, stiffness
 from tonewood.coupling.laws import Friction
 from tonewood.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.errors import NumericalError
@@ -36,7 +36,7 @@ MAX_TENSION_ITERATIONS = 200
 
 @dataclass
 class Statistics:
-    """What the nonlinear solves of a stepper took, since it was made.
+    """Counts of a stepper's nonlinear solves since it was made.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class NumpyStepper:
         still = s.start()
         series = state.series if state.series.size else still.series
         if s.nonlinear is not None:
-            series = s.nonlinear.settled_series(series)
+            series = s.nonlinear.carried_series(series)
         slip = state.slip if state.slip.size else still.slip
         tension = state.tension if state.tension.size else still.tension
         moving = s.controlled(controls, state.sample, n)
@@ -171,7 +171,7 @@ class NumpyStepper:
                 start[0] = done[0].forces
                 return done
 
-            return settle(list(branches.values()), solve)
+            return solve_branches(list(branches.values()), solve)
 
         try:
             return attempt()
@@ -273,9 +273,9 @@ class NumpyStepper:
         """One step of strings whose longitudinal motion is stepped."""
         done: list[_Attempt] = []
 
-        def attempt(pushed: list[Floats]) -> list[Floats]:
+        def attempt(free: list[Floats]) -> list[Floats]:
             start = done[-1].forces if done else guess
-            done[:] = [self._attempt(x, pushed, start, series, slip, {}, partners, branches, time)]
+            done[:] = [self._attempt(x, free, start, series, slip, {}, partners, branches, time)]
             return done[0].x
 
         def answer() -> Floats:

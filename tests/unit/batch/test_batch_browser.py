@@ -37,10 +37,10 @@ audio.play().catch(fault => tell("refused: " + fault));
 class Listener(BaseHTTPRequestHandler):
     """Keeps what the page tells: it plays in real time, whatever the browser's clock for scripts does."""
 
-    told: ClassVar[Queue[str]] = Queue()
+    reported: ClassVar[Queue[str]] = Queue()
 
     def do_GET(self) -> None:
-        self.told.put(unquote(self.path[1:]))
+        self.reported.put(unquote(self.path[1:]))
         self.send_response(204)
         self.end_headers()
 
@@ -64,7 +64,7 @@ def test_the_audition_page_plays_and_shows(tmp_path: Path) -> None:
     ]  # fmt: skip
     browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        played, seconds, width = Listener.told.get(timeout=120).split()
+        played, seconds, width = Listener.reported.get(timeout=120).split()
     finally:
         browser.kill()
         browser.wait()

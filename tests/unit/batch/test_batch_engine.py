@@ -121,9 +121,9 @@ def test_a_batch_on_a_real_instrument(tmp_path: Path) -> None:
 
 def test_a_record_tells_how_far_the_energy_balance_closes() -> None:
     short = {"output": "bridge", "tail": {"energy_db": -40, "cap": 0.3}, "fs": 16000}
-    told, *_ = conditions(render=short | {"energy": True})
+    reported, *_ = conditions(render=short | {"energy": True})
     plain, *_ = conditions(render=short)
-    rendered, same = ENGINE.render(told), ENGINE.render(plain)
+    rendered, same = ENGINE.render(reported), ENGINE.render(plain)
     assert np.array_equal(rendered.samples, same.samples)
     assert rendered.info["energy"]["peak_J"] > 0
     assert rendered.info["energy"]["worst_residual"] <= 1e-10
@@ -155,17 +155,19 @@ def test_the_key_follows_what_computes(monkeypatch: pytest.MonkeyPatch, what: st
 
 def test_another_core_of_blas_is_another_key() -> None:
     code = "from tonewood.batch.rendering import computed_with; print(computed_with()['blas'])"
-    told = [
+    reported = [
         subprocess.run([sys.executable, "-c", code], env=os.environ | {"OPENBLAS_CORETYPE": core}, capture_output=True,
                        text=True, check=True).stdout
         for core in ("Prescott", "Prescott", "Nehalem")
     ]  # fmt: skip
-    if "openblas" not in told[0]:
-        pytest.skip(f"OPENBLAS_CORETYPE is for OpenBLAS, here is {told[0]}")
-    assert told[0] == told[1] != told[2]
+    if "openblas" not in reported[0]:
+        pytest.skip(f"OPENBLAS_CORETYPE is for OpenBLAS, here is {reported[0]}")
+    assert reported[0] == reported[1] != reported[2]
 
 
-def test_renders_of_another_library_are_told_and_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_renders_of_another_library_are_reported_and_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "batch.yaml"
     short = {"output": "bridge", "tail": {"energy_db": -40, "cap": 0.1}, "fs": 16000}
     path.write_text(json.dumps(manifest(render=short, pages=[{"type": "html"}], output={"formats": ["json"]})))

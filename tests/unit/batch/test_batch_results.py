@@ -178,7 +178,7 @@ def test_choices(tmp_path: Path, key: dict) -> None:
     write_plot(found, tmp_path / "plot.png")
 
 
-def test_sessions_without_names_are_told_apart(tmp_path: Path, key: dict) -> None:
+def test_sessions_without_names_are_distinguished(tmp_path: Path, key: dict) -> None:
     trial = next(iter(trials(key, "mushra")))
     code = code_of(key, trial, "block")
     rows = [(trial, name, score, 1, "") for score in (10, 20, 30) for name in (code, "reference")]
@@ -194,7 +194,7 @@ def test_the_uuid_tells_sessions_apart(tmp_path: Path, key: dict) -> None:
     assert analyse(path, tmp_path / "key.json").listeners == 2
 
 
-def test_missing_answers_are_told(tmp_path: Path, key: dict) -> None:
+def test_missing_answers_are_reported(tmp_path: Path, key: dict) -> None:
     rows = mushra_rows(key, {"reference": {"a": 100, "b": 100}, "block": {"a": 50, "b": 40}}, ["a", "b"])[:-1]
     found = analyse(table(tmp_path / "r.csv", MUSHRA, rows), tmp_path / "key.json")
     assert found.notes == ("b gave 7 of 8 answers",)

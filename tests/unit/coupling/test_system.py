@@ -121,7 +121,7 @@ def test_exchanged_law_is_as_if_built_with_it():
 
 
 def test_many_exchanges_one_after_another_are_as_if_built_at_last():
-    """What is kept from system to system (the numbers of laws, sums of compliance) must not go stale."""
+    """Data kept from system to system (the numbers of laws, sums of compliance) must not go stale."""
     _, system = joined_system(capacities={"a": 10, "b": 10})
     spring = system.connections[1].terms
     for seed in range(6):

@@ -1,4 +1,4 @@
-"""What an engine exchanges while it plays is as if everything had been made anew."""
+"""Exchanges while an engine plays give the same as making everything anew."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is read where a known force acts, with modes left out: their compliance follows the force."""
+"""Readouts where a known force acts, with modes left out: their compliance follows the force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What comes out of the engine, measured, against closed forms and the eigenproblem in continuous time."""
+"""Sound of the engine, measured, against closed forms and the eigenproblem in continuous time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a stream of blocks promises: the same samples however they are asked for, from score time 0 on."""
+"""Promises of a stream of blocks: the same samples however they are asked for, from score time 0 on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of measurements: every kind says the same, and what is wrong with one is told in one line."""
+"""Files of measurements: every kind says the same, and what is wrong with one is reported in one line."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_hits_of_wav_and_csv_say_the_same(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("freq_Hz,a:a_re,a:a_im\n1,2\n", "2 numbers under 3 columns"),
         ("f,a:a_re,a:a_im\n1,2,3\n", "no column freq_Hz"),
@@ -101,16 +101,16 @@ def test_hits_of_wav_and_csv_say_the_same(tmp_path):
         ("", "no rows"),
     ],
 )
-def test_what_is_wrong_with_a_table_is_told_in_one_line(tmp_path, text, told):
+def test_what_is_wrong_with_a_table_is_reported_in_one_line(tmp_path, text, reported):
     path = tmp_path / "bad.csv"
     path.write_text(text)
-    with pytest.raises(TonewoodError, match=told) as fault:
+    with pytest.raises(TonewoodError, match=reported) as fault:
         read_responses([path], Reading("mobility"))
     assert "bad.csv" in str(fault.value)
     assert "\n" not in str(fault.value)
 
 
-def test_what_is_wrong_with_a_measurement_is_told_in_one_line(tmp_path):
+def test_what_is_wrong_with_a_measurement_is_reported_in_one_line(tmp_path):
     path = write_csv(tmp_path / "a.csv")
     with pytest.raises(TonewoodError, match="--form: what was measured is not said"):
         read_responses([path], Reading())

@@ -82,7 +82,7 @@ def test_estimators_are_scipys():
     assert np.allclose(made.coherence[0, 1:-1], (np.abs(xy) ** 2 / (xx * yy))[1:-1], rtol=1e-10)
 
 
-def test_double_hits_are_told_from_noise():
+def test_double_hits_are_distinguished_from_noise():
     rng = np.random.default_rng(3)
     n = 4096
     single = [pulse(n, at=int(rng.integers(30, 200))) + 0.02 * rng.normal(size=n) for _ in range(60)]

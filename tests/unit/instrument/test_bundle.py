@@ -1,4 +1,4 @@
-"""Bundles: what is read, what is refused and how it is told, what overrides change."""
+"""Bundles: what is read, what is refused and how it is reported, what overrides change."""
 
 from __future__ import annotations
 
@@ -65,16 +65,16 @@ def put(values: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ("tittle", "x", "tittle: is not a known key; did you mean title? allowed: schema, name, title"),
         ("strings.A2.tension", "tight", "strings.A2.tension: Input should be a valid number, not 'tight'"),
         ("strings.A2.tension", True, "strings.A2.tension"),
-        ("strings.A2.tension", 1e9, "strings.A2.tension: Input should be less than or equal to 2000"),
+        ("strings.A2.tension", 1e9, "strings.A2.tension: is 1000000000 N; at most 2000 N is allowed"),
         ("strings.A2.tensoin", 7.0, "strings.A2.tensoin: is not a known key; did you mean tension?"),
         ("strings.A2.note", "H2", "strings.A2.note: 'H2' is not a note"),
         ("strings.A2.note", None, "strings.A2: either `note` or `freq` is wanted"),
-        ("strings.A2.end", "body.wings", "strings.A2.end: there is no point 'body.wings'; there are body.bridge"),
+        ("strings.A2.end", "body.wings", "no point 'body.wings'; did you mean body.wing? there are body.bridge"),
         ("strings.A2.axis", [1, 1, 0], "strings.A2.axis: has length 1.414"),
         ("strings.A2.polarizations", ["x", "z"], "strings.A2.polarizations: lies along the string"),
         ("strings.A2.polarizations", ["z", "z"], "strings.A2.polarizations: lies along the string, or repeats"),
         ("strings.A2.plugin", "pluck_ramp", "strings.A2.plugin: plugin 'pluck_ramp' is of kind exciter"),
-        ("strings.A2.plugin", "no_such", "strings.A2.plugin: there is no plugin 'no_such'; installed are"),
+        ("strings.A2.plugin", "no_such", "strings.A2.plugin: there is no plugin 'no_such'; installed: "),
         ("strings.A2.loss", {"law": "woodhouse"}, "strings.A2.loss.eta_f: is missing"),
         ("strings.defaults", 3, "strings.defaults: holds keys that are merged"),
         ("strings.body", {"note": "A2"}, "a string cannot be called body"),
@@ -86,13 +86,13 @@ def put(values: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ("exciters", {}, "exciters"),
         ("exciters.tap.at", "body.no", "exciters.tap.at: there is no point 'body.no'"),
         ("playing.velocity", {"parameter": "bow.force"}, "playing.velocity.parameter: there is no exciter 'bow'"),
-        ("playing.velocity", {"parameter": "pluck.speed"}, "pluck has no parameter 'speed'; it has force"),
+        ("playing.velocity", {"parameter": "pluck.speed"}, "no parameter of pluck 'speed'; there are force"),
         ("playing.velocity", {"low": 0.0}, "playing.velocity: an exponential curve needs low and high above 0"),
         ("playing.controls.cc999", {"parameter": "pluck.force", "low": 0, "high": 1}, "playing.controls.cc999"),
         ("outputs.0.full_scale", 0, "outputs.0.full_scale"),
         ("outputs.1.name", "bridge", "the output name 'bridge' is taken"),
         ("outputs.1.name", "A2", "the output name 'A2' is taken"),
-        ("effects", {"budget_db": 3}, "effects.budget_db: Input should be less than or equal to 0"),
+        ("effects", {"budget_db": 3}, "effects.budget_db: is 3 dB; at most 0 dB is allowed"),
         ("provenance", {"body": {"kind": "measured", "source": "x"}}, "provenance.body.source: there is no source 'x'"),
         ("provenance", {"body": {"kind": "measured"}}, "provenance.body.source: measured figures need a source"),
         ("provenance", {"body": {"kind": "guessed"}}, "provenance.body.kind"),
@@ -128,7 +128,7 @@ def test_links_out_of_the_bundle_are_refused(make: Make, values: dict[str, Any],
 
 
 def test_loading_by_path_and_by_name(tmp_path: Path) -> None:
-    with pytest.raises(BundleError, match=r"'no_such_harp': is neither installed nor a folder; installed are african"):
+    with pytest.raises(BundleError, match=r"'no_such_harp': is neither installed nor a folder; installed: african"):
         Instrument.load("no_such_harp")
     with pytest.raises(BundleError, match=r"there is no instrument\.yaml in it"):
         Instrument.load(tmp_path)

@@ -1,8 +1,9 @@
-"""What `check` and `modes` tell, against the eigenproblem of the whole system and closed forms."""
+"""Figures of `check` and `modes`, against the eigenproblem of the whole system and closed forms."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,15 @@ import pytest
 import tonewood as tw
 from tonewood.coupling.system_modes import coupled_modes
 from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.inspection import bridge_mobility, mobility_peaks, partials, pitch, pitches
+from tonewood.instrument.inspection import (
+    bridge_mobility,
+    check_transfers,
+    microphone_responses,
+    mobility_peaks,
+    partials,
+    pitch,
+    pitches,
+)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +62,7 @@ def test_pitches_are_those_of_equal_temperament(monochord: Model) -> None:
         assert p.note == 45 + p.stop
 
 
-def test_untuned_strings_are_told_as_they_are() -> None:
+def test_untuned_strings_are_reported_as_they_are() -> None:
     loose = tw.load_instrument("monochord").replace({"tuning.compensate": "none", "strings.A2.tension": 60.0})
     found = pitch(assemble(loose, 48000), "A2")
     assert found.tension == 60.0
@@ -113,3 +122,40 @@ def test_partials_of_a_string_under_a_soft_finger_are_those_of_its_stop() -> Non
     found = partials(model, "A2", 7, count=4)
     assert [p.number for p in found] == [1, 2, 3, 4]
     assert all(abs(p.cents) < 30 for p in found)
+
+
+def test_microphones_are_found_at_their_peak(tmp_path: Path) -> None:
+    """One pole pair, driven by one string: |R / (jw - p) + R / (jw - p*)| is largest near the pole's frequency."""
+    original = tw.list_instruments()["monochord"]
+    text = (original / "instrument.yaml").read_text()
+    text = text.replace("bridge: {direction: z}", "bridge: {direction: z, u: 0.0}")
+    text += "  - {name: air, plugin: modal_radiation, table: air.csv, channels: [left, right], full_scale: 1.0}\n"
+    (tmp_path / "instrument.yaml").write_text(text)
+    (tmp_path / "body.csv").write_bytes((original / "body.csv").read_bytes())
+    head = ",".join(f"{c}{m}_{x}" for c in ("left", "right") for m in ("", "_moment") for x in ("re", "im"))
+    (tmp_path / "air.csv").write_text(f"f_Hz,Q,{head}\n200,20,30,0,0,0,0,0,0,0\n")
+    left, right = microphone_responses(assemble(tw.load_instrument(tmp_path), 48000, outputs=["air"]))
+    p = np.complex128(np.pi * 200.0 * (-1 / 20 + 2j))
+    freq = np.linspace(190.0, 210.0, 20001)
+    expected = np.abs(30 / (2j * np.pi * freq - p) + 30 / (2j * np.pi * freq - p.conj()))
+    assert left.peak == pytest.approx(expected.max(), rel=1e-3)
+    assert left.freq == pytest.approx(freq[np.argmax(expected)], abs=0.3)
+    assert (right.channel, right.peak, np.isnan(right.freq)) == ("right", 0.0, True)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda D, V: (D[:-1], V), "transfer: displacement has shape"),
+        (lambda D, V: (D, V * np.nan), "transfer: velocity holds numbers that are not finite"),
+        (lambda D, V: (0.5 * D, V), "the string's end at the bridge moves"),
+    ],
+)
+def test_broken_transfers_are_named(monkeypatch: pytest.MonkeyPatch, change: Any, reason: str) -> None:
+    model = assemble(tw.load_instrument("monochord"), 24000)
+    check_transfers(model)
+    kind = type(model.strings["A2"].resonator)
+    transfer = kind.transfer
+    monkeypatch.setattr(kind, "transfer", lambda self, old, new: change(*transfer(self, old, new)))
+    with pytest.raises(tw.errors.BundleError, match=rf"strings\.A2: .*{reason}"):
+        check_transfers(model)

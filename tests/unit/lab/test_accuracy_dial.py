@@ -1,4 +1,4 @@
-"""What ``--accuracy`` costs in accuracy: partials compared, on made-up sounds and on the shipped instruments."""
+"""Errors of ``--accuracy``: partials compared, on made-up sounds and on the shipped instruments."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ def test_strokes_are_compared_by_what_they_have_in_common() -> None:
     """Partials that fluctuate from stroke to stroke about the same decay: single strokes differ, their means do not."""
     rng = np.random.default_rng(5)
     t = np.arange(int(2 * FS)) / FS
-    swing = np.cumsum(rng.standard_normal((160, len(t) // 4800 + 1)), axis=1)
+    drift = np.cumsum(rng.standard_normal((160, len(t) // 4800 + 1)), axis=1)
 
     def strokes(which: slice, rate: float) -> np.ndarray:
-        slow = np.stack([np.interp(t, np.arange(x.size) * 0.1, x) for x in swing[which]])
+        slow = np.stack([np.interp(t, np.arange(x.size) * 0.1, x) for x in drift[which]])
         return np.exp(-rate * t + 0.3 * slow / np.sqrt(1 + t)) * np.cos(2 * np.pi * 200 * t)
 
     ours, theirs = strokes(slice(0, 160, 2), 3.0), strokes(slice(1, 160, 2), 3.0)
@@ -82,19 +82,19 @@ def hold(name: str, string: str | None = None) -> None:
         assert dial.beyond(errors, worst=True) == ""
 
 
-def test_limits_are_told_apart() -> None:
+def test_limits_are_distinguished() -> None:
     errors = dial.PartialErrors(0.5, 1.5, 0.06, 0.2, 1.0, 1.25, 9)
     assert dial.beyond(errors) == "6 % of the decay"
     assert dial.beyond(errors, worst=True) == "1.5 cents, 20 % of the decay, 1.2 dB"
 
 
-def test_a_setting_that_is_too_coarse_is_told() -> None:
+def test_a_setting_that_is_too_coarse_is_reported() -> None:
     """Draft instead of standard: the limits are not kept everywhere."""
     (draft, *_) = dial.measure(tw.load_instrument("tanpura"), "C3", nudge=False)
     assert dial.beyond(draft.errors) != ""
 
 
-def test_a_dial_that_points_the_wrong_way_is_told() -> None:
+def test_a_dial_that_points_the_wrong_way_is_reported() -> None:
     near, far = (dial.PartialErrors(e, e, e, e, e, e, 9, e, 0.0) for e in (0.1, 0.2))
     points = [
         dial.DialPoint("x", "A", name, errors, 1.0, 9, 1) for name, errors in (("draft", near), ("standard", far))

@@ -128,7 +128,7 @@ def test_headlines() -> None:
     assert (found["ab3"].best, found["ab3"].ratio_at_best) == (1e-3, pytest.approx(10.0))
     assert found["verlet"].ratio is None
     assert found["verlet"].ratio_at_best == pytest.approx(6.0)
-    assert [found[m].told for m in found] == ["10", "not reached", "not stable", "partials lost"]
+    assert [found[m].text for m in found] == ["10", "not reached", "not stable", "partials lost"]
     assert {h.method: h for h in headlines(POINTS, WAVEFORM)}["hht"].ratio == pytest.approx(2.0)
 
 
@@ -148,7 +148,7 @@ def outcome() -> Outcome:
     return Outcome("s", "A system", "closed form", (PITCH, WAVEFORM), POINTS)
 
 
-def test_unknown_system_is_told_in_one_line() -> None:
+def test_unknown_system_is_reported_in_one_line() -> None:
     with pytest.raises(TonewoodError, match="--system: is 'fabre'; there are fabre_guitar, harp"):
         catalogue.selected("fabre")
 

@@ -1,4 +1,4 @@
-"""What the study finds, where it can be told beforehand."""
+"""Results of the study where they can be predicted."""
 
 from __future__ import annotations
 

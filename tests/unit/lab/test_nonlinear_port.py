@@ -82,7 +82,7 @@ def test_solution_satisfies_the_laws(stiffness: float, hardening: float, rng: np
     assert iterations <= 15
 
 
-def test_a_law_stiffer_than_rounding_is_told() -> None:
+def test_a_law_stiffer_than_rounding_is_reported() -> None:
     Z = np.ones((3, 3))
     with pytest.raises(NumericalError, match="too stiff"):
         solve_ports((Mounting(1e30),) * 3, Z, np.array([1.0, 2.0, 3.0]), np.zeros(3), 1e-3)

@@ -45,7 +45,9 @@ def test_force_linear_in_time_at_position_level_never_works(grid: StabilityGrid)
 
 
 def test_rising_tension_breaks_explicit_steps_of_hard_plucks_only(grid: StabilityGrid) -> None:
-    cells = [c for c in grid.cells if c.system == stability.TENSE and c.method == "velocity Verlet" and c.n_modes < 60]
+    cells = [
+        c for c in grid.cells if c.system == stability.TENSION and c.method == "velocity Verlet" and c.n_modes < 60
+    ]
     verdict = {(c.force, c.fs): c.verdict for c in cells}
     assert verdict[0.001, 48e3] == STABLE
     assert verdict[50.0, 48e3] == NAN
@@ -53,11 +55,12 @@ def test_rising_tension_breaks_explicit_steps_of_hard_plucks_only(grid: Stabilit
 
 
 def test_table_and_json_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file, page = tmp_path / "grid.json", tmp_path / "grid.md"
+    page = tmp_path / "grid.md"
     with pytest.raises(SystemExit) as exit_:
-        command(["accuracy", "--stability", "--quick", "--json", str(file), "--report", str(page)])
+        command(["accuracy", "--stability", "--quick", "--json", "--report", str(page)])
     assert exit_.value.code == 0
-    printed, cells = capsys.readouterr().out, json.loads(file.read_text())["cells"]
+    found, table = json.loads(capsys.readouterr().out), page.read_text()
+    assert found["schema"] == "tonewood-stability/1"
     for verdict in ("stable", "grows", "NaN"):
-        assert printed.count(f" {verdict} ") == sum(c["verdict"] == verdict for c in cells)
+        assert table.count(f" {verdict} ") == sum(cell["verdict"] == verdict for cell in found["cells"])
     assert page.read_text().startswith("# ")

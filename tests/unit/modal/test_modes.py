@@ -198,7 +198,7 @@ def test_places_already_there_are_not_added_twice():
         (uneven(3, seed=1).complex_basis(), False),
     ],
 )
-def test_real_modes_are_told_from_complex_ones(basis, real):
+def test_real_modes_are_distinguished_from_complex_ones(basis, real):
     assert basis.is_real is real
 
 

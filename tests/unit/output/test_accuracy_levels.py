@@ -140,6 +140,6 @@ def test_steps_and_highest_mode_are_options_of_their_own(monochord: tw.Instrumen
     np.testing.assert_array_equal(sound(monochord, oversampling=0.5), sound(monochord, accuracy="draft"))
 
 
-def test_unknown_setting_is_told_in_one_line(monochord: tw.Instrument) -> None:
+def test_unknown_setting_is_reported_in_one_line(monochord: tw.Instrument) -> None:
     with pytest.raises(tw.TonewoodError, match=r"accuracy: is 'best'; draft, standard, reference are allowed"):
         tw.Renderer(SCORE, monochord, accuracy="best")

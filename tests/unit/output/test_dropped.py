@@ -18,10 +18,10 @@ def test_dropped_notes_are_on_the_result_and_warned_of_once() -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         audio = tw.render(score, tw.load_instrument("monochord"), 16000, max_duration=0.05)
-    (told,) = caught
-    assert told.category is tw.DroppedNotesWarning
-    assert "2 notes cannot be played; the first, at 0.10 s: " in str(told.message)
-    assert told.filename == __file__
+    (reported,) = caught
+    assert reported.category is tw.DroppedNotesWarning
+    assert "2 notes cannot be played; the first, at 0.10 s: " in str(reported.message)
+    assert reported.filename == __file__
     assert [(d.time, d.note) for d in audio.dropped] == [(0.1, 20), (0.1, 20)]
     with pytest.warns(tw.DroppedNotesWarning):
         renderer = tw.Renderer(score, tw.load_instrument("monochord"), 16000)

@@ -1,4 +1,4 @@
-"""What lies before score time 0: kept as a lead-in, or cut off without a step."""
+"""Sound before score time 0: kept as a lead-in, or cut off without a step."""
 
 from __future__ import annotations
 

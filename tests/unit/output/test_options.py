@@ -21,7 +21,7 @@ from tonewood.output.options import AccuracyName, choices, limits
 
 SCORE = tw.Score([tw.Note(0.0, 0.1, note=45, force=1.0)])
 #: fields that a command leaves out: render names files for the account of energy, a plan has no gain
-LEFT_OUT = {render.render: {"energy"}, plan.plan: {"energy", "gain_db"}, play.play: {"energy"}}
+LEFT_OUT = {render.render: {"energy"}, plan.plan: {"energy"}, play.play: {"energy"}}
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ def test_narrow_violations_are_found_with_their_edges(log_zeta, log_excess, freq
     """A weak mode of negative mass in a damped body: Re Y < 0 between the roots of x^2 + g x - excess.
 
     Near its pole, a mode of strength a adds -a / (2 sigma (1 + x^2)) to Re Y, x = (omega - omega_d) / sigma; there,
-    Re Y of the body alone is in proportion to 1 + g x. What is tolerated of |Y|, nearly all of it imaginary, comes off
+    Re Y of the body alone is in proportion to 1 + g x. The tolerated share of |Y|, nearly all imaginary, comes off
     the excess.
     """
     zeta, excess = 10**log_zeta, 10**log_excess

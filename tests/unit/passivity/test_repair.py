@@ -44,7 +44,7 @@ def test_repaired_bodies_are_passive_and_near(kind, rng):
     assert check(*modes, dt=1 / 48000).passive
     limits = {"light": 0.03, "medium": 0.08, "heavy": 0.08}
     assert new.mobility_change < limits[kind]
-    # the distances told are the true ones
+    # the reported distances are the true ones
     scale = port_scale(*given)[:, None]
     assert h2_distance(given, modes, scale) == pytest.approx(new.mobility_change, rel=0.02)
     peaks = given[0].imag

@@ -1,4 +1,4 @@
-"""What a sound MIDI file means: tempo, keys, pedal, bends, controllers, excerpts. mido is the second opinion."""
+"""Reading of intact MIDI files: tempo, keys, pedal, bends, controllers, excerpts. mido is the second opinion."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ class TestExcerpt:
         score = read(smf(self.body), start=1.0, stop=2.25)
         assert spans(score) == [(62, 0.0, 0.5), (63, 0.5, 1.0), (64, 1.0, 1.25)]
 
-    def test_a_note_that_sounds_across_start_is_left_out_and_told(self, read):
+    def test_a_note_that_sounds_across_start_is_left_out_and_reported(self, read):
         score = read(smf(self.body), start=0.25)
         assert len(score.notes) == 7
         assert "left out" in score.warnings[0]

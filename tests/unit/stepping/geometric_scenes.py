@@ -1,4 +1,4 @@
-"""Strings that move along themselves: a plain steel string with held ends, plucked or in two modes."""
+"""Strings with longitudinal motion: a plain steel string with held ends, plucked or in two modes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def transverse(
     return basis.with_places({"pick": 0.13, "fret": 0.3})
 
 
-def along(n_modes: int | None = None, *, fs: float = 48000.0, eta: float = 0.0) -> ModalBasis:
+def longitudinal(n_modes: int | None = None, *, fs: float = 48000.0, eta: float = 0.0) -> ModalBasis:
     upper = None if n_modes else 0.45 * fs
     return string_basis(
         LENGTH, AXIAL, DENSITY, 0.0, lambda w, k: np.full_like(w, eta), n_modes=n_modes, freq_upper=upper
@@ -50,7 +50,7 @@ def held_string(
     ends: Mapping[str, tuple[Term, ...]] | None = None,
 ) -> System:
     """A string whose ends are rigid, or moved by `others` as `ends` (component -> terms) tell."""
-    transverse_basis, motion = basis or transverse(fs=fs), motion or along(fs=fs)
+    transverse_basis, motion = basis or transverse(fs=fs), motion or longitudinal(fs=fs)
     components = dict.fromkeys(planes, transverse_basis) | {"x": motion} | dict(others or {})
     connections = [
         Connection(f"{n}.bridge", (Term(n, "bridge"), *(ends or {}).get(n, ())), Rigid()) for n in (*planes, "x")

@@ -44,7 +44,7 @@ def body(points, n_modes=20, seed=3):
     return ModalBasis.real(omega, 0.01 * omega, shapes, residual=1e-9 * np.eye(len(points)))
 
 
-def tense_guitar(n_strings=2, n_modes=50, axial_stiffness=2e4, on=True, dt=1 / 48000, frets=None, extra=()):
+def modulated_guitar(n_strings=2, n_modes=50, axial_stiffness=2e4, on=True, dt=1 / 48000, frets=None, extra=()):
     """Two polarizations each, the first on the body; their tension rises with amplitude.
 
     `frets`: law between each first polarization and six frets; `extra`: further connections.
@@ -75,7 +75,7 @@ def tense_guitar(n_strings=2, n_modes=50, axial_stiffness=2e4, on=True, dt=1 / 4
     return System.build(components, connections, readouts, dt=dt, tensions=tensions if on else [])
 
 
-def pulled(system, force, angle=0.6):
+def drawn(system, force, angle=0.6):
     """State of strings pulled aside by `force` N at their pluck point, the bridge end held."""
     state = system.start()
     for name in system.names:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from geometric_scenes import AXIAL, BENDING, TENSION, along, plucked, transverse
+from geometric_scenes import AXIAL, BENDING, TENSION, longitudinal, plucked, transverse
 from geometric_scenes import held_string as stretching_string
-from nonlinear_scenes import pulled, tense_guitar
+from nonlinear_scenes import drawn, modulated_guitar
 
 from tonewood.coupling import geometric_solve, law_solve
 from tonewood.coupling.connections import Connection, Term
@@ -40,8 +40,8 @@ def close(ours, theirs, tolerance):
 
 def test_steps_that_the_kernel_loses_are_made_again(monkeypatch):
     """The same motion, bit for bit alike however the run is cut at multiples of 64 samples."""
-    system = tense_guitar(frets=SOFT)
-    expected, forces, _ = run(system, pulled(system, 5.0), 192, KernelStepper)
+    system = modulated_guitar(frets=SOFT)
+    expected, forces, _ = run(system, drawn(system, 5.0), 192, KernelStepper)
     ordinary, lost = KernelStepper._run, {5, 70, 71, 130}
 
     def losing(self, state, n, injections, controls):
@@ -52,22 +52,22 @@ def test_steps_that_the_kernel_loses_are_made_again(monkeypatch):
         return first
 
     monkeypatch.setattr(KernelStepper, "_run", losing)
-    out, found, statistics = run(system, pulled(system, 5.0), 192, KernelStepper)
+    out, found, statistics = run(system, drawn(system, 5.0), 192, KernelStepper)
     assert (statistics.redone, statistics.failures, statistics.steps) == (4, 0, 192)
     close(out, expected, 1e-9)
     close(found, forces, 1e-9)
-    again, state = KernelStepper(system), pulled(system, 5.0)
+    again, state = KernelStepper(system), drawn(system, 5.0)
     np.testing.assert_array_equal(np.concatenate([again.run(state, 64)[0] for _ in range(3)]), out)
 
 
 def test_tensions_by_brackets_are_those_of_newton(monkeypatch):
     """Slopes that are far off let Newton's method run to and fro for ever."""
-    system = tense_guitar(frets=SOFT)
-    expected, forces, before = run(system, pulled(system, 50.0), 20)
+    system = modulated_guitar(frets=SOFT)
+    expected, forces, before = run(system, drawn(system, 50.0), 20)
     kappa = system.compiled[system.slot("s0a")].tension.kappa
     monkeypatch.setattr(stepper, "MAX_TENSION_ITERATIONS", 12)
     monkeypatch.setattr(TensionShare, "slope", lambda *_: 0.45 / kappa)
-    out, found, statistics = run(system, pulled(system, 50.0), 20)
+    out, found, statistics = run(system, drawn(system, 50.0), 20)
     assert before.redone == 0
     assert statistics.redone > 10
     close(out, expected, 1e-9)
@@ -75,11 +75,11 @@ def test_tensions_by_brackets_are_those_of_newton(monkeypatch):
 
 
 def test_friction_by_newton_is_that_of_going_from_law_to_law(monkeypatch):
-    system = tense_guitar(frets=SOFT, extra=BOWS)
-    expected, forces, before = run(system, pulled(system, 5.0), 40)
+    system = modulated_guitar(frets=SOFT, extra=BOWS)
+    expected, forces, before = run(system, drawn(system, 5.0), 40)
     monkeypatch.setattr(law_solve, "MAX_SWEEPS", 2)
     monkeypatch.setattr(law_solve, "FEW_SWEEPS", 2)
-    out, found, statistics = run(system, pulled(system, 5.0), 40)
+    out, found, statistics = run(system, drawn(system, 5.0), 40)
     assert before.redone == 0
     assert statistics.redone > 10
     close(out, expected, 1e-9)
@@ -95,20 +95,20 @@ def test_stiffness_is_the_slope_of_the_forces_found():
     partners = Partners(
         none, none, np.array([law.velocity if isinstance(law, Friction) else 0.0 for law in laws]), none + 1
     )
-    grips = {j: FrictionBranch(law, 1.0, 0.0) for j, law in enumerate(laws) if isinstance(law, Friction)}
-    f = find_forces(laws, Z, free, gap, dt, partners, none, grips).forces
-    assert {grip.branch for grip in grips.values()} == {"stuck", "behind"}
-    K, step = stiffness(laws, Z, free, gap, dt, partners, f, grips), 1e-10
+    frictions = {j: FrictionBranch(law, 1.0, 0.0) for j, law in enumerate(laws) if isinstance(law, Friction)}
+    f = find_forces(laws, Z, free, gap, dt, partners, none, frictions).forces
+    assert {friction.branch for friction in frictions.values()} == {"stuck", "behind"}
+    K, step = stiffness(laws, Z, free, gap, dt, partners, f, frictions), 1e-10
 
     def forces(j, by):
-        return find_forces(laws, Z, free - by * np.eye(5)[j], gap, dt, partners, f, grips).forces
+        return find_forces(laws, Z, free - by * np.eye(5)[j], gap, dt, partners, f, frictions).forces
 
     numeric = np.transpose([(forces(j, step) - forces(j, -step)) / (2 * step) for j in range(5)])
     np.testing.assert_allclose(K, numeric, atol=1e-5 * np.abs(numeric).max(), rtol=0)
 
 
-def stretching(n_modes=None, n_along=None):
-    basis, motion = transverse(n_modes, bending=BENDING, eta=1e-3), along(n_along, eta=2e-3)
+def stretching(n_modes=None, n_longitudinal=None):
+    basis, motion = transverse(n_modes, bending=BENDING, eta=1e-3), longitudinal(n_longitudinal, eta=2e-3)
     return stretching_string(48000.0, ("y", "z"), basis=basis, motion=motion)
 
 
@@ -151,11 +151,11 @@ def test_a_slack_string_is_found_and_loses_energy(share):
 @pytest.mark.parametrize("make", [NumpyStepper, KernelStepper])
 def test_a_step_that_cannot_be_found_is_refused_in_one_line(monkeypatch, make):
     """And what was lost names string and time."""
-    system = tense_guitar(frets=SOFT)
+    system = modulated_guitar(frets=SOFT)
     monkeypatch.setattr(law_solve, "newton", lambda laws, Z, free, old, dt, scale, guess, noise: (guess, 1, False))
     if make is KernelStepper:
         monkeypatch.setattr(KernelStepper, "_run", lambda *_: 0)
-    made, state = make(system), pulled(system, 5.0)
+    made, state = make(system), drawn(system, 5.0)
     with pytest.raises(NumericalError, match=r"^the forces of [^\n]+ were not found at 0\.0+ s$"):
         made.run(state, 10)
     assert made.statistics.failures == 1

@@ -24,11 +24,11 @@ ISAS = _kernel.instruction_sets()
 
 
 def fretted(
-    clearance=3e-4, rate=1 / DT, law=(1e10, 2.3), turned=0.0, tense=(), axial_stiffness=2e4, stop=0, damping=1.0
+    clearance=3e-4, rate=1 / DT, law=(1e10, 2.3), turned=0.0, modulated=(), axial_stiffness=2e4, stop=0, damping=1.0
 ):
     """Two strings on a body, in two directions each, over frets that see both.
 
-    `turned`: phase of the shapes, rad; `tense`: numbers of strings whose tension rises; `stop`: frets behind it see
+    `turned`: phase of the shapes, rad; `modulated`: numbers of strings whose tension rises; `stop`: frets behind it see
     what does not move, and touch it.
     """
     places = {f"f{k}": LENGTH / 2 ** ((k + 1) / 12) for k in range(stop, FRETS)} | {"pluck": 0.11 * LENGTH}
@@ -63,7 +63,7 @@ def fretted(
         Readout("a", "acceleration", (Probe("body", "b0"),)),
         Readout("f", "force", (), (("s0f2", 1.0), ("joint1", 0.5))),
     ]
-    tensions = [TensionModulation(f"s{i}", (f"s{i}a", f"s{i}b"), axial_stiffness) for i in tense]
+    tensions = [TensionModulation(f"s{i}", (f"s{i}a", f"s{i}b"), axial_stiffness) for i in modulated]
     return System.build(components, connections, readouts, dt=1 / rate, tensions=tensions)
 
 
@@ -156,10 +156,10 @@ def test_a_string_at_rest_is_shaken_against_its_frets(clearance):
 
 
 @pytest.mark.parametrize("isa", ISAS)
-@pytest.mark.parametrize("tense", [(), (0, 1)])
-def test_strings_drawn_near_their_frets_miss_no_contact(isa, tense):
+@pytest.mark.parametrize("modulated", [(), (0, 1)])
+def test_strings_drawn_near_their_frets_miss_no_contact(isa, modulated):
     """Known forces that grow, are let go or strike: what they hold and what they shake is bounded block by block."""
-    system = fretted(1e-3, tense=tense)
+    system = fretted(1e-3, modulated=modulated)
     rng = np.random.default_rng(7)
     touched, unread = 0, 0
     for _ in range(12):
@@ -173,7 +173,7 @@ def test_strings_drawn_near_their_frets_miss_no_contact(isa, tense):
         acted = contacts(system, forces).any()
         touched += acted
         unread += statistics["rows_read"] == 0
-        assert tense or not (acted and statistics["rows_read"] == 0)
+        assert modulated or not (acted and statistics["rows_read"] == 0)
     assert 2 <= touched <= 9
     assert unread >= 3
 
@@ -245,10 +245,10 @@ def test_modes_with_complex_shapes_are_bounded_too():
 
 
 @pytest.mark.parametrize("isa", ISAS)
-@pytest.mark.parametrize(("tense", "axial_stiffness"), [((0,), 2e4), ((0, 1), 2e3), ((0, 1), 1e5)])
-def test_random_plucks_of_tense_strings_miss_no_contact(isa, tense, axial_stiffness):
+@pytest.mark.parametrize(("modulated", "axial_stiffness"), [((0,), 2e4), ((0, 1), 2e3), ((0, 1), 1e5)])
+def test_random_plucks_of_modulated_strings_miss_no_contact(isa, modulated, axial_stiffness):
     """Energy goes back and forth between a string's directions and its potential: each is bounded by all of it."""
-    system = fretted(tense=tense, axial_stiffness=axial_stiffness)
+    system = fretted(modulated=modulated, axial_stiffness=axial_stiffness)
     rng = np.random.default_rng(5)
     touched = unread = 0
     for _ in range(10):
@@ -263,9 +263,9 @@ def test_random_plucks_of_tense_strings_miss_no_contact(isa, tense, axial_stiffn
     assert unread > 0
 
 
-@pytest.mark.parametrize("tense", [(0,), (0, 1)])
-def test_culled_contacts_of_tense_strings_leave_the_steps_of_the_twin(tense):
-    system = fretted(tense=tense)
+@pytest.mark.parametrize("modulated", [(0,), (0, 1)])
+def test_culled_contacts_of_modulated_strings_leave_the_steps_of_the_twin(modulated):
+    system = fretted(modulated=modulated)
     for size in (3e-5, 1.5e-4, 4e-4):
         start = plucked(system, size * np.array([[0.7, 0.2], [0.9, -0.1]]), [0.1 * LENGTH, 0.2 * LENGTH])
         twin = start.copy()
@@ -278,9 +278,9 @@ def test_culled_contacts_of_tense_strings_leave_the_steps_of_the_twin(tense):
 
 
 @pytest.mark.parametrize("clearance", [1e-8, 3e-7, 2e-6])
-def test_tense_strings_at_rest_are_shaken_against_their_frets(clearance):
+def test_modulated_strings_at_rest_are_shaken_against_their_frets(clearance):
     """Forces through the bridge add contacts at any sample of a block."""
-    system = fretted(clearance, tense=(0, 1))
+    system = fretted(clearance, modulated=(0, 1))
     push = compile_force("body", system.compiled[system.slot("body")].basis, "b1", [Segment(0.0, 0.01, 0.0, 300.0)], DT)
     (_, forces), _ = both_ways(system, system.start(), 640, injections=push)
     _, expected = NumpyStepper(system).run(system.start(), 192, push)
@@ -288,14 +288,14 @@ def test_tense_strings_at_rest_are_shaken_against_their_frets(clearance):
     np.testing.assert_allclose(forces[:192], expected, atol=1e-8 * np.abs(expected).max())
 
 
-def test_a_tense_string_has_what_its_ports_give_it():
-    """What bounds it: modes' energy and the potential of the tension change by force times way, exactly."""
-    system = fretted(1.0, tense=(0,), axial_stiffness=1e5, damping=0.0)
+def test_a_modulated_string_has_what_its_ports_give_it():
+    """The bound: modes' energy and the potential of the tension change by force times way, exactly."""
+    system = fretted(1.0, modulated=(0,), axial_stiffness=1e5, damping=0.0)
     state = plucked(system, [(2e-3, 1e-3), (1e-3, 0.0)], [0.1 * LENGTH, 0.3 * LENGTH])
     names, stepper = ("s0a", "s0b"), KernelStepper(system)
     bases = [system.compiled[system.slot(name)].basis for name in names]
 
-    def told():
+    def reported():
         energy = stretch = 0.0
         ports = []
         for name, basis in zip(names, bases, strict=True):
@@ -307,10 +307,10 @@ def test_a_tense_string_has_what_its_ports_give_it():
         return energy, 0.5 * system.compiled[system.slot("s0a")].tension.kappa * stretch**2, np.array(ports)
 
     number = [[c.name for c in system.connections].index(name) for name in ("joint0", "stay0")]
-    before, gained, shares = told(), [], []
+    before, gained, shares = reported(), [], []
     for _ in range(300):
         _, forces = stepper.run(state, 1)
-        after = told()
+        after = reported()
         gained.append(after[0] + after[1] - before[0] - before[1] - forces[0, number] @ (after[2] - before[2]))
         shares.append(after[1] / (after[0] + after[1]))
         before = after
@@ -318,9 +318,9 @@ def test_a_tense_string_has_what_its_ports_give_it():
     assert max(shares) > 0.03
 
 
-def test_linear_strings_rest_beside_a_tense_one():
+def test_linear_strings_rest_beside_a_modulated_one():
     """Only the contacts of a string that comes near its frets are stepped."""
-    system = fretted(tense=(0,))
+    system = fretted(modulated=(0,))
     for heights, read in (
         ([(6e-4, 0.0), (1e-5, 0.0)], True),
         ([(1e-5, 0.0), (6e-4, 0.0)], True),
@@ -331,9 +331,9 @@ def test_linear_strings_rest_beside_a_tense_one():
         assert read or statistics["rows_read"] == statistics["added"] == 0
 
 
-@pytest.mark.parametrize("tense", [(), (0, 1)])
-def test_frets_behind_a_stop_are_left_out(tense):
-    system = fretted(stop=3, tense=tense)
+@pytest.mark.parametrize("modulated", [(), (0, 1)])
+def test_frets_behind_a_stop_are_left_out(modulated):
+    system = fretted(stop=3, modulated=modulated)
     state = plucked(system, [(1e-5, 0.0), (1e-5, 0.0)], [0.1 * LENGTH, 0.3 * LENGTH])
     twin = state.copy()
     (out, _), statistics = both_ways(system, state.copy(), 320)
@@ -344,5 +344,5 @@ def test_frets_behind_a_stop_are_left_out(tense):
     rising = [PrescribedMotion("s0f1", 0, offset=np.linspace(-4e-4, 1e-4, 321))]
     (_, forces), statistics = both_ways(system, state.copy(), 320, controls=rising)
     _, expected = NumpyStepper(system).run(state, 320, (), rising)
-    assert statistics["rows_read"] > 0 or tense
+    assert statistics["rows_read"] > 0 or modulated
     np.testing.assert_allclose(forces, expected, atol=1e-9 * np.abs(expected).max())

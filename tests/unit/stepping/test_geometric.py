@@ -1,10 +1,21 @@
-"""Strings that move along themselves: the potential, its forces, energy, phantom partials, and what they reduce to."""
+"""Strings with longitudinal motion: the potential, its forces, energy, phantom partials, and what they reduce to."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from geometric_scenes import AXIAL, BENDING, DENSITY, LENGTH, TENSION, along, held_string, in_modes, plucked, transverse
+from geometric_scenes import (
+    AXIAL,
+    BENDING,
+    DENSITY,
+    LENGTH,
+    TENSION,
+    held_string,
+    in_modes,
+    longitudinal,
+    plucked,
+    transverse,
+)
 from numpy.typing import NDArray
 
 from tonewood.coupling.connections import Connection, Rigid, Term
@@ -31,15 +42,17 @@ def test_products_of_cosines_are_those_of_a_quadrature() -> None:
         assert 0.5 * c @ cosine_products(n, 9) @ c == pytest.approx(coefficient, abs=1e-12)
 
 
-def stretched(n_modes: int = 12, n_along: int = 5) -> GeometricShares:
-    system = held_string(48000.0, ("y", "z"), basis=transverse(n_modes), motion=along(n_along), freq_coupled=1e6)
+def stretched(n_modes: int = 12, n_longitudinal: int = 5) -> GeometricShares:
+    system = held_string(
+        48000.0, ("y", "z"), basis=transverse(n_modes), motion=longitudinal(n_longitudinal), freq_coupled=1e6
+    )
     return GeometricSolve(system).strings[0]
 
 
 def strain_energy(string: GeometricShares, y: Floats) -> float:
     """EA/2 int e^2 dx of the strain as far as its first cosines tell, by quadrature over the string."""
-    along_ = string.parts[-1]
-    count, x = len(along_.slopes), (np.arange(400) + 0.5) * LENGTH / 400
+    longitudinal_ = string.parts[-1]
+    count, x = len(longitudinal_.slopes), (np.arange(400) + 0.5) * LENGTH / 400
     pieces = np.split(y, string.sizes[1:-1])
     e = np.zeros(len(x))
     for part, q in zip(string.parts[:-1], pieces[:-1], strict=True):
@@ -48,7 +61,7 @@ def strain_energy(string: GeometricShares, y: Floats) -> float:
     basis = np.cos(np.outer(x, np.arange(count)) * np.pi / LENGTH)
     coefficients = 2 * basis.T @ e / len(x)
     coefficients[0] /= 2
-    e = basis @ (coefficients + along_.slopes @ pieces[-1])
+    e = basis @ (coefficients + longitudinal_.slopes @ pieces[-1])
     return float(AXIAL / 2 * np.sum(e**2) * LENGTH / len(x))
 
 
@@ -89,7 +102,7 @@ def energy(system: System, state: State) -> float:
 
 @pytest.mark.parametrize(("height", "eta"), [(1e-3, 0.0), (8e-3, 0.0), (8e-3, 1e-3), (4e-2, 1e-3)])
 def test_energy_stays_without_loss_and_falls_with_it(height: float, eta: float) -> None:
-    basis, motion = transverse(bending=BENDING, eta=eta), along(eta=eta)
+    basis, motion = transverse(bending=BENDING, eta=eta), longitudinal(eta=eta)
     system = held_string(48000.0, ("y", "z"), basis=basis, motion=motion)
     stepper, state = KernelStepper(system), plucked(system, height, ("y", "z"))
     stepper.run(state, 1)  # the shape cut off at the highest mode does not quite fit the held end
@@ -108,7 +121,7 @@ def test_energy_stays_without_loss_and_falls_with_it(height: float, eta: float) 
 @pytest.mark.parametrize("height", [2e-3, 3e-2, 0.1])
 def test_energy_never_rises_over_a_long_time(height: float) -> None:
     # 0.1 m is the shape under some 100 N, as far from a small slope as it looks
-    basis, motion = transverse(bending=BENDING, eta=2e-4), along(eta=2e-3)
+    basis, motion = transverse(bending=BENDING, eta=2e-4), longitudinal(eta=2e-3)
     system = held_string(48000.0, ("y", "z"), basis=basis, motion=motion)
     stepper, state = KernelStepper(system), plucked(system, height, ("y", "z"))
     stepper.run(state, 1)
@@ -132,7 +145,7 @@ def amplitude_at(signal: Floats, freq: float, fs: float) -> float:
 def two_modes(size: float, *, coupled: bool = True) -> tuple[Floats, float]:
     """Longitudinal end force of a string in its 2nd and 5th mode, and the sampling rate."""
     fs = 96000.0
-    motion = along(fs=fs, eta=0.02)  # its own vibration dies away; the forced one stays
+    motion = longitudinal(fs=fs, eta=0.02)  # its own vibration dies away; the forced one stays
     system = held_string(fs, basis=transverse(14), motion=motion, coupled=coupled, freq_coupled=1e6)
     state, stepper = in_modes(system, {2: size, 5: 0.6 * size}), KernelStepper(system)
     stepper.run(state, 4800)
@@ -142,12 +155,12 @@ def two_modes(size: float, *, coupled: bool = True) -> tuple[Floats, float]:
 def test_phantom_partials_are_at_sums_and_differences_and_as_strong_as_theory_says() -> None:
     size = 2e-5
     force, fs = two_modes(size)
-    c, c_along = np.sqrt(TENSION / DENSITY), np.sqrt(AXIAL / DENSITY)
+    c, c_longitudinal = np.sqrt(TENSION / DENSITY), np.sqrt(AXIAL / DENSITY)
     f2, f5 = 2 * c / (2 * LENGTH), 5 * c / (2 * LENGTH)
     # v_x^2 / 2 has cosines 3 and 7 of amplitude k2 k5 a2 a5 / 4 at f5 +- f2; mode n answers by -w^2 / (W_n^2 - w^2)
     pair = 0.25 * (2 * np.pi / LENGTH) * (5 * np.pi / LENGTH) * 0.6 * size**2
     for freq in (f2 + f5, f5 - f2):
-        answer = sum((2 * np.pi * freq) ** 2 / ((n * np.pi * c_along / LENGTH) ** 2 - (2 * np.pi * freq) ** 2)
+        answer = sum((2 * np.pi * freq) ** 2 / ((n * np.pi * c_longitudinal / LENGTH) ** 2 - (2 * np.pi * freq) ** 2)
                      for n in (3, 7))  # fmt: skip
         assert amplitude_at(force, freq, fs) == pytest.approx(AXIAL * pair * answer, rel=0.01)
     # twice a partial: its mean stretch moves the whole string's tension
@@ -164,7 +177,7 @@ def test_phantom_partials_are_at_sums_and_differences_and_as_strong_as_theory_sa
 
 def test_without_longitudinal_modes_it_is_the_string_of_one_rising_tension() -> None:
     fs, basis = 48000.0, transverse(40)
-    system = held_string(fs, ("y", "z"), basis=basis, motion=along(1), freq_coupled=1e6)
+    system = held_string(fs, ("y", "z"), basis=basis, motion=longitudinal(1), freq_coupled=1e6)
     ends = [Connection(f"{n}.bridge", (Term(n, "bridge"),), Rigid()) for n in ("y", "z")]
     carrier = System.build(
         {"y": basis, "z": basis}, ends, system.readouts[:1], dt=1 / fs,
@@ -255,6 +268,6 @@ def test_what_cannot_be_is_refused() -> None:
     basis = transverse(10)
     with pytest.raises(ValueError, match="all rising tensions"):
         System.build(
-            {"y": basis, "x": along(3), "w": basis}, [], [], dt=1e-4,
+            {"y": basis, "x": longitudinal(3), "w": basis}, [], [], dt=1e-4,
             tensions=[TensionModulation("other", ("w",), AXIAL)], geometric=[GeometricStretch("s", ("y",), "x", AXIAL)],
         )  # fmt: skip

@@ -127,11 +127,11 @@ def test_driven_components_take_no_part(seed):
 
 
 def test_components_without_modes_or_ports_take_no_part_in_an_impact() -> None:
-    """A string that sleeps has no modes left; a part that nothing is joined to has no ports."""
+    """A component without modes is legal; a part that nothing is joined to has no ports."""
     one, none = ModalBasis.real([10.0], [0.1], {"end": [1.0]}), ModalBasis.real([], [], {"end": []})
     joint = Connection("joint", (Term("a", "end"), Term("b", "end", -1.0)), Rigid())
-    asleep = Connection("asleep", (Term("c", "end"), Term("b", "end", -1.0)), Rigid())
-    system = System.build({"a": one, "b": one, "c": none, "alone": one}, [joint, asleep], dt=1e-3)
+    empty = Connection("empty", (Term("c", "end"), Term("b", "end", -1.0)), Rigid())
+    system = System.build({"a": one, "b": one, "c": none, "alone": one}, [joint, empty], dt=1e-3)
     state = system.start()
     system.modes_of(state, "a")[:] = from_motion(one, np.array([0.2]), np.array([3.0]))
     share_velocities(system, state, np.array([True, False]))

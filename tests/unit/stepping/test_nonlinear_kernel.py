@@ -6,7 +6,7 @@ import ctypes
 
 import numpy as np
 import pytest
-from nonlinear_scenes import LENGTH, body, hang, held_string, pulled, tense_guitar
+from nonlinear_scenes import LENGTH, body, drawn, hang, held_string, modulated_guitar
 
 from tonewood import _kernel
 from tonewood.coupling.connections import Connection, SpringDashpot, Term
@@ -193,8 +193,8 @@ def test_forces_that_are_not_found_stop_the_run():
 @pytest.mark.parametrize("force", [0.1, 5.0, 1000.0])
 @pytest.mark.parametrize("isa", ISAS)
 def test_rising_tension_takes_the_steps_of_its_twin(force, isa):
-    system = tense_guitar()
-    a, b = pulled(system, force), pulled(system, force)
+    system = modulated_guitar()
+    a, b = drawn(system, force), drawn(system, force)
     stepper = KernelStepper(system, isa=isa)
     n = 60
     expected, expected_forces = NumpyStepper(system).run(a, n)
@@ -206,9 +206,9 @@ def test_rising_tension_takes_the_steps_of_its_twin(force, isa):
 
 
 def test_tension_is_switched_at_the_bounds_of_runs():
-    system, linear = tense_guitar(), tense_guitar(on=False)
+    system, linear = modulated_guitar(), modulated_guitar(on=False)
     off = system.with_tensions([])
-    a, b = pulled(system, 3.0), pulled(linear, 3.0)
+    a, b = drawn(system, 3.0), drawn(linear, 3.0)
     stepper = KernelStepper(off)
     out, _ = stepper.run(a, 64)
     expected, _ = KernelStepper(linear).run(b, 64)
@@ -224,9 +224,9 @@ def test_tension_is_switched_at_the_bounds_of_runs():
 
 
 @pytest.mark.parametrize("force", [20.0, 1000.0])
-def test_energy_of_tense_strings_never_rises(force):
-    system = tense_guitar(n_modes=60)
-    state, stepper = pulled(system, force), KernelStepper(system)
+def test_energy_of_modulated_strings_never_rises(force):
+    system = modulated_guitar(n_modes=60)
+    state, stepper = drawn(system, force), KernelStepper(system)
     energy = [stored_energy(system, state).total]
     for _ in range(200):
         stepper.run(state, 1)
@@ -250,7 +250,7 @@ def test_energy_of_fretted_strings_never_rises():
 def test_a_kernel_whose_parts_come_and_go_is_as_one_just_made():
     """Stops, fingers, laws and tensions changed at random, more often than parts are kept: the same bits."""
     rng = np.random.default_rng(5)
-    system = tense_guitar(frets=LAWS["lossy"])
+    system = modulated_guitar(frets=LAWS["lossy"])
     strings = [name for name in system.names if name != "body"]
     bases = {name: system.compiled[system.slot(name)].basis for name in strings}
     held = {
@@ -263,7 +263,7 @@ def test_a_kernel_whose_parts_come_and_go_is_as_one_just_made():
         for pair in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.02), (0.05, 0.03))
     ] + [{f"s{i}f2": Contact(1e10, 2.3, loss=0.5, offset=offset)} for i in range(2) for offset in (-4e-4, -2e-4)]
     tensions = [(), ("s0",), ("s1",), ("s0", "s1")]
-    stepper, state = KernelStepper(system), pulled(system, 2.0)
+    stepper, state = KernelStepper(system), drawn(system, 2.0)
     touched = 0
     for _ in range(40):
         name = strings[rng.integers(len(strings))]

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from nonlinear_scenes import LENGTH, body, hang, held_string, tense_guitar
-from nonlinear_scenes import pulled as pulled_guitar
+from nonlinear_scenes import LENGTH, body, hang, held_string, modulated_guitar
+from nonlinear_scenes import drawn as drawn_guitar
 
 from tonewood.coupling.connections import Connection, Term
 from tonewood.coupling.laws import Contact, HardeningSpring
@@ -47,7 +47,7 @@ def linear_guitar(extra=(), frets=True):
     return System.build(components, connections, readouts, dt=DT)
 
 
-def plucked(system, height):
+def drawn(system, height):
     """Strings let go while another force draws the second one."""
     state = system.start()
     hang(system, state, "s0", height, 0.11 * LENGTH)
@@ -71,17 +71,17 @@ def run(system, state, injections, **off):
 def scenes():
     """Strings alone, far from their frets, at them, with linear laws; strings under rising tension, the same."""
     alone = linear_guitar(frets=False)
-    yield "alone", alone, *plucked(alone, 8e-4)
+    yield "alone", alone, *drawn(alone, 8e-4)
     springs = [spring_on("body", "b0"), spring_on("body", "b1"), spring_on("s0", "pluck")]
     for name, extra, height in (("far", [], 3e-5), ("near", [], 8e-4), ("springs", springs, 3e-5)):
         system = linear_guitar(extra)
-        yield name, system, *plucked(system, height)
+        yield name, system, *drawn(system, height)
     for name, system in (
-        ("tension", tense_guitar()),
-        ("tension and frets", tense_guitar(frets=Contact(1e10, 1.8, offset=-1e-3))),
-        ("tension and a spring", tense_guitar(extra=[spring_on("body", "b0")])),
+        ("tension", modulated_guitar()),
+        ("tension and frets", modulated_guitar(frets=Contact(1e10, 1.8, offset=-1e-3))),
+        ("tension and a spring", modulated_guitar(extra=[spring_on("body", "b0")])),
     ):
-        yield name, system, pulled_guitar(system, 5.0), []
+        yield name, system, drawn_guitar(system, 5.0), []
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -101,7 +101,7 @@ def test_switched_off_by_itself_gives_the_same_samples(name):
 
 def test_culling_reads_fewer_rows_with_each_bound():
     system = linear_guitar()
-    state, injections = plucked(system, 2e-4)
+    state, injections = drawn(system, 2e-4)
     read = {
         name: run(system, state, injections, **{name: False})[1].culling_statistics["rows_read"]
         for name in ("block_culling", "fine_bound", "kept_inverse")

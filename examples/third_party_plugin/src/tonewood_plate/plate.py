@@ -44,7 +44,7 @@ class RectangularPlate(ta.Body[PlateParameters]):
     Parameters = PlateParameters
 
     def points(self) -> Mapping[str, ta.BodyPoint]:
-        """Every point moves along z; where it lies is told in its coordinates."""
+        """Every point moves along z; its coordinates give its place."""
         return {name: ta.BodyPoint((0.0, 0.0, 1.0), {"x": p.x, "y": p.y}) for name, p in self.parameters.points.items()}
 
     def basis(self, freq_upper: float) -> ta.ModalBasis:

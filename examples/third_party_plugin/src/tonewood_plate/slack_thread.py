@@ -18,8 +18,8 @@ class SlackThreadParameters(ta.Parameters):
     """Of the thread."""
 
     from_bridge: float = ta.quantity("m", low=0.0, high=5.0, doc="place of the knot on the string")
-    slack: float = ta.quantity("m", low=1e-6, high=0.05, doc="displacement at which the thread is taut")
-    stiffness: float = ta.quantity("N/m", low=0.0, high=1e8, default=2e4, doc="of the taut thread")
+    slack: float = ta.quantity("m", low=1e-6, high=0.05, doc="displacement at which the thread is stretched")
+    stiffness: float = ta.quantity("N/m", low=0.0, high=1e8, default=2e4, doc="of the stretched thread")
     direction: ta.Direction = ta.described("in which the thread pulls", default="z")
 
 

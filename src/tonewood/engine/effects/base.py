@@ -78,7 +78,7 @@ class Watched:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What an effect may look at, at one point of the control grid; effects change nothing of it.
+    """Data that an effect may read at one point of the control grid; effects change nothing of it.
 
     Attributes
     ----------
@@ -218,7 +218,7 @@ class RuntimeEffect:
 
     @property
     def components(self) -> tuple[str, ...]:
-        """What it is reported for: strings, parts, output groups or ``body``."""
+        """Names that it is reported for: strings, parts, output groups or ``body``."""
         return tuple(self.plugins)
 
     def running(self, run: Run) -> Collection[str]:
@@ -226,7 +226,7 @@ class RuntimeEffect:
         return ()
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
-        """What ran, what was left out and the bound."""
+        """Report what ran, what was left out and the bound."""
         whole = usage.seconds(usage.samples) if self.chosen else 0.0
         return [self._report(component, whole) for component in self.components]
 
@@ -276,7 +276,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         """Say on which components the effect is wanted; None to leave everything as it is.
 
         Called at every point of the control grid at which the engine stops: those of `next_watch`, and wherever a
-        string is held otherwise or a gesture begins or ends. What is decided must not depend on calls at other points.
+        string is held otherwise or a gesture begins or ends. The decision must not depend on calls at other points.
         """
 
     @abstractmethod
@@ -284,7 +284,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         """Return the system with the effect on these components and off all others; itself if it is so already."""
 
     def cost(self, moment: Moment, component: str, on: bool) -> float:
-        """Energy that switching a component on (or off) would add, J. What is negative is lost, and costs nothing."""
+        """Energy that switching a component on (or off) would add, J. A negative energy is lost, and costs nothing."""
         return 0.0
 
     def payers(self, component: str) -> Sequence[str]:

@@ -85,7 +85,7 @@ class BridgeResponse:
 
 
 def _stopped(size: Floats, freq_rad: Floats) -> Floats:
-    """What a force cos(w t + a) that stops at once leaves behind at frequencies v other than its own.
+    """Motion that a force cos(w t + a) leaves behind, when it stops at once, at frequencies v other than its own.
 
     Its spectrum is no larger than max(v, w) / |w^2 - v^2|, some 1/w below w and 1/v above: the sound is at most
     (1/pi) (int_0^w |H| dv / w + int_w |H| dv / v).

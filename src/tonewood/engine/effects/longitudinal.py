@@ -23,7 +23,7 @@ class LongitudinalEffect(RuntimeEffect):
     def report(self, usage: EffectUsage) -> list[EffectReport]:
         """When the coupling was on, and the bound on what was missing meanwhile.
 
-        What it saves is part of what the rising tension saves; of a string that is never coupled, its declared cost.
+        Its saving is part of that of the rising tension; of a string that is never coupled, its declared cost.
         """
         out = []
         for name in self.components:

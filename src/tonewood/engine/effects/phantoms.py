@@ -6,9 +6,9 @@ frequency W the n-th longitudinal mode, of W_n and decay s, answers with the str
 
     e_n = s_n (2 i s W - W^2) / (W_n^2 - W^2 + 2 i s W)
 
-and EA e_n pulls at the bridge: phantom partials. Their amplitudes are added up as if all were in step, each as loud as
+and EA e_n acts on the bridge: phantom partials. Their amplitudes are added up as if all were in step, each as loud as
 the body makes its frequency. So are what longitudinal modes do by themselves when they are driven no more, and the
-click of the mean tension. What is missed without all that is at most C^T M C. The same stresses move partials, as a
+click of the mean tension. All that is at most C^T M C. The same stresses move partials, as a
 tension would: by no more than C^T N C. Partials drift with the tension; a resonance is taken to reach as far as they
 may.
 """
@@ -93,25 +93,25 @@ class Phantoms:
         ----------
         compiled : component -> what is stepped.
         """
-        along = compiled[law.longitudinal or ""]
+        longitudinal = compiled[law.longitudinal or ""]
         held = {name: HeldModes.of(compiled[name].basis, "bridge") for name in law.components}
         n = min(int(np.count_nonzero(h.freq_rad < 2 * np.pi * law.freq_coupled)) for h in held.values())
         freq = np.min([h.freq_rad[:n] for h in held.values()], axis=0)
-        own = HeldModes.of(along.basis, "bridge")
-        lines = np.stack([np.abs(np.subtract.outer(freq, freq)), np.add.outer(freq, freq)])
+        own = HeldModes.of(longitudinal.basis, "bridge")
+        combined = np.stack([np.abs(np.subtract.outer(freq, freq)), np.add.outer(freq, freq)])
         audible = np.stack([~np.eye(n, dtype=bool), np.ones((n, n), dtype=bool)])
         end = law.longitudinal or ""
-        per_newton = response.heard_at(end, lines.ravel()).reshape(len(response.heard), *lines.shape)
+        per_newton = response.heard_at(end, combined.ravel()).reshape(len(response.heard), *combined.shape)
         own_per_newton = response.heard_at(end, own.freq_rad)
         heard, moved = np.zeros((len(per_newton), n, n)), np.zeros((n, n))
         for order in range(own.n_modes + 1):
             # the partial of place i is the cosine i + 1
             driven = 0.25 * law.axial_stiffness * np.abs(cosine_products(order, n + 1)[1:, 1:])
-            answer, after = np.ones(lines.shape), response.stopped_at(end, response.freq_rad[:1])[:, 0]
+            answer, after = np.ones(combined.shape), response.stopped_at(end, response.freq_rad[:1])[:, 0]
             if order:
                 W, s = own.freq_rad[order - 1], own.damping_rate[order - 1]
-                away = np.maximum(np.abs(W**2 - lines**2) - 2 * _DRIFT * lines**2, 0.0)
-                answer = np.hypot(lines**2, 2 * s * lines) / np.hypot(away, 2 * s * lines + 1e-9 * W**2)
+                away = np.maximum(np.abs(W**2 - combined**2) - 2 * _DRIFT * combined**2, 0.0)
+                answer = np.hypot(combined**2, 2 * s * combined) / np.hypot(away, 2 * s * combined + 1e-9 * W**2)
                 moved += driven * answer.sum(axis=0)
                 after = own_per_newton[:, order - 1]
             # what is driven, and what is left over when that stops: a mode bent as the slopes had it

@@ -15,7 +15,7 @@ tension drives it, too, since the stretch has terms c sqrt(S_n S_k) besides thos
 
     (|F / F_n| d_k + (dT_m / 2T) c w_k / 2) / max(s_k + s_n + 2 s_m, |w - w_k| - d_k)    re F_n.
 
-Amplitudes are added up as if all were in phase, with the click of the risen tension's pull at the bridge if it stopped
+Amplitudes are added up as if all were in phase, with the click of the risen tension's force on the bridge if it stopped
 now.
 """
 
@@ -54,7 +54,7 @@ class Plane:
     ----------
     stiffness, shape : (n_modes,) of its free-interface modes, 1/s^2, and at the bridge, 1/sqrt(kg).
     bent, moving : (n, n_modes) amplitude of each partial's velocity per coordinate q, and per q'.
-    pull : (n_modes,) N on the bridge per coordinate q, of all partials.
+    bridge_force : (n_modes,) N on the bridge per coordinate q, of all partials.
     heard : (R, n, _BEATING + 1) of each readout, per velocity of a partial and dT_m / 2T; last, of all m above.
     above : (R, _BEATING + 1) the same of all partials above those n together, per root of twice their energy.
     stopped : (R,) click in each readout per N that stops at once.
@@ -64,7 +64,7 @@ class Plane:
     shape: Floats
     bent: Floats
     moving: Floats
-    pull: Floats
+    bridge_force: Floats
     heard: Floats
     above: Floats
     stopped: Floats
@@ -74,23 +74,23 @@ class Plane:
         """Of a component and its modes with the bridge held."""
         w, g, s = held.freq_rad, held.force, held.damping_rate
         n, m = w[:, None, None], w[None, :_BEATING, None]
-        lines = np.abs(n + 2 * m * np.array([-1.0, 1.0]))
-        away = np.maximum(np.abs(n**2 - lines**2), 2 * lines * (_DRIFT * lines + s[:, None, None]))
-        answer, pull = n**2 / away, lines**2 / away
+        freq = np.abs(n + 2 * m * np.array([-1.0, 1.0]))
+        away = np.maximum(np.abs(n**2 - freq**2), 2 * freq * (_DRIFT * freq + s[:, None, None]))
+        answer, bridge = n**2 / away, freq**2 / away
         own = np.arange(min(len(w), _BEATING))
-        answer[own, own, 0] = pull[own, own, 0] = 0.0
+        answer[own, own, 0] = bridge[own, own, 0] = 0.0
         decay = s[:, None, None] + 2 * s[None, :_BEATING, None] + np.zeros(2)
-        force = (g / w)[:, None, None] * _resonant(component, basis, held, response, lines, decay, pull)
-        heard = response.heard_at(component, lines.ravel()).reshape(-1, *lines.shape) * force
+        force = (g / w)[:, None, None] * _resonant(component, basis, held, response, freq, decay, bridge)
+        heard = response.heard_at(component, freq.ravel()).reshape(-1, *freq.shape) * force
         top = response.heard[:, response.components.index(component)].max(axis=1)
-        # beats far above a partial pull at the bridge alone; those close to it are as strong as its number
+        # sidebands far above a partial act on the bridge alone; those close to it are as strong as its number
         rest = np.outer(top, (g / w) * (2.0 + w / w[0]))
         for r, readout in enumerate(system.readouts):
             for probe in readout.probes:
                 if probe.component == component:
                     moved = np.abs(probe.factor * (held.vectors @ basis.right[basis.index(probe.point)].real)) / w
                     power = _POWER.get(readout.quantity, 0)
-                    heard[r] += moved[:, None, None] * answer * lines**power
+                    heard[r] += moved[:, None, None] * answer * freq**power
                     rest[r] += moved * (2.0 + w / w[0]) * w[-1] ** power
         each = np.zeros((*rest.shape, _BEATING + 1))
         each[..., : len(own)], each[..., -1] = heard.sum(axis=-1), rest
@@ -121,15 +121,15 @@ def _resonant(
     basis: ModalBasis,
     held: HeldModes,
     response: BridgeResponse,
-    lines: Floats,
+    freq: Floats,
     decay: Floats,
-    pull: Floats,
+    bridge: Floats,
 ) -> Floats:
     """Magnitudes of sidebands on the bridge, with the string's partials that they drive.
 
     Parameters
     ----------
-    lines, decay, pull : (n, m, 2) rad/s, 1/s, and magnitudes without these partials.
+    freq, decay, bridge : (n, m, 2) rad/s, 1/s, and magnitudes without these partials.
     """
     i, end = response.components.index(component), basis.index("bridge")
     w = held.freq_rad
@@ -138,10 +138,10 @@ def _resonant(
     low = held.vectors[:_BEATING]
     form = (low * cast(Floats, stretch_weights(basis))) @ low.T
     coupled = np.abs(form) / np.sqrt(np.outer(np.diag(form), np.diag(form))) - np.eye(len(low))
-    near = np.searchsorted(0.5 * (w[1:] + w[:-1]), lines)
-    apart = np.abs(lines - w[near]) - _DRIFT * w[near] - shift[near]
-    driven = pull * shift[near] + 0.5 * coupled.max(initial=0.0) * w[near] * (pull > 0.0)
-    return np.asarray(pull + driven / np.maximum(held.damping_rate[near] + decay, apart))
+    near = np.searchsorted(0.5 * (w[1:] + w[:-1]), freq)
+    apart = np.abs(freq - w[near]) - _DRIFT * w[near] - shift[near]
+    driven = bridge * shift[near] + 0.5 * coupled.max(initial=0.0) * w[near] * (bridge > 0.0)
+    return np.asarray(bridge + driven / np.maximum(held.damping_rate[near] + decay, apart))
 
 
 def _same_modes(one: ModalBasis, other: ModalBasis) -> bool:
@@ -181,34 +181,34 @@ class Sidebands:
         return cls(planes, rise)
 
     def level(
-        self, motion: Mapping[str, tuple[Floats, Floats]], peak: Floats, pulled: Mapping[str, Floats] | None = None
+        self, motion: Mapping[str, tuple[Floats, Floats]], peak: Floats, plucked: Mapping[str, Floats] | None = None
     ) -> float:
         """Largest sample that would be missing, ratio to the loudest one of each readout (R,).
 
         Parameters
         ----------
         motion : component -> q and q'.
-        pulled : component -> q of a pull that is going to be let go besides.
+        plucked : component -> q that the next pluck will add.
         """
         beats, sizes, bending, all_ = np.zeros(_BEATING), [], 0.0, 0.0
         for name, plane in self.planes.items():
             q, v = motion[name]
             potential, kinetic = plane.energies(q, v)
             size, energy = np.hypot(plane.bent @ q, plane.moving @ v), potential + kinetic
-            if pulled is not None:
-                size += np.abs(plane.bent @ pulled[name])
-                energy = (math.sqrt(energy) + math.sqrt(plane.energies(pulled[name], 0.0 * v)[0])) ** 2
+            if plucked is not None:
+                size += np.abs(plane.bent @ plucked[name])
+                energy = (math.sqrt(energy) + math.sqrt(plane.energies(plucked[name], 0.0 * v)[0])) ** 2
             squares = 0.5 * size * size
             higher = max(energy - float(squares.sum()), 0.0)
             bending += potential
             all_ += float(squares.sum()) + higher
             lowest = squares[:_BEATING]
             beats[: len(lowest)] += lowest
-            sizes.append((plane, size, math.sqrt(2 * higher), abs(float(plane.pull @ q))))
+            sizes.append((plane, size, math.sqrt(2 * higher), abs(float(plane.bridge_force @ q))))
         shares = self.rise * np.append(beats, max(all_ - float(beats.sum()), 0.0))
         heard = np.zeros(len(peak))
-        for plane, size, higher, pull in sizes:
-            # dT / T of now, which the energy of bending tells: what it pulls stops or begins at once
+        for plane, size, higher, force in sizes:
+            # 4 rise bending is dT / T at this moment: a switch changes the force on the bridge by that share
             heard += (plane.heard @ shares) @ size + higher * (plane.above @ shares)
-            heard += plane.stopped * (4 * self.rise * bending * pull)
+            heard += plane.stopped * (4 * self.rise * bending * force)
         return float(np.max(heard / peak, initial=0.0))

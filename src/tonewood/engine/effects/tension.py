@@ -100,7 +100,7 @@ class TensionEffect(SwitchedEffect):
         stiff = (name for name in plugins if model.strings[name].resonator.axial_stiffness > 0)
         self._strings = tuple(self._laws) if self.chosen else tuple(stiff)
         #: strings whose longitudinal motion is coupled
-        self.along = {g.name: g for g in system.stretches if g.longitudinal is not None}
+        self.longitudinal = {g.name: g for g in system.stretches if g.longitudinal is not None}
         # what moves at a string, a hammer on its way, may give its energy to the string at the next moment
         parts = [(i, c) for i, t in enumerate(system.rising) for c in (*t.components, *_partners(system, t))]
         self._slots = [system.slot(c) for _, c in parts]
@@ -249,7 +249,7 @@ class TensionEffect(SwitchedEffect):
                 continue
             moving = {c: motion(system, state, c) for c in self._laws[name].components}
             alone[name] = self.sidebands(name, system, moment.frettings[name]).level(moving, peak)
-            if name in self.along:
+            if name in self.longitudinal:
                 phantoms = self.phantoms(name, system, moment.frettings[name])
                 slopes = phantoms.slopes(moving)
                 cents[name] += phantoms.cents(slopes)
@@ -277,7 +277,7 @@ class TensionEffect(SwitchedEffect):
         if key not in self._phantoms:
             if len(self._phantoms) >= _KEPT:
                 del self._phantoms[next(iter(self._phantoms))]
-            law = self.along[name]
+            law = self.longitudinal[name]
             compiled = {c: system.compiled[system.slot(c)] for c in law.parts}
             tension, _ = self._tension_and_length(name, system)
             self._phantoms[key] = Phantoms.of(law, compiled, tension, self._responses())
@@ -342,7 +342,7 @@ class TensionEffect(SwitchedEffect):
     def foreseen(self, play: Play, moment: Moment, energy: float) -> Bound:
         """Bound after a gesture on a string of `energy` (J); infinite if unknown."""
         gesture, name, system = play.gesture, play.string or "", moment.system
-        if gesture.motions or gesture.on is not None or not gesture.segments or name in self.along:
+        if gesture.motions or gesture.on is not None or not gesture.segments or name in self.longitudinal:
             return Bound(math.inf, math.inf)  # the phantom partials that a pluck will drive are not known beforehand
         fretting = moment.frettings[name]
         force = max(largest(s) for s in gesture.segments)
@@ -352,12 +352,12 @@ class TensionEffect(SwitchedEffect):
         if cents > self.budget:
             return Bound(cents, math.inf)
         components = self._laws[name].components
-        pulled = dict.fromkeys(components, np.zeros(0))
+        plucked = dict.fromkeys(components, np.zeros(0))
         for component, point, factor in places(play, self.model):
             basis = system.compiled[system.slot(component)].basis
-            pulled[component] = force * factor * basis.right[basis.index(point)].real / basis.stiffness
+            plucked[component] = force * factor * basis.right[basis.index(point)].real / basis.stiffness
         moving = {c: motion(system, moment.state, c) for c in components}
-        level = self.sidebands(name, system, fretting).level(moving, np.maximum(moment.peak, _SILENT), pulled)
+        level = self.sidebands(name, system, fretting).level(moving, np.maximum(moment.peak, _SILENT), plucked)
         return Bound(cents, level)
 
     def compliance(self, name: str, system: System, fretting: Fretting) -> float:
@@ -405,6 +405,6 @@ _coupled = lru_cache(maxsize=32)(GeometricShares)
 def largest(piece: Segment) -> float:
     """Largest |F| of a piece of force, N."""
     length = piece.stop - piece.start
-    turn = -piece.c1 / (2 * piece.c2) if piece.c2 else 0.0
-    times = np.array([0.0, length, turn if 0.0 < turn < length else 0.0])
+    extremum = -piece.c1 / (2 * piece.c2) if piece.c2 else 0.0
+    times = np.array([0.0, length, extremum if 0.0 < extremum < length else 0.0])
     return float(np.max(np.abs(piece.c0 + times * (piece.c1 + times * piece.c2))))

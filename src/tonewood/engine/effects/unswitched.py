@@ -59,7 +59,7 @@ class PickupEffect(RuntimeEffect):
 
 
 class OccasionalEffect(RuntimeEffect):
-    """What acts on strings now and then; base of fingers and contacts.
+    """Effect of parts that act on strings now and then; base of fingers and contacts.
 
     Nothing is lost while it does not act: its bound is 0.
     """
@@ -120,9 +120,9 @@ class ContactEffect(OccasionalEffect):
         """Strings that touched a part."""
         if not run.acted.size or not run.system.elimination.others.laws:
             return ()
-        pushed = np.zeros(len(run.system.connections), dtype=bool)
-        pushed[run.acted] = True
-        return [string for string, columns in self._columns.items() if pushed[columns].any()]
+        acting = np.zeros(len(run.system.connections), dtype=bool)
+        acting[run.acted] = True
+        return [string for string, columns in self._columns.items() if acting[columns].any()]
 
     def strings(self, usage: EffectUsage) -> list[str]:
         """Strings that have contacts with these parts."""

@@ -1,1 +1,1 @@
-"""What accuracy costs in time: this project and the methods of the literature on the same systems."""
+"""Time that accuracy costs: this project and the methods of the literature on the same systems."""

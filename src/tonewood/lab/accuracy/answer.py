@@ -86,12 +86,12 @@ def _cell(outcome: Outcome, measure: Measure, error: float) -> str:
     ours, peer = cheapest(outcome, measure, error), best_peer(outcome, measure, error)
     if ours is None:
         return "not measured" if peer is None else f"not measured; {NAMES[peer[0]]} {number(peer[1])} s"
-    told = "none" if peer is None else f"{NAMES[peer[0]]} {number(peer[1] / ours.seconds)} x"
-    return f"{ours.value.removeprefix('strings solved ')}: {number(ours.seconds)} s; {told}"
+    shown = "none" if peer is None else f"{NAMES[peer[0]]} {number(peer[1] / ours.seconds)} x"
+    return f"{ours.value.removeprefix('strings solved ')}: {number(ours.seconds)} s; {shown}"
 
 
 def sentences(outcomes: Sequence[Outcome]) -> str:
-    """What one cent costs, what it costs by others, and where others are the better choice."""
+    """Return three sentences: the cost of one cent, that by other methods, and where others are the better choice."""
     linear = [o for o in outcomes if o.name not in SLOW_ONLY and (floor(o) is not None or o.name == "classical_guitar")]
     ours = [(o, p) for o in linear if (p := cheapest(o, PITCH, 1.0)) is not None]
     out = []
@@ -112,8 +112,8 @@ def sentences(outcomes: Sequence[Outcome]) -> str:
                 "Where nothing ever changes, superposition of the coupled modes is exact and takes "
                 f"{number(min(floors))} to {number(max(floors))} times that."
             )
-    tense = next((o for o in outcomes if o.name == "tension"), None)
-    above = None if tense is None else verlet_is_quicker_above(tense)
+    rising = next((o for o in outcomes if o.name == "tension"), None)
+    above = None if rising is None else verlet_is_quicker_above(rising)
     if above is not None:
         out.append(f"With rising tension velocity Verlet is the quicker one for errors above {number(100 * above)} %.")
     return " ".join(out)

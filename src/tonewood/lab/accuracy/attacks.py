@@ -52,7 +52,7 @@ LOSSLESS = {"law": "woodhouse", "eta_a": 0.0, "eta_f": 0.0, "eta_b": 0.0}
 
 @dataclass(frozen=True, slots=True)
 class Attack:
-    """What one attack did.
+    """Result of one attack.
 
     Attributes
     ----------

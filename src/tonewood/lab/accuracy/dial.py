@@ -15,7 +15,7 @@ import numpy as np
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.registry import list_instruments
 from tonewood.lab.accuracy.partials import PartialErrors
-from tonewood.lab.accuracy.strokes import SETTLED, VELOCITY_MIDI, NoteCase, Strokes
+from tonewood.lab.accuracy.strokes import STEADY, VELOCITY_MIDI, NoteCase, Strokes
 from tonewood.lab.accuracy.study import Tell, silent
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.output.accuracy import LEVELS
@@ -49,7 +49,7 @@ A linear-phase filter leads from the engine's rate to that of the sound.
 
 The middle string of every instrument, one open note of MIDI velocity {VELOCITY_MIDI} at 48 kHz, heard for
 {DURATION:g} s. Median / worst over the partials, of the first twenty, that lie within 40 dB of the loudest, against
-`reference`: pitch and level from {SETTLED:g} s after the note on; decay as the slope, in dB per second, of the energy
+`reference`: pitch and level from {STEADY:g} s after the note on; decay as the slope, in dB per second, of the energy
 still to come (Schroeder's backward integration, ISO 3382-1), which is the rate of an exponential and still a number
 where partials beat or feed each other. A bow plays for half of the time, and the decay is what follows. Waveform: the
 relative difference in the first second, under a Hann window, after the mean delay is taken out (accelerations are means
@@ -57,9 +57,9 @@ over the step that begins at a frame, half a step early).
 
 Time is processor time of one thread. Where a thousandth more force changes `reference` by more than a fifth of a limit,
 contacts or a bow make the motion sensitive: two strokes never sound alike, and no step is fine enough to tell which one
-follows. What is compared then is what strokes have in common, the mean pitch of {STROKES} strokes with forces spread
-over {100 * SPREAD:g} % to either side, and the mean energy of their partials. *{OTHERS}* holds one half of them against
-the other: that much is left to chance."""
+follows. Properties that strokes have in common are compared then: the mean pitch of {STROKES} strokes with forces
+spread over {100 * SPREAD:g} % to either side, and the mean energy of their partials. *{OTHERS}* holds one half of them
+against the other: that much is left to chance."""
 
 WHY = """\
 ### Why a draft makes longer steps
@@ -155,7 +155,7 @@ def _against(case: NoteCase, rendered: Mapping[str, Strokes], truth: str) -> lis
 
 
 def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
-    """What effects cost and add: the steel-string guitar with all of them, with budgets, without."""
+    """Measure time and errors of effects: the steel-string guitar with all of them, with budgets, without."""
     instrument = Instrument.load("steel_guitar")
     options: dict[str, dict[str, Any]] = {"all": {"effects": "all"}}
     for cents, db in BUDGETS:
@@ -209,12 +209,12 @@ def _order(points: Sequence[DialPoint]) -> str:
     by_name: dict[str, list[DialPoint]] = {}
     for p in points:
         by_name.setdefault(p.instrument, []).append(p)
-    wrong = {name: told for name, own in by_name.items() if (told := out_of_order(own))}
+    wrong = {name: found for name, own in by_name.items() if (found := out_of_order(own))}
     cheaper = [own[1].seconds / own[0].seconds for own in by_name.values()]
     text = f"`draft` takes {number(1 / max(cheaper), 2)} to {number(1 / min(cheaper), 2)} of the time of `standard`"
     if not wrong:
         return f"{text}, and by no measure does it lie nearer to `reference`, beyond chance."
-    listed = "; ".join(f"{name} ({', '.join(told)})" for name, told in wrong.items())
+    listed = "; ".join(f"{name} ({', '.join(found)})" for name, found in wrong.items())
     return f"{text}; it lies nearer to `reference`: {listed}."
 
 
@@ -228,9 +228,9 @@ def beyond(errors: PartialErrors, *, worst: bool = False) -> str:
 def _within(points: Sequence[DialPoint]) -> str:
     """Which instruments keep the limits with `standard`, and which do not."""
     points = [p for p in points if p.accuracy == "standard"]
-    outside = {p.instrument: told for p in points if (told := beyond(p.errors))}
+    outside = {p.instrument: missed for p in points if (missed := beyond(p.errors))}
     worse = {
-        p.instrument: told for p in points if (told := beyond(p.errors, worst=True)) and p.instrument not in outside
+        p.instrument: missed for p in points if (missed := beyond(p.errors, worst=True)) and p.instrument not in outside
     }
     inside = [p.instrument for p in points if p.instrument not in outside and p.instrument not in worse]
     cents, decay, level = LIMITS
@@ -239,7 +239,7 @@ def _within(points: Sequence[DialPoint]) -> str:
     for which, names in (("in the median of the partials on", worse), ("not on", outside)):
         if names:
             worst = "worst: " if names is worse else ""
-            parts.append(f"{which} {', '.join(f'{name} ({worst}{told})' for name, told in names.items())}")
+            parts.append(f"{which} {', '.join(f'{name} ({worst}{missed})' for name, missed in names.items())}")
     return f"{text} {'; '.join(parts)}."
 
 
@@ -255,14 +255,14 @@ def _table(points: Sequence[DialPoint], heading: str, unit: str, truth: str) -> 
     for p in points:
         e = p.errors
         pairs = [(e.cents, e.cents_worst), (100 * e.decay, 100 * e.decay_worst), (e.level, e.level_worst)]
-        told = ["" if p.accuracy == truth else f"{number(middle)} / {number(worst)}" for middle, worst in pairs]
-        told.append("" if p.accuracy == truth or e.waveform is None else number(100 * e.waveform))
+        errors = ["" if p.accuracy == truth else f"{number(middle)} / {number(worst)}" for middle, worst in pairs]
+        errors.append("" if p.accuracy == truth or e.waveform is None else number(100 * e.waveform))
         cost = (
             []
             if p.accuracy in (NUDGED, OTHERS)
             else [number(p.seconds, 3), number(p.seconds / seconds[p.instrument], 3)]
         )
-        rows.append([p.instrument, p.accuracy, str(p.n_modes), *told, *(cost or ["", ""])])
+        rows.append([p.instrument, p.accuracy, str(p.n_modes), *errors, *(cost or ["", ""])])
     heads = ["instrument", heading, "modes", "cents", "decay %", "level dB", "waveform %", "s per s", "time ratio"]
     return markdown(heads, rows, left=2)
 

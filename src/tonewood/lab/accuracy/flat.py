@@ -65,7 +65,7 @@ class Flat:
         return self._gather(tuple(c.terms for c in self.problem.constraints), "C")
 
     @cached_property
-    def push(self) -> Floats:
+    def scatter(self) -> Floats:
         """(n_inputs, n, 2) what unit forces at the driven points do to x'."""
         return self._gather(tuple((t,) for t in self.problem.inputs), "B")
 
@@ -96,7 +96,7 @@ class Flat:
     def static(self, forces: Floats) -> Floats:
         """(n, 2) state at rest under constant forces on the driven points, the gaps closed."""
         inverse = sla.inv(self.A)
-        response = -apply(inverse, self.push)
+        response = -apply(inverse, self.scatter)
         yields = -apply(inverse, self.B)
         loose = np.einsum("i,inx->nx", np.atleast_1d(forces), response)
         f = -scaled_pinv(product(self.C, yields) + self.problem.residual) @ np.einsum("mnx,nx->m", self.C, loose)

@@ -1,4 +1,4 @@
-"""What is wrong with a method's motion, in numbers.
+"""Errors of a method's motion, in numbers.
 
 Pitch and decay are read from the poles the method puts in place of the true ones, waveforms from its samples.
 """
@@ -108,9 +108,9 @@ def wave_errors(y: Floats, true: Floats, fs: float, partials: Complexes) -> Wave
         for spectrum in (made, wanted)
     ]
     there = (0.45 * fs > BANDS * 2 ** (1 / 6)) & (levels[1] > levels[1].max() + BAND_FLOOR)
-    lines = np.sort(np.concatenate([[0.0], np.abs(partials.imag) / (2 * np.pi), [1e12]]))
-    after = np.searchsorted(lines, freq).clip(1, len(lines) - 1)
-    apart = np.minimum(freq - lines[after - 1], lines[after] - freq) > SPURIOUS_GAP
+    true_freq = np.sort(np.concatenate([[0.0], np.abs(partials.imag) / (2 * np.pi), [1e12]]))
+    after = np.searchsorted(true_freq, freq).clip(1, len(true_freq) - 1)
+    apart = np.minimum(freq - true_freq[after - 1], true_freq[after] - freq) > SPURIOUS_GAP
     apart &= freq < 0.5 * fs
     return WaveErrors(
         float(sla.norm(error) / sla.norm(true)),

@@ -1,4 +1,4 @@
-"""The nonlinear systems: a tense string, strings against obstacles, a beam with a hardening mounting."""
+"""The nonlinear systems: a tension-modulated string, strings against obstacles, a beam with a hardening mounting."""
 
 from __future__ import annotations
 

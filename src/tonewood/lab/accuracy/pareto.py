@@ -102,7 +102,7 @@ class Headline:
     stable: bool = True
 
     @property
-    def told(self) -> str:
+    def text(self) -> str:
         """For a table."""
         if self.best is None:
             return "partials lost" if self.stable else "not stable"

@@ -96,7 +96,7 @@ def nearest_zero(
     matrix: Callable[[complex], Complexes], start: complex, joint: int | None = None, *, reach: float = 0.02,
     steps: int = 60,
 ) -> complex:  # fmt: skip
-    """Zero of det matrix(s) near `start` by successive linear problems; nan if it does not settle.
+    """Zero of det matrix(s) near `start` by successive linear problems; nan if it does not converge.
 
     Parameters
     ----------

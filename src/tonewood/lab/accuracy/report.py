@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import base64
 import html
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from tonewood.lab.accuracy import answer
 from tonewood.lab.accuracy.catalogue import Outcome
-from tonewood.lab.accuracy.tables import SCHEMA, expectation, headline_tables, section, summary_table, to_json
+from tonewood.lab.accuracy.tables import expectation, headline_tables, section, summary_table, to_json
 
 INTRODUCTION = """\
 ## How it is measured
@@ -36,7 +35,7 @@ approximation, whose own true poles such a method is held against.
 - **Pitch and decay** are read from the poles that a method puts in place of the true ones, for partials 1 to 40. A
   partial farther off than half its distance to the next is lost.
 - **Waveform**: ||y - y_true|| / ||y_true|| of the displacement over the first second (40 ms at the obstacle and 0.2 s
-  of the tense string, which amplify small differences).
+  of the tension-modulated string, which amplify small differences).
 - **Spectrum**: rms difference of third-octave levels of the acceleration, 50 Hz to 16 kHz, in bands within 80 dB of
   the loudest, under a Hann window. **Spurious**: the largest acceleration farther than 20 Hz from every true partial.
 - **Energy drift** of the same system without damping, within the first second.
@@ -90,7 +89,7 @@ frequencies are low: at the middle one of its rates)."""
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What was found, where, and how thoroughly.
+    """Result of a study, where and how thoroughly it was found.
 
     Attributes
     ----------
@@ -105,12 +104,10 @@ class Study:
     quick: bool
     more: Mapping[str, tuple[str, object]] = field(default_factory=dict)
 
-    def json(self) -> str:
-        """``{"schema": ..., "machine": ..., "quick": ..., "systems": [...], ...}``."""
-        plain = {"schema": SCHEMA, "machine": self.machine, "quick": self.quick}
-        plain |= {"systems": [to_json(o) for o in self.outcomes]}
-        plain |= {key: value for key, (_, value) in self.more.items()}
-        return json.dumps(plain, indent=1, allow_nan=False) + "\n"
+    def to_json(self) -> dict[str, object]:
+        """``{"machine": ..., "quick": ..., "systems": [...], ...}``."""
+        plain = {"machine": self.machine, "quick": self.quick, "systems": [to_json(o) for o in self.outcomes]}
+        return plain | {key: value for key, (_, value) in self.more.items()}
 
     @property
     def machine_line(self) -> str:

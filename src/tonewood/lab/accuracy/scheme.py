@@ -28,7 +28,7 @@ class Scheme:
     flat : the problem.  dt : s.
     rule : of the compiled loop: flow, adams_bashforth, verlet or newmark.
     coef : (n_coef, n) of every mode.
-    push : (phases, m, lags, n, n_in) what forces do to a mode.
+    scatter : (phases, m, lags, n, n_in) (by phase) of forces into modes.
     reads : (m, n, n_row).  outs : (n_outputs, n, n_out).
     G, K : (phases, m, m).
     out_memory : (phases, n_outputs, m) of the forces just used, in the readouts.
@@ -41,7 +41,7 @@ class Scheme:
     dt: float
     rule: str
     coef: Floats
-    push: Floats
+    scatter: Floats
     reads: Floats
     outs: Floats
     G: Floats
@@ -54,12 +54,12 @@ class Scheme:
     @property
     def phases(self) -> int:
         """Samples until the arrays repeat."""
-        return len(self.push)
+        return len(self.scatter)
 
     @property
     def lags(self) -> int:
         """Forces that act in a step."""
-        return int(self.push.shape[2])
+        return int(self.scatter.shape[2])
 
     @cached_property
     def characteristic(self) -> Callable[[complex], Complexes]:
@@ -67,7 +67,7 @@ class Scheme:
         return _CHARACTERISTIC[self.rule](self)
 
     def poles(self, starts: Complexes, joints: Sequence[int] | None = None) -> Complexes:
-        """(k,) poles nearest to given ones, nan where Newton's method does not settle; see `pole_search.nearest_zero`.
+        """(k,) poles nearest to given ones; nan where Newton's method diverges; see `pole_search.nearest_zero`.
 
         Parameters
         ----------
@@ -104,12 +104,14 @@ class Runner:
         self._capacity = capacity
         for name, modes in flat.starts.items():
             size = self._places[name].stop - self._places[name].start
-            links = np.flatnonzero(s.reads[:, modes].any(axis=(1, 2)) | s.push[:, :, :, modes].any(axis=(0, 2, 3, 4)))
+            links = np.flatnonzero(
+                s.reads[:, modes].any(axis=(1, 2)) | s.scatter[:, :, :, modes].any(axis=(0, 2, 3, 4))
+            )
             outs = np.flatnonzero(s.outs[:, modes].any(axis=(1, 2)))
             self._method.add_part(
                 self._places[name].start,
                 padded(s.coef[:, modes], size),
-                padded(s.push[:, links][:, :, :, modes].swapaxes(-1, -2), size),
+                padded(s.scatter[:, links][:, :, :, modes].swapaxes(-1, -2), size),
                 padded(s.reads[links][:, modes].swapaxes(-1, -2), size),
                 padded(s.outs[outs][:, modes].swapaxes(-1, -2), size),
                 links.tolist(),
@@ -165,7 +167,7 @@ def _flow_characteristic(scheme: Scheme) -> Matrix:
     reads, E, h = scheme.reads, scheme.coef.T.reshape(-1, 2, 2), scheme.dt
     G, K, m = scheme.G, scheme.K, len(scheme.reads)
     if scheme.phases == 1:
-        seen = [Transfer.of(reads, scheme.push[0, :, lag], E - np.eye(2)) for lag in range(scheme.lags)]
+        seen = [Transfer.of(reads, scheme.scatter[0, :, lag], E - np.eye(2)) for lag in range(scheme.lags)]
 
         def matrix(s: complex) -> Complexes:
             z = np.exp(s * h)
@@ -174,7 +176,7 @@ def _flow_characteristic(scheme: Scheme) -> Matrix:
 
         return matrix
     # two samples to a step: x(2) = E (E x + P0 f0) + P1 f1
-    first, second, twice = scheme.push[0, :, 0], scheme.push[1, :, 0], E @ E - np.eye(2)
+    first, second, twice = scheme.scatter[0, :, 0], scheme.scatter[1, :, 0], E @ E - np.eye(2)
     begun, late = apply(E, first), through(reads, E)
     of = [[Transfer.of(rows, columns, twice) for columns in (begun, second)] for rows in (reads, late)]
     at_once = product(reads, first)
@@ -193,7 +195,7 @@ def _flow_characteristic(scheme: Scheme) -> Matrix:
 
 def _adams_characteristic(scheme: Scheme) -> Matrix:
     c0, c1, c2 = scheme.constants
-    transfer = Transfer.of(scheme.reads, scheme.push[0, :, 0], scheme.coef.T.reshape(-1, 2, 2))
+    transfer = Transfer.of(scheme.reads, scheme.scatter[0, :, 0], scheme.coef.T.reshape(-1, 2, 2))
     G, eye = scheme.G[0], np.eye(len(scheme.reads))
 
     def matrix(s: complex) -> Complexes:
@@ -205,7 +207,7 @@ def _adams_characteristic(scheme: Scheme) -> Matrix:
 
 def _verlet_characteristic(scheme: Scheme) -> Matrix:
     h, (w2, loss) = scheme.dt, scheme.coef
-    seen, G, eye = Products.of(scheme.reads, scheme.push[0, :, 0]), scheme.G[0], np.eye(len(scheme.reads))
+    seen, G, eye = Products.of(scheme.reads, scheme.scatter[0, :, 0]), scheme.G[0], np.eye(len(scheme.reads))
 
     def matrix(s: complex) -> Complexes:
         z, u = np.exp(s * h), np.expm1(s * h)
@@ -218,7 +220,7 @@ def _verlet_characteristic(scheme: Scheme) -> Matrix:
 def _newmark_characteristic(scheme: Scheme) -> Matrix:
     c0, c1, c2, c3 = scheme.constants
     cu, cv, ca = scheme.coef
-    seen, G, eye = Products.of(scheme.reads, scheme.push[0, :, 0]), scheme.G[0], np.eye(len(scheme.reads))
+    seen, G, eye = Products.of(scheme.reads, scheme.scatter[0, :, 0]), scheme.G[0], np.eye(len(scheme.reads))
 
     def matrix(s: complex) -> Complexes:
         z, u = np.exp(s * scheme.dt), np.expm1(s * scheme.dt)

@@ -3,7 +3,7 @@
     f_n = -(G r_n + K f_(n-1)),   every mode moves on under f_n, f_(n-1), ...,   r_(n+1) is read from the new state
 
 The rules of the loop (``src/kernel/lab/methods.hpp``) are the exact flow of a mode, Adams-Bashforth 3, velocity Verlet
-and Newmark's family. What distinguishes methods of one rule is in the arrays: the level at which the constraint is
+and Newmark's family. Methods of one rule differ in their arrays: by the level at which the constraint is
 asked for (position, velocity, acceleration), and how a force is continued within and across steps. Forces that come
 from accelerations are known at t_n only; the interpolatory updates of Chinnakonda (2007) then take the last one, two or
 three of them (P0, P1, P2), and the quadrature rules evaluate them at their nodes, explicitly.
@@ -33,12 +33,12 @@ Complexes = NDArray[np.complex128]
 
 
 def _flow_scheme(
-    flat: Flat, dt: float, push: list[list[Floats]], reads: Floats, G: list[Floats], K: list[Floats] | None = None,
+    flat: Flat, dt: float, scatter: list[list[Floats]], reads: Floats, G: list[Floats], K: list[Floats] | None = None,
     *, begin: Callable[[Floats], tuple[Floats, Floats]] | None = None, ahead: Floats | None = None,
     shift: Floats | None = None,
 ) -> Scheme:  # fmt: skip
-    """push: by phase and lag (m, n, 2).  ahead: (m, n, 2) that forces add to what the readouts see, first phase."""
-    m, phases, lags = len(G[0]), len(push), len(push[0])
+    """scatter: by phase and lag (m, n, 2).  ahead: (m, n, 2) that forces add to what the readouts see, first phase."""
+    m, phases, lags = len(G[0]), len(scatter), len(scatter[0])
     out_memory = np.zeros((phases, len(flat.out), m))
     if ahead is not None:
         out_memory[0] = product(flat.out, ahead)
@@ -55,7 +55,7 @@ def _flow_scheme(
         dt=dt,
         rule="flow",
         coef=np.ascontiguousarray(flat.flow(dt, 0)[0].reshape(-1, 4).T),
-        push=np.array(push).swapaxes(1, 2),
+        scatter=np.array(scatter).swapaxes(1, 2),
         reads=reads,
         outs=flat.out,
         G=np.array(G),
@@ -109,13 +109,13 @@ def interpolated(flat: Flat, dt: float, degree: int) -> Scheme:
         sum((terms[k] * (-1.0) ** lag * _BINOMIAL[k][lag] for k in range(lag, degree + 1)), np.zeros_like(phi1))
         for lag in range(degree + 1)
     ]
-    push = [dt * apply(w, flat.B) for w in weights]
+    scatter = [dt * apply(w, flat.B) for w in weights]
 
     def begin(x: Floats) -> tuple[Floats, Floats]:
         # the latest comes first: at the first step it is shifted by one
         return x.T.copy(), _past_forces(flat, x, dt, degree + 1)
 
-    return _flow_scheme(flat, dt, [push], flat.CA2, [flat.S], begin=begin)
+    return _flow_scheme(flat, dt, [scatter], flat.CA2, [flat.S], begin=begin)
 
 
 _BINOMIAL = ((1.0,), (1.0, 1.0), (1.0, 2.0, 1.0))
@@ -176,7 +176,7 @@ def adams_bashforth(flat: Flat, dt: float) -> Scheme:
         dt=dt,
         rule="adams_bashforth",
         coef=np.ascontiguousarray(flat.A.reshape(-1, 4).T),
-        push=flat.B[None, :, None],
+        scatter=flat.B[None, :, None],
         reads=flat.CA2,
         outs=flat.out,
         G=flat.S[None],
@@ -211,7 +211,7 @@ def verlet(flat: Flat, dt: float) -> Scheme:
         dt=dt,
         rule="verlet",
         coef=np.stack([r.omega2, 2 * r.sigma]),
-        push=r.gaps[None, :, None, :, None],
+        scatter=r.gaps[None, :, None, :, None],
         reads=r.gaps[..., None],
         outs=r.outs[..., None],
         G=G[None],
@@ -244,7 +244,7 @@ def newmark(flat: Flat, dt: float, method: Newmark) -> Scheme:
         dt=dt,
         rule="newmark",
         coef=np.stack([-stiff, -loss - w * stiff, -w * (1 - g) * loss - w * (0.5 - b) * stiff]) / lead,
-        push=p[None, :, None, :, None],
+        scatter=p[None, :, None, :, None],
         reads=r.gaps[..., None],
         outs=r.outs[..., None],
         G=G[None],

@@ -44,7 +44,7 @@ GROWTH = 2.0
 _LOOKS = 16
 
 LINEAR = "string on 16 modes"
-TENSE = "string of rising tension on 16 modes"
+TENSION = "string of rising tension on 16 modes"
 
 #: name in tables -> name of the scheme
 LINEAR_METHODS = {
@@ -56,7 +56,7 @@ LINEAR_METHODS = {
     "velocity level": "held_velocity",
     "linear force, position level": "linear_position",
 }
-TENSE_METHODS: dict[str, Callable[[NonlinearCase, float], OwnRun | ExplicitRun]] = {
+TENSION_METHODS: dict[str, Callable[[NonlinearCase, float], OwnRun | ExplicitRun]] = {
     "ours": OwnRun,
     "velocity Verlet": ExplicitRun,
 }
@@ -122,20 +122,14 @@ class StabilityGrid:
     def to_json(self) -> dict[str, object]:
         """Plain data; an infinite growth is null."""
         cells = [asdict(cell) | {"growth": cell.growth if np.isfinite(cell.growth) else None} for cell in self.cells]
-        return {
-            "schema": "tonewood-stability/1",
-            "duration_s": self.duration,
-            "growth_limit": GROWTH,
-            "cells": cells,
-        } | {
-            "attacks": [asdict(a) | {"residual": a.residual if np.isfinite(a.residual) else None} for a in self.attacks]
-        }
+        attacks = [asdict(a) | {"residual": a.residual if np.isfinite(a.residual) else None} for a in self.attacks]
+        return {"duration_s": self.duration, "growth_limit": GROWTH, "cells": cells, "attacks": attacks}
 
 
 def run(quick: bool = False, tell: Callable[[float], None] | None = None) -> StabilityGrid:
     """Make the whole grid; `tell` hears of the share that is done."""
     duration = 0.05 if quick else 0.25
-    makes = [*_linear(quick, duration), *_tense(quick, duration)]
+    makes = [*_linear(quick, duration), *_tension(quick, duration)]
     cells = []
     for i, make in enumerate(makes):
         cells.append(make())
@@ -169,15 +163,15 @@ def linear_cell(flat: Flat, label: str, scheme: str, force: float, fs: float, du
     return Cell(LINEAR, label, n_modes, force, fs, _verdict(growth), growth)
 
 
-def _tense(quick: bool, duration: float) -> Iterator[Callable[[], Cell]]:
+def _tension(quick: bool, duration: float) -> Iterator[Callable[[], Cell]]:
     rates = (48e3, 192e3) if quick else (48e3, 96e3, 192e3, 384e3)
     forces = (0.001, 50.0, 1000.0) if quick else (0.001, 1.0, 10.0, 50.0, 100.0, 1000.0)
     for n_modes in (41, 193) if quick else (21, 62, 143, 193):
         for force in forces:
             case = _plucked_steel(n_modes, force)
-            for label, make in TENSE_METHODS.items():
+            for label, make in TENSION_METHODS.items():
                 for fs in rates:
-                    yield partial(tense_cell, case, label, make, force, fs, duration)
+                    yield partial(tension_cell, case, label, make, force, fs, duration)
 
 
 def _plucked_steel(n_modes: int, force: float) -> NonlinearCase:
@@ -195,7 +189,7 @@ def _between(string: ExactString, n_modes: int) -> float:
     return 0.5 * (string.held_freq(n_modes) + string.held_freq(n_modes + 1))
 
 
-def tense_cell(
+def tension_cell(
     case: NonlinearCase,
     label: str,
     make: Callable[[NonlinearCase, float], OwnRun | ExplicitRun],
@@ -217,7 +211,7 @@ def tense_cell(
             growth = _larger(growth, runner.energy() / first if finite else np.inf)
             if not np.isfinite(growth):
                 break
-    return Cell(TENSE, label, n_modes, force, fs, _verdict(growth), growth)
+    return Cell(TENSION, label, n_modes, force, fs, _verdict(growth), growth)
 
 
 def _larger(growth: float, now: float) -> float:

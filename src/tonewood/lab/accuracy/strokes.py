@@ -18,7 +18,7 @@ from tonewood.score.note import Note, Score
 Floats = NDArray[np.float64]
 
 #: of the note; s of it, from when on partials are compared
-VELOCITY_MIDI, SETTLED = 64, 0.1
+VELOCITY_MIDI, STEADY = 64, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +108,6 @@ class NoteCase:
     def errors(self, strokes: Strokes, truth: Strokes) -> PartialErrors:
         """Compare strokes with others."""
         freq = self.instrument.tuning.freq(self.instrument.open_note(self.string) + self.stop)
-        skip = int(SETTLED * self.fs)
-        let_go = self.let_go and self.let_go - SETTLED
+        skip = int(STEADY * self.fs)
+        let_go = self.let_go and self.let_go - STEADY
         return compare(strokes.sounds[:, skip:], truth.sounds[:, skip:], self.fs, freq, let_go)

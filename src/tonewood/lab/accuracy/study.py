@@ -181,7 +181,7 @@ class Subject:
         return self._displacements[fs, n]
 
     @cached_property
-    def lines(self) -> Complexes:
+    def sounding(self) -> Complexes:
         """Poles of everything that sounds."""
         if isinstance(self.motion, ExactMotion):
             return self.motion.poles
@@ -267,7 +267,7 @@ def attempt(
     point = replace(point, stable=stable)
     every = max(1, round(fs / 48000))
     true = subject.displacement(fs / every, len(y))
-    errors = wave_errors(y[: len(true), 0], true[:, 0], fs / every, subject.lines)
+    errors = wave_errors(y[: len(true), 0], true[:, 0], fs / every, subject.sounding)
     point = replace(point, waveform=errors.waveform, spectral_db=errors.spectral_db, spurious_db=errors.spurious_db)
     if poles is not None:
         p = pole_errors(poles(), subject.poles, subject.numbers)
@@ -329,7 +329,7 @@ def superposition_point(subject: Subject, fs: float = 48000.0) -> Attempt:
     state = stepper.start()
     system.modes_of(state, "modes")[0] = 1.0
     y = stepper.run(state, round(fs * DURATION))[0]
-    errors = wave_errors(y[:, 0], subject.displacement(fs, len(y))[:, 0], fs, subject.lines)
+    errors = wave_errors(y[:, 0], subject.displacement(fs, len(y))[:, 0], fs, subject.sounding)
     nearest = np.array([same.poles[np.argmin(np.abs(same.poles - p))] for p in subject.poles])
     point = Point(
         subject.case.name, "superposition", "fs", f"{fs / 1e3:.4g} kHz", fs, basis.n_modes, "stable",

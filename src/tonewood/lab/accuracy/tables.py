@@ -1,4 +1,4 @@
-"""What a study found, as tables in Markdown and as JSON."""
+"""Results of a study, as tables in Markdown and as JSON."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from tonewood.lab.accuracy.catalogue import Outcome
 from tonewood.lab.accuracy.pareto import MEASURES, PITCH, WAVEFORM, Headline, Measure, front, line, usual
 from tonewood.lab.accuracy.study import LABELS, Point
 
-SCHEMA = "tonewood-accuracy/1"
 #: methods of the short table, and their headings there
 IN_SHORT = {
     "ab3": "Adams-Bashforth 3",
@@ -44,7 +43,7 @@ def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]], *, left: int =
 def summary_table(outcomes: Sequence[Outcome]) -> str:
     """A row per system: our error and time at 48 kHz, and the time of some methods at the same waveform error.
 
-    A method that does not get there is told by its smallest error, with the time it takes for that over our time.
+    A method that does not get there is reported with its smallest error, with the time it takes for that over our time.
     """
     rows = []
     for o in outcomes:
@@ -54,8 +53,8 @@ def summary_table(outcomes: Sequence[Outcome]) -> str:
             continue
         unit = "" if measure is WAVEFORM else " cents"
         pitch = number(PITCH.of(ours))
-        told = {h.method: h for h in o.headlines[measure.name]}
-        cells = [_reached(o, told[method], ours, unit) if method in told else "" for method in IN_SHORT]
+        reached = {h.method: h for h in o.headlines[measure.name]}
+        cells = [_reached(o, reached[method], ours, unit) if method in reached else "" for method in IN_SHORT]
         waveform = number(WAVEFORM.of(ours))
         rows.append([f"`{o.name}`", pitch, waveform, number(ours.seconds), *cells])
     heads = ["system", "cents, worst", "waveform", "s per s", *(IN_SHORT[m] for m in IN_SHORT)]
@@ -66,7 +65,7 @@ def _reached(outcome: Outcome, h: Headline, ours: Point, unit: str) -> str:
     if h.ratio is not None:
         return f"{h.ratio:.2g} x"
     if h.best is None:
-        return h.told
+        return h.text
     cost = front(line(outcome.points, h.method, MEASURES[h.measure]))[-1][0]
     return f"{number(h.best)}{unit} at {cost / ours.seconds:.2g} x"
 
@@ -83,9 +82,9 @@ def headline_tables(outcomes: Sequence[Outcome]) -> str:
 def headline_table(outcomes: Sequence[Outcome], measure: Measure) -> str:
     """One of them."""
     columns = [o for o in outcomes if o.headlines.get(measure.name)]
-    found = [{h.method: h.told for h in o.headlines[measure.name]} for o in columns]
-    methods = dict.fromkeys(method for told in found for method in told)
-    rows = [[LABELS[method], *(told.get(method, "") for told in found)] for method in methods]
+    found = [{h.method: h.text for h in o.headlines[measure.name]} for o in columns]
+    methods = dict.fromkeys(method for column in found for method in column)
+    rows = [[LABELS[method], *(column.get(method, "") for column in found)] for method in methods]
     rows.append(["error there", *(number(o.headlines[measure.name][0].error) for o in columns)])
     return f"By the {measure.title}:\n\n" + markdown(["method", *(o.name for o in columns)], rows)
 
@@ -105,7 +104,7 @@ def method_table(outcome: Outcome) -> str:
                 row += ["", "", ""]
                 continue
             at_best = "" if found.best is None else "not reached by ours"
-            row += [found.told, number(found.best), number(found.ratio_at_best, 3) or at_best]
+            row += [found.text, number(found.best), number(found.ratio_at_best, 3) or at_best]
         rows.append(row)
     heads = ["method"]
     for name in names:
@@ -140,7 +139,7 @@ def headline(outcome: Outcome) -> str:
 
 
 def expectation(outcome: Outcome) -> str:
-    """What was expected of the guitar of Fabre et al. at 48 kHz and of Adams-Bashforth 3, and what is the case."""
+    """Compare expectations of the guitar of Fabre et al. at 48 kHz and of Adams-Bashforth 3 with results."""
     ours = usual(outcome.points, PITCH)
     if ours is None:
         return ""

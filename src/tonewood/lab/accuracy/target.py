@@ -91,7 +91,7 @@ NAMES = tuple(f.name for f in fields(Worst))
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What is asked for: largest errors; None where nothing is asked."""
+    """Largest errors that are allowed; None where nothing is asked."""
 
     text: str
     limits: Worst
@@ -194,7 +194,7 @@ class Tried:
 
 @dataclass(frozen=True, eq=False)
 class Frontier:
-    """What was found.
+    """Settings that were tried, and their errors.
 
     Attributes
     ----------
@@ -426,7 +426,7 @@ class _Search:
         return any(isinstance(effect, SwitchedEffect) and effect.watched for effect in effects)
 
     def _modes(self, base: Setting) -> Worst:
-        """What twice as high a limit of the strings' modes changes."""
+        """Changes that twice as high a limit of the strings' modes makes."""
         uppers = {n: p.freq_upper for n, p in self.instrument.spec.strings.items()}
         wider = {f"strings.{name}.freq_upper": min(2 * f, 1e5) for name, f in uppers.items()}
         rate = replace(base, oversampling=2 * base.oversampling)

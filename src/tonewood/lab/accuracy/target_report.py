@@ -1,9 +1,8 @@
-"""What `target.search` found, as text, JSON and charts."""
+"""Results of `target.search` as text, JSON and charts."""
 
 from __future__ import annotations
 
 import io
-import json
 import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING
@@ -15,7 +14,6 @@ from tonewood.lab.accuracy.target import NAMES, Frontier, Tried, Worst
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SCHEMA = "tonewood-target/1"
 #: measure -> heading, factor from its unit to that of the heading
 HEADS = {
     "cents": ("pitch, cents", 1.0),
@@ -91,11 +89,10 @@ def _worded(errors: Worst) -> str:
     return ", ".join(_shown(errors, name) + unit for name, unit in units.items() if getattr(errors, name) is not None)
 
 
-def to_json(found: Frontier) -> str:
+def to_json(found: Frontier) -> dict[str, object]:
     """Everything, with the options of the cheapest setting."""
     best = found.cheapest
-    plain = asdict(found) | {"schema": SCHEMA, "apply": None if best is None else best.setting.words}
-    return json.dumps(plain, allow_nan=False)
+    return asdict(found) | {"apply": None if best is None else best.setting.words}
 
 
 def chart_png(found: Frontier, *, dpi: int = 120) -> bytes:

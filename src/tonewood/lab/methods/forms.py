@@ -1,7 +1,7 @@
 """Udwadia and Kalaba's equation in modal coordinates, as the literature writes it: an ordinary differential equation.
 
 Each form gives q' = F q + G u + H b, y = C q for the constrained system. They describe one motion: the unconstrained
-motion plus the least correction that satisfies A y'' = b. What they ask of the components differs:
+motion plus the least correction that satisfies A y'' = b. They ask different things of the components:
 
 * `physical`: matrices M, C, K (Udwadia & Kalaba 1992; Fabre et al. 2024, Eqs 1-7);
 * `general`: complex modes, left and right shapes; acoustic dofs allowed (Fabre et al. 2024, Eqs 24-27);

@@ -91,13 +91,13 @@ def velocity_verlet(problem: Problem, dt: float) -> StepMap:
     q = np.concatenate([eye, dt * eye, dt**2 / 2 * eye], axis=1)
     a = -stiff @ q - loss @ np.concatenate([zero, eye, dt * eye], axis=1)
     v = np.concatenate([zero, eye, dt / 2 * eye], axis=1) + dt / 2 * a
-    push = m.project @ m.inputs.T
+    scatter = m.project @ m.inputs.T
     start = np.concatenate([np.eye(2 * n), -np.concatenate([stiff, loss], axis=1)])
     return StepMap(
         dt,
         np.concatenate([q, v, a]),
-        np.zeros((3 * n, push.shape[1])),
-        np.concatenate([np.zeros_like(push), dt / 2 * push, push]),
+        np.zeros((3 * n, scatter.shape[1])),
+        np.concatenate([np.zeros_like(scatter), dt / 2 * scatter, scatter]),
         np.concatenate([m.outputs, np.zeros((len(m.outputs), 2 * n))], axis=1),
         start @ m.embed,
     )

@@ -1,4 +1,4 @@
-"""What every method steps: components held together rigidly, some forces, some displacements to read."""
+"""Problem that every method steps: components held together rigidly, some forces, some displacements to read."""
 
 from __future__ import annotations
 
@@ -157,11 +157,11 @@ class StepMap:
     def advance(self, x: Array, forces: ArrayLike) -> tuple[Floats, Array]:
         """Displacements (n, n_outputs) from the state x (k,) on, and the state at the last of them."""
         u = np.asarray(forces, dtype=np.float64)
-        pushed = u[:-1] @ self.now.T + u[1:] @ self.next.T
+        known = u[:-1] @ self.now.T + u[1:] @ self.next.T
         out = np.empty((len(u), len(self.output)))
         out[0] = (self.output @ x).real
-        for n, push in enumerate(pushed, start=1):
-            x = self.T @ x + push
+        for n, scatter in enumerate(known, start=1):
+            x = self.T @ x + scatter
             out[n] = (self.output @ x).real
         return out, x
 
@@ -200,11 +200,11 @@ def system_map(system: System, now: Floats | None = None, later: Floats | None =
         (not one_way) * (system.incidence(i) @ c.rows[: ports[i]].reshape(ports[i], -1))
         for i, (c, one_way) in enumerate(zip(system.compiled, system.driven, strict=True))
     ], axis=1)  # fmt: skip
-    push = np.concatenate([
+    scatter = np.concatenate([
         c.W.reshape(ports[i], -1).T @ system.incidence(i).T for i, c in enumerate(system.compiled)
     ])  # fmt: skip
     size = len(E)
-    correct = np.eye(size) - push @ system.solve.G @ gap
+    correct = np.eye(size) - scatter @ system.solve.G @ gap
     output = np.zeros((len(system.readouts), size))
     start = 0
     for c, p in zip(system.compiled, ports, strict=True):
@@ -215,7 +215,7 @@ def system_map(system: System, now: Floats | None = None, later: Floats | None =
     none = np.zeros((size, 0))
     return StepMap(
         system.dt,
-        correct @ E - push @ system.solve.G @ (system.solve.gamma[:, None] * gap),
+        correct @ E - scatter @ system.solve.G @ (system.solve.gamma[:, None] * gap),
         none if now is None else correct @ now,
         none if later is None else correct @ later,
         output,

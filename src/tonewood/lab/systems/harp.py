@@ -86,8 +86,8 @@ def whole(n_sines: int, body: Matrices) -> tuple[Matrices, Floats, Floats]:
     C = 2 * s.sigma0 * M
     for total, part in zip((M, C, K), body, strict=True):
         total[n_sines:, n_sines:] += part
-    pulled = np.concatenate([np.sin(k * PLUCK * s.length), (1 - PLUCK) * end])
-    return Matrices(M, C, K), pulled, np.concatenate([np.zeros(n_sines), tie])
+    plucked = np.concatenate([np.sin(k * PLUCK * s.length), (1 - PLUCK) * end])
+    return Matrices(M, C, K), plucked, np.concatenate([np.zeros(n_sines), tie])
 
 
 def partial_levels(response: Complexes, freq: Floats, partials: Floats) -> Floats:
@@ -125,7 +125,7 @@ def rows() -> Iterator[Row]:
         yield Row(SYSTEM, quantity, source, len(made), len(found), 0, kind="regression")
 
     n_modes, n_partials = 60, 8
-    reference, pulled, tie = whole(n_modes - 1, matrices)
+    reference, plucked, tie = whole(n_modes - 1, matrices)
     exact = assembled.poles(reference)
     stepped = METHODS["held_position"].step_matrix(problem(n_modes), 1 / 48000).poles()
     worst = 0.0
@@ -137,8 +137,8 @@ def rows() -> Iterator[Row]:
     )
     few, duration = 36, 1.2
     times = np.arange(round((RAMP - 0.01) * 48000), round(duration * 48000) + 1) / 48000
-    reference_few, pulled_few, tie_few = whole(few - 1, matrices)
-    expected = assembled.ramp_and_release(reference_few, pulled_few, FORCE / RAMP, RAMP, times, tie_few)
+    reference_few, plucked_few, tie_few = whole(few - 1, matrices)
+    expected = assembled.ramp_and_release(reference_few, plucked_few, FORCE / RAMP, RAMP, times, tie_few)
     wave = pluck(problem(few), 48000, duration)[-len(times) :]
     error = float(np.abs(wave - expected).max() / np.abs(expected[times > RAMP]).max())
     yield Row(SYSTEM, "waveform at the tie, 48 kHz, largest error / peak", "eig of assembled M, C, K", 0, error, 1e-3)
@@ -147,7 +147,7 @@ def rows() -> Iterator[Row]:
     s = 2j * np.pi * freq
     case_2, _, _ = whole(n_modes - 1, falsely_complex(matrices))
     direct = {
-        case: assembled.modal_receptance(system, s, tie, pulled)
+        case: assembled.modal_receptance(system, s, tie, plucked)
         for case, system in (("complex", reference), ("proportional", case_2))
     }
     levels = {case: coupled_receptance(problem(n_modes, case), freq)[:, 0, 0] for case in CASES}

@@ -1,7 +1,7 @@
 """A stand-in for the Central African harp of Fabre, Le Carrou & Chomette (2024, section 3.2.2).
 
 The paper shows that the harp's 32 modes between 100 and 1700 Hz are complex, several strongly so, and where that is
-heard, but does not print them. What stands here is made up to be like it where the paper speaks: 32 modes in that
+heard, but does not print them. This body is made up, and like it where the paper gives figures: 32 modes in that
 range, in four groups that Hasselman's criterion at 0.2 keeps apart; several with a phase collinearity below 0.95,
 the 22nd and the 26th among them, about the third and the fourth partial of the paper's string (247 Hz).
 
@@ -54,8 +54,8 @@ def harp_body_matrices(seed: int = SEED) -> tuple[Matrices, dict[str, Floats]]:
     n = omega.size
     mass = _MODAL_MASS * np.exp(rng.normal(0.0, 0.3, n))
     theta = rng.uniform(0.0, 2 * np.pi, n)
-    along = np.linspace(0.0, 1.0, N_STRINGS)
-    shapes = np.cos(np.pi * np.outer(along, np.arange(n) / 8) + theta) / np.sqrt(mass)
+    place = np.linspace(0.0, 1.0, N_STRINGS)
+    shapes = np.cos(np.pi * np.outer(place, np.arange(n) / 8) + theta) / np.sqrt(mass)
     C = np.diag(2 * _LIGHT_DAMPING * omega)
     start = 0
     for group in FREQS:

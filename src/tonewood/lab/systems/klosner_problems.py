@@ -173,16 +173,16 @@ def assembled(problem: Problem, dt: float, n: int) -> Motion:
         force = (rate @ place.T @ problem.sub_mass + d @ problem.sub_stiffness)[:, 0]
         return Motion(x[:, :size] @ to_main, d, force - on_sub * problem.sub_direction[0])
     law, gap = problem.mounting, to_main - place[0]
-    pull = sla.solve(whole.M, gap)
+    per_force = sla.solve(whole.M, gap)
     stiff = sla.solve(whole.M, whole.K)
 
     def rate_of(t: float, x: Floats, v: Floats) -> Floats:
         forces = np.array([force_at(problem.load, t), force_at(problem.sub_load, t)])
-        return np.asarray(acceleration @ forces - stiff @ x - pull * law.continuous(gap @ x, gap @ v))
+        return np.asarray(acceleration @ forces - stiff @ x - per_force * law.continuous(gap @ x, gap @ v))
 
     x = _integrated(rate_of, size, problem, dt, n)
-    pulls = np.array([law.continuous(gap @ q, gap @ v) for q, v in zip(x[:, :size], x[:, size:], strict=True)])
-    return Motion(x[:, :size] @ to_main, x[:, :size] @ place.T, pulls)
+    mounting = np.array([law.continuous(gap @ q, gap @ v) for q, v in zip(x[:, :size], x[:, size:], strict=True)])
+    return Motion(x[:, :size] @ to_main, x[:, :size] @ place.T, mounting)
 
 
 def by_form(problem: Problem, form: str, dt: float, n: int) -> Motion:

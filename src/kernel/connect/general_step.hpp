@@ -1,8 +1,8 @@
-// Linear connections, and nonlinear ones by contact_step.hpp where they act.
+// Steps without a rising tension: any connections, and linear ones alone.
 #pragma once
 
 #include "connection_step.hpp"
-#include "contact_step.hpp"
+#include "law_forces.hpp"
 
 namespace tonewood {
 namespace {
@@ -10,7 +10,7 @@ namespace {
 // Any connections: forces of the linear ones from the gaps, then the laws.
 class GeneralStep : public ConnectionStep {
 public:
-    GeneralStep(Block& block, ContactStep& laws)
+    GeneralStep(Block& block, LawForces& laws)
         : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws),
           y_(2 * layout_.port_rows.size()) {}
 
@@ -43,14 +43,14 @@ private:
     Block& block_;
     const Layout& layout_;
     const int m_;
-    ContactStep& laws_;
+    LawForces& laws_;
     Array<double> y_;  // port displacements before the step, then free ones after it
 };
 
 // The port forces of linear connections in one product. The general step follows only where a contact may touch.
 class DirectStep : public ConnectionStep {
 public:
-    DirectStep(Block& block, ContactStep& laws)
+    DirectStep(Block& block, LawForces& laws)
         : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws), general_(block, laws),
           direct_(layout_) {}
 
@@ -76,7 +76,7 @@ private:
     Block& block_;
     const Layout& layout_;
     const int m_;
-    ContactStep& laws_;
+    LawForces& laws_;
     GeneralStep general_;
     DirectForces direct_;
 };

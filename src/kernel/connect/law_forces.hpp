@@ -13,11 +13,11 @@
 namespace tonewood {
 namespace {
 
-class ContactStep {
+class LawForces {
     using Term = Nonlinear::Term;
 
 public:
-    explicit ContactStep(Block& block)
+    explicit LawForces(Block& block)
         : rows(block), cull(block, rows), series(block.model.nonlinear, block.model.contacts), block_(block),
           components_(block.model.components), layout_(block.model.layout), solve_(block.model.solve),
           nl_(block.model.nonlinear), ws_(block.model.contacts), statistics_(block.model.statistics), job_(block.job) {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from nonlinear_scenes import pulled, tense_guitar
+from nonlinear_scenes import drawn, modulated_guitar
 
 from tonewood import _kernel
 from tonewood.coupling.connections import Connection, Term
@@ -34,7 +34,7 @@ def same(ours, theirs, tolerance):
 
 def both(system, force, n, **options):
     """Kernel and twin over n steps from the same pluck."""
-    a, b = pulled(system, force), pulled(system, force)
+    a, b = drawn(system, force), drawn(system, force)
     stepper = KernelStepper(system, **options)
     expected, expected_forces = NumpyStepper(system).run(a, n)
     out, forces = stepper.run(b, n)
@@ -44,7 +44,7 @@ def both(system, force, n, **options):
 
 @pytest.mark.parametrize(("force", "isa"), [(0.5, ISAS[0]), *((-5.0, isa) for isa in ISAS), (100.0, ISAS[0])])
 def test_kernel_takes_the_steps_of_its_twin(force, isa):
-    system = tense_guitar(frets=SOFT)
+    system = modulated_guitar(frets=SOFT)
     ours, theirs, stepper = both(system, force, 60, isa=isa)
     same(ours[0], theirs[0], 1e-9)
     np.testing.assert_allclose(ours[1], theirs[1], atol=1e-9 * np.abs(theirs[1]).max())
@@ -57,7 +57,7 @@ def test_kernel_takes_the_steps_of_its_twin(force, isa):
 
 @pytest.mark.parametrize("name", EXTRA)
 def test_every_kind_of_connection_meets_rising_tension(name):
-    ours, theirs, stepper = both(tense_guitar(frets=STIFF, extra=[EXTRA[name]]), 5.0, 60)
+    ours, theirs, stepper = both(modulated_guitar(frets=STIFF, extra=[EXTRA[name]]), 5.0, 60)
     same(ours[0], theirs[0], 1e-9)
     np.testing.assert_allclose(ours[1], theirs[1], atol=1e-8 * np.abs(theirs[1]).max())
     assert np.abs(theirs[1][:, -1]).max() > 0
@@ -66,14 +66,14 @@ def test_every_kind_of_connection_meets_rising_tension(name):
 
 @pytest.mark.validate
 def test_thousands_of_steps_stay_together():
-    ours, theirs, stepper = both(tense_guitar(1, 30, frets=SOFT), 3.0, 3000)
+    ours, theirs, stepper = both(modulated_guitar(1, 30, frets=SOFT), 3.0, 3000)
     # each step finds its tension to 1e-11 of itself; what 3000 of them leave has no smaller bound than their sum
     same(ours[0], theirs[0], 3000 * 1e-11)
     assert stepper.statistics.solves > 500
 
 
-def test_some_strings_tense_and_some_not():
-    system = tense_guitar(frets=SOFT, extra=[EXTRA["to the body"]]).with_tensions(["s0"])
+def test_some_strings_modulated_and_some_not():
+    system = modulated_guitar(frets=SOFT, extra=[EXTRA["to the body"]]).with_tensions(["s0"])
     ours, theirs, _ = both(system, 5.0, 60)
     same(ours[0], theirs[0], 1e-9)
     np.testing.assert_allclose(ours[1], theirs[1], atol=1e-9 * np.abs(theirs[1]).max())
@@ -82,11 +82,11 @@ def test_some_strings_tense_and_some_not():
 @pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("force", [0.3, 5.0])
 def test_culled_contacts_change_no_bit(isa, force):
-    system = tense_guitar(frets=STIFF)
+    system = modulated_guitar(frets=STIFF)
     results, states, read = [], [], []
     for culling in (True, False):
         state, stepper = (
-            pulled(system, force),
+            drawn(system, force),
             KernelStepper(system, isa=isa, shortcuts=Shortcuts(block_culling=culling)),
         )
         results.append([stepper.run(state, n) for n in (64, 300, 100, 336)])
@@ -102,8 +102,8 @@ def test_culled_contacts_change_no_bit(isa, force):
 
 
 def test_contacts_that_are_never_touched_change_no_bit():
-    alone, with_frets = tense_guitar(), tense_guitar(frets=FAR)
-    a, b = pulled(alone, 20.0), pulled(with_frets, 20.0)
+    alone, with_frets = modulated_guitar(), modulated_guitar(frets=FAR)
+    a, b = drawn(alone, 20.0), drawn(with_frets, 20.0)
     stepper = KernelStepper(with_frets)
     expected, _ = KernelStepper(alone).run(a, 480)
     out, _ = stepper.run(b, 480)
@@ -114,9 +114,9 @@ def test_contacts_that_are_never_touched_change_no_bit():
 
 
 def test_without_axial_stiffness_only_the_contacts_are_left():
-    tense, plain = tense_guitar(axial_stiffness=0.0, frets=SOFT), tense_guitar(on=False, frets=SOFT)
-    a, b = pulled(tense, 5.0), pulled(plain, 5.0)
-    stepper = KernelStepper(tense)
+    modulated, plain = modulated_guitar(axial_stiffness=0.0, frets=SOFT), modulated_guitar(on=False, frets=SOFT)
+    a, b = drawn(modulated, 5.0), drawn(plain, 5.0)
+    stepper = KernelStepper(modulated)
     out, forces = stepper.run(a, 400)
     expected, expected_forces = KernelStepper(plain).run(b, 400)
     same(out, expected, 1e-9)
@@ -128,8 +128,8 @@ def test_without_axial_stiffness_only_the_contacts_are_left():
 @pytest.mark.parametrize("law", [SOFT, STIFF, Contact(1e15, 2.3, offset=-2e-4)], ids=["soft", "stiff", "stiffest"])
 @pytest.mark.parametrize("force", [5.0, 100.0])
 def test_energy_never_rises(law, force):
-    system = tense_guitar(frets=law, extra=[EXTRA["to the body"]])
-    state, stepper = pulled(system, force), KernelStepper(system)
+    system = modulated_guitar(frets=law, extra=[EXTRA["to the body"]])
+    state, stepper = drawn(system, force), KernelStepper(system)
     energy = [stored_energy(system, state).total]
     for _ in range(300):
         stepper.run(state, 1)
@@ -141,19 +141,19 @@ def test_energy_never_rises(law, force):
 
 
 def test_runs_cut_into_whole_windows_go_on_where_they_stopped():
-    system = tense_guitar(frets=STIFF)
-    a, b = pulled(system, 5.0), pulled(system, 5.0)
+    system = modulated_guitar(frets=STIFF)
+    a, b = drawn(system, 5.0), drawn(system, 5.0)
     one, many = KernelStepper(system), KernelStepper(system)
     expected, _ = one.run(a, 320)
     out = np.concatenate([many.run(b, n)[0] for n in (64, 128, 128)])
     np.testing.assert_array_equal(out, expected)
 
 
-def test_a_moving_partner_meets_a_tense_string():
-    system = tense_guitar(frets=SOFT)
+def test_a_moving_partner_meets_a_modulated_string():
+    system = modulated_guitar(frets=SOFT)
     n = 60
     ramp = PrescribedMotion("s0f3", 5, offset=-2e-4 + np.linspace(0, 4e-4, n + 1), scale=np.linspace(0.0, 1.0, n))
-    a, b = pulled(system, 1.0), pulled(system, 1.0)
+    a, b = drawn(system, 1.0), drawn(system, 1.0)
     expected, expected_forces = NumpyStepper(system).run(a, n + 20, (), [ramp])
     out, forces = KernelStepper(system).run(b, n + 20, (), [ramp])
     same(out, expected, 1e-9)
