@@ -60,6 +60,16 @@ def test_the_frontier_has_what_nothing_cheaper_reaches() -> None:
     assert found.cheapest is tried[2]
 
 
+@pytest.mark.parametrize(
+    ("own", "said"), [(0.1, "no setting tried meets it. The nearest:"), (1.0, "not known so well")]
+)
+def test_a_target_below_the_reference_is_said(own: float, said: str) -> None:
+    tried = (Tried(Setting(1.0), Worst(0.5, 0.0, 0.0, 0.1), False, 1.0, 1, 1e4),)
+    target, known = Target.parse("0.4cent"), Worst(own, 0.0, 0.0, 0.0)
+    found = Frontier("x", target, ("A",), 48000, 1e4, tried, 8.0, known, Worst(), 1, tried[0])
+    assert said in target_report.summary(found).splitlines()[0]
+
+
 def test_notes_that_cannot_be_played_are_said() -> None:
     monochord = tw.load_instrument("monochord")
     with pytest.raises(tw.TonewoodError, match="there is no string 'E2'; there is A2"):
@@ -147,7 +157,7 @@ def test_refusals_are_one_line(options: list[str], said: str, capsys: pytest.Cap
 @pytest.mark.parametrize("name", ["steel_guitar", "tanpura", "buzzing_monochord"])
 def test_instruments_that_are_not_linear(name: str) -> None:
     instrument = tw.load_instrument(name)
-    found = search(instrument, Target.parse("5cent,2dB"), notes=[instrument.string_names[0]])
+    found = search(instrument, Target.parse("5cent,8dB"), notes=[instrument.string_names[0]])
     assert found.cheapest is not None
     assert np.isfinite(found.own.cents or np.nan)
     assert (found.strokes > 1) == (name == "buzzing_monochord")

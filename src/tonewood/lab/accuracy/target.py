@@ -123,7 +123,7 @@ class Target:
         return cls(text, Worst(**limits))
 
     def met(self, errors: Worst) -> bool:
-        """Whether no error is larger; one that is not known is."""
+        """Whether no error is larger; one that is not known counts as larger."""
         pairs = [(getattr(self.limits, n), getattr(errors, n)) for n in NAMES]
         return all(limit is None or (found is not None and found <= limit) for limit, found in pairs)
 
@@ -181,7 +181,7 @@ class Tried:
     met : whether errors and the reference's own together stay within the target.
     seconds : of computing per second of sound, of the first note.
     n_modes : stepped.
-    highest : Hz, highest mode.
+    highest : Hz, up to which modes of strings are stepped.
     """
 
     setting: Setting
@@ -372,7 +372,7 @@ class _Search:
 
     def _limits(self, rate: float) -> list[Setting]:
         """Settings of one rate: all modes that it steps, and fewer."""
-        top = min(FREQ_LIMIT * rate * self.fs, max(p.freq_upper for p in self.instrument.spec.strings.values()))
+        top = self._top(rate)
         lower = [round(self.bandwidth * (top / self.bandwidth) ** share, -2) for share in SHARES]
         whole = Setting(rate, effects=self.effects)
         return [whole, *(replace(whole, freq_limit=f) for f in lower if self.bandwidth <= f < 0.9 * top)]
@@ -380,23 +380,21 @@ class _Search:
     def _try(self, setting: Setting) -> Tried:
         strokes = self._strokes(setting)
         errors = self._held_against(strokes)
-        top = FREQ_LIMIT * setting.oversampling * self.fs
-        limit = min(top, setting.freq_limit or top)
-        return Tried(setting, errors, self.target.met(errors + self.own), strokes[0].seconds, strokes[0].n_modes, limit)
+        return self._made(setting, strokes, errors)
+
+    def _made(self, setting: Setting, strokes: Sequence[Strokes], errors: Worst) -> Tried:
+        top = self._top(setting.oversampling)
+        limit, met = min(top, setting.freq_limit or top), self.target.met(errors + self.own)
+        return Tried(setting, errors, met, strokes[0].seconds, strokes[0].n_modes, limit)
+
+    def _top(self, rate: float) -> float:
+        """Highest mode of strings at a rate, Hz."""
+        return min(FREQ_LIMIT * rate * self.fs, max(p.freq_upper for p in self.instrument.spec.strings.values()))
 
     def _try_default(self, standard: float) -> Tried:
         strokes = [case.strokes({}, self.factors) for case in self.cases]
-        errors = self._held_against(strokes)
-        limit = FREQ_LIMIT * standard * self.fs
-        met = self.target.met(errors + self.own)
-        return Tried(
-            Setting(standard, effects=self.effects and "auto"),
-            errors,
-            met,
-            strokes[0].seconds,
-            strokes[0].n_modes,
-            limit,
-        )
+        setting = Setting(standard, effects=self.effects and "auto")
+        return self._made(setting, strokes, self._held_against(strokes))
 
     def _timed(self, tried: Sequence[Tried]) -> list[Tried]:
         """The same from cheap to dear, timed on the first note, all in turn."""
@@ -430,8 +428,8 @@ class _Search:
         uppers = {n: p.freq_upper for n, p in self.instrument.spec.strings.items()}
         wider = {f"strings.{name}.freq_upper": min(2 * f, 1e5) for name, f in uppers.items()}
         rate = replace(base, oversampling=2 * base.oversampling)
-        pairs = [(c.strokes(rate.options, overrides=wider), c.strokes(rate.options)) for c in self.cases]
-        return Worst.of([case.errors(a, b) for case, (a, b) in zip(self.cases, pairs, strict=True)])
+        pairs = zip(self.cases, self._strokes(rate, wider), self._strokes(rate), strict=True)
+        return Worst.of([case.errors(wide, own) for case, wide, own in pairs])
 
 
 def _values(errors: Worst) -> tuple[float | None, ...]:

@@ -34,6 +34,8 @@ def _answer(found: Frontier) -> str:
     asked = f"{found.target.text} on {found.instrument} ({', '.join(found.notes)})"
     if best is None:
         near = found.nearest
+        if not found.target.met(found.own):
+            return f"{asked}: no setting can be shown to meet it; the reference itself is not known so well, see below."
         return f"{asked}: no setting tried meets it. The nearest: {near.setting.words} ({_worded(near.errors)})."
     ratio = best.seconds / default.seconds
     meets = "meets it, too" if default.met else "does not meet it"
