@@ -74,23 +74,25 @@ class ModalRadiation(Pickup[ModalRadiationParameters]):
         sign, place = float(self.parameters.force_sign), {}
         for point, body_point in scene.body_points.items():
             if "u" in body_point.coordinates:
-                place[point] = body_point.coordinates["u"]
+                place[point] = (body_point.coordinates.get("heave", 1.0), body_point.coordinates["u"])
         drives = []
         for force in scene.bridge_forces:
             if force.point not in place:
                 raise self.fault(f"the body's point {force.point!r} has no place u on the bridge")
-            if abs(place[force.point]) > 1.0:
-                raise self.fault(
-                    f"the body's point {force.point!r} lies at u = {place[force.point]:g}; -1 to 1 are allowed"
-                )
+            heave, u = place[force.point]
+            if abs(u) > 1.0:
+                raise self.fault(f"the body's point {force.point!r} lies at u = {u:g}; -1 to 1 are allowed")
             factor = sign * force.factor
-            drives.append(Drive(name, "heave", force.connection, factor))
-            drives.append(Drive(name, "moment", force.connection, factor * place[force.point]))
+            drives.append(Drive(name, "heave", force.connection, factor * heave))
+            drives.append(Drive(name, "moment", force.connection, factor * u))
         return PickupRows(
             readouts=tuple(Readout(f"{name}.{c}", "displacement", (Probe(name, c),)) for c in self.channels),
             components={name: self.basis(scene.freq_upper)},
             drives=tuple(d for d in drives if d.factor != 0.0),
-            body_inputs={point: ((name, "heave", sign), (name, "moment", sign * u)) for point, u in place.items()},
+            body_inputs={
+                point: ((name, "heave", sign * heave), (name, "moment", sign * u))
+                for point, (heave, u) in place.items()
+            },
         )
 
     def basis(self, freq_upper: float) -> ModalBasis:

@@ -7,7 +7,9 @@ one of four ways:
 points        a column per point, the shape there; ``modal_mass`` (kg) if the shapes are not mass-normalised
 residues      a column per point, A = phi phi_ref / m (1/kg): the mobility from the point `reference` is
               sum A s / (s^2 + (omega/Q) s + omega^2); phi = A / sqrt(A_ref)
-heave_rock    ``heave, cross, rock`` (1/kg): A(u, u') = heave + (u + u') cross + u u' rock for points at u on a line
+heave_rock    ``heave, cross, rock`` (1/kg): A(u, u') = heave + (u + u') cross + u u' rock for points at u on a line;
+              a line that rocks by dz = theta y moves what stands h above it by -theta h along y: a point with the
+              `lever` h / b, b half of the distance from u = -1 to 1, has the shape -lever times that of the rocking
 complex       columns ``NAME_right_re, NAME_right_im, NAME_left_re, NAME_left_im`` per point; y = 2 Re sum r z,
               z' = lambda z + l f (left shapes hold the normalisation)
 ============  ================================================================================================
@@ -57,6 +59,13 @@ class Point(Parameters):
 
     direction: Direction = described("x, y, z or a unit vector: displacement is counted along it", default="z")
     u: float | None = quantity("1", default=None, doc="heave_rock: place along the line, -1 .. 1 between the feet")
+    lever: float | None = quantity(
+        "1",
+        low=-1.0,
+        high=1.0,
+        default=None,
+        doc="heave_rock, instead of u: height above the soundboard re half the distance of the feet, moved along y",
+    )
     column: str | None = described("name of the point in the table; the point's own where left out", default=None)
     driven: bool = described(
         "whether forces act here; false for a point that is only heard, which the test of passivity leaves out",
@@ -100,9 +109,9 @@ class ModalTable(Body[ModalTableParameters]):
     Parameters = ModalTableParameters
 
     def points(self) -> Mapping[str, BodyPoint]:
-        """Every point with its direction; ``u`` among its coordinates where it was given."""
+        """Every point with its direction; of heave_rock with its shares of both, ``heave`` and ``u``."""
         return {
-            name: BodyPoint(unit_vector(p.direction), {} if p.u is None else {"u": p.u}, driven=p.driven)
+            name: BodyPoint(unit_vector(p.direction), _place(p), driven=p.driven)
             for name, p in self.parameters.points.items()
         }
 
@@ -173,13 +182,15 @@ class ModalTable(Body[ModalTableParameters]):
     def _heave_rock(self, table: Mapping[str, Floats]) -> tuple[NDArray[np.intp], dict[str, Floats]]:
         """Each residue matrix by its eigenvectors: one mode, or two at the same frequency."""
         heave, cross, rock = (self._column(table, name) for name in ("heave", "cross", "rock"))
-        u: dict[str, float] = {}
+        places: dict[str, Mapping[str, float]] = {}
         for name, point in self.parameters.points.items():
-            if point.u is None:
-                raise self.fault("heave_rock needs the place u of every point", f"points.{name}")
-            if unit_vector(point.direction) != (0.0, 0.0, 1.0):
-                raise self.fault("heave_rock knows motion along z alone", f"points.{name}.direction")
-            u[name] = point.u
+            if (point.u is None) == (point.lever is None):
+                raise self.fault("heave_rock needs the place u, or else a lever, of every point", f"points.{name}")
+            if unit_vector(point.direction) != ((0.0, 0.0, 1.0) if point.lever is None else (0.0, 1.0, 0.0)):
+                raise self.fault(
+                    "heave_rock knows motion along z at u, and along y with a lever", f"points.{name}.direction"
+                )
+            places[name] = _place(point)
         values, vectors = _eigen_2x2(heave, cross, rock)
         largest = values[:, 1:]
         if np.any(largest <= 0) or np.any(values[:, 0] < -RANK_TOLERANCE * largest[:, 0]):
@@ -187,7 +198,7 @@ class ModalTable(Body[ModalTableParameters]):
         row, branch = np.nonzero(values > RANK_TOLERANCE * largest)
         amplitude = np.sqrt(values[row, branch])
         v = vectors[row, :, branch] * amplitude[:, None]
-        return row, {name: v[:, 0] + x * v[:, 1] for name, x in u.items()}
+        return row, {name: at["heave"] * v[:, 0] + at["u"] * v[:, 1] for name, at in places.items()}
 
     def _complex(self, table: Mapping[str, Floats], freq_rad: Floats, zeta: Floats) -> ModalBasis:
         if np.any(zeta >= 1):
@@ -219,8 +230,8 @@ class ModalTable(Body[ModalTableParameters]):
             out = float(value) * np.eye(n)
         elif value.shape == (3,) and self.parameters.shapes == "heave_rock":
             heave, cross, rock = value
-            u = np.array([p.u or 0.0 for p in points.values()])
-            out = heave + cross * np.add.outer(u, u) + rock * np.outer(u, u)
+            up, u = np.array([[_place(p).get(key, 0.0) for p in points.values()] for key in ("heave", "u")])
+            out = heave * np.outer(up, up) + cross * (np.outer(up, u) + np.outer(u, up)) + rock * np.outer(u, u)
         elif value.shape == (n, n) and np.allclose(value, value.T, rtol=1e-9, atol=0.0):
             out = value
         else:
@@ -251,6 +262,13 @@ class ModalTable(Body[ModalTableParameters]):
             return repair_basis(basis, driven, max_change=p.max_change)
         except PassivityError as fault:
             raise PassivityError(f"{p.table}: {fault.reason}", file=self.files.manifest, key=self.key) from None
+
+
+def _place(point: Point) -> dict[str, float]:
+    """Shares of heave and of the moment about the middle in a point's motion, and of its force in these."""
+    if point.lever is not None:
+        return {"heave": 0.0, "u": -point.lever}
+    return {} if point.u is None else {"heave": 1.0, "u": point.u}
 
 
 def _eigen_2x2(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:

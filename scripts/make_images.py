@@ -7,17 +7,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib as mpl
-
-mpl.use("Agg")
-
 import numpy as np
-from matplotlib import pyplot
 from PIL import Image
 
 import tonewood as tw
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.inspection import bridge_mobility
+from tonewood.output.spectrum import spectrogram
+from tonewood.plotting import colour_bar, draw_mobility, draw_spectrogram, figure, legend, title
 
 ROOT = Path(__file__).parents[1]
 
@@ -27,22 +24,22 @@ def main(path: Path = ROOT / "docs" / "images" / "guitar.png") -> None:
     guitar = tw.load_instrument("classical_guitar")
     model = assemble(guitar, 48000)
     freq = np.geomspace(60.0, 5000.0, 3000)
-    figure, (left, right) = pyplot.subplots(1, 2, figsize=(10, 3.4), layout="constrained", width_ratios=(1, 1.3))
-    for name, mobility in list(bridge_mobility(model, freq).items())[::5]:
-        left.semilogx(freq, 20 * np.log10(np.abs(mobility)), lw=1, label=f"under {name}")
-    for name, string in model.strings.items():
-        left.axvline(string.freq(), color="0.8", lw=0.8, zorder=0)
-        left.text(string.freq(), -16.5, name, ha="center", fontsize=7, color="0.4")
-    left.set(xlabel="Hz", ylabel="mobility, dB re 1 (m/s)/N", title="the bridge, measured", ylim=(-62, -13))
-    left.legend(fontsize=8, loc="lower left")
-    score = tw.read_midi(ROOT / "examples" / "scores" / "greensleeves.mid", stop=9.0)
-    audio = tw.render(score, guitar, max_duration=9.0)
-    mono = audio.samples.mean(axis=1)
-    right.specgram(mono + 1e-12, NFFT=4096, noverlap=2048, Fs=audio.fs, vmin=-145, vmax=-55, cmap="magma")
-    right.set(ylim=(0, 5000), xlabel="s", ylabel="Hz", title="Greensleeves on it")
+    made, axes = figure(2, heights=[4.0, 4.0])
+    above, below = axes[:, 0]
+    ends = list(bridge_mobility(model, freq).items())
+    draw_mobility(above, freq, {f"under {name}": mobility for name, mobility in (ends[0], ends[-1])})
+    for string in model.strings.values():
+        above.axvline(string.freq(), color="0.75", lw=1.0, zorder=0)
+    title(above, "the bridge, measured; grey: the open strings")
+    legend(above, loc="upper right")
+    audio = tw.render(ROOT / "examples" / "scores" / "greensleeves.mid", guitar, max_duration=9.0)
+    time, pitch, level = spectrogram(audio.samples, audio.fs, columns=900, freq_upper=5000.0)
+    image = draw_spectrogram(below, time, pitch, level - level.max(), floor_db=-80.0)
+    below.set_xlabel("time, s")
+    title(below, "Greensleeves on it")
+    colour_bar(made, image, below, "level, dB")
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=72)
-    pyplot.close(figure)
+    made.savefig(path, dpi=80)
     with Image.open(path) as picture:
         few_colours = picture.convert("RGB").quantize(96)
     few_colours.save(path, optimize=True)

@@ -108,3 +108,16 @@ def test_effects(tmp_path: Path) -> None:
     drone, key = sounds["tanpura"].samples[:, 0], sounds["clavichord"].samples[:, 0]
     assert level(drone, 0.3) > 3 * level(drone, 0.0)
     assert np.abs(key[int(0.64 * 48000) : int(0.68 * 48000)]).max() < 0.02 * np.abs(key[: int(0.4 * 48000)]).max()
+
+
+def test_from_a_measurement(tmp_path: Path) -> None:
+    """A body fitted to hits moves under 10 g as Y / (1 + i omega m Y) of the body that was struck says."""
+    guitar = tw.load_instrument("classical_guitar")
+    freq = np.arange(150.0, 300.0, 0.02)
+    Y = guitar.body.basis(1e4).frf(freq, "bridge_middle", "bridge_middle")
+    heavy = Y / (1 + 2j * np.pi * freq * 0.010 * Y)
+    found = example("from_a_measurement").main(tmp_path, (70.0, 700.0), microphones=False)
+    assert found["mine"] == pytest.approx(freq[np.argmax(np.abs(Y))], rel=1e-3)
+    assert found["heavier"] == pytest.approx(freq[np.argmax(np.abs(heavy))], rel=1e-3)
+    assert sf.info(str(tmp_path / "heavier.wav")).frames == 72000
+    assert "measured by examples/from_a_measurement.py" in (tmp_path / "my_guitar" / "instrument.yaml").read_text()

@@ -16,7 +16,7 @@ SOURCES = ROOT / "src" / "tonewood"
 LAYERS = (
     {"errors", "validation_messages", "_kernel", "_methods"},
     {"units", "params", "yaml_io", "whole_files", "blas"},
-    {"yaml_edit"},
+    {"yaml_edit", "plotting", "tables"},
     {"modal"},
     {"coupling", "passivity"},
     {"stepping"},
@@ -26,7 +26,7 @@ LAYERS = (
     {"engine"},
     {"authoring"},
     {"output"},
-    {"lab", "batch", "fit"},
+    {"lab", "batch", "fit", "report"},
     {"cli"},
     {"__init__", "__main__"},
 )

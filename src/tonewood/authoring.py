@@ -61,7 +61,7 @@ from tonewood.modal.string_modes import string_basis, wavenumber
 from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.params import Number, Parameters, Vector, described, quantity
 from tonewood.passivity.basis import check_basis, repair_basis
-from tonewood.stepping.forcing import Segment
+from tonewood.stepping.forcing import SampledForce, Segment
 
 __all__ = [
     "DAMPERS",
@@ -106,6 +106,7 @@ __all__ = [
     "Readout",
     "Resonator",
     "RuntimeEffect",
+    "SampledForce",
     "SampledPotential",
     "Scene",
     "Segment",

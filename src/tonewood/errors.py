@@ -54,6 +54,12 @@ class TonewoodError(Exception):
         return (_rebuild, (type(self), self.reason, self.file, self.key, self.line))
 
 
+def kind_of(value: object) -> str:
+    """Name of a value's type with the article that sentences need: ``an int``, ``a Score``, ``None``."""
+    name = type(value).__name__
+    return "None" if value is None else f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
+
+
 def _rebuild(
     cls: type[TonewoodError], reason: str, file: str | None, key: str | None, line: int | None
 ) -> TonewoodError:

@@ -18,6 +18,8 @@ Floats = NDArray[np.float64]
 FS = 24000
 TENSION = "tension_modulation"
 PITCH = {"B3": 59, "E4": 64}
+#: a pluck whose release does not depend on its force, so that the linear instrument is linear in it
+RAMP = {"plugin": "pluck_ramp", "from_bridge": 0.12, "angle_deg": 60.0, "release_time": 1e-4}
 
 
 def duet(**effects: Any) -> tw.Instrument:
@@ -30,6 +32,7 @@ def duet(**effects: Any) -> tw.Instrument:
     values["body"] = body
     values["outputs"] = [{**values["outputs"][0], "at": {"mean": [f"body.bridge_{name}" for name in PITCH]}}]
     values["playing"] = {**values["playing"], "note_end": {"kind": "ring"}}
+    values["exciters"] = {**values["exciters"], "pluck": RAMP}
     values["effects"] = {**values["effects"], **effects}
     return tw.Instrument.from_values(values, guitar.folder)
 

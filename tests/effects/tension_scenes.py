@@ -23,6 +23,11 @@ NYLON = 5e9
 SECONDS = 2.4
 #: s after a pluck or a bend begins, in which the pitch of both renders moves
 GLIDE = 0.08
+#: plucks whose release does not depend on their force
+RAMPS = {
+    "steel_guitar": {"plugin": "pluck_ramp", "from_bridge": 0.12, "angle_deg": 60.0, "release_time": 1e-4},
+    "classical_guitar": {"plugin": "pluck_ramp", "from_bridge": 0.105, "angle_deg": 30.0, "release_time": 2e-4},
+}
 
 
 def guitar(name: str, strings: tuple[str, ...], **effects: Any) -> tw.Instrument:
@@ -35,6 +40,7 @@ def guitar(name: str, strings: tuple[str, ...], **effects: Any) -> tw.Instrument
             part["plugin"] = "tension_modulated_string"
             part["axial_stiffness"] = float(np.sqrt(4 * np.pi * NYLON * part["bending_stiffness"]))
     values["playing"] = {**values["playing"], "note_end": {"kind": "ring"}}
+    values["exciters"] = {**values["exciters"], "pluck": RAMPS[name]}
     values["connections"] = {}
     values["effects"] = {**values["effects"], **effects}
     return tw.Instrument.from_values(values, plain.folder)

@@ -10,27 +10,28 @@ import numpy as np
 import pytest
 
 import tonewood as tw
+from tonewood.coupling.system import Compiled
 from tonewood.engine.effects import bridge_response
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.registry import instrument_folder
 
 
 @pytest.fixture(scope="module")
-def body() -> bridge_response.Compiled:
+def body() -> Compiled:
     system = assemble(tw.load_instrument("classical_guitar"), 48000).system
     return system.compiled[system.slot("body")]
 
 
 @pytest.mark.parametrize("at_once", [1, 1000, 10**9])
 def test_response_is_the_sum_over_modes(
-    body: bridge_response.Compiled, at_once: int, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+    body: Compiled, at_once: int, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
     """sum_k r_k l_k^T / (s - lambda_k), both poles of each pair, and the residual compliance."""
     monkeypatch.setattr(bridge_response, "_AT_ONCE", at_once)
     basis, n = body.basis, len(body.basis.points)
     out, into = rng.normal(size=(3, n)), rng.normal(size=(2, n))
     freq_rad = 2 * np.pi * np.geomspace(30.0, 9000.0, 37)
-    found = bridge_response.response(body, freq_rad, out, into)
+    found = bridge_response.response(body.basis, body.form, freq_rad, out, into)
     assert found.shape == (3, 2, 37)
     for i, w in enumerate(freq_rad):
         wanted = basis.residual.astype(complex)
@@ -41,13 +42,13 @@ def test_response_is_the_sum_over_modes(
         assert found[..., i] == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.abs(wanted).max())
 
 
-def test_response_without_ends_readings_modes_or_frequencies(body: bridge_response.Compiled) -> None:
+def test_response_without_ends_readings_modes_or_frequencies(body: Compiled) -> None:
     n = len(body.basis.points)
     some, none, freq_rad = np.ones((2, n)), np.zeros((2, n)), np.array([100.0, 200.0, 300.0])
-    assert not bridge_response.response(body, freq_rad, some, none).any()
-    assert not bridge_response.response(body, freq_rad, none, some).any()
-    assert bridge_response.response(body, freq_rad, np.zeros((0, n)), some).shape == (0, 2, 3)
-    assert bridge_response.response(body, freq_rad[:0], some, some).shape == (2, 2, 0)
+    assert not bridge_response.response(body.basis, body.form, freq_rad, some, none).any()
+    assert not bridge_response.response(body.basis, body.form, freq_rad, none, some).any()
+    assert bridge_response.response(body.basis, body.form, freq_rad, np.zeros((0, n)), some).shape == (0, 2, 3)
+    assert bridge_response.response(body.basis, body.form, freq_rad[:0], some, some).shape == (2, 2, 0)
 
 
 def test_memory_grows_with_frequencies_plus_modes(tmp_path: Path) -> None:

@@ -101,10 +101,10 @@ def test_gestures(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
         assert np.isfinite(gesture.start)
         assert gesture.start < gesture.stop
         assert dataclasses.is_dataclass(gesture)
-        # doubled when asked to
+        # doubled when asked to, until the string is let go: how may depend on the force
         if gesture.segments and gesture.on is None and "force" in type(exciter.parameters).model_fields:
             twice = exciter.gesture(Event({"force": 2 * exciter.parameters.force}, 110.0), Place("A2", 0.65))
-            times = np.linspace(gesture.start, gesture.stop, 50)
+            times = np.linspace(gesture.start, min(gesture.stop, 0.0) if gesture.start < 0 else gesture.stop, 50)
             np.testing.assert_allclose([twice.force(t) for t in times], [2 * gesture.force(t) for t in times])
 
 

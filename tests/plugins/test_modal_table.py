@@ -46,6 +46,24 @@ def test_residues_per_point(tmp_path: Path) -> None:
     np.testing.assert_allclose(body.frf(FREQ, "far", "far"), term(100, 50) * 9 / 4 + term(250, 25) * 4, rtol=1e-10)
 
 
+def test_what_stands_above_a_rocking_line_moves_sideways(tmp_path: Path) -> None:
+    """A rigid bar on the line: its ends u = +-1 move by dz, its top, h above, by -h (dz_1 - dz_-1) / (2 b)."""
+    table = "f_Hz,Q,heave,cross,rock\n100,20,4.0,-2.0,1.0\n250,35,1.0,0.3,0.5\n"
+    points = {"low": {"u": -1.0}, "high": {"u": 1.0}, "side": {"lever": 0.4, "direction": "y"}}
+    body = make(tmp_path, table, shapes="heave_rock", points=points)
+    made = body.basis(1000.0)
+    for driven in points:
+        dz = {p: made.frf(FREQ, p, driven) for p in ("low", "high")}
+        np.testing.assert_allclose(
+            made.frf(FREQ, "side", driven), -0.4 * (dz["high"] - dz["low"]) / 2, rtol=1e-9, atol=1e-12
+        )
+    assert body.points()["side"].direction == (0.0, 1.0, 0.0)
+    with pytest.raises(TonewoodError, match="along y with a lever"):
+        make(tmp_path, table, shapes="heave_rock", points={"p": {"lever": 0.4}}).basis(1000.0)
+    with pytest.raises(TonewoodError, match="or else a lever"):
+        make(tmp_path, table, shapes="heave_rock", points={"p": {}}).basis(1000.0)
+
+
 def test_heave_and_rock(tmp_path: Path) -> None:
     """Any pair of places on the line: rank one (first row), rank two (second), rounding below rank (third)."""
     rows = [(100, 20, 4.0, -2.0, 1.0), (250, 35, 1.0, 0.3, 0.5), (400, 30, 2.0, 1e-8, -1e-9)]
@@ -146,7 +164,7 @@ POINTS: dict[str, Any] = {"shapes": "points", "points": {"p": {}}}
         (
             "f_Hz,Q,heave,cross,rock\n100,20,1,0,1",
             {**HEAVE, "points": {"p": {"u": 0.0, "direction": "y"}}},
-            r"points\.p\.direction: .*along z alone",
+            r"points\.p\.direction: .*along z at u",
         ),
         ("f_Hz,Q,p\n100,20,1", {**POINTS, "truncation": {"residual_compliance": [[1.0, 2.0], [2.0, 1.0]]}}, "1 x 1"),
         ("f_Hz,Q,p\n100,20,1", {**POINTS, "truncation": {"residual_compliance": -1e-8}}, "create energy"),

@@ -62,10 +62,21 @@ def energies(engine: Engine, until: float) -> Iterator[tuple[float, float]]:
 def test_plucks_from_a_breath_to_a_kilonewton(guitar: tw.Instrument, force: float) -> None:
     """The instrument is linear: all sound alike up to the factor. Let go, it loses energy in every interval."""
     note = tw.Note(0.0, 2.0, note=45, force=force)
-    one = sound([tw.Note(0.0, 2.0, note=45, force=1.0)], guitar, 0.3)
-    many = sound([note], guitar, 0.3)
+    ramp = guitar.replace({"exciters.pluck": {"plugin": "pluck_ramp"}})  # a finger's release depends on its force
+    one = sound([tw.Note(0.0, 2.0, note=45, force=1.0)], ramp, 0.3)
+    many = sound([note], ramp, 0.3)
     np.testing.assert_allclose(many, force * one, atol=1e-12 * force * np.abs(one).max(), rtol=0)
-    course = np.array([e for t, e in energies(engine_of([note], guitar), 0.5) if t > 2 * GRID / FS])
+    course = np.array([e for t, e in energies(engine_of([note], ramp), 0.5) if t > 2 * GRID / FS])
+    assert np.all(np.diff(course) < 0)
+
+
+@pytest.mark.parametrize("force", [0.5, 20.0, 1e3])
+def test_a_finger_of_any_force_lets_go(guitar: tw.Instrument, force: float) -> None:
+    """After its slip the instrument loses energy in every interval."""
+    engine = engine_of([tw.Note(0.0, 2.0, note=45, force=force)], guitar)
+    end = engine.timeline.plays[0].stop
+    assert end < 0.01
+    course = np.array([e for t, e in energies(engine, 0.5) if t > end + 2 * GRID / FS])
     assert np.all(np.diff(course) < 0)
 
 

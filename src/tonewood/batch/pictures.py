@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.batch.stimuli import Audio
+from tonewood.plotting import COLOURS, LEVELS
 from tonewood.whole_files import whole_file
 
 WIDTH, WAVE_HEIGHT, SPECTRUM_HEIGHT, GAP = 700, 96, 220, 4
@@ -24,7 +25,7 @@ CAPTION = (
     f"{GRID_HZ / 1e3:g} kHz), dark to bright from {FLOOR_DB:g} dB to the maximum."
 )
 _WINDOW = 2048
-_INK = (31, 119, 180, 255)
+_INK = (*(int(COLOURS[0][i : i + 2], 16) for i in (1, 3, 5)), 255)
 
 Pixels = NDArray[np.uint8]
 
@@ -65,7 +66,7 @@ def _spectrogram(sound: NDArray[np.float64], fs: int) -> Pixels:
     power = np.abs(np.fft.rfft(frames, axis=1).T[:bins]) ** 2
     rows = np.maximum.reduceat(power, np.linspace(0, bins, SPECTRUM_HEIGHT + 1).astype(int)[:-1], axis=0)[::-1]
     level = 10.0 * np.log10(np.maximum(rows, 1e-30) / max(float(rows.max()), 1e-30))
-    pixels: Pixels = colormaps["magma"](1.0 - level / FLOOR_DB, bytes=True)
+    pixels: Pixels = colormaps[LEVELS](1.0 - level / FLOOR_DB, bytes=True)
     top = bins * fs / _WINDOW
     lines = SPECTRUM_HEIGHT - 1 - (np.arange(GRID_HZ, top, GRID_HZ) / top * SPECTRUM_HEIGHT).astype(int)
     pixels[lines, :, :3] = pixels[lines, :, :3] // 4 * 3 + 60

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.batch.answers import HELPERS, Answer, Kind, ResultsError, read_answers, read_key
+from tonewood.plotting import COLOURS, LINE, figure, plain, title
 from tonewood.whole_files import whole_file
 
 LIMIT_SCORE = 90.0
@@ -209,18 +210,16 @@ def _unique(items: Iterable[str]) -> list[str]:
 
 def write_plot(results: Results, path: Path) -> None:
     """Plot the overall means or rates with their intervals as PNG."""
-    from matplotlib.figure import Figure
-
     rows: list[RatingMean | Rate] = list(results.overall)
     values = [r.mean if isinstance(r, RatingMean) else (math.nan if r.rate is None else r.rate) for r in rows]
     below = [0.0 if r.low is None else v - r.low for r, v in zip(rows, values, strict=True)]
     above = [0.0 if r.high is None else r.high - v for r, v in zip(rows, values, strict=True)]
-    made = Figure(figsize=(7.0, 1.2 + 0.45 * len(rows)), layout="tight")
-    axes = made.subplots()
-    axes.errorbar(values, range(len(rows)), xerr=[below, above], fmt="o", capsize=4)
-    axes.set_yticks(range(len(rows)), [r.label for r in rows])
-    axes.invert_yaxis()
-    axes.grid(axis="x", alpha=0.4)
+    made, grid = figure(heights=[1.6 + 0.6 * len(rows)])
+    axes = grid[0, 0]
+    axes.errorbar(values, range(len(rows)), xerr=[below, above], fmt="o", capsize=6, color=COLOURS[0], lw=LINE, ms=8)
+    axes.set_yticks(range(len(rows)), [plain(r.label) for r in rows])
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.grid(visible=False, axis="y")
     if results.kind == "mushra":
         axes.set(xlim=(0, 100), xlabel="score")
     elif results.kind == "bs1116":
@@ -230,6 +229,6 @@ def write_plot(results: Results, path: Path) -> None:
         axes.axvline(0.5, color="grey", linewidth=0.8)
         axes.set(xlim=(0, 1), xlabel="share of right answers")
     counted = results.listeners - len(results.screened)
-    axes.set_title(f"{results.name}: {counted} listeners, {100 * results.confidence:g} % intervals", fontsize=10)
+    title(axes, f"{results.name}: {counted} listeners, {100 * results.confidence:g} % intervals")
     with whole_file(path) as stream:
         made.savefig(stream, format="png", metadata={"Software": None})

@@ -8,22 +8,20 @@ Annex 2 by fourfold oversampling.
 from __future__ import annotations
 
 import hashlib
-import math
 from dataclasses import dataclass
-from fractions import Fraction
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
+from tonewood.output.loudness import loudness
+from tonewood.output.loudness import matching_gain_db as matching_gain_db
+from tonewood.output.loudness import resampled as resampled
+from tonewood.output.loudness import true_peak as true_peak
+from tonewood.units import decibel
 
 Audio = NDArray[np.float64]
-BLOCK = 0.400  # s, gating block of BS.1770
-_REACH, _REACH_GAIN = 10, 2.25  # of scipy's fourfold filter: samples each side, and sum of |h| (2.2414) over them
-METER_FS = 48000  # Hz, the rate for which BS.1770 gives its filters
-OVERSAMPLING = 4
 PEAK_MARGIN_DB = 0.01  # a page lowered for its true peak ends this much below the limit: room for dither
 BITS = {"PCM_16": 16, "PCM_24": 24}
 
@@ -47,22 +45,6 @@ class Measured:
     gated: bool
     peak_dbfs: float
     true_peak_dbtp: float
-
-
-def resampled(audio: Audio, fs: int, target: int) -> Audio:
-    """The sound at another rate, by a linear-phase polyphase filter (flat to 0.45 of the lower rate, -100 dB)."""
-    if fs == target:
-        return audio
-    from scipy.signal import firwin, kaiserord, resample_poly
-
-    ratio = Fraction(target, fs)
-    up, down = ratio.numerator, ratio.denominator
-    widest = max(up, down)
-    taps, beta = kaiserord(110.0, 0.1 / widest)  # transition from 0.9 to 1.0 of the lower Nyquist frequency
-    kernel = firwin(taps | 1, 0.95 / widest, window=("kaiser", beta))
-    return np.asarray(
-        resample_poly(audio, up, down, axis=0, window=kernel)  # type: ignore[call-overload]  # stubs lack kernels
-    )
 
 
 def with_channels(audio: Audio, channels: int, downmix: str = "mean") -> Audio:
@@ -112,77 +94,8 @@ def measured(audio: Audio, fs: int) -> Measured:
     can one to a sound that lies below the absolute gate throughout; it is measured at full scale.
     """
     peak = float(np.max(np.abs(audio), initial=0.0))
-    lufs, gated = _loudness(audio, fs, peak)
-    return Measured(lufs, gated, _db(peak), _db(true_peak(audio)))
-
-
-def _loudness(audio: Audio, fs: int, peak: float) -> tuple[float, bool]:
-    if peak == 0.0:
-        return -math.inf, False
-    block = math.ceil(BLOCK * fs)
-    if len(audio) >= block and math.isfinite(lufs := _gated(audio, fs)):
-        return lufs, True
-    padded: Audio = np.pad(audio / peak, ((0, max(0, block - len(audio))), (0, 0)))
-    return _gated(padded, fs) + _db(peak), False
-
-
-def _gated(audio: Audio, fs: int) -> float:
-    with np.errstate(divide="ignore", invalid="ignore"):  # no block above the gate: -inf
-        return float(_meter().integrated_loudness(resampled(audio, fs, METER_FS)))
-
-
-@cache
-def _meter() -> Any:
-    import pyloudnorm
-
-    # of its filters, the one that meets the standard's -3.01 LUFS at 997 Hz; exact at this rate only
-    return pyloudnorm.Meter(METER_FS, filter_class="DeMan", block_size=BLOCK)
-
-
-def true_peak(audio: Audio) -> float:
-    """Largest absolute value of the fourfold oversampled sound (never less than the samples' own).
-
-    The oversampled wave is at most `_REACH_GAIN` times the largest sample within the filter's reach, so stretches
-    that cannot hold the peak are left out: most of a decaying sound.
-    """
-    from scipy.signal import resample_poly
-
-    found = float(np.max(np.abs(audio), initial=0.0))
-    size = 256
-    blocks = np.pad(np.abs(audio).max(axis=1), (0, -len(audio) % size)).reshape(-1, size).max(axis=1)
-    around = np.pad(blocks, 1)
-    near = np.maximum(np.maximum(around[:-2], around[2:]), blocks)
-    edges = np.flatnonzero(np.diff(near * _REACH_GAIN > found, prepend=False, append=False))
-    for first, last in edges.reshape(-1, 2) * size:
-        start = max(0, first - 2 * _REACH)
-        over = resample_poly(audio[start : last + 2 * _REACH], OVERSAMPLING, 1, axis=0)
-        inside = over[(first - start) * OVERSAMPLING : (last - start) * OVERSAMPLING]
-        found = max(found, float(np.max(np.abs(inside), initial=0.0)))
-    return found
-
-
-def matching_gain_db(audio: Audio, fs: int, target_lufs: float) -> float:
-    """Gain in dB that brings a sound to a loudness.
-
-    The absolute gate (-70 LUFS) depends on the level itself, so the gated loudness is measured again at the level
-    found, until it stays.
-
-    Raises
-    ------
-    StimulusError
-        The sound is silent.
-    """
-    peak = float(np.max(np.abs(audio), initial=0.0))
-    if peak == 0.0:
-        raise StimulusError("the sound is silent: it has no loudness to match")
-    gain = -_db(peak)
-    for _ in range(8):
-        factor = 10.0 ** (gain / 20.0)
-        step = target_lufs - _loudness(audio * factor, fs, peak * factor)[0]
-        gain += step
-        if abs(step) < 1e-4:
-            break
-    return gain
+    lufs, gated = loudness(audio, fs)
+    return Measured(lufs, gated, decibel(peak), decibel(true_peak(audio)))
 
 
 def page_drop_db(true_peaks_dbtp: list[float], limit_dbtp: float) -> float:
@@ -238,7 +151,3 @@ def anchor(audio: Audio, fs: int, cutoff: int) -> Audio:
     taps, beta = kaiserord(65.0, 500.0 / (fs / 2))
     kernel = firwin(taps | 1, cutoff + 250.0, window=("kaiser", beta), fs=fs)
     return np.asarray(oaconvolve(audio, kernel[:, None], mode="same", axes=0), dtype=np.float64)
-
-
-def _db(amplitude: float) -> float:
-    return 20.0 * math.log10(amplitude) if amplitude > 0 else -math.inf

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, load, print_json
+from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, StringSetName, load, print_json
 from tonewood.cli.options import render_options
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ LOUD = 1e3
 def check(
     instrument: Bundle,
     fs: Annotated[int, typer.Option(help="sampling rate to assemble it at, Hz")] = 48000,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -36,19 +37,20 @@ def check(
 
     Exit code 2 if it cannot be played or its body could create energy.
     """
+    from tonewood.instrument.added import added_line
     from tonewood.instrument.assembly import assemble
     from tonewood.instrument.inspection import TOLERANCE_CENTS, check_transfers, microphone_responses, pitches
     from tonewood.instrument.mounted import Mounted
 
     render_options({"fs": fs})
-    bundle = load(instrument, settings, allow_code)
+    bundle = load(instrument, settings, allow_code, strings)
     model = assemble(bundle, fs, outputs=tuple(bundle.pickups))
     check_transfers(model)
     body = _body(model)
     found = pitches(model)
     wolves = [p for p in found if p.wolf is not None]
     off = [p for p in found if abs(p.error_cents) > TOLERANCE_CENTS]
-    everything = Mounted(model.strings, model.system.compiled[model.system.slot("body")].basis)
+    everything = Mounted(model.strings, model.body)
     together = [everything.pitch(p) for p in found]
     pairs = list(zip(found, together, strict=True))
     spec = bundle.spec
@@ -61,6 +63,7 @@ def check(
         "fs": fs,
         "n_modes": model.n_modes,
         "body": body,
+        "added": [added_line(entry) for entry in spec.body.added],
         "strings": {name: _string(model, name, pairs) for name in model.strings},
         "microphones": [_microphone(response) for response in microphone_responses(model)],
         "off_pitch": [pitch_row(p) for p in off],
@@ -68,7 +71,9 @@ def check(
         "wolf_notes": [pitch_row(p) for p in wolves],
         "table_doubts": bundle.table_doubts(),
         "stand_ins": [{"path": path, "note": spec.provenance[path].note} for path in bundle.stand_ins()],
+        "unknown": bundle.of_unknown_origin(),
         "provenance": dict(Counter(entry.kind for entry in spec.provenance.values())),
+        "sources_used": sorted({entry.source for entry in spec.provenance.values() if entry.source}),
         "sources": {key: source.model_dump(exclude_none=True) for key, source in spec.sources.items()},
     }
     ok = bool(body["passive"])
@@ -130,12 +135,31 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
         "stops": string.n_stops,
         "n_modes": sum(model.system.compiled[model.system.slot(c)].basis.n_modes for c in string.components),
         "tension": mine[0][0].tension,
+        "feel": _feel(model, name),
         "given_tension": given.given,
         "held": given.held,
         "held_note": given.line() if given.noticeable else None,
         "worst_cents": max((p.error_cents for p, _ in mine), key=abs),
         "worst_cents_mounted": max((m.error_cents for _, m in mine), key=abs),
         "loss_error": _loss_error(model, name),
+    }
+
+
+def _feel(model: Model, name: str) -> dict[str, Any]:
+    """Force that pushes the open string aside, N/mm where it is plucked; angle over the bridge, and force down on it.
+
+    A stretched string gives way to F at a from one end and b from the other by F a b / (T (a + b)), and presses on the
+    bridge with T sin(angle).
+    """
+    string = model.strings[name]
+    tension, a = string.tension(0.0), string.pluck_from_bridge
+    b = string.length() - a
+    angle = model.instrument.spec.strings[name].break_angle_deg
+    return {
+        "from_bridge": a,
+        "newton_per_mm": 1e-3 * tension * (a + b) / (a * b) if a > 0 and b > 0 else None,
+        "break_angle_deg": angle,
+        "force_on_bridge": None if angle is None else tension * math.sin(math.radians(angle)),
     }
 
 
@@ -220,12 +244,21 @@ def _print(report: dict[str, Any], ok: bool) -> None:
         print(f"  body: {body['n_modes']} modes{span}: {body['summary']}")
     if "repair" in body:
         print(f"  body: {body['repair']}")
+    for line in report["added"]:
+        print(f"  added to the body: {line}: passive by construction")
     for name, row in report["strings"].items():
         stops = f"{row['stops']} stops" if row["stops"] else "open"
         print(
             f"  string {name}: {row['note']}, {stops}, {row['n_modes']} modes, {row['tension']:.2f} N, "
             f"within {abs(row['worst_cents']):.2g} cents alone, {abs(row['worst_cents_mounted']):.2g} with all on"
         )
+        feel = row["feel"]
+        if feel["newton_per_mm"] is not None:
+            down = ""
+            if feel["break_angle_deg"] is not None:
+                down = f"; {feel['break_angle_deg']:g} deg over it, {feel['force_on_bridge']:.1f} N down on it"
+            place = 1e3 * feel["from_bridge"]
+            print(f"    {feel['newton_per_mm']:.2f} N for 1 mm sideways, {place:.0f} mm from the bridge{down}")
         if row["held_note"]:
             print(f"    {row['held_note']}")
         loss = row["loss_error"]
@@ -234,6 +267,9 @@ def _print(report: dict[str, Any], ok: bool) -> None:
                 f"    warning: partial {loss['partial']} decays at {1 + loss['relative']:.3g} times the rate of its "
                 "loss law on a rigid end: the law grows too steeply without loss to the air or of stretching"
             )
+    forces = [row["feel"]["force_on_bridge"] for row in report["strings"].values()]
+    down = "" if None in forces else f", {sum(forces):.0f} N down on the bridge"
+    print(f"  all strings: {sum(row['tension'] for row in report['strings'].values()):.0f} N along{down}")
     for row in report["microphones"]:
         name = f"{row['output']}.{row['channel']}"
         if row["peak"]:
@@ -251,9 +287,12 @@ def _print(report: dict[str, Any], ok: bool) -> None:
         print(f"  warning: {line}")
     for row in report["stand_ins"]:
         print(f"  stand-in: {row['path']}" + (f": {row['note']}" if row["note"] else ""))
+    if report["unknown"]:
+        print(f"  of unknown origin: {', '.join(report['unknown'])}")
     kinds = ", ".join(f"{count} {kind}" for kind, count in report["provenance"].items())
     print(f"  figures: {kinds or 'of unknown kind'}")
     for key, source in report["sources"].items():
         place = source.get("doi") or source.get("url") or ""
-        print(f"  source {key}: {source['text']}{', ' + place if place else ''} ({source['licence']})")
+        unused = "" if key in report["sources_used"] else ", which no figure names"
+        print(f"  source {key}{unused}: {source['text']}{', ' + place if place else ''} ({source['licence']})")
     print("ok" if ok else "not ok: its body could create energy")

@@ -22,27 +22,52 @@ if TYPE_CHECKING:
 ScorePath = Annotated[Path, typer.Argument(help="MIDI file", metavar="SCORE")]
 
 
-def _instruments() -> list[str]:
+def installed() -> list[str]:
     """Names of installed instruments, for shell completion."""
     from tonewood.instrument.registry import list_instruments
 
     return list(list_instruments())
 
 
+def _string_sets() -> list[str]:
+    """Names of string sets, for shell completion."""
+    from tonewood.instrument.string_sets import string_sets
+
+    return list(string_sets())
+
+
 InstrumentName = Annotated[
     str,
-    typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder", autocompletion=_instruments),
+    typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder", autocompletion=installed),
 ]
 Bundle = Annotated[
     str,
-    typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT", autocompletion=_instruments),
+    typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT", autocompletion=installed),
 ]
 Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="PATH=VALUE", help="override a parameter, e.g. strings.E2.note=D2; repeatable"),
 ]
+StringSetName = Annotated[
+    str | None,
+    typer.Option(
+        "--strings",
+        metavar="SET",
+        help="put a named string set on; `tonewood list` has them",
+        autocompletion=_string_sets,
+    ),
+]
 AllowCode = Annotated[
     bool, typer.Option("--allow-code", help="run plugins that lie as Python files in the bundle's folder")
+]
+LevelOption = Annotated[
+    str | None,
+    typer.Option(
+        "--level",
+        metavar="calibrated|peak|LUFS",
+        help="calibrated: the instrument's full scale; peak: -1 dBFS; LUFS: -23 LUFS, no peak above -1 dBFS; "
+        "default: peak, or calibrated with --gain or --limiter",
+    ),
 ]
 Subtype = Annotated[str, typer.Option(help="PCM_16, PCM_24, PCM_32, FLOAT or DOUBLE")]
 Json = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, nothing else")]
@@ -87,13 +112,14 @@ def progress(label: str, total: float) -> Iterator[Advance]:
         yield lambda position: bar.update(task, completed=min(position, total))
 
 
-def load(name: str, overrides: list[str] | None, allow_code: bool) -> Instrument:
-    """Load an instrument and apply ``--set``."""
+def load(name: str, overrides: list[str] | None, allow_code: bool, strings: str | None = None) -> Instrument:
+    """Load an instrument, put a string set on and apply ``--set``."""
     from tonewood.instrument.bundle import Instrument
     from tonewood.instrument.overrides import parse_assignment
 
     instrument = Instrument.load(name, allow_code=allow_code)
-    return instrument.replace(dict(map(parse_assignment, overrides))) if overrides else instrument
+    changes = {} if strings is None else {"strings_from": strings}
+    return instrument.replace(changes | dict(map(parse_assignment, overrides or [])))
 
 
 def need(extra: str, *modules: str) -> None:

@@ -1,4 +1,4 @@
-"""``tonewood list``: installed instruments and plugins."""
+"""``tonewood list``: installed instruments, plugins, and string sets."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ if TYPE_CHECKING:
 
 
 def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None:
-    """List installed instruments and plugins with the packages they come from."""
+    """List installed instruments and plugins with the packages they come from, and the string sets that are known."""
     from tonewood import __version__
     from tonewood.instrument import registry
     from tonewood.instrument.bundle import Instrument
+    from tonewood.instrument.string_sets import string_sets
 
     instruments: list[dict[str, str]] = []
     for name, entry in registry.entries(registry.INSTRUMENTS).items():
@@ -38,8 +39,13 @@ def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None
         if "see the module" in summary.lower():
             summary = (sys.modules[plugin.__module__].__doc__ or "").strip().partition("\n")[0]
         plugins.append({**_owner(entry), "kind": plugin.kind, "summary": summary})
+    sets = [
+        {"name": name, "maker": found.maker, "product": found.product, "notes": [e.note for e in found.strings]}
+        for name, found in string_sets().items()
+    ]
     if as_json:
-        print_json("list", {"version": __version__, "instruments": instruments, "plugins": plugins})
+        report = {"version": __version__, "instruments": instruments, "plugins": plugins, "string_sets": sets}
+        print_json("list", report)
         return
     print(f"tonewood {__version__}\n\ninstruments")
     for row in instruments:
@@ -51,6 +57,9 @@ def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None
         print(
             _line(row) or f"  {row['name']:<20} {row['kind']:<10} {row['summary']}  [{row['package']} {row['version']}]"
         )
+    print("\nstring sets")
+    for chosen in sets:
+        print(f"  {chosen['name']:<20} {chosen['maker']} {chosen['product']} ({' '.join(chosen['notes'])})")
 
 
 def _line(row: dict[str, str]) -> str:

@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, load, need, print_json
+from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, StringSetName, load, need, print_json
 from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.plotting import PICTURES
 from tonewood.units import decibel
 from tonewood.validation_messages import did_you_mean
-from tonewood.whole_files import whole_file
 
 if TYPE_CHECKING:
     from tonewood.instrument.assembly import Model
-
-_PICTURES = (".png", ".pdf", ".svg")
 
 
 def modes(
@@ -29,6 +27,7 @@ def modes(
     plot: Annotated[
         Path | None, typer.Option(help="write the bridge mobility to this picture (.png, .pdf, .svg)")
     ] = None,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -39,15 +38,15 @@ def modes(
     from tonewood.instrument.inspection import mobility_peaks, partials, pitches
 
     render_options({"fs": fs})
-    bundle = load(instrument, settings, allow_code)
+    bundle = load(instrument, settings, allow_code, strings)
     model = assemble(bundle, fs)
     if string is not None and string not in model.strings:
         known = f"{did_you_mean(string, model.strings)}there are {', '.join(model.strings)}"
         raise TonewoodError(f"there is no string {string!r}; {known}", key="--string")
     if count < 1:
         raise TonewoodError(f"is {count}; 1 or more is allowed", key="--count")
-    if plot is not None and plot.suffix.lower() not in _PICTURES:
-        raise TonewoodError(f"is {plot.name!r}; a name ending in {', '.join(_PICTURES)} is allowed", key="--plot")
+    if plot is not None and plot.suffix.lower() not in PICTURES:
+        raise TonewoodError(f"is {plot.name!r}; a name ending in {', '.join(PICTURES)} is allowed", key="--plot")
     if plot is not None:
         need("plot", "matplotlib")
     if plot is not None and not plot.parent.is_dir():
@@ -101,26 +100,14 @@ def modes(
 
 def _plot(model: Model, names: list[str], path: Path) -> None:
     """Plot the mobility of the body at each string's end, without strings."""
-    import matplotlib as mpl
     import numpy as np
 
-    mpl.use("Agg")
-    from matplotlib import pyplot
-
     from tonewood.instrument.inspection import bridge_mobility
+    from tonewood.plotting import mobility_figure, save
 
     freq = np.geomspace(40.0, min(10000.0, 0.45 * model.fs), 4000)
     found = {name: y for name, y in bridge_mobility(model, freq).items() if name in names}
     if not found:
         raise OutputError("no string of this instrument ends on a body that moves: there is no mobility", file=path)
-    figure, axes = pyplot.subplots(figsize=(8.0, 4.5), layout="constrained")
-    for name, mobility in found.items():
-        axes.semilogx(freq, 20 * np.log10(np.maximum(np.abs(mobility), 1e-12)), lw=1.0, label=name)
-        axes.axvline(model.strings[name].freq(), color="0.85", lw=0.8, zorder=0)
-    axes.set(xlabel="frequency, Hz", ylabel="mobility, dB re 1 (m/s)/N", title=model.instrument.spec.title)
-    axes.title.set_fontsize("medium")
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(title="bridge at", fontsize="small")
-    with whole_file(path) as stream:
-        figure.savefig(stream, format=path.suffix[1:].lower(), dpi=120)
-    pyplot.close(figure)
+    marks = [model.strings[name].freq() for name in found]
+    save(mobility_figure(freq, found, heading=model.instrument.spec.title, marks=marks, of="bridge at"), path)

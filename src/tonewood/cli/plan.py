@@ -15,6 +15,7 @@ from tonewood.cli.common import (
     Json,
     Overrides,
     ScorePath,
+    StringSetName,
     Subtype,
     dropped_notes_listed,
     load,
@@ -39,6 +40,7 @@ def plan(
     score: ScorePath,
     instrument: InstrumentName,
     options: RenderOptions,
+    strings: StringSetName = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -62,7 +64,7 @@ def plan(
         file_format(output, subtype)
         if not output.absolute().parent.is_dir():
             raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
-    bundle, notes = load(instrument, settings, allow_code), read_midi(score)
+    bundle, notes = load(instrument, settings, allow_code, strings), read_midi(score)
     longest = max((n.time + n.duration for n in notes.notes), default=0.0) + options.tail
     bar = progress("sketching", longest if options.max_duration is None else min(longest, options.max_duration))
     with dropped_notes_listed(), bar as advance:

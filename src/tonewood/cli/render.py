@@ -14,12 +14,15 @@ from tonewood.cli.common import (
     AllowCode,
     InstrumentName,
     Json,
+    LevelOption,
     Overrides,
     ScorePath,
+    StringSetName,
     Subtype,
     allow,
     dropped_notes_listed,
     load,
+    need,
     print_json,
     progress,
     warn,
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from tonewood.engine.effects.base import EffectReport
+    from tonewood.output.level import LevelName
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer, Summary
 
@@ -46,7 +50,8 @@ def render(
     options: RenderOptions,
     block: Annotated[int, typer.Option(help="frames written at a time; does not change the samples")] = 4096,
     subtype: Subtype = "PCM_24",
-    normalize: Annotated[float | None, typer.Option(help="scale the whole to this peak, dB re full scale")] = None,
+    level: LevelOption = None,
+    normalize: Annotated[float | None, typer.Option(help="level peak with this peak, dBFS, instead of -1")] = None,
     limiter: Annotated[
         bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS by a look-ahead limiter")
     ] = False,
@@ -57,6 +62,7 @@ def render(
             help="account of energy every 64 samples: .json, .csv or .png; may be given again; many times slower",
         ),
     ] = None,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -65,6 +71,7 @@ def render(
     began = time.perf_counter()
     from tonewood.output.audio import file_format
     from tonewood.output.energy import check_energy_file, save_energy
+    from tonewood.output.level import PEAK, level_name, meaning
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer
     from tonewood.score.midi import read_midi
@@ -74,16 +81,22 @@ def render(
     allow("--block", block, 1, 1 << 24, "frames")
     if normalize is not None:
         allow("--normalize", normalize, -200.0, 0.0, "dB")
-        if limiter:
-            raise TonewoodError("a normalized sound has no peaks to limit; one of both is allowed", key="--limiter")
+        level = level or "peak"
+    wanted = level_name(level, gain_db=options.gain_db, limiter=limiter)
+    if wanted != "calibrated" and limiter:
+        raise TonewoodError(f"the level {wanted} leaves no peaks to limit; one of both is allowed", key="--limiter")
+    if wanted == "LUFS":
+        need("batch", "pyloudnorm")
     for path in energy or ():
         check_energy_file(path)
-    bundle = load(instrument, settings, allow_code)
+    bundle = load(instrument, settings, allow_code, strings)
     with dropped_notes_listed():
         renderer = Renderer(read_midi(score), bundle, options=options.at(energy=bool(energy)))
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
-    clipped, peak = _write(renderer, output, subtype, block, normalize, hold)
+    target = PEAK if normalize is None else normalize
+    clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold)
+    gain += options.gain_db
     account = renderer.energy
     for path in energy or ():
         if account is not None:
@@ -93,11 +106,12 @@ def render(
     if clipped:
         fate = "beyond full scale" if subtype.upper() in ("FLOAT", "DOUBLE") else "clipped"
         were = "sample was" if clipped == 1 else "samples were"
-        warnings.append(f"{clipped} {were} {fate}; lower --gain, or use --normalize or --limiter")
+        warnings.append(f"{clipped} {were} {fate}; lower --gain, or use --level peak or --limiter")
     if hold is not None and hold.reduction_db > 0:
         warnings.append(f"the limiter took away up to {hold.reduction_db:.1f} dB")
     if as_json:
-        print_json("render", _report(renderer, output, clipped, peak, loaded - began, warnings))
+        report = _report(renderer, output, clipped, peak, loaded - began, warnings)
+        print_json("render", report | {"level": wanted, "gain_db": gain})
         return
     warn(warnings)
     warn_of_dropped(summary.notes_dropped)
@@ -107,6 +121,7 @@ def render(
         f"peak {decibel(peak):.1f} dBFS; {counted(played, 'note')}, {lost} dropped; "
         f"{summary.realtime_factor:.1f} x real time; ended: {summary.end}"
     )
+    print(f"  level {wanted}: {meaning(renderer.model.outputs, gain)}")
     if summary.ignored:
         print(f"  ignored MIDI: {', '.join(f'{n} {kind}' for kind, n in summary.ignored.items())}")
     for tension in summary.tensions:
@@ -126,13 +141,20 @@ def render(
 
 
 def _write(
-    renderer: Renderer, output: Path, subtype: str, block: int, normalize: float | None, limiter: Limiter | None
-) -> tuple[int, float]:
-    """Stream to the file; with `normalize` through a scratch file of full precision beside it.
+    renderer: Renderer,
+    output: Path,
+    subtype: str,
+    block: int,
+    level: LevelName,
+    target: float,
+    limiter: Limiter | None,
+) -> tuple[int, float, float]:
+    """Stream to the file; unless calibrated, through a scratch file of full precision beside it.
 
     Returns
     -------
     clipped, peak : samples beyond full scale, and the largest one, of what was written.
+    gain : dB, of the level.
     """
     from tonewood.output.audio import SoundWriter
     from tonewood.whole_files import AtomicFile
@@ -140,22 +162,28 @@ def _write(
     channels, fs = len(renderer.channels), renderer.fs
     frames = math.ceil(renderer.expected_duration * fs)
     with progress("rendering", renderer.expected_duration) as advance:
-        if normalize is None:
+        if level == "calibrated":
             with SoundWriter(output, fs, channels, subtype, frames=frames) as writer:
                 blocks = renderer.blocks(block)
                 for samples in blocks if limiter is None else limiter.process(blocks):
                     writer.write(samples)
                     advance(renderer.time)
-            return writer.clipped, writer.peak
+            return writer.clipped, writer.peak, 0.0
         import soundfile as sf
 
-        scratch = AtomicFile(output.with_suffix(".rf64"))
+        try:
+            scratch = AtomicFile(output.with_suffix(".rf64"))
+        except OutputError as error:
+            raise OutputError(error.reason, file=output) from None
         try:
             with SoundWriter(scratch.path, fs, channels, "DOUBLE", frames=frames) as writer:
                 for samples in renderer.blocks(block):
                     writer.write(samples)
                     advance(renderer.time)
-            factor = 10 ** (normalize / 20) / writer.peak if writer.peak > 0 else 1.0
+            gain = target - decibel(writer.peak) if writer.peak > 0 else 0.0
+            if level == "LUFS" and writer.peak > 0:
+                gain = min(gain, _loudness_gain(scratch.path))
+            factor = 10 ** (gain / 20)
             with (
                 SoundWriter(output, fs, channels, subtype, frames=frames) as final,
                 sf.SoundFile(scratch.path) as source,
@@ -166,7 +194,18 @@ def _write(
             raise OutputError(error.reason, file=output) from None
         finally:
             scratch.discard()
-        return final.clipped, final.peak
+        return final.clipped, final.peak, gain
+
+
+def _loudness_gain(path: Path) -> float:
+    """Gain (dB) that brings a sound file to `LOUDNESS`."""
+    import soundfile as sf
+
+    from tonewood.batch.stimuli import matching_gain_db
+    from tonewood.output.level import LOUDNESS
+
+    samples, fs = sf.read(str(path), always_2d=True)
+    return matching_gain_db(samples, fs, LOUDNESS)
 
 
 #: strings that are named one by one; share of the computing time that is worth a word

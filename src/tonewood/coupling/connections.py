@@ -79,8 +79,9 @@ FORGETTING = 4e3
 
 
 #: what a connection is for in an instrument: the joint of a string's end to the body, the dashpot of the finger that
-#: holds a string while it is plucked, or something that an attachment or exciter adds; empty outside of instruments
-Role = Literal["", "bridge", "hold", "attached"]
+#: holds a string while it is plucked, something that an attachment or exciter adds to a string, or something added to
+#: the body; empty outside of instruments
+Role = Literal["", "bridge", "hold", "attached", "added"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.energy.forms import ComponentEnergy
-from tonewood.stepping.forcing import Segment
+from tonewood.stepping.forcing import SampledForce, Segment
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class KnownForce:
-    """A force that exciters put on a point, as `forcing.compile_force` takes it; `label` is whose work it is."""
+    """A force that exciters put on a point: segments, or values at equal intervals; `label` is whose work it is."""
 
     label: str
     component: str
     point: str
-    pieces: tuple[Segment, ...]
+    pieces: tuple[Segment, ...] | SampledForce
     time: float = 0.0
     factor: float = 1.0
 
@@ -95,12 +95,17 @@ def over_steps(
 
 def _edges(force: KnownForce, step: int, dt: float) -> list[float]:
     """Ends of pieces in steps from the beginning of `step`."""
+    if isinstance(force.pieces, SampledForce):
+        return []
     return [(force.time + t) / dt - step for p in force.pieces for t in (p.start, p.stop)]
 
 
 def _by_step(force: KnownForce, sample: int, T: int, dt: float) -> Floats:
     """(T, 3) coefficients in tau of a force over each of T steps; nan where it has a breakpoint inside the step."""
     out = np.zeros((T, 3))
+    if isinstance(force.pieces, SampledForce):
+        out[:, 0] = force.factor * force.pieces.by_step(sample, T, dt, force.time)
+        return out
     for piece in force.pieces:
         begin, end = (force.time + piece.start) / dt - sample, (force.time + piece.stop) / dt - sample
         if end <= begin or end <= 0 or begin >= T:
@@ -119,6 +124,8 @@ def _by_step(force: KnownForce, sample: int, T: int, dt: float) -> Floats:
 
 def _on_interval(force: KnownForce, step: int, start: float, stop: float, dt: float) -> Floats:
     """(3,) coefficients in tau of a force between two neighbouring breakpoints, given in shares of a step."""
+    if isinstance(force.pieces, SampledForce):
+        return np.array([force.factor * float(force.pieces.by_step(step, 1, dt, force.time)[0]), 0.0, 0.0])
     for piece in force.pieces:
         begin, end = ((force.time + t) / dt - step for t in (piece.start, piece.stop))
         if begin <= 0.5 * (start + stop) < end:

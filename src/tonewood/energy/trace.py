@@ -105,28 +105,29 @@ class EnergyTrace:
 
         A stream open for writing gets a PNG; a file name decides by its suffix.
         """
-        from matplotlib.figure import Figure
+        from tonewood.plotting import COLOURS, LINE, figure, legend
 
-        figure = Figure(figsize=(9, 8), layout="constrained")
-        above, middle, below = figure.subplots(3, 1, sharex=True)
+        made, axes = figure(3, heights=[4.0, 4.0, 4.0], sharex=True)
+        above, middle, below = axes[:, 0]
         shown = sorted(self.stored, key=lambda name: -float(self.stored[name].max(initial=0.0)))
-        for name in shown[:12]:
-            above.plot(self.time, self.stored[name], lw=0.8, label=name)
-        above.plot(self.time, self.total, "k", lw=1.2, label="all")
+        for i, name in enumerate(shown[:12]):
+            above.plot(self.time, self.stored[name], lw=0.5 * LINE, color=COLOURS[i % 6], label=name)
+        above.plot(self.time, self.total, "k", lw=LINE, label="all")
         above.set(ylabel="stored energy, J", yscale="log")
         above.set_ylim(max(self.peak, 1e-300) * 1e-9, max(self.peak, 1e-300) * 2)
-        above.legend(fontsize="x-small", ncols=4)
-        middle.plot(self.time, self.power_in, lw=0.8, label="put in")
-        middle.plot(self.time, self.power_lost, lw=0.8, label="dissipated")
-        middle.set(ylabel="power, W", yscale="symlog")
+        legend(above, ncols=3, loc="lower right")
+        middle.plot(self.time, self.power_in, lw=0.5 * LINE, color=COLOURS[0], label="put in")
+        middle.plot(self.time, self.power_lost, lw=0.5 * LINE, color=COLOURS[1], label="dissipated")
+        middle.set_ylabel("power, W")
         middle.set_yscale("symlog", linthresh=max(float(np.abs(self.power_lost).max(initial=0.0)) * 1e-3, 1e-300))
-        middle.legend(fontsize="x-small")
+        legend(middle)
         scale = self.peak or 1.0
-        below.semilogy(self.time, np.abs(self.residual) / scale, lw=0.6, label="each interval")
-        below.semilogy(self.time, np.abs(np.cumsum(self.residual)) / scale, lw=0.8, label="summed up")
-        below.set(xlabel="time, s", ylabel="balance residual / peak energy")
-        below.legend(fontsize="x-small")
-        figure.savefig(file, dpi=150)
+        below.semilogy(self.time, np.abs(self.residual) / scale, lw=0.3 * LINE, color=COLOURS[0], label="each interval")
+        total = np.abs(np.cumsum(self.residual)) / scale
+        below.semilogy(self.time, total, lw=0.5 * LINE, color=COLOURS[1], label="summed up")
+        below.set(xlabel="time, s", ylabel="balance residual\n/ peak energy")
+        legend(below)
+        made.savefig(file, dpi=110)
 
 
 def _sum(values: Mapping[str, Floats], size: int) -> Floats:

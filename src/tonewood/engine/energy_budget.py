@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,4 +65,5 @@ class EnergyBudget:
             for component, point, factor in places(play, self.model)
             if not system.driven[system.slot(component)]
         ]
-        return [KnownForce(label, c, point, play.gesture.segments, play.time, factor) for c, point, factor in moving]
+        pieces: list[Any] = [p for p in (play.gesture.segments, play.gesture.noise) if p]
+        return [KnownForce(label, c, point, p, play.time, factor) for c, point, factor in moving for p in pieces]

@@ -337,7 +337,7 @@ class Engine:
             fresh.append(play)
             if play.string is not None:
                 before = wanted.get(play.string, self.frettings[play.string])
-                wanted[play.string] = replace(before, place=play.gesture.from_bridge)
+                wanted[play.string] = replace(before, place=play.gesture.from_bridge, width=play.gesture.width)
                 self.counters.strings_played.add(play.string)
         frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in wanted.items()}
         return {name: fretting for name, fretting in frettings.items() if fretting != self.frettings[name]}, fresh

@@ -37,6 +37,7 @@ class Fretting:
     added_damping : 1/s, added to every mode's decay rate.
     place : m from the bridge, of the plucking finger; None for the usual one.
     touches : (point, m from the bridge), ...: points of the string that lie elsewhere than their part says.
+    width : m, of the plucking finger's contact.
     """
 
     stop: float = 0.0
@@ -44,6 +45,7 @@ class Fretting:
     added_damping: float = 0.0
     place: float | None = None
     touches: tuple[tuple[str, float], ...] = ()
+    width: float = 0.0
 
     def changed(self, change: Change) -> Fretting:
         """Return it after a change of the left hand."""
@@ -94,6 +96,7 @@ class FrettedBases:
             fretting.stop,
             bend_cents=fretting.cents,
             pluck_from_bridge=fretting.place,
+            pluck_width=fretting.width,
             touches=dict(fretting.touches),
         )
 

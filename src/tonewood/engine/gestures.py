@@ -53,11 +53,14 @@ def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
 
 def forces(play: Play, model: Model, system: System, first: int) -> list[Injection]:
     """Compile a gesture's known forces from sample `first` on."""
-    course = Course.of(play.gesture.segments, system.dt, time=play.time, first=first)
+    known = [Course.of(play.gesture.segments, system.dt, time=play.time, first=first)]
+    if play.gesture.noise is not None:
+        known.append(play.gesture.noise.course(system.dt, time=play.time, first=first))
     out: list[Injection] = []
     for component, point, factor in places(play, model):
         impulses = system.compiled[system.slot(component)].impulses(point)
-        out += course.injections(component, impulses, factor)
+        for force in known:
+            out += force.injections(component, impulses, factor)
     return out
 
 
@@ -85,7 +88,10 @@ def quasi_static(active: Sequence[Active], model: Model, system: System, start: 
                 if compliance:
                     out = np.zeros((n, len(system.readouts))) if out is None else out
                     times = np.arange(start, start + n + 1) * system.dt - play.time
-                    force = course(play.gesture.segments, times, derivative=readout.quantity != "displacement")
+                    derivative = readout.quantity != "displacement"
+                    force = course(play.gesture.segments, times, derivative=derivative)
+                    if (noise := play.gesture.noise) is not None:
+                        force += noise.rate(times) if derivative else noise.at(times)
                     mean = readout.quantity == "acceleration"
                     out[:, channel] += compliance * (np.diff(force) / system.dt if mean else force[:-1])
     return out

@@ -10,6 +10,7 @@ from typing import Any
 
 from tonewood.engine.techniques import stop_course, touch_course, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
+from tonewood.engine.variation import Deviates, moved, touched
 from tonewood.errors import NothingPlayedError, ScoreError
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place
@@ -69,8 +70,16 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     louder = [_with_force(n, model, factor[id(n)]) for n in notes]
     assignment = assign(louder, playable(model), channel_per_string=channel_per_string, tuning=model.instrument.tuning)
     by_string: dict[str, list[Assigned]] = defaultdict(list)
-    for assigned in assignment.notes:
+    drawn: dict[int, Deviates] = {}
+    variation = model.playing.variation
+    for i, assigned in enumerate(assignment.notes):
+        if variation.seed is not None:
+            deviates = Deviates.of(variation.seed, i)
+            assigned = moved(assigned, deviates, variation)
+            drawn[id(assigned)] = deviates
         by_string[assigned.string].append(assigned)
+    for line in by_string.values():
+        line.sort(key=lambda a: a.note.time)
     controllers = Controllers(score.controls)
     bends = {c: History(_glided(line, GRID / model.fs)) for c, line in _by_channel(score.controls).items()}
     changes: list[Change] = []
@@ -79,17 +88,20 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
     played: list[Assigned] = []
     n_moved = 0
     for name, line in by_string.items():
+        own: list[Play] = []
         for i, assigned in enumerate(line):
             following = line[i + 1] if i + 1 < len(line) else None
-            event = _event(assigned, line[i - 1] if i else None, following, model, controllers)
+            event = _event(assigned, line[i - 1] if i else None, following, model, controllers, drawn.get(id(assigned)))
             n_moved += not _is_where_asked(event, assigned, model, score.name)
             gesture = _exciter(assigned.note, model).gesture(event, model.place(name, assigned.stop))
             play = Play(assigned.note.time, gesture, string=name)
             if i:
-                play = replace(play, gesture=_hurried(play.gesture, play.time - plays[-1].stop))
-            plays.append(play)
+                play = replace(play, gesture=_hurried(play.gesture, play.time - own[-1].stop))
+            own.append(play)
             played.append(assigned)
-            changes += _left_hand(assigned, play, following, name, model, bends)
+        for assigned, play, following_play in zip(line, own, [*own[1:], None], strict=True):
+            changes += _left_hand(assigned, play, following_play, name, model, bends)
+        plays += own
     if not plays:
         raise NothingPlayedError(_why_nothing(dropped), file=score.name)
     warnings = list(score.warnings)
@@ -192,7 +204,12 @@ def _is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) -
 
 
 def _event(
-    assigned: Assigned, before: Assigned | None, following: Assigned | None, model: Model, controllers: Controllers
+    assigned: Assigned,
+    before: Assigned | None,
+    following: Assigned | None,
+    model: Model,
+    controllers: Controllers,
+    drawn: Deviates | None,
 ) -> Event:
     """Return the values that the exciter is given: the note's own values, and what controllers are at."""
     note, string = assigned.note, model.strings[assigned.string]
@@ -211,6 +228,9 @@ def _event(
     # a hammer has no force for a velocity that means one, a bow's stroke no angle
     known = type(model.exciters[name].parameters).model_fields
     values |= {k: v for k, v in given.items() if v is not None and k in known}
+    if drawn is not None:
+        length = string.length(assigned.stop)
+        values = touched(values, model.exciters[name], length, drawn, model.playing.variation)
     held = before.stop if before is not None else 0.0
     duration = assigned.end - note.time
     if following is not None and (following.note.technique or model.default_exciter) == name:
@@ -240,18 +260,22 @@ def _hurried(gesture: Gesture, available: float) -> Gesture:
     hold = gesture.hold
     if hold is not None:
         hold = replace(hold, start=time(hold.start), grown=time(hold.grown), stop=time(hold.stop))
-    return replace(gesture, segments=segments, hold=hold)
+    noise = gesture.noise and gesture.noise.after(time(gesture.start))
+    return replace(gesture, segments=segments, hold=hold, noise=noise)
 
 
 def _left_hand(
     assigned: Assigned,
     play: Play,
-    following: Assigned | None,
+    following: Play | None,
     name: str,
     model: Model,
     bends: Mapping[int | None, History],
 ) -> list[Change]:
-    """Stop the string as the pluck begins, bend it with its channel, damp it at the note's end."""
+    """Stop the string as the pluck begins, bend it with its channel, damp it at the note's end.
+
+    A note that ends while the next one on its string is prepared is ended by that: its damper would stay on the string.
+    """
     channel = assigned.note.channel
     line = bends.get(channel, History())
     at_start = assigned.cents + (line.at(play.start) or 0.0)
@@ -264,7 +288,7 @@ def _left_hand(
     end = model.playing.note_end
     if end.kind == "ring" or not math.isfinite(assigned.end):
         return out
-    free_again = following.note.time if following else math.inf
+    free_again = following.start if following else math.inf
     if assigned.end < free_again - 1e-3:
         out.append(Change(assigned.end, name, added_damping=math.log(1000.0) / end.t60))
         let_go = assigned.end + _LET_GO_AFTER * end.t60

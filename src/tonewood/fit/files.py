@@ -4,8 +4,8 @@
 CSV responses    ``freq_Hz`` and for each pair ``POINT:REFERENCE_re, _im`` or ``_mag, _phase`` (degrees); optionally
                  ``POINT:REFERENCE_coherence``
 npz responses    ``freq_Hz`` and ``POINT:REFERENCE`` (complex); optionally ``POINT:REFERENCE_coherence``
-UFF58            data sets 58 with func_type 4 (responses) and 6 (coherence); points are named node and direction, as
-                 ``12+3``
+UFF58            data sets 58 with func_type 4 (responses) and 6 (coherence), and 164 (units); points are named node and
+                 direction, as ``12+3``
 CSV hits         ``time_s, REFERENCE_force`` and a column per point; a file a hit
 WAV hits         channel 1 the force, the others the points in order; a file a hit, scaled by `sensitivity`
 ===============  =====================================================================================================
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +31,9 @@ from tonewood.instrument.files import Files
 
 #: numbers a text field may be long
 _LONGEST = 64
-#: what UFF calls the ordinate
+#: what UFF calls the ordinate, and a pressure among them; its number for a force
 _ORDINATES = {8: "receptance", 11: "mobility", 12: "accelerance"}
+_PRESSURE, _FORCES = 15, (0, 13)
 _MICROPHONE = "_Pa"
 
 Pair = tuple[str, str]
@@ -48,18 +49,20 @@ class Reading:
     n_hits : hits that were averaged, for the noise from a coherence.
     window_tau : s, of an exponential window: taken for hits, already in the data for responses.
     points : names of the responses of WAV channels 2 onwards.
-    reference : name of the point that the hammer struck, of WAV files.
+    references : of WAV files: (point that the hammer struck, beginning of the names of its files).
     sensitivity : N at full scale of channel 1, then m, m/s, m/s^2 or Pa at full scale of each other channel.
     estimator : H1 or H2, of hits.
+    scale : SI units per unit of the data, of responses that are no pressures: 9.80665 where they are in g/N.
     """
 
     form: str | None = None
     n_hits: int | None = None
     window_tau: float | None = None
     points: tuple[str, ...] = ()
-    reference: str | None = None
+    references: tuple[tuple[str, str], ...] = ()
     sensitivity: tuple[float, ...] = ()
     estimator: str = "H1"
+    scale: float = 1.0
 
 
 def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
@@ -80,6 +83,8 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     kind = kinds.pop()
     if kind == "hits":
         return _of_hits(paths, reading, hashes)
+    if reading.references:
+        raise TonewoodError("frequency responses name their references themselves", file=paths[0], key="--driving")
     tables = [_TABLES[kind](path) for path in paths]
     freq = tables[0].freq
     for path, table in zip(paths, tables, strict=True):
@@ -99,7 +104,9 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     pairs = tuple(motion)
     if not pairs:
         raise TonewoodError("no response of a point is in it", file=paths[0])
-    mobility = to_mobility(np.array([motion[pair] for pair in pairs]), freq, form, alpha)
+    mobility = to_mobility(
+        reading.scale * np.array([motion[pair] for pair in pairs], dtype=np.complex128), freq, form, alpha
+    )
     known = all(pair in coherence for pair in pairs)
     return Responses(
         freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]) if known else None, reading.n_hits, alpha,
@@ -205,18 +212,35 @@ def _uff(path: Path) -> _Table:
     sets = [x for x in (given if isinstance(given, list) else [given]) if x["type"] == 58]
 
     def pair(x: Mapping[str, Any]) -> Pair:
-        return f"{int(x['rsp_node'])}{int(x['rsp_dir']):+d}", f"{int(x['ref_node'])}{int(x['ref_dir']):+d}"
+        heard = _MICROPHONE if int(x["ordinate_spec_data_type"]) == _PRESSURE else ""
+        return f"{int(x['rsp_node'])}{int(x['rsp_dir']):+d}{heard}", f"{int(x['ref_node'])}{int(x['ref_dir']):+d}"
 
     responses = [x for x in sets if x["func_type"] == 4]
     if not responses:
         raise TonewoodError("holds no frequency response (data set 58, function type 4)", file=path)
-    forms = {_ORDINATES.get(int(x["ordinate_spec_data_type"])) for x in responses}
+    ordinates = {int(x["ordinate_spec_data_type"]) for x in responses} - {_PRESSURE}
+    forms = {_ORDINATES.get(ordinate) for ordinate in ordinates}
     freq = np.asarray(responses[0]["x"], dtype=np.float64)
     if any(len(x["x"]) != len(freq) for x in responses):
         raise TonewoodError("holds responses of different frequencies", file=path)
-    rows = {pair(x): np.asarray(x["data"], dtype=np.complex128) for x in responses}
+    if any(int(x["orddenom_spec_data_type"]) not in _FORCES for x in responses):
+        raise TonewoodError("holds responses to something else than a force", file=path)
+    per_force, per_length = _uff_units(given)
+
+    def unit(x: Mapping[str, Any]) -> float:
+        return per_force if int(x["ordinate_spec_data_type"]) == _PRESSURE else per_force / per_length
+
+    rows = {pair(x): unit(x) * np.asarray(x["data"], dtype=np.complex128) for x in responses}
     coherence = {pair(x): np.asarray(x["data"]).real.astype(np.float64) for x in sets if x["func_type"] == 6}
     return _Table(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
+
+
+def _uff_units(given: Any) -> tuple[float, float]:
+    """Units of force and length of the file per SI unit (data set 164); 1 where it does not say."""
+    for x in given if isinstance(given, list) else [given]:
+        if x["type"] == 164:
+            return float(x["force"]), float(x["length"])
+    return 1.0, 1.0
 
 
 _TABLES = {"csv": _csv, "npz": _npz, "uff": _uff}
@@ -225,31 +249,56 @@ _TABLES = {"csv": _csv, "npz": _npz, "uff": _uff}
 def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str]) -> Responses:
     if reading.form is None:
         raise TonewoodError(f"what was measured is not said; {', '.join(FORMS)} are allowed", key="--form")
-    hits = [_wav_hit(path, reading) if path.suffix.lower() == ".wav" else _csv_hit(path) for path in paths]
-    fs, names, reference = hits[0].fs, hits[0].names, hits[0].reference
-    for path, hit in zip(paths, hits, strict=True):
-        if (hit.fs, hit.names, hit.reference, hit.force.size) != (fs, names, reference, hits[0].force.size):
+    struck: dict[str, list[tuple[Path, _Hit]]] = {}
+    for path in paths:
+        hit = _wav_hit(path, reading) if path.suffix.lower() == ".wav" else _csv_hit(path)
+        struck.setdefault(hit.reference, []).append((path, hit))
+    first = next(iter(struck.values()))[0][1]
+    for path, hit in (entry for group in struck.values() for entry in group):
+        if (hit.fs, hit.names, hit.force.size) != (first.fs, first.names, first.force.size):
             raise TonewoodError("has another rate, length or other channels than the first file", file=path)
         if any(_padded(row) for row in hit.motion):
             raise TonewoodError(
                 "ends in zeros: of a padded hit neighbouring bins say the same; cut them off", file=path
             )
+    parts = [_of_one_reference(name, [hit for _, hit in group], reading) for name, group in struck.items()]
+    whole = parts[0]
+    for part in parts[1:]:
+        assert whole.coherence is not None
+        assert part.coherence is not None
+        assert whole.kept is not None
+        assert part.kept is not None
+        whole = replace(
+            whole, mobility=np.vstack([whole.mobility, part.mobility]), pairs=whole.pairs + part.pairs,
+            coherence=np.vstack([whole.coherence, part.coherence]), n_hits=min(whole.kept[0], part.kept[0]),
+            pressure={**whole.pressure, **part.pressure},
+            kept=(whole.kept[0] + part.kept[0], whole.kept[1] + part.kept[1]),
+        )  # fmt: skip
+    return replace(whole, files=hashes)
+
+
+def _of_one_reference(reference: str, hits: Sequence[_Hit], reading: Reading) -> Responses:
+    """Responses to the hits on one point."""
+    assert reading.form is not None
     try:
         made = responses_of_hits(
-            np.array([hit.force for hit in hits]), np.array([hit.motion for hit in hits]), fs,
+            np.array([hit.force for hit in hits]), np.array([hit.motion for hit in hits]), hits[0].fs,
             window_tau=reading.window_tau, estimator=reading.estimator,
         )  # fmt: skip
     except ValueError as fault:
-        raise TonewoodError(str(fault), key="FILES") from None
-    rows = {(name, reference): row for name, row in zip(names, made.response, strict=True)}
-    coherence = {(name, reference): row for name, row in zip(names, made.coherence, strict=True)}
+        raise TonewoodError(f"at {reference}: {fault}", key="FILES") from None
+    rows = {(name, reference): row for name, row in zip(hits[0].names, made.response, strict=True)}
+    coherence = {(name, reference): row for name, row in zip(hits[0].names, made.coherence, strict=True)}
     motion, pressure = _split(rows)
     pairs = tuple(motion)
-    mobility = to_mobility(np.array([motion[pair] for pair in pairs]), made.freq, reading.form, made.alpha)
+    if not pairs:
+        raise TonewoodError("no response of a point is among them", key="FILES")
+    scaled = reading.scale * np.array([motion[pair] for pair in pairs], dtype=np.complex128)
+    mobility = to_mobility(scaled, made.freq, reading.form, made.alpha)
     kept = int(np.count_nonzero(made.kept))
     return Responses(
-        made.freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]), kept, made.alpha, pressure, hashes,
-        (kept, len(paths)),
+        made.freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]), kept, made.alpha, pressure,
+        kept=(kept, len(hits)),
     )  # fmt: skip
 
 
@@ -297,9 +346,11 @@ def _wav_hit(path: Path, reading: Reading) -> _Hit:
         raise TonewoodError(
             f"has {n} channels; --sensitivity gives {len(reading.sensitivity)} numbers", file=path, key="--sensitivity"
         )
-    if reading.reference is None:
-        raise TonewoodError("the point that the hammer struck is not named", file=path, key="--reference")
-    if np.abs(samples).max() >= 1.0:
-        raise TonewoodError("is clipped: samples reach full scale", file=path)
+    reference = next((name for name, begin in reading.references if path.name.startswith(begin)), None)
+    if reference is None:
+        raise TonewoodError("the point that the hammer struck is not named", file=path, key="--driving")
+    clipped = np.flatnonzero(np.abs(samples).max(axis=0) >= 1.0)
+    if clipped.size:
+        raise TonewoodError(f"is clipped: samples of channel {clipped[0] + 1} reach full scale", file=path)
     scaled = samples.T * np.asarray(reading.sensitivity)[:, None]
-    return _Hit(float(fs), scaled[0], scaled[1:], reading.points, reading.reference)
+    return _Hit(float(fs), scaled[0], scaled[1:], reading.points, reference)

@@ -1,12 +1,10 @@
-"""One measurement fitted: checks, modes, a passive body, what is uncertain about it, and its files."""
+"""One measurement fitted: checks, modes, a passive body, and what is uncertain about it."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,14 +12,13 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.blas import one_blas_thread
-from tonewood.errors import OutputError, TonewoodError
+from tonewood.errors import TonewoodError
 from tonewood.fit import noise
 from tonewood.fit.body import FittedBody, passive_body
 from tonewood.fit.identify import Modes, identify
 from tonewood.fit.projection import Shape
 from tonewood.fit.responses import Responses
 from tonewood.fit.search import Iteration, NothingFoundError
-from tonewood.whole_files import whole_file
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -61,6 +58,19 @@ class Fit:
         """(P, N) dB, magnitude of the body's mobility re the measured one: noise included."""
         return np.asarray(np.abs(20 * np.log10(np.abs(self.mobility) / np.abs(self.responses.mobility))))
 
+    @cached_property
+    def without_db(self) -> list[float]:
+        """Of each mode: dB by which the mobility at the driving points changes at most if it is dropped."""
+        r, body = self.responses, self.body
+        s, driving = r.alpha + 2j * np.pi * r.freq, list(r.driving)
+        out = []
+        for f, q, shape in zip(body.freq, body.quality, body.shapes, strict=True):
+            w = 2 * np.pi * f
+            own = np.array([shape[body.points.index(r.pairs[i][0])] ** 2 for i in driving])[:, None]
+            without = self.mobility[driving] - own * s / (s * s + w / q * s + w * w)
+            out.append(float(np.abs(20 * np.log10(np.abs(without) / np.abs(self.mobility[driving]))).max()))
+        return out
+
     @property
     def warnings(self) -> list[str]:
         """List doubts about this body, a line each."""
@@ -81,6 +91,14 @@ class Fit:
                 f"the misfit is {self.modes.misfit:.2f} times the noise: the body is not linear, the records leak, or "
                 "the noise was taken for too small"
             )
+        for i in r.driving:
+            parts = [f"{low:.0f} to {high:.0f} Hz" for low, high in r.incoherent(i) if high > low]
+            if parts:
+                more = f" and {len(parts) - 3} more" if len(parts) > 3 else ""
+                shown = ", ".join(parts[:3]) + more
+                out.append(f"the coherence at {r.pairs[i][0]} is low: {shown}; move --band, or hit anew")
+        if r.coherence is not None and r.n_hits is None:
+            out.append("the coherences were not used: --hits says how many hits were averaged")
         if len(r.references) == 1 and len(r.points) > 1:
             out.append(
                 f"driven at {r.references[0]} alone: mobilities among other points follow from one shape a mode and "
@@ -111,10 +129,11 @@ class Fit:
                 {
                     "freq_Hz": float(f), "Q": float(q), "mass_kg": _mass(shape), "shape": shape.tolist(),
                     "sd_cents": _or_none(c), "sd_Q": _or_none(e), "sd_shape": _or_none(p), "measured": bool(m),
+                    "without_db": without,
                 }
-                for f, q, shape, c, e, p, m in zip(
+                for f, q, shape, c, e, p, m, without in zip(
                     body.freq, body.quality, body.shapes, body.cents, body.quality_error, body.shape_error,
-                    body.measured, strict=True,
+                    body.measured, self.without_db, strict=True,
                 )
             ],
             "compliance_m_per_N": body.compliance.tolist(),
@@ -138,25 +157,6 @@ class Fit:
             numbers = [repr(float(x)) for x in (f, q, *shape)]
             rows.append(",".join([*numbers, f"{cents:.3g}", f"{error:.3g}", str(int(sure))]))
         return "\n".join([*head, *rows]) + "\n"
-
-    def write(self, folder: Path) -> list[Path]:
-        """Write ``body.csv`` and ``fit.json`` into a folder, which is made if it is not there.
-
-        Raises
-        ------
-        OutputError : it cannot be written to.
-        """
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as fault:
-            raise OutputError(f"cannot be made: {fault.strerror}", file=folder) from None
-        out = []
-        facts = json.dumps(self.facts(), indent=1, allow_nan=False) + "\n"
-        for name, text in (("body.csv", self.table()), ("fit.json", facts)):
-            with whole_file(folder / name) as file:
-                file.write(text.encode())
-            out.append(folder / name)
-        return out
 
 
 def _mass(shape: Floats) -> float | None:

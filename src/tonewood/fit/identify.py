@@ -112,6 +112,7 @@ def identify(
         if real.solve(poles).cost > cost + real.price:
             _, more = sought(line, replace(shape, complex=False), poles, note)
             real, poles = straightened(line, shape, more)
+    poles = poles.damped_beyond(float(freq[0]), float(freq[-1]))
     return Modes(real, poles, real.solve(poles), (problem, start), iterations, turned)
 
 

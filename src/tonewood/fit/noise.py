@@ -27,7 +27,7 @@ def of_coherence(response: Complexes, coherence: Floats, n_hits: int) -> Floats:
     g = np.clip(coherence, 1e-4, 1 - 1e-9)
     bias = n_hits / (n_hits - 1) if n_hits > 2 else 1.0
     variance = bias * (1 - g) / (n_hits * g) * np.abs(response) ** 2
-    return np.asarray(np.exp(0.5 * uniform_filter1d(np.log(variance + 1e-300), _COHERENCE, axis=-1, mode="nearest")))
+    return np.asarray(np.exp(0.5 * uniform_filter1d(np.log(variance + 1e-300), _COHERENCE, axis=-1, mode="mirror")))
 
 
 def of_neighbours(response: Complexes) -> Floats:
@@ -38,7 +38,7 @@ def of_neighbours(response: Complexes) -> Floats:
 
 def of_misfit(misfit: Complexes, width: int = _MISFIT) -> Floats:
     """The same from what a model leaves: the running median of |.|^2 of complex Gaussian noise is sigma^2 ln 2."""
-    power = median_filter(np.abs(misfit) ** 2, size=(1, width), mode="nearest")
+    power = median_filter(np.abs(misfit) ** 2, size=(1, width), mode="mirror")
     return np.asarray(np.sqrt(power / np.log(2)) + 1e-300)
 
 

@@ -67,6 +67,16 @@ class Poles:
         """All but some."""
         return Poles(np.delete(self.log_freq, which), np.delete(self.log_zeta, which))
 
+    def damped_beyond(self, low: float, high: float) -> Poles:
+        """These, of which none beyond a band (Hz) rings longer, in periods, than any in it.
+
+        Poles beyond the band stand for what lies there. Data of the band tell next to nothing of their damping, and a
+        body that is played would ring with it.
+        """
+        inside = (self.freq >= low) & (self.freq <= high)
+        least = self.log_zeta[inside].min() if inside.any() else -np.inf
+        return Poles(self.log_freq, np.where(inside, self.log_zeta, np.maximum(self.log_zeta, least)))
+
     @property
     def freq(self) -> Floats:
         """(K,) undamped natural frequency, Hz."""

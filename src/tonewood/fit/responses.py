@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from tonewood.errors import TonewoodError
 from tonewood.fit import noise
@@ -20,6 +21,8 @@ FORMS: Mapping[str, int] = {"receptance": 1, "mobility": 0, "accelerance": -1}
 MOST_NEGATIVE = 0.05
 #: fewest bins of a band
 FEWEST_BINS = 32
+#: coherence below which a response is more noise than motion; bins of its running median
+LEAST_COHERENCE, _COHERENCE = 0.5, 31
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,11 @@ class Responses:
         return tuple(dict.fromkeys(name for pair in self.pairs for name in pair))
 
     @property
+    def microphones(self) -> tuple[str, ...]:
+        """All microphones, in the order in which they come."""
+        return tuple(dict.fromkeys(name for name, _ in self.pressure))
+
+    @property
     def references(self) -> tuple[str, ...]:
         """Points that were driven."""
         return tuple(dict.fromkeys(reference for _, reference in self.pairs))
@@ -93,13 +101,37 @@ class Responses:
             pressure={key: row[inside] for key, row in self.pressure.items()},
         )
 
+    def renamed(self, names: Mapping[str, str]) -> Responses:
+        """The same with other names of points and microphones, old -> new.
+
+        Raises
+        ------
+        TonewoodError : there is no point of an old name, or two get the same one.
+        """
+        known = (*self.points, *self.microphones)
+        for old in names:
+            if old not in known:
+                raise TonewoodError(f"there is no point {old!r}; there are {', '.join(known)}", key="--point")
+        for group in (self.points, self.microphones):
+            new = [names.get(old, old) for old in group]
+            for name in new:
+                if new.count(name) > 1:
+                    raise TonewoodError(f"two points would be called {name!r}", key="--point")
+        pairs = tuple((names.get(point, point), names.get(reference, reference)) for point, reference in self.pairs)
+        pressure = {
+            (names.get(heard, heard), names.get(reference, reference)): row
+            for (heard, reference), row in self.pressure.items()
+        }
+        return replace(self, pairs=pairs, pressure=pressure)
+
     def checked(self) -> Responses:
         """These, if a passive body can have them.
 
         Raises
         ------
         TonewoodError : values are not finite, bins are not evenly spaced, no driving point is among them, or one gives
-            energy back over more of the band than noise explains: a sign, a delay, or another form than was said.
+            energy back over more of the band than noise explains: a sign, a delay, or another form than was said; or
+            is incoherent over most of it.
         """
         if not np.all(np.isfinite(self.mobility)):
             raise TonewoodError("responses hold values that are not finite numbers", key="responses")
@@ -123,7 +155,23 @@ class Responses:
                     key="responses",
                 )
             self._weighed(i)
+            ranges = self.incoherent(i)
+            if sum(high - low for low, high in ranges) > 0.5 * (self.freq[-1] - self.freq[0]):
+                shown = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in ranges[:3])
+                raise TonewoodError(
+                    f"the coherence at {self.pairs[i][0]!r} is below {LEAST_COHERENCE:g} over most of the band "
+                    f"({shown} Hz): the hammer did not reach there, or the channels are not of one measurement",
+                    key="--band",
+                )
         return self
+
+    def incoherent(self, i: int) -> list[tuple[float, float]]:
+        """Parts of the band, Hz, in which the coherence of a response (running median) is too low."""
+        if self.coherence is None:
+            return []
+        low = median_filter(self.coherence[i], size=min(_COHERENCE, self.freq.size), mode="mirror") < LEAST_COHERENCE
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], low, [False]]).astype(np.int8)))
+        return [(float(self.freq[a]), float(self.freq[b - 1])) for a, b in edges.reshape(-1, 2)]
 
     def _weighed(self, i: int) -> None:
         """No body of an instrument weighs less than 10 mg or more than 10 t as felt at a point."""

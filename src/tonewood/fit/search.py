@@ -31,8 +31,10 @@ DOUBT = 3.0
 _QUALITIES = (3, 6, 12, 25, 50, 100, 200, 400, 800)
 #: modes added in an iteration, and most iterations
 _AT_ONCE, _ITERATIONS = 12, 16
-#: modes of a group that is moved by itself, and modes on each side that move with it
+#: modes of a group that is moved by itself
 _GROUP = 8
+#: modes on each side that move with two that may be one; prices that these may cost there to be tried with all moving
+_BESIDE, _DEARER = 2, 4.0
 
 
 class NothingFoundError(ValueError):
@@ -63,9 +65,10 @@ def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tupl
     for _ in range(most):
         curvature = np.diag(found.normal)  # of directions that nothing tells it is rounding, of either sign
         unit = 1 / np.sqrt(np.maximum(curvature, 1e-12 * curvature.max()) + 1e-300)
-        curved = found.normal * np.outer(unit, unit)
+        size, vectors = sla.eigh(found.normal * np.outer(unit, unit))
+        size, slope = np.maximum(size, 0.0), vectors.T @ (unit * found.gradient)
         for _ in range(6):
-            step = unit * sla.solve(curved + damping * np.eye(2 * k), unit * found.gradient, assume_a="sym")
+            step = unit * (vectors @ (slope / (size + damping)))
             zeta = np.exp(poles.log_zeta)
             moved = Poles(
                 np.clip(poles.log_freq + np.clip(step[:k], -zeta, zeta), low, high),
@@ -94,22 +97,29 @@ def descend_in_groups(problem: Projection, poles: Poles, most: int) -> Poles:
     if len(poles) <= 2 * _GROUP:
         return descend(problem, poles, most, 1e-4)[0]
     residues, k = problem.solve(poles).residues, len(poles)
-    n_kinds = 1 + problem.shape.complex
-    columns = problem.columns(poles)[0]
     freq, zeta = poles.log_freq.copy(), poles.log_zeta.copy()
     for first in range(0, k, _GROUP):
         mine = np.arange(first, min(first + _GROUP, k))
-        f, width = np.exp(freq[mine]) / (2 * np.pi), np.exp(freq[mine] + zeta[mine]) / np.pi
-        start = int(np.searchsorted(problem.line.freq, (f - 4 * width).min()))
-        stop = int(np.searchsorted(problem.line.freq, (f + 4 * width).max()))
-        if stop - start < 4 * len(mine):
+        around = _around(problem, poles, residues, mine)
+        if around is None:
             continue
-        others = np.setdiff1d(np.arange(k), mine)
-        rows = np.concatenate([others + m * k for m in range(n_kinds)])
-        line = problem.line.cut(start, stop, residues[:, rows] @ columns[rows, start:stop])
-        part, _ = descend(Projection(line, problem.shape), Poles(freq[mine], zeta[mine]), most, 1e-3)
+        part, _ = descend(around, poles[mine], most, 1e-3)
         freq[mine], zeta[mine] = part.log_freq, part.log_zeta
     return Poles(freq, zeta).sorted()
+
+
+def _around(problem: Projection, poles: Poles, residues: Floats, mine: NDArray[np.intp]) -> Projection | None:
+    """The problem of some neighbouring modes on the bins around them, less what the others do; None of too few bins."""
+    k, n_kinds = len(poles), 1 + problem.shape.complex
+    f, width = poles.freq[mine], 2 * poles.freq[mine] * np.exp(poles.log_zeta[mine])
+    start = int(np.searchsorted(problem.line.freq, (f - 4 * width).min()))
+    stop = int(np.searchsorted(problem.line.freq, (f + 4 * width).max()))
+    if stop - start < 4 * len(mine):
+        return None
+    others = np.setdiff1d(np.arange(k), mine)
+    rows = np.concatenate([others + m * k for m in range(n_kinds)])
+    columns = problem.columns(poles)[0][rows, start:stop]
+    return Projection(problem.line.cut(start, stop, residues[:, rows] @ columns), problem.shape)
 
 
 def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, LinearFit]:
@@ -165,9 +175,26 @@ def joined(problem: Projection, poles: Poles) -> tuple[Poles, LinearFit]:
             np.array([share * poles.log_freq[i] + (1 - share) * poles.log_freq[j]]),
             np.array([share * poles.log_zeta[i] + (1 - share) * poles.log_zeta[j]]),
         )
+        if not _may_be_one(problem, poles, found.residues, (i, j), one):
+            continue
         fewer, there = descend(problem, poles.without([i, j]).joined(one), 6, 1e-4)
         if there.cost < found.cost + problem.price:
             poles, found = fewer, there
+
+
+def _may_be_one(problem: Projection, poles: Poles, residues: Floats, pair: tuple[int, int], one: Poles) -> bool:
+    """Whether one pole in place of two is worth a descent of all: on the bins around, with neighbours that move along.
+
+    That costs more than with all of them moving, but not many times more.
+    """
+    i, j = pair
+    mine = np.arange(max(i - _BESIDE, 0), min(j + _BESIDE + 1, len(poles)))
+    around = _around(problem, poles, residues, mine)
+    if around is None:
+        return True
+    two, gone = poles[mine], [i - int(mine[0]), j - int(mine[0])]
+    _, fewer = descend(around, two.without(gone).joined(one), 6, 1e-4)
+    return fewer.cost < around.solve(two).cost + _DEARER * problem.price
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from tonewood.coupling.geometric import GeometricStretch
 from tonewood.coupling.system import System
 from tonewood.coupling.tension import TensionModulation
 from tonewood.errors import BundleError
+from tonewood.instrument.added import body_parts
 from tonewood.instrument.attached import Attached
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.choice import Choice, declared
@@ -54,6 +55,7 @@ class Model:
     exciters : name -> plugin.
     default_exciter : name of the exciter of notes that name no technique.
     choice : effects that may run, and budgets; `system` does not contain effects that may not.
+    body : modes of the body with what is added to it, as its strings feel it; `system` has the parts by themselves.
     """
 
     instrument: Instrument
@@ -66,6 +68,7 @@ class Model:
     exciters: Mapping[str, Exciter[Any]]
     default_exciter: str
     choice: Choice
+    body: ModalBasis
     resting: Mapping[str, Connection] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -123,16 +126,17 @@ def assemble(
     limit = FREQ_LIMIT * fs if freq_limit is None else freq_limit
     choice = Choice.of(instrument.spec.effects, declared(instrument.plugins))
     body, body_points = instrument.body.basis(limit), instrument.body.points()
-    strings = string_models(instrument, body, body_points, limit, choice)
+    added = body_parts(instrument, body, body_points)
+    strings = string_models(instrument, added.body, body_points, limit, choice)
     _check_places(instrument, strings)
     _check_body(instrument, strings, body, 1.0 / fs)
     attached = [a for string in strings.values() for a in string.attached()]
     resting = {c.name: c for a in attached for c in a.connections if c.name in a.resting}
     tensions, geometric = _stretches(strings.values(), choice)
-    made = make_outputs(instrument, outputs, make_scene(strings, body_points, limit))
+    made = make_outputs(instrument, outputs, make_scene(strings, body_points, limit, added.forces))
     system = System.build(
-        {"body": body, **_string_components(strings.values()), **made.components},
-        [*_end_connections(strings.values()), *_attached_connections(attached, resting)],
+        {"body": body, **added.components, **_string_components(strings.values()), **made.components},
+        [*_end_connections(strings.values()), *added.connections, *_attached_connections(attached, resting)],
         made.readouts,
         dt=1.0 / fs,
         drives=made.drives,
@@ -154,6 +158,7 @@ def assemble(
         exciters=instrument.exciters,
         default_exciter=instrument.spec.playing.default_exciter,
         choice=choice,
+        body=added.body,
         resting=resting,
     )
 

@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError, TonewoodError
+from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError, TonewoodError, kind_of
 from tonewood.instrument import registry
 from tonewood.instrument.bundle_code import code_hash, code_plugin, is_code
 from tonewood.instrument.contract import Attachment, Body, Exciter, Pickup, Plugin, Resonator
@@ -21,15 +21,19 @@ from tonewood.instrument.files import Files
 from tonewood.instrument.migration import bundle_edits
 from tonewood.instrument.overrides import apply_overrides
 from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance
+from tonewood.instrument.string_sets import with_set
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.views import SHOWN_TO, ModalViews
 from tonewood.params import Vector, validated
 from tonewood.score.scales import Tuning, note_number, read_tuning
+from tonewood.tables import properties_html
 from tonewood.validation_messages import did_you_mean
 from tonewood.yaml_edit import apply_edits
 from tonewood.yaml_io import load_yaml, located
 
 
 @dataclass(frozen=True, eq=False)
-class Instrument:
+class Instrument(ModalViews):
     """A checked bundle with its plugins; immutable, `replace` makes another one.
 
     Attributes
@@ -61,6 +65,28 @@ class Instrument:
         strings = ", ".join(self.resonators)
         return f"Instrument({self.name!r}, body {self.spec.body.plugin}, strings {strings})"
 
+    def _repr_html_(self) -> str:
+        spec = self.spec
+        strings = ", ".join(f"{name} ({part.note or part.freq})" for name, part in spec.strings.items())
+        rows = {
+            "name": self.name,
+            "body": spec.body.plugin,
+            "strings": strings,
+            "stops": f"{spec.stops.kind}, {spec.stops.count}" if spec.stops.count else "none",
+            "exciters": ", ".join(spec.exciters),
+            "outputs": ", ".join(part.name for part in spec.outputs),
+            "licence": spec.licence,
+            "stand-ins": ", ".join(self.stand_ins()) or "none",
+        }
+        return properties_html(spec.title, rows)
+
+    def _viewed(self) -> tuple[ModalBasis, Mapping[str, str]]:
+        """Modes of the body, and the point that each string ends on."""
+        return self.body.basis(SHOWN_TO), {name: part.body_points[0] for name, part in self.spec.strings.items()}
+
+    def _view_title(self) -> str:
+        return self.spec.title
+
     @classmethod
     def load(cls, name_or_path: str | os.PathLike[str], *, allow_code: bool = False) -> Instrument:
         """Load an installed instrument by name, or a folder with an ``instrument.yaml``.
@@ -77,6 +103,8 @@ class Instrument:
         -----
         OldFormatWarning : the bundle is of an earlier schema; it is read as `tonewood migrate` would rewrite it.
         """
+        if not isinstance(name_or_path, str | os.PathLike):
+            raise BundleError(f"is {kind_of(name_or_path)}; a name or a folder is allowed", key="instrument")
         folder = registry.instrument_folder(name_or_path)
         manifest = folder / registry.MANIFEST
         try:
@@ -100,7 +128,7 @@ class Instrument:
             what = f"{files.manifest}: schema: {values['schema']} is deprecated; run: tonewood migrate {root}"
             warnings.warn(what, OldFormatWarning, stacklevel=3)
             values = apply_edits(values, edits)
-        spec = validated(Bundle, _merged(values, files), key="", file=files.manifest)
+        spec = validated(Bundle, _with_strings(_merged(values, files), files), key="", file=files.manifest)
 
         def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
             try:
@@ -135,7 +163,8 @@ class Instrument:
 
         Parameters
         ----------
-        overrides : path -> value, ``{"scale": x}`` or ``{"fraction": x}``; see `overrides`. A scale or keymap may be
+        overrides : path -> value, ``{"scale": x}`` or ``{"fraction": x}``; see `overrides`. ``strings_from`` puts
+            another string set on, before anything else is changed. A scale or keymap may be
             any file that the caller may read, while a bundle is confined to its folder.
 
         Examples
@@ -145,6 +174,8 @@ class Instrument:
         >>> lower.resolved["strings"]["E2"]["note"]
         'D2'
         """
+        if not isinstance(overrides, Mapping):
+            raise BundleError(f"is {kind_of(overrides)}; a mapping of path to value is allowed", key="overrides")
         if not overrides:
             return self
         given, granted = dict(overrides), set(self.granted)
@@ -155,7 +186,10 @@ class Instrument:
             if Path(value).is_file():
                 given[key] = str(Path(value).resolve())
                 granted.add(Path(value).resolve())
-        values = apply_overrides(self.resolved, given, file=self._files.manifest)
+        values = dict(self.resolved)
+        if (strings := given.get("strings_from")) is not None:
+            values = with_set(values, str(strings), over=True, file=self._files.manifest)
+        values = apply_overrides(values, given, file=self._files.manifest)
         return Instrument.from_values(values, self.folder, frozenset(granted), allow_code=self.allow_code)
 
     @property
@@ -201,7 +235,7 @@ class Instrument:
         if abs(size - 1.0) > 1e-2:
             raise self._fault(f"has length {size:.4g}; a vector of length 1 is wanted", f"strings.{string}.axis")
         try:
-            return polarization_vectors(part.axis, tuple(part.polarizations), part.tilt_deg)
+            return polarization_vectors(part.axis, tuple(part.polarizations), part.tilt_deg + part.scatter.tilt(string))
         except ValueError as fault:
             raise self._fault(str(fault), f"strings.{string}.polarizations") from None
 
@@ -220,6 +254,10 @@ class Instrument:
     def stand_ins(self) -> list[str]:
         """Paths of values that the bundle declares to be stand-ins."""
         return [path for path, entry in self.spec.provenance.items() if entry.kind == "stand_in"]
+
+    def of_unknown_origin(self) -> list[str]:
+        """Paths of values of which nobody has said yet where they come from."""
+        return [path for path, entry in self.spec.provenance.items() if entry.kind == "unknown"]
 
     def table_doubts(self) -> list[str]:
         """List tables whose provenance may be that of another table, one line each.
@@ -333,7 +371,7 @@ class Instrument:
         for path, found in self.spec.provenance.items():
             if found.source is not None and found.source not in self.spec.sources:
                 raise self._none("source", found.source, self.spec.sources, f"provenance.{path}.source")
-            if found.source is None and found.kind not in ("authored", "stand_in"):
+            if found.source is None and found.kind in ("measured", "published", "computed"):
                 raise self._fault(f"{found.kind} figures need a source", f"provenance.{path}.source")
 
     def _parameter(self, path: str, key: str) -> None:
@@ -365,6 +403,12 @@ def _merged(values: Mapping[str, Any], files: Files) -> dict[str, Any]:
         name: _merge(defaults, part) if isinstance(part, Mapping) else part for name, part in rest.items()
     }
     return out
+
+
+def _with_strings(values: dict[str, Any], files: Files) -> dict[str, Any]:
+    """Put the string set that a bundle names under its strings."""
+    name = values.get("strings_from")
+    return values if not isinstance(name, str) else with_set(values, name, over=False, file=files.manifest)
 
 
 def _merge(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -38,8 +38,11 @@ from tonewood.instrument.effects import (
 )
 from tonewood.instrument.files import Files
 from tonewood.modal.modes import ModalBasis
+from tonewood.modal.views import SHOWN_TO, ModalViews
 from tonewood.params import Parameters, Vector, validated
+from tonewood.stepping.forcing import SampledForce
 from tonewood.stepping.forcing import Segment as Segment
+from tonewood.tables import properties_html
 
 API = 1
 
@@ -81,6 +84,13 @@ class Plugin(ABC, Generic[P]):
         """
         files = files or Files(None)
         return cls(validated(cls.Parameters, values, key=key, file=files.manifest), files, key)  # type: ignore[arg-type]  # Parameters of this very class
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.key or self.kind})"
+
+    def _repr_html_(self) -> str:
+        heading = f"{type(self).__name__}, {self.kind} {self.key}".rstrip()
+        return properties_html(heading, self.parameters.model_dump(mode="json", by_alias=True))
 
     @property
     def name(self) -> str:
@@ -194,8 +204,8 @@ class BodyPoint:
     driven: bool = True
 
 
-class Body(Plugin[P]):
-    """The body that strings are joined to."""
+class Body(Plugin[P], ModalViews):
+    """The body that strings are joined to; with tables and figures of its modes."""
 
     kind = "body"
     effects: ClassVar[tuple[Effect, ...]] = (BODY_MODES,)
@@ -207,6 +217,10 @@ class Body(Plugin[P]):
     @abstractmethod
     def points(self) -> Mapping[str, BodyPoint]:
         """Every point of the basis with its direction."""
+
+    def _viewed(self) -> tuple[ModalBasis, Mapping[str, str]]:
+        basis = self.basis(SHOWN_TO)
+        return basis, {point: point for point in basis.points}
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,6 +297,8 @@ class Gesture:
         start on.
     touches : point the exciter has `attach`ed -> course of its place, m from the bridge; followed on the control grid.
         Points that are not named lie where `attach` has put them.
+    width : m, of the string, about `from_bridge`, over which the forces are spread evenly; 0 for a point.
+    noise : a random part of the force, added to the segments; None without one.
     """
 
     segments: tuple[Segment, ...]
@@ -293,17 +309,19 @@ class Gesture:
     motions: tuple[Motion, ...] = ()
     stops: tuple[Segment, ...] = ()
     touches: Mapping[str, tuple[Segment, ...]] = field(default_factory=dict)
+    width: float = 0.0
+    noise: SampledForce | None = None
 
     @property
     def start(self) -> float:
         """Beginning of the gesture, s relative to the event."""
-        begins = [s.start for s in self._pieces] + ([self.hold.start] if self.hold else [])
+        begins = [s.start for s in self._pieces] + [part.start for part in (self.hold, self.noise) if part]
         return min(begins, default=0.0)
 
     @property
     def stop(self) -> float:
         """End of the gesture, s relative to the event."""
-        ends = [s.stop for s in self._pieces] + ([self.hold.stop] if self.hold else [])
+        ends = [s.stop for s in self._pieces] + [part.stop for part in (self.hold, self.noise) if part]
         return max(ends, default=0.0)
 
     @property
@@ -311,7 +329,7 @@ class Gesture:
         return self.segments + tuple(s for motion in self.motions for s in motion.segments)
 
     def force(self, time: float) -> float:
-        """Force at a time, N."""
+        """Force at a time without its random part, N."""
         return sum(
             s.c0 + s.c1 * (time - s.start) + s.c2 * (time - s.start) ** 2
             for s in self.segments
@@ -375,7 +393,7 @@ class Attachment(Plugin[P]):
 
 @dataclass(frozen=True, slots=True)
 class BridgeForce:
-    """Force of a string's end on one point of the body.
+    """Force of a string's end, or of something added to the body, on one point of the body.
 
     Attributes
     ----------
@@ -396,7 +414,7 @@ class Scene:
     Attributes
     ----------
     body_points : name -> place and direction.
-    bridge_forces : of every string polarization that moves the body.
+    bridge_forces : of every string polarization that moves the body, and of what is added to the body.
     string_points : ``string.point`` -> (component, point, unit vector of that polarization), for each polarization.
     end_forces : string -> (connection, unit vector): force of the string on its bridge is minus the connection's.
     freq_upper : Hz, highest frequency that will be stepped.

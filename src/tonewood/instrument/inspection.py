@@ -153,7 +153,7 @@ def held_partials(basis: ModalBasis, count: int) -> list[float]:
 
 
 def bridge_mobility(model: Model, freq: Sequence[float] | Floats) -> dict[str, Complexes]:
-    """Driving-point mobility of the body where each string ends, (m/s)/N; without strings.
+    """Driving-point mobility of the body where each string ends, (m/s)/N; without strings, with what is added to it.
 
     Parameters
     ----------
@@ -163,13 +163,12 @@ def bridge_mobility(model: Model, freq: Sequence[float] | Floats) -> dict[str, C
     -------
     string -> (n,), along the body point's direction; a string on a rigid end is left out.
     """
-    compiled = model.system.compiled[model.system.slot("body")]
     out: dict[str, Complexes] = {}
     for name, string in model.strings.items():
         ends = string.polarizations[0].ends
         if ends:
             point = max(ends, key=lambda p: abs(ends[p]))
-            out[name] = compiled.basis.frf(freq, point, point)
+            out[name] = model.body.frf(freq, point, point)
     return out
 
 

@@ -9,10 +9,10 @@ from pydantic.json_schema import models_json_schema
 
 from tonewood.instrument import registry
 from tonewood.instrument.bundle_code import CODE_PATTERN
-from tonewood.instrument.schema import SCHEMA, Bundle, ConnectionPart, OutputPart, PluginPart, StringPart
+from tonewood.instrument.schema import SCHEMA, BodyPart, Bundle, ConnectionPart, OutputPart, PluginPart, StringPart
 
 _PARTS: dict[str, tuple[str, type[PluginPart]]] = {
-    "BodyPart": ("body", PluginPart),
+    "BodyPart": ("body", BodyPart),
     "ConnectionPart": ("connection", ConnectionPart),
     "ExciterPart": ("exciter", PluginPart),
     "StringPart": ("resonator", StringPart),

@@ -111,9 +111,14 @@ def _group(instrument: Instrument, part: OutputPart, rows: PickupRows, first: in
     )
 
 
-def make_scene(strings: Mapping[str, StringModel], body_points: Mapping[str, BodyPoint], limit: float) -> Scene:
-    """Describe to pickups what they can read, up to the frequency `limit` (Hz)."""
-    bridge_forces, string_points, end_forces = [], {}, {}
+def make_scene(
+    strings: Mapping[str, StringModel],
+    body_points: Mapping[str, BodyPoint],
+    limit: float,
+    added: Sequence[BridgeForce] = (),
+) -> Scene:
+    """Describe to pickups what they can read, up to the frequency `limit` (Hz); `added` are forces beside strings'."""
+    bridge_forces, string_points, end_forces = list(added), {}, {}
     for name, string in strings.items():
         end_forces[name] = tuple((f"{p.component}.bridge", p.direction) for p in string.ends)
         for point in ("bridge", "pluck", *string.points):

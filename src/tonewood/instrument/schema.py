@@ -6,8 +6,11 @@ the keys of that plugin beside those listed here.
 
 from __future__ import annotations
 
+import math
+import zlib
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from tonewood.instrument.directions import Direction
@@ -36,11 +39,11 @@ class Source(Parameters):
 class Provenance(Parameters):
     """Kind and source of figures."""
 
-    kind: Literal["measured", "published", "computed", "authored", "stand_in"] = described(
+    kind: Literal["measured", "published", "computed", "authored", "stand_in", "unknown"] = described(
         "measured on the instrument; published in a text; computed from such; authored by ear or judgement; "
-        "stand_in for figures nobody has published"
+        "stand_in for figures nobody has published; unknown where nobody has said yet"
     )
-    source: str | None = described("key of `sources`; needed unless authored or stand_in", default=None)
+    source: str | None = described("key of `sources`; needed if measured, published or computed", default=None)
     note: str | None = described("what to know about them", default=None)
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = described(
         "SHA-256 of the bytes of the table that these figures are; `check` tells when it is another", default=None
@@ -59,10 +62,84 @@ class PluginPart(Parameters):
         return dict(self.model_extra or {})
 
 
+class Added(Parameters):
+    """A mass, a spring to the ground or a dashpot to the ground, fixed to the body; several of them move as one."""
+
+    at: str = described("point of the body")
+    direction: Direction | None = described("in which it acts; the point's own where left out", default=None)
+    mass: float = quantity("kg", low=0.0, high=1e3, default=0.0, doc="that moves with the point")
+    stiffness: float = quantity("N/m", low=0.0, high=1e9, default=0.0, doc="of a spring to the ground")
+    damping: float = quantity("N s/m", low=0.0, high=1e6, default=0.0, doc="of a dashpot to the ground")
+
+    @model_validator(mode="after")
+    def _something(self) -> Added:
+        if not (self.mass or self.stiffness or self.damping):
+            raise ValueError("a mass, a stiffness or a damping above 0 is wanted")
+        return self
+
+
+class BodyPart(PluginPart):
+    """The body, to which strings are joined."""
+
+    added: list[Added] = described("masses, springs and dashpots put on it", default=[], max_length=MOST_PARTS)
+
+
 class StringPoint(Parameters):
     """A named place on a string, to be heard or joined."""
 
     from_bridge: StringPlace = described("m, or {fraction: of the open speaking length}")
+
+
+class StringSetEntry(Parameters):
+    """A string of a set that can be bought; see ``string_sets.yaml``."""
+
+    note: str = described("of the open string")
+    length: float | None = quantity("m", low=0.02, high=5.0, default=None, doc="if not that of the set")
+    tension: float | None = quantity("N", low=1.0, high=2000.0, default=None, doc="at that length and note")
+    diameter: float | None = quantity("m", low=1e-5, high=0.05, default=None, doc="of the whole string")
+    core: float = quantity("1", low=0.05, high=1.0, default=1.0, doc="share of the diameter that bends and stretches")
+    density: float | None = quantity("kg/m^3", low=100.0, high=3e4, default=None, doc="effective, of the whole string")
+    linear_density: float | None = quantity("kg/m", low=1e-5, high=0.1, default=None, doc="mass per length")
+    young: float | None = quantity("Pa", low=1e8, high=1e12, default=None, doc="of what bends and stretches")
+    bending_stiffness: float | None = quantity("N m^2", low=0.0, high=1.0, default=None, doc="E I")
+    loss: dict[str, Any] | None = described("loss law and its numbers", default=None)
+
+    @model_validator(mode="after")
+    def _mass(self) -> StringSetEntry:
+        if self.linear_density is None and self.tension is None and (self.density is None or self.diameter is None):
+            raise ValueError("a linear density, a tension, or a density and a diameter are wanted")
+        return self
+
+
+class StringSet(Parameters):
+    """A set of strings that can be bought, from bass to treble."""
+
+    maker: str = described("who makes it")
+    product: str = described("its name and gauge")
+    length: float = quantity("m", low=0.02, high=5.0, doc="at which its tensions hold")
+    source: Source = described("where its figures come from")
+    strings: list[StringSetEntry] = described("from bass to treble", min_length=1)
+
+
+class Scatter(Parameters):
+    """How far real strings are from the same ideal one: normal scatter, drawn from a seed."""
+
+    seed: int = described("of the draws; the string's name and stop are part of it", default=1, ge=0)
+    tilt_deg: float = quantity("deg", low=0.0, high=45.0, default=0.0, doc="standard deviation, one draw per string")
+    split_cents: float = quantity("cents", low=0.0, high=20.0, default=0.0, doc="standard deviation, one draw per stop")
+
+    def tilt(self, string: str) -> float:
+        """Add to a string's `tilt_deg`, deg."""
+        return self.tilt_deg * self._draw(f"tilt {string}")
+
+    def split(self, string: str, stop: float) -> float:
+        """Add to a string's `split_cents` at a stop, cents; between whole stops on a straight line."""
+        low = math.floor(stop)
+        parts = ((low, low + 1 - stop), (low + 1, stop - low))
+        return self.split_cents * sum(w * self._draw(f"split {string} {i}") for i, w in parts if w > 0)
+
+    def _draw(self, what: str) -> float:
+        return float(np.random.default_rng([self.seed, zlib.crc32(what.encode())]).standard_normal())
 
 
 class StringPart(PluginPart):
@@ -82,6 +159,14 @@ class StringPart(PluginPart):
     split_cents: float = quantity(
         "cents", low=-50.0, high=50.0, default=0.0, doc="by how much the second polarization is sharper"
     )
+    break_angle_deg: float | None = quantity(
+        "deg",
+        low=0.0,
+        high=90.0,
+        default=None,
+        doc="by which the string bends down behind the bridge; `check` computes the force",
+    )
+    scatter: Scatter = described("of tilt and split, from string to string and stop to stop", default=Scatter())
     freq_upper: float = quantity("Hz", low=100.0, high=1e5, default=20000.0, doc="highest mode")
     end_compliance: float = quantity(
         "m/N", low=0.0, high=1e-4, default=2e-8, doc="local compliance of the string's seat on the bridge"
@@ -213,12 +298,24 @@ class ControllerMap(Parameters):
         return self.low + (self.high - self.low) * min(max(position, 0.0), 1.0)
 
 
+class HumanVariation(Parameters):
+    """Human variation from note to note: standard deviations; off unless there is a seed."""
+
+    seed: int | None = described("of the performance; none where left out", default=None, ge=0)
+    time: float = quantity("s", low=0.0, high=1.0, default=0.008, doc="of a note's beginning")
+    force_db: float = quantity("dB", low=0.0, high=20.0, default=1.5, doc="of its force")
+    from_bridge: float = quantity("m", low=0.0, high=0.2, default=0.010, doc="of its place: fingers alternate")
+    angle_deg: float = quantity("deg", low=0.0, high=90.0, default=10.0, doc="of its direction")
+    nail: float = quantity("1", low=0.0, high=1.0, default=0.15, doc="of the share of nail")
+
+
 class Playing(Parameters):
     """From notes to gestures."""
 
     exciter: str | None = described("of notes that name no technique; the velocity's where left out", default=None)
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
+    variation: HumanVariation = described("from note to note", default=HumanVariation())
     controls: dict[Annotated[str, Field(pattern=_CC)], ControllerMap] = described("ccN -> parameter", default={})
     keyswitches: dict[str, Name] = described("key -> exciter that notes after it ask for, on its channel", default={})
     switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(
@@ -257,9 +354,12 @@ class Bundle(Parameters):
     licence: str = described("SPDX name, of the bundle's data")
     sources: dict[Name, Source] = described("key -> where figures come from")
     provenance: dict[str, Provenance] = described("dotted path, * for one level -> what kind of figures", default={})
-    body: PluginPart = described("what the strings are joined to")
+    body: BodyPart = described("what the strings are joined to")
     strings: dict[Name, StringPart] = described(
         "name -> string, from bass to treble", min_length=1, max_length=MOST_STRINGS
+    )
+    strings_from: str | None = described(
+        "named string set, for what `strings` does not say; `tonewood list` has their names", default=None
     )
     stops: Stops = described("frets", default=Stops())
     tuning: TuningSettings = described("pitch", default=TuningSettings())

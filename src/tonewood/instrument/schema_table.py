@@ -17,7 +17,7 @@ from pydantic_core import PydanticUndefined
 
 from tonewood.instrument import registry
 from tonewood.instrument.gestures import Fraction
-from tonewood.instrument.schema import Bundle, ConnectionPart, OutputPart, PluginPart, StringPart
+from tonewood.instrument.schema import BodyPart, Bundle, ConnectionPart, OutputPart, PluginPart, StringPart
 
 _HEAD = "| key | value | default | meaning |\n|---|---|---|---|\n"
 
@@ -27,6 +27,7 @@ def bundle_tables() -> str:
     parts: list[tuple[str, type[BaseModel]]] = [
         ("instrument.yaml", Bundle),
         ("body, exciters.NAME (any part a plugin makes)", PluginPart),
+        ("body, beside the plugin's own keys", BodyPart),
         ("strings.NAME and strings.defaults, beside the plugin's own keys", StringPart),
         ("connections.NAME, beside the plugin's own keys", ConnectionPart),
         ("outputs, each entry, beside the plugin's own keys", OutputPart),

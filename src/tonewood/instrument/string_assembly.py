@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from tonewood.errors import BundleError
@@ -78,7 +79,8 @@ def _string(
         freq_limit=limit,
         end_compliance=part.end_compliance,
         points=points,
-        tilt_deg=part.tilt_deg,
+        tilt_deg=part.tilt_deg + part.scatter.tilt(name),
+        scatter=partial(part.scatter.split, name) if part.scatter.split_cents else None,
         touching=_touching(instrument, name, choice),
         pluck_from_bridge=_metres(getattr(exciter.parameters, "from_bridge", 0.1 * resonator.length), resonator),
         longitudinal=_longitudinal(part, name, resonator, body_points, choice),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, cast
@@ -19,7 +19,7 @@ from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
 from tonewood.instrument.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.tuning import StringOnBody, TunedStop, no_mode, tune
-from tonewood.modal.modes import ModalBasis
+from tonewood.modal.modes import PAIR, ModalBasis
 from tonewood.modal.receptance import Joint, Ports
 from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.units import cents, ratio_of_cents
@@ -43,6 +43,10 @@ class StringModel:
     stopping : its stops.
     longitudinal : its longitudinal motion, if that is stepped.
     pluck_from_bridge : m, place of the pluck where a gesture gives none.
+
+    Parameters
+    ----------
+    scatter : stop -> cents by which the second polarization is sharper than its `detune` says.
     """
 
     def __init__(
@@ -60,6 +64,7 @@ class StringModel:
         points: Mapping[str, float],
         tilt_deg: float,
         pluck_from_bridge: float,
+        scatter: Callable[[float], float] | None = None,
         touching: Mapping[str, Attachment[Any] | Exciter[Any]] | None = None,
         longitudinal: LongitudinalMotion | None = None,
     ):
@@ -69,7 +74,7 @@ class StringModel:
         self.pluck_from_bridge = pluck_from_bridge
         self._body, self._freq_upper, self._freq_limit = body, freq_upper, freq_limit
         self._end_compliance, self._tilt_deg = end_compliance, tilt_deg
-        self._touching = dict(touching or {})
+        self._touching, self._scatter = dict(touching or {}), scatter
         self._attached: dict[float, tuple[Attached, ...]] = {}
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._bases: dict[float, ModalBasis] = {}
@@ -190,7 +195,7 @@ class StringModel:
         base = self._untuned(stop)
 
         def bases(tension: float) -> list[ModalBasis]:
-            return [self.resonator.detuned(base, tension * p.detune**2) for p in self.polarizations]
+            return [self.resonator.detuned(base, tension * self._detune(p, stop) ** 2) for p in self.polarizations]
 
         return StringOnBody(bases, self._body, min(self.pluck_from_bridge, 0.9 * self.length(stop)))
 
@@ -201,6 +206,7 @@ class StringModel:
         bend_cents: float = 0.0,
         added_damping: float = 0.0,
         pluck_from_bridge: float | None = None,
+        pluck_width: float = 0.0,
         touches: Mapping[str, float] | None = None,
         whole: bool = False,
     ) -> dict[str, ModalBasis]:
@@ -212,6 +218,7 @@ class StringModel:
         bend_cents : change of pitch by a change of tension.
         added_damping : 1/s, added to every mode's damping rate.
         pluck_from_bridge : m; the string's usual place where left out. Must lie on the speaking part.
+        pluck_width : m, of the string about that place over which the point ``pluck`` is a mean.
         touches : point that a part attaches to the string -> m, in place of the part's own place.
         whole : keep also modes that the tension has raised above the limit.
         """
@@ -233,13 +240,20 @@ class StringModel:
             tension *= ratio_of_cents(bend_cents * self._bend_gain(end)) ** 2
         out: dict[str, ModalBasis] = {}
         for polarization in self.polarizations:
-            basis = self.resonator.detuned(base, tension * polarization.detune**2)
+            basis = self.resonator.detuned(base, tension * self._detune(polarization, end) ** 2)
             if not whole:
                 basis = below(basis, self._freq_limit)
-            out[polarization.component] = with_still_points(basis.with_places(here), beyond)
+            basis = with_still_points(basis.with_places(here), beyond)
+            out[polarization.component] = spread(basis, "pluck", pluck_width) if pluck_width else basis
         if self.longitudinal:
             out[self.longitudinal.component] = self._longitudinal(end, self.longitudinal.motion)
         return damped(out, added_damping) if added_damping else out
+
+    def _detune(self, polarization: Polarization, stop: float) -> float:
+        """Frequency ratio of a polarization to the first one at a stop."""
+        if self._scatter is None or polarization is self.polarizations[0]:
+            return polarization.detune
+        return polarization.detune * ratio_of_cents(self._scatter(stop))
 
     def n_modes(self, stop: float = 0) -> int:
         """Modes per polarization of a stop before tension raises any above the limit."""
@@ -425,6 +439,22 @@ def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:
         left=np.vstack([basis.left, rows]),
         residual=np.pad(basis.residual, (0, len(names))),
     )
+
+
+def spread(basis: ModalBasis, point: str, width: float) -> ModalBasis:
+    """Let a point stand for the mean over `width` (m) of the string about it, by a Gauss rule of three places.
+
+    A force spread evenly acts on that mean. The residual compliance stays that of the place.
+    """
+    if basis.shape is None:
+        return basis
+    at, i = basis.places[point], basis.index(point)
+    offset = 0.5 * width * math.sqrt(0.6)
+    mean = (5 * basis.shape(at - offset) + 8 * basis.shape(at) + 5 * basis.shape(at + offset)) / 18
+    right, left = basis.right.copy(), basis.left.copy()
+    pair = basis.kind == PAIR
+    right[i], left[i] = mean, mean * np.where(pair, -0.5j / np.where(pair, basis.poles.imag, 1.0), 1.0)
+    return replace(basis, right=right, left=left)
 
 
 def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:

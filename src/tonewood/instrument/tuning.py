@@ -87,12 +87,17 @@ class TunedStop:
         """
         first, *others = self.modes
         for mode in others:
-            if max(mode.shares[1:-1], default=0.0) >= 0.5:
+            if of_second_polarization(mode.shares):
                 continue
             near = abs(cents(mode.freq / first.freq)) <= WOLF_CENTS
             if (near and mode.level_db(first) >= -WOLF_DB) or abs(self.error_cents) > 1.0:
                 return mode
         return None
+
+
+def of_second_polarization(shares: Sequence[float]) -> bool:
+    """Whether half of a mode's energy or more is in the string's second polarization, tuned near on purpose."""
+    return max(shares[1:-1], default=0.0) >= 0.5
 
 
 class StringOnBody:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tonewood.errors import TonewoodError
+from tonewood.plotting import COLOURS
 from tonewood.whole_files import whole_file
 
 if TYPE_CHECKING:
@@ -21,7 +22,10 @@ def figure(
     except ImportError:
         raise TonewoodError("plots need matplotlib: pip install 'tonewood[plot]'") from None
     fig = Figure(figsize=size or (9.0, 3.4 * rows), layout="constrained")
-    return fig, fig.subplots(rows, columns, subplot_kw={"projection": "polar"} if polar else {})
+    axes = fig.subplots(rows, columns, subplot_kw={"projection": "polar"} if polar else {})
+    for ax in fig.axes:
+        ax.set_prop_cycle(color=COLOURS)
+    return fig, axes
 
 
 def save(fig: Figure, path: Path) -> Path:

@@ -20,6 +20,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tonewood.modal.views import Modal, ModalViews
+from tonewood.tables import properties_html
+
 PAIR, REAL, BLOCK = 0, 1, 2
 
 Floats = NDArray[np.float64]
@@ -30,7 +33,7 @@ _BLOCK_ABOVE = 0.7
 
 
 @dataclass(frozen=True, eq=False)
-class ModalBasis:
+class ModalBasis(ModalViews):
     """Modes of one uncoupled component: poles, left and right shapes at named points, residual compliance.
 
     Attributes
@@ -78,6 +81,18 @@ class ModalBasis:
         span = f", {freq.min():.6g} to {freq.max():.6g} Hz" if freq.size else ""
         kind = "real" if self.is_real else "complex"
         return f"ModalBasis({self.n_modes} {kind} modes{span}, points {', '.join(self.points)})"
+
+    def _repr_html_(self) -> str:
+        freq = self.natural_freq
+        rows = {
+            "modes": f"{self.n_modes} {'real' if self.is_real else 'complex'}",
+            "natural frequencies": f"{freq.min():.6g} to {freq.max():.6g} Hz" if freq.size else "none",
+            "points": ", ".join(self.points),
+        }
+        return properties_html("ModalBasis", rows)
+
+    def _viewed(self) -> tuple[Modal, Mapping[str, str]]:
+        return self, {point: point for point in self.points}
 
     @classmethod
     def real(
@@ -252,6 +267,15 @@ class ModalBasis:
                 np.where(pair, -0.5 / turn, one),
             ]
         )
+
+    def residues(self, point: str) -> Floats:
+        """(n_modes,) size of each mode's residue at a driving point, 1/kg: phi^2 of a mass-normalised real mode.
+
+        Y(s) = sum A s / (s^2 + 2 sigma s + omega^2) of real modes has A = phi^2; left shapes hold -i / 2 omega_d of it.
+        """
+        i = self.index(point)
+        gain = np.where(self.kind == PAIR, 2 * np.abs(self.poles.imag), 1.0)
+        return np.asarray(np.abs(self.right[i] * self.left[i]) * gain)
 
     def index(self, point: str) -> int:
         """Row of a named point; ValueError names the points there are."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import html
+import io
 import os
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import soundfile as sf
@@ -14,8 +17,13 @@ from numpy.typing import NDArray
 
 from tonewood.energy.trace import EnergyTrace
 from tonewood.errors import OutputError
+from tonewood.output.spectrum import level_curve, spectrogram
+from tonewood.plotting import COLOURS, LINE, colour_bar, data_uri, draw_spectrogram, figure
 from tonewood.score.note import Dropped
 from tonewood.whole_files import AtomicFile
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 
@@ -49,6 +57,43 @@ class Audio:
         shape = f"{len(self.samples)} samples x {self.samples.shape[1]}"
         return f"Audio({shape}, {self.duration:.6g} s at {self.fs} Hz, peak {self.peak_dbfs:.1f} dBFS)"
 
+    def _repr_html_(self) -> str:
+        """Player of the first two channels; a sound beyond full scale is lowered to it, and the text says so."""
+        peak = float(np.max(np.abs(self.samples), initial=0.0))
+        gain = min(1.0, 1.0 / peak) if peak > 0 else 1.0
+        channels = ", ".join(self.channels[:2]) or f"{self.samples.shape[1]} channels"
+        text = f"{channels}, {self.duration:.2f} s at {self.fs} Hz, peak {self.peak_dbfs:.1f} dBFS"
+        if gain < 1.0:
+            text += f", played {-self.peak_dbfs:+.1f} dB"
+        address = data_uri(flac_bytes(gain * self.samples[:, :2], self.fs), "audio/flac")
+        return f'<p>{html.escape(text)}</p><audio controls src="{address}"></audio>'
+
+    def spectrogram(self, *, freq_upper: float = 8000.0, range_db: float = 80.0, window: int = 4096) -> Figure:
+        """Draw the level over time and frequency of the mean of all channels, dB re its maximum.
+
+        Parameters
+        ----------
+        freq_upper : Hz, highest frequency shown.
+        range_db : dB shown below the maximum.
+        window : samples of the Hann window; its main lobe is 4 fs / window wide.
+        """
+        shown = min(freq_upper, self.fs / 2)
+        time, freq, level = spectrogram(self.samples, self.fs, window=window, columns=1000, freq_upper=shown)
+        made, axes = figure(heights=[4.5])
+        image = draw_spectrogram(axes[0, 0], time, freq, level - level.max(), floor_db=-range_db)
+        axes[0, 0].set_xlabel("time, s")
+        colour_bar(made, image, axes[0, 0], "level\ndB re maximum")
+        return made
+
+    def plot_decay(self, *, range_db: float = 80.0) -> Figure:
+        """Draw the level over time, 10 lg of the mean square over 20 ms and all channels, dB re full scale."""
+        time, level = level_curve(self.samples, self.fs)
+        made, axes = figure(heights=[4.0])
+        axes[0, 0].plot(time, level, color=COLOURS[0], lw=LINE)
+        top = float(level.max())
+        axes[0, 0].set(xlabel="time, s", ylabel="level\ndB re full scale", ylim=(top - range_db, top + 5.0))
+        return made
+
     @property
     def duration(self) -> float:
         """Length in s."""
@@ -73,6 +118,13 @@ class Audio:
             peak = f"the peak is {self.peak_dbfs:+.1f} dBFS"
             warnings.warn(f"{os.fspath(path)}: {writer.clipped} samples {fate}, {peak}", stacklevel=2)
         return writer.clipped
+
+
+def flac_bytes(samples: Floats, fs: int) -> bytes:
+    """(n, n_channels) samples as a FLAC file of 16 bits, which browsers play; cut at full scale."""
+    stream = io.BytesIO()
+    sf.write(stream, np.clip(samples, -1.0, 1.0), fs, format="FLAC", subtype="PCM_16")
+    return stream.getvalue()
 
 
 def decibels(amplitude: float) -> float:

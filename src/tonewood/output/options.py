@@ -90,6 +90,11 @@ class RenderOptions(Parameters):
         default=None,
         doc="a detuning effect may be left out while its bound is below this; default: the instrument's",
     )
+    humanize: int | None = described(
+        "seed of human variation in force, time and touch, see playing.variation; default: the instrument's",
+        default=None,
+        ge=0,
+    )
     energy: bool = described("keep an account of energy; many times slower, with the same samples", default=False)
 
     if not TYPE_CHECKING:  # checkers read the fields
@@ -146,13 +151,14 @@ class RenderOptions(Parameters):
         return {f"effects.{key}": value for key, value in given.items() if value is not None}
 
     def applied_to(self, instrument: Instrument) -> Instrument:
-        """Return the instrument with the effects and budgets that are given in place of its own.
+        """Return the instrument with the effects, budgets and seed of variation that are given in place of its own.
 
         Raises
         ------
         TonewoodError : there is no effect of a name.
         """
-        return instrument.replace(self.effect_changes)
+        seed = {} if self.humanize is None else {"playing.variation.seed": self.humanize}
+        return instrument.replace(self.effect_changes | seed)
 
     def at(self, **settings: Any) -> Self:
         """Return a copy with settings that need no check, as other code has derived them."""

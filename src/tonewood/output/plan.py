@@ -16,10 +16,10 @@ from tonewood.engine.effect_usage import EffectUsage
 from tonewood.engine.effects.base import Foreseen, PlannedEffect, SwitchedEffect
 from tonewood.engine.engine import Engine
 from tonewood.errors import DroppedNotesWarning
-from tonewood.instrument.bundle import Instrument
+from tonewood.output.inputs import InstrumentLike, ScoreLike, as_instrument, as_score
 from tonewood.output.options import RenderOptions
 from tonewood.output.render import Renderer
-from tonewood.score.note import Dropped, Score
+from tonewood.score.note import Dropped
 
 #: the sketch is made at this share of the sampling rate, but at no less than this
 _SKETCH, _LEAST_FS = 3, 12000
@@ -50,8 +50,8 @@ class Plan:
 
 
 def plan(
-    score: Score,
-    instrument: Instrument,
+    score: ScoreLike,
+    instrument: InstrumentLike,
     fs: float | None = None,
     *,
     options: RenderOptions | None = None,
@@ -59,6 +59,7 @@ def plan(
     **settings: Any,
 ) -> Plan:
     """Foresee a render; `Renderer` has the same options, and warns of dropped notes."""
+    score, instrument = as_score(score), as_instrument(instrument)
     options = RenderOptions.of(options, fs, settings)
     low = max(options.fs // _SKETCH, min(_LEAST_FS, options.fs))
     sketched = options.at(fs=low, accuracy="standard", oversampling=None, freq_limit=None)

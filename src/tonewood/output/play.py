@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import OutputError
-from tonewood.instrument.bundle import Instrument
+from tonewood.output.inputs import InstrumentLike, ScoreLike
 from tonewood.output.limiter import Limiter
 from tonewood.output.options import RenderOptions
 from tonewood.output.render import Renderer
-from tonewood.score.note import Score
 
 Floats = NDArray[np.float64]
 
@@ -40,8 +39,8 @@ class Playback:
 
 
 def play(
-    source: Renderer | Score,
-    instrument: Instrument | None = None,
+    source: Renderer | ScoreLike,
+    instrument: InstrumentLike | None = None,
     fs: float | None = None,
     *,
     options: RenderOptions | None = None,
@@ -55,8 +54,9 @@ def play(
 
     Parameters
     ----------
-    source : a score, played on `instrument`; or a renderer, which has an instrument and options already. Its channels
-        become the device's; one channel is played on both sides.
+    source : a score or the path of a MIDI file, played on `instrument`; or a renderer, which has an instrument and
+        options already. Its channels become the device's; one channel is played on both sides.
+    instrument : an instrument, or its name or folder.
     fs, options : as for `Renderer`, single options as keywords too.
     block_size : frames per block.
     device : as sounddevice names it; None is the default.

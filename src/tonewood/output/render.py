@@ -21,13 +21,13 @@ from tonewood.engine.engine import GRID, Engine, Snapshot
 from tonewood.engine.playing import Performance, perform
 from tonewood.errors import DroppedNotesWarning, TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
-from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.string_setup import GivenTension
 from tonewood.output.accuracy import LEVELS
 from tonewood.output.audio import Audio, decibels
+from tonewood.output.inputs import InstrumentLike, ScoreLike, as_instrument, as_score
 from tonewood.output.options import RenderOptions
 from tonewood.output.resampling import Resampler
-from tonewood.score.note import Dropped, Score
+from tonewood.score.note import Dropped
 
 Floats = NDArray[np.float64]
 
@@ -107,8 +107,8 @@ class Renderer:
 
     Parameters
     ----------
-    score : notes and controllers.
-    instrument : a loaded instrument.
+    score : notes and controllers, or the path of a MIDI file.
+    instrument : a loaded instrument, or its name or folder.
     fs : sampling rate, Hz.
     options : of the render; single ones may be given as keywords instead.
 
@@ -121,13 +121,14 @@ class Renderer:
     @one_blas_thread
     def __init__(
         self,
-        score: Score,
-        instrument: Instrument,
+        score: ScoreLike,
+        instrument: InstrumentLike,
         fs: float | None = None,
         *,
         options: RenderOptions | None = None,
         **settings: Any,
     ):
+        score, instrument = as_score(score), as_instrument(instrument)
         self.options = options = RenderOptions.of(options, fs, settings)
         self.fs = options.fs
         steps = LEVELS[options.accuracy].oversampling(instrument.spec)
@@ -313,8 +314,8 @@ def _warn_of(dropped: Sequence[Dropped]) -> None:
 
 
 def render(
-    score: Score,
-    instrument: Instrument,
+    score: ScoreLike,
+    instrument: InstrumentLike,
     fs: float | None = None,
     *,
     options: RenderOptions | None = None,

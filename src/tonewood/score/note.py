@@ -6,8 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
+from typing import TYPE_CHECKING
 
-from tonewood.errors import ScoreError
+from tonewood.errors import ScoreError, kind_of
+from tonewood.score.scales import note_number
 
 # (low, high) of every number a note may carry; both ends are allowed
 _RANGES: dict[str, tuple[float, float]] = {
@@ -32,7 +34,8 @@ class Note:
     ----------
     time : s, when the pluck releases (the ramp runs before it).
     duration : s, from `time` to the note's end.
-    note : MIDI note number, fractions are cents / 100; or give `freq`, or `string` with `stop`.
+    note : MIDI note number, fractions are cents / 100, or a name such as ``E2``; or give `freq`, or `string` with
+        `stop`.
     freq : Hz, instead of `note`.
     force : N, peak of the gesture; or give `velocity_midi`.
     velocity_midi : 1..127, mapped to a force by the instrument's documented curve.
@@ -61,7 +64,30 @@ class Note:
     technique: str | None = None
     channel: int | None = None
 
+    if TYPE_CHECKING:  # names are numbers once it is made
+
+        def __init__(
+            self,
+            time: float,
+            duration: float = 1.0,
+            note: float | str | None = None,
+            freq: float | None = None,
+            force: float | None = None,
+            velocity_midi: float | None = None,
+            string: str | None = None,
+            stop: float | None = None,
+            from_bridge: float | None = None,
+            angle_deg: float | None = None,
+            technique: str | None = None,
+            channel: int | None = None,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
+        if isinstance(self.note, str):
+            object.__setattr__(self, "note", float(note_number(self.note)))
+        for name in ("string", "technique"):
+            if not isinstance(getattr(self, name), str | None):
+                raise ScoreError(f"{name} of a note is {kind_of(getattr(self, name))}: a name is allowed")
         for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
             if value is None:
@@ -120,6 +146,13 @@ class Score:
     name: str = "score"
     metadata: dict[str, str] = field(default_factory=dict)
     ignored: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.notes, str | bytes) or not isinstance(self.notes, Sequence):
+            raise ScoreError(f"notes of a score are {kind_of(self.notes)}: a list of notes is allowed")
+        wrong = next((note for note in self.notes if not isinstance(note, Note)), None)
+        if wrong is not None:
+            raise ScoreError(f"a note of a score is {kind_of(wrong)}: a Note is allowed")
 
     def __repr__(self) -> str:
         return (

@@ -44,6 +44,61 @@ def course(pieces: Sequence[Segment], times: ArrayLike, *, derivative: bool = Fa
 
 
 @dataclass(frozen=True, eq=False)
+class SampledForce:
+    """A known force by its values at equal intervals, straight lines between them, 0 outside; for noise.
+
+    Where it is stepped, each step has a constant force, the value in its middle.
+
+    Attributes
+    ----------
+    start : s, time of the first value.
+    interval : s, between two values.
+    values : (n,) N; the first and the last should be 0.
+    """
+
+    start: float
+    interval: float
+    values: Floats
+
+    @property
+    def stop(self) -> float:
+        """Time of the last value, s."""
+        return self.start + self.interval * (len(self.values) - 1)
+
+    def at(self, times: ArrayLike) -> Floats:
+        """Values at times (n,) s."""
+        grid = self.start + self.interval * np.arange(len(self.values))
+        return np.asarray(np.interp(np.asarray(times, dtype=np.float64), grid, self.values, left=0.0, right=0.0))
+
+    def rate(self, times: ArrayLike) -> Floats:
+        """First derivative at times (n,) s, N/s; from the right where two lines meet."""
+        place = np.floor((np.asarray(times, dtype=np.float64) - self.start) / self.interval).astype(np.intp)
+        slopes = np.concatenate([[0.0], np.diff(self.values) / self.interval, [0.0]])
+        return np.asarray(slopes[np.clip(place + 1, 0, len(self.values))])
+
+    def by_step(self, sample: int, n: int, dt: float, time: float = 0.0) -> Floats:
+        """(n,) N, over the steps from `sample` on.
+
+        Parameters
+        ----------
+        dt : s, step; step k is [k dt, (k + 1) dt].
+        time : s, absolute time of the force's origin.
+        """
+        return self.at((sample + 0.5 + np.arange(n)) * dt - time)
+
+    def course(self, dt: float, *, time: float = 0.0, first: int) -> Course:
+        """Return it from step to step, from the step `first` on."""
+        begin = max(first, math.floor((time + self.start) / dt))
+        n = max(math.ceil((time + self.stop) / dt) - begin, 0)
+        return Course(dt, (), begin, np.stack([self.by_step(begin, n, dt, time), np.zeros(n), np.zeros(n)]))
+
+    def after(self, time: float) -> SampledForce:
+        """Return the part from a time (s) on."""
+        skipped = min(max(math.ceil((time - self.start) / self.interval), 0), len(self.values) - 2)
+        return SampledForce(self.start + skipped * self.interval, self.interval, self.values[skipped:])
+
+
+@dataclass(frozen=True, eq=False)
 class Course:
     """A known force from step to step, whatever it acts on.
 

@@ -70,7 +70,9 @@ def test_renders_repeat_to_the_bit_and_hear_their_factor() -> None:
 
 
 def test_varied_force_scales_a_linear_sound() -> None:
-    plain = conditions()[0]
+    given = conditions()[0]
+    ramp = {"exciters.pluck": {"plugin": "pluck_ramp"}}  # a finger's release depends on the force
+    plain = replace(given, overrides={**given.overrides, **ramp})
     draw = Draw("exciters.pluck.force", "normal_db", 2.0, 5, ("guitar", "note", "1"))
     varied = replace(plain, draws=(draw,))
     factor = draw.values(1)[0]

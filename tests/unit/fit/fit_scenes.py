@@ -76,14 +76,16 @@ def guitar(name="classical_guitar", places=(0.0, -0.6, 0.6)):
 
 
 def random_body(n_modes, seed, n_points=2, low=80.0, high=1800.0):
-    """Modes at random, at least a bandwidth and a half apart."""
+    """Modes at random, at least a bandwidth and a half apart: each is drawn until it keeps clear of those before it."""
     rng = np.random.default_rng(seed)
-    while True:
-        freq = np.sort(np.exp(rng.uniform(np.log(low), np.log(high), n_modes)))
-        quality = np.exp(rng.uniform(np.log(15), np.log(120), n_modes))
-        width = freq / quality
-        if np.all(np.diff(freq) > 0.75 * (width[1:] + width[:-1])):
-            break
+    freq, quality = np.zeros(n_modes), np.zeros(n_modes)
+    for k in range(n_modes):
+        while True:
+            f, q = np.exp(rng.uniform(np.log((low, 15)), np.log((high, 120))))
+            if np.all(np.abs(freq[:k] - f) > 0.75 * (freq[:k] / np.maximum(quality[:k], 1) + f / q)):
+                break
+        freq[k], quality[k] = f, q
+    order = np.argsort(freq)
     shapes = rng.normal(size=(n_points, n_modes))
     shapes[0] = np.abs(shapes[0]) + 0.3
-    return Truth(freq, quality, shapes * shapes[0])
+    return Truth(freq[order], quality[order], shapes * shapes[0])

@@ -12,6 +12,7 @@ from fit_scenes import random_body
 from tonewood.plugins.modal_table import ModalTable
 
 from tonewood.fit.fit import fit_responses
+from tonewood.fit.folder import FitFolder
 from tonewood.fit.responses import Responses
 from tonewood.instrument.files import Files
 
@@ -66,7 +67,7 @@ def test_modes_outside_the_band_leave_a_compliance_that_is_passive():
 def test_the_body_plays_what_was_fitted(scene, tmp_path):
     """Written, read by `modal_table`, and asked for its mobility: the same to 1e-9; real modes, so passive."""
     fit = fit_responses(Responses(FREQ, scene.noisy, scene.pairs))
-    fit.write(tmp_path)
+    FitFolder(fit).write(tmp_path)
     facts = json.loads((tmp_path / "fit.json").read_text())
     assert len(facts["modes"]) == fit.body.freq.size
     points = {name: {"direction": "z"} for name in "abc"}

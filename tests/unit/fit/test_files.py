@@ -83,11 +83,60 @@ def test_hits_of_wav_and_csv_say_the_same(tmp_path):
         (tmp_path / f"{hit}.csv").write_text("\n".join(["time_s,a_force,a", *rows]) + "\n")
         paths["wav"].append(tmp_path / f"{hit}.wav")
         paths["csv"].append(tmp_path / f"{hit}.csv")
-    reading = Reading("accelerance", points=("a",), reference="a", sensitivity=(100.0, 50.0), window_tau=0.1)
+    reading = Reading("accelerance", points=("a",), references=(("a", ""),), sensitivity=(100.0, 50.0), window_tau=0.1)
     wav, csv = (read_responses(paths[kind], reading) for kind in ("wav", "csv"))
     assert wav.kept == csv.kept == (3, 3)
     assert wav.alpha == pytest.approx(10.0)
     assert np.allclose(wav.mobility[:, 1:], csv.mobility[:, 1:], rtol=1e-9)
+
+
+def test_a_universal_file_says_its_units_and_its_pressures(tmp_path):
+    """In mm (164: 1000 of them per metre) with forces in N, and a pressure in Pa beside it."""
+    pyuff = pytest.importorskip("pyuff")
+    universal = pyuff.UFF(str(tmp_path / "a.uff"))
+    units = {
+        "type": 164, "units_code": 5, "units_description": "MM (MILLI-NEWTON)", "temp_mode": 1, "length": 1000.0,
+        "force": 1.0, "temp": 1.0, "temp_offset": 273.15,
+    }  # fmt: skip
+    universal.write_sets(units, mode="add")
+    for ordinate, row, node in ((12, 1000 * TRUTH[0], 4), (15, TRUTH[1], 9)):
+        universal.write_sets(
+            pyuff.prepare_58(
+                func_type=4, rsp_node=node, rsp_dir=3 if ordinate == 12 else 0, ref_node=4, ref_dir=3,
+                rsp_ent_name="NONE", ref_ent_name="NONE", data=row, x=FREQ, binary=1, id1="", id2="", id3="", id4="",
+                id5="", load_case_id=0, abscissa_spacing=1, abscissa_spec_data_type=18,
+                ordinate_spec_data_type=ordinate, orddenom_spec_data_type=13,
+            ),
+            mode="add",
+        )  # fmt: skip
+    read = read_responses([tmp_path / "a.uff"], Reading())
+    assert read.pairs == (("4+3", "4+3"),)
+    assert np.allclose(read.mobility[0], TRUTH[0] / (2j * np.pi * FREQ), rtol=1e-12)
+    assert np.allclose(read.pressure["9+0", "4+3"], TRUTH[1], rtol=1e-12)
+
+
+def test_hits_on_two_points(tmp_path):
+    """Each file says where it was struck; a WAV by the beginning of its name. Responses of both are kept apart."""
+    rng, fs, n = np.random.default_rng(1), 4000, 2000
+    t, paths = np.arange(n), []
+    for struck, size in (("a", 1.0), ("b", 2.0)):
+        for hit in range(2):
+            force = 0.5 * np.exp(-0.5 * ((t - 30) / 3.0) ** 2)
+            motion = [size * 0.1 * np.exp(-t / 300) * np.sin(t / w) + 1e-4 * rng.normal(size=n) for w in (6, 7)]
+            paths.append(tmp_path / f"{struck}_{hit}.wav")
+            sf.write(paths[-1], np.stack([force, *motion], axis=1), fs, subtype="DOUBLE")
+    where = (("a", "a_"), ("b", "b_"))
+    reading = Reading("mobility", points=("a", "b"), references=where, sensitivity=(1.0, 1.0, 1.0))
+    read = read_responses(paths, reading)
+    assert read.pairs == (("a", "a"), ("b", "a"), ("a", "b"), ("b", "b"))
+    assert read.references == ("a", "b")
+    assert read.kept == (4, 4)
+    assert read.n_hits == 2
+    assert read.coherence.shape == (4, n // 2 + 1)
+    alone = read_responses(paths[2:], reading)
+    assert np.array_equal(read.mobility[2:], alone.mobility)
+    with pytest.raises(TonewoodError, match="the point that the hammer struck is not named"):
+        read_responses(paths, Reading("mobility", points=("a", "b"), references=where[:1], sensitivity=(1.0, 1.0, 1.0)))
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,17 @@ def test_coupled_damping_makes_no_false_modes():
     assert np.count_nonzero(inside) == n
 
 
+def test_no_modes_at_the_ends_of_a_band_whose_noise_is_not_known():
+    """The estimate of the noise there must not hang on the last bin."""
+    truth, freq = random_body(3, seed=2, high=520.0), np.arange(70.0, 600.0)
+    for seed in range(6):
+        mobility, _ = truth.noisy(freq, 0.002, seed)
+        found = identify(freq, mobility, PAIR)
+        inside = (found.poles.freq > freq[0]) & (found.poles.freq < freq[-1])
+        assert np.count_nonzero(inside) == 3
+        assert found.misfit == pytest.approx(1.0, abs=0.1)
+
+
 def test_noise_alone_is_no_body():
     rng = np.random.default_rng(0)
     noise = rng.normal(size=(2, 800)) + 1j * rng.normal(size=(2, 800))

@@ -23,7 +23,7 @@ from tonewood.score.note import Control, Note, Score, volume_factors
         ("velocity_midi", 128),
         ("channel", 16),
         ("stop", -1),
-        ("note", "C4"),
+        ("freq", "C4"),
         ("angle_deg", float("inf")),
     ],
 )

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.system import Compiled, System
+from tonewood.coupling.system import System
 from tonewood.instrument.assembly import Model
+from tonewood.modal.modes import ModalBasis
+from tonewood.modal.propagator import RealForm, real_form
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -40,20 +42,23 @@ class BridgeResponse:
         self.components = tuple(c for string in model.strings.values() for c in string.components)
         top = np.pi / system.dt
         grid = np.geomspace(_LOWEST, top, int(_PER_OCTAVE * np.log2(top / _LOWEST)))
-        body = system.compiled[system.slot("body")]
-        own = np.abs(body.basis.poles.imag)
+        body, form = model.body, real_form(model.body)
+        own = np.abs(body.poles.imag)
         self.freq_rad = np.unique(np.concatenate([grid, own[(own > _LOWEST) & (own < top)]]))
         ends = [next(c for c in system.connections if c.name == f"{name}.bridge") for name in self.components]
-        entry = np.zeros((len(ends), len(body.basis.points)))
+        entry = np.zeros((len(ends), len(body.points)))
         for i, end in enumerate(ends):
             for term in end.terms:
                 if term.component == "body":
-                    entry[i, body.basis.index(term.point)] += term.factor
+                    entry[i, body.index(term.point)] += term.factor
+        added, gaps, impedance = _added(model, 1j * self.freq_rad)
         rows, direct = _readout_rows(system, "body", body)
-        respond = response(body, self.freq_rad, np.vstack([entry, rows]), entry)
+        respond = response(body, form, self.freq_rad, np.vstack([entry, gaps, rows]), entry)
         n = len(ends)
         self.mobility = np.abs(np.einsum("iif->if", respond[:n]) * self.freq_rad)
-        heard = respond[n:] * (1j * self.freq_rad) ** direct[:, None, None]
+        # forces of what is added to the body per force of a string
+        reaction = -impedance[:, None] * respond[n : n + len(added)]
+        heard = respond[n + len(added) :] * (1j * self.freq_rad) ** direct[:, None, None]
         names = [end.name for end in ends]
         for r, readout in enumerate(system.readouts):
             for name, factor in readout.forces:
@@ -62,12 +67,15 @@ class BridgeResponse:
         for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
             if one_way:
                 compiled = system.compiled[slot]
-                inputs = np.zeros((n, len(compiled.basis.points)))
+                sources = [*names, *added]
+                inputs = np.zeros((len(sources), len(compiled.basis.points)))
                 for drive in system.drives:
-                    if drive.component == name and drive.connection in names:
-                        inputs[names.index(drive.connection), compiled.basis.index(drive.point)] += drive.factor
-                rows, power = _readout_rows(system, name, compiled)
-                heard += response(compiled, self.freq_rad, rows, inputs) * (1j * self.freq_rad) ** power[:, None, None]
+                    if drive.component == name and drive.connection in sources:
+                        inputs[sources.index(drive.connection), compiled.basis.index(drive.point)] += drive.factor
+                rows, power = _readout_rows(system, name, compiled.basis)
+                each = response(compiled.basis, compiled.form, self.freq_rad, rows, inputs)
+                whole = each[:, :n] + np.einsum("raf,anf->rnf", each[:, n:], reaction)
+                heard += whole * (1j * self.freq_rad) ** power[:, None, None]
         self.heard = np.abs(heard)
         self.stopped = _stopped(self.heard, self.freq_rad)
 
@@ -100,16 +108,17 @@ def _stopped(size: Floats, freq_rad: Floats) -> Floats:
     return np.asarray((below / freq_rad + above) / np.pi)
 
 
-def response(compiled: Compiled, freq_rad: Floats, out: Floats, into: Floats) -> Complexes:
+def response(basis: ModalBasis, form: RealForm, freq_rad: Floats, out: Floats, into: Floats) -> Complexes:
     """(n_out, n_in, f) displacement per force of combinations of a component's points, residual compliance included.
 
     Parameters
     ----------
+    form : of the basis.
     out, into : (n_out, n_points) and (n_in, n_points) weights of the points that are read and driven.
     """
     ins, outs = np.flatnonzero(into.any(axis=0)), np.flatnonzero(out.any(axis=0))
-    A, B, C = compiled.form.A, compiled.form.B[ins], compiled.form.C[outs].reshape(len(outs), 2 * len(compiled.form.A))
-    residual = (out @ compiled.basis.residual @ into.T)[..., None]
+    A, B, C = form.A, form.B[ins], form.C[outs].reshape(len(outs), 2 * len(form.A))
+    residual = (out @ basis.residual @ into.T)[..., None]
     whole = np.zeros((len(out), len(into), len(freq_rad)), dtype=np.complex128)
     # (s - A)^-1 B of every point that is driven, read at every point that is read, then the combinations;
     # some frequencies at a time: all of them would take memory by the product of frequencies and modes
@@ -128,11 +137,31 @@ def response(compiled: Compiled, freq_rad: Floats, out: Floats, into: Floats) ->
     return whole + residual
 
 
-def _readout_rows(system: System, name: str, compiled: Compiled) -> tuple[Floats, NDArray[np.intp]]:
+def _added(model: Model, s: Complexes) -> tuple[list[str], Floats, Complexes]:
+    """List masses, springs and dashpots on the body.
+
+    The force of such a connection is minus its dynamic stiffness times the body's share of the gap.
+
+    Returns
+    -------
+    names of the connections; (n, n_points) share of the body's points in their gaps; (n, f) N/m of each at s.
+    """
+    connections = [c for c in model.system.connections if c.role == "added"]
+    gaps = np.zeros((len(connections), len(model.body.points)))
+    for i, connection in enumerate(connections):
+        for term in connection.terms:
+            if term.component == "body":
+                gaps[i, model.body.index(term.point)] += term.factor
+    entries = model.instrument.spec.body.added
+    impedance = [e.mass * s**2 + e.damping * s + e.stiffness for e in entries]
+    return [c.name for c in connections], gaps, np.array(impedance).reshape(len(entries), s.size)
+
+
+def _readout_rows(system: System, name: str, basis: ModalBasis) -> tuple[Floats, NDArray[np.intp]]:
     """(n_readouts, n_points) weights of a component's points in the readouts, and the power of i omega they take."""
-    rows = np.zeros((len(system.readouts), len(compiled.basis.points)))
+    rows = np.zeros((len(system.readouts), len(basis.points)))
     for r, readout in enumerate(system.readouts):
         for probe in readout.probes:
             if probe.component == name:
-                rows[r, compiled.basis.index(probe.point)] += probe.factor
+                rows[r, basis.index(probe.point)] += probe.factor
     return rows, np.array([_POWER.get(readout.quantity, 0) for readout in system.readouts], dtype=np.intp)

@@ -1,0 +1,94 @@
+"""Pictures and figures of docs/playing.md: ``python scripts/playing_pictures.py [FOLDER]`` (docs/images by default)."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+import tonewood as tw
+from tonewood.instrument.assembly import assemble
+from tonewood.instrument.contract import Event
+from tonewood.stepping.forcing import course
+
+FORCES = (0.5, 1.0, 2.0, 4.0)  # N
+STRINGS = ("E2", "G3", "E4")
+
+
+def release(path: Path) -> None:
+    """Course of the force on three strings, and the spectrum of its fall."""
+    model = assemble(tw.load_instrument("classical_guitar"), 48000)
+    pluck = model.exciters["pluck"]
+    figure, (whole, fall, spectrum) = plt.subplots(1, 3, figsize=(12, 3.4), layout="constrained")
+    print("release from 90 to 10 % of the force, us\nforce, N " + "".join(f"{s:>8s}" for s in STRINGS))
+    for force in FORCES:
+        times = []
+        for name in STRINGS:
+            event = Event({"force": force}, model.strings[name].freq(0))
+            gesture = pluck.gesture(event, model.place(name, 0))
+            t = np.linspace(0.0, gesture.stop, 20001)
+            f = course(gesture.segments, t)
+            times.append(1e6 * (t[np.argmax(f < 0.1 * force)] - t[np.argmax(f < 0.9 * force)]))
+            if name != "G3":
+                continue
+            draw = np.linspace(gesture.start - 2e-3, gesture.stop + 1e-3, 4000)
+            noise = 0.0 if gesture.noise is None else gesture.noise.at(draw)
+            whole.plot(1e3 * draw, course(gesture.segments, draw) + noise, label=f"{force:g} N")
+            fall.plot(1e6 * t, f / force)
+            fine = np.arange(0.0, 4e-3, 1e-6)
+            rate = np.abs(np.fft.rfft(course(gesture.segments, fine, derivative=True), 1 << 16)) * 1e-6 / force
+            freq = np.fft.rfftfreq(1 << 16, 1e-6)
+            spectrum.semilogx(freq[1:], 20 * np.log10(rate[1:]))
+        print(f"{force:8.1f} " + "".join(f"{x:8.0f}" for x in times))
+    whole.set(xlabel="ms", ylabel="N", title="finger's force, G3")
+    whole.legend()
+    fall.set(xlabel="us from the beginning of the slip", title="its fall, re the force", xlim=(0, 1200))
+    spectrum.set(xlabel="Hz", ylabel="dB re a step", title="spectrum of the fall", xlim=(500, 16000), ylim=(-40, 3))
+    figure.savefig(path / "playing_release.png", dpi=70)
+
+
+def attacks(path: Path) -> None:
+    """Spectrograms of one note by ramp and finger, soft and loud, and of a rest stroke."""
+    guitar = tw.load_instrument("classical_guitar")
+    ramp = guitar.replace({"exciters.pluck": {"plugin": "pluck_ramp", "from_bridge": 0.105, "angle_deg": 30.0}})
+    scenes = (
+        ("a ramp of 0.2 ms, 2 N", ramp, {"force": 2.0}),
+        ("finger, 2 N", guitar, {"force": 2.0}),
+        ("finger, 0.4 N", guitar, {"force": 0.4}),
+        ("flesh, 2 N", guitar, {"force": 2.0, "technique": "flesh"}),
+    )
+    figure, axes = plt.subplots(1, 4, figsize=(13, 3.4), sharey=True, layout="constrained")
+    for axis, (title, instrument, touch) in zip(axes, scenes, strict=True):
+        score = tw.Score([tw.Note(0.1, 1.0, string="E4", stop=0, **touch)])
+        x = tw.render(score, instrument, max_duration=0.5).samples.mean(axis=1)
+        _, _, _, image = axis.specgram(x / np.abs(x).max() + 1e-12, NFFT=512, Fs=48000, noverlap=448, cmap="magma")
+        top = image.get_array().max()
+        image.set_clim(top - 90, top)
+        axis.set(title=title, ylim=(0, 16000), xlabel="s")
+    axes[0].set_ylabel("Hz")
+    figure.savefig(path / "playing_attack.png", dpi=70)
+
+
+def dynamics() -> None:
+    """Peak and brightness over velocity."""
+    guitar = tw.load_instrument("classical_guitar")
+    print("velocity  peak, dB re full scale  energy above 3 kHz, dB")
+    for velocity in (20, 40, 60, 80, 100, 127):
+        score = tw.Score([tw.Note(0.1, 1.0, string="G3", stop=0, velocity_midi=velocity)])
+        x = tw.render(score, guitar, max_duration=0.4).samples.mean(axis=1)
+        power = np.abs(np.fft.rfft(x[4800:] * np.hanning(len(x) - 4800))) ** 2
+        freq = np.fft.rfftfreq(len(x) - 4800, 1 / 48000)
+        share = 10 * np.log10(power[freq > 3000].sum() / power.sum())
+        print(f"{velocity:8d}  {20 * np.log10(np.abs(x).max()):22.1f}  {share:22.1f}")
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "docs" / "images"
+    release(folder)
+    attacks(folder)
+    dynamics()

@@ -1,0 +1,282 @@
+"""``tonewood fit``: measured responses of a body to a table of its modes."""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tonewood.cli.commands import InterruptError
+from tonewood.cli.common import Json, allow, print_json, warn
+from tonewood.errors import TonewoodError
+
+if TYPE_CHECKING:
+    from tonewood.fit.folder import FitFolder, MeasuredPoint
+    from tonewood.fit.responses import Responses
+    from tonewood.fit.search import Iteration
+
+#: names of points and microphones: words of paths and columns; these are other columns of the table
+_NAME, _COLUMNS = re.compile(r"[A-Za-z][A-Za-z0-9_]*"), ("f_Hz", "Q", "zeta", "modal_mass", "measured")
+#: a point of a universal file, and its directions
+_NODE, _AXES = re.compile(r"(\d+)([+-][0-6])"), {"1": "x", "2": "y", "3": "z"}
+_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+def fit(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILES", help="frequency responses (.csv, .npz, .uff), or hammer hits, one a file (.wav, .csv)"
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="folder to write")],
+    form: Annotated[
+        str | None, typer.Option(help="what was measured: accelerance, mobility or receptance, per N")
+    ] = None,
+    scale: Annotated[
+        float, typer.Option(help="SI units per unit of the responses: 9.80665 for g/N; 1 for m/s^2, m/s or m per N")
+    ] = 1.0,
+    band: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="LOW HIGH", help="Hz, part of the data that is fitted")
+    ] = None,
+    driving: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME[=BEGIN]", help="WAV: point struck in all files, or those whose names begin so"),
+    ] = None,
+    points: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="WAV: points of channels 2 on, by commas; NAME_Pa: microphone")
+    ] = None,
+    sensitivity: Annotated[
+        str | None,
+        typer.Option(metavar="NUMBERS", help="WAV: N, then m/s^2 (m/s, m, Pa) at full scale, by commas"),
+    ] = None,
+    point: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NODE=NAME[:DIRECTION[:U]]",
+            help="another name for a point, its direction (x, y, z) and place along the bridge, -1 to 1; repeatable",
+        ),
+    ] = None,
+    window_tau: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="exponential window: taken for hits, in the data otherwise")
+    ] = None,
+    hits: Annotated[int | None, typer.Option(help="hits that were averaged, where the files hold coherences")] = None,
+    estimator: Annotated[str, typer.Option(help="of hits: H1 (noise in the motion) or H2 (in the force)")] = "H1",
+    title: Annotated[str | None, typer.Option(help="what was measured, for the sources")] = None,
+    measured_by: Annotated[str | None, typer.Option(help="who measured it, for the sources; unknown otherwise")] = None,
+    licence: Annotated[str | None, typer.Option(help="SPDX name of the data's licence; unknown otherwise")] = None,
+    as_json: Json = False,
+) -> None:
+    """Fit the modes of a passive body to measured responses, some of them where it was driven.
+
+    Writes body.csv, body.yaml, fit.json, fit.png and, with microphones, radiation.csv; `tonewood new` reads the folder.
+    """
+    from tonewood.fit.files import Reading, read_responses
+    from tonewood.fit.fit import fit_responses
+    from tonewood.fit.folder import UNKNOWN, FitFolder, Origin
+    from tonewood.fit.radiation import fit_radiation
+
+    _check_options(form, estimator, scale, window_tau, hits, band)
+    _check_folder(output)
+    reading = Reading(
+        form=form, n_hits=hits, window_tau=window_tau, points=tuple(_words(points)), references=_references(driving),
+        sensitivity=_numbers(sensitivity), estimator=estimator, scale=scale,
+    )  # fmt: skip
+    responses, places = _named(read_responses(files, reading), point or [])
+    draw = _figure()
+    tell = _teller()
+    try:
+        made = fit_responses(responses, band=band or (None, None), tell=tell)
+        places_u = {name: place.u for name, place in places.items() if place.u is not None}
+        radiation = fit_radiation(made.responses, made.body, places_u, tell=tell)
+        origin = Origin(title or UNKNOWN, measured_by or UNKNOWN, licence or UNKNOWN)
+        settings = {
+            "form": form, "scale": scale, "band": band, "window_tau": window_tau, "hits": hits, "estimator": estimator,
+            "driving": driving, "points": points, "sensitivity": sensitivity, "point": point,
+        }  # fmt: skip
+        folder = FitFolder(made, radiation, places, origin, settings)
+        written = folder.write(output, draw)
+    except KeyboardInterrupt:
+        raise InterruptError from None
+    finally:
+        tell.end()
+    warnings = list(made.warnings)
+    if draw is None:
+        warnings.append("fit.png was not drawn: matplotlib is not installed (pip install 'tonewood[plot]')")
+    if as_json:
+        report = {**folder.facts(), "warnings": warnings, "written": [str(path) for path in written]}
+        print_json("fit", report)
+        return
+    warn(warnings)
+    _print(folder, written)
+
+
+def _check_options(
+    form: str | None,
+    estimator: str,
+    scale: float,
+    window_tau: float | None,
+    hits: int | None,
+    band: tuple[float, float] | None,
+) -> None:
+    from tonewood.fit.responses import FORMS
+
+    if form is not None and form not in FORMS:
+        raise TonewoodError(f"is {form!r}; {', '.join(FORMS)} are allowed", key="--form")
+    if estimator not in ("H1", "H2"):
+        raise TonewoodError(f"is {estimator!r}; H1, H2 are allowed", key="--estimator")
+    allow("--scale", scale, 1e-9, 1e9, "")
+    if window_tau is not None:
+        allow("--window-tau", window_tau, 1e-4, 1e3, "s")
+    if hits is not None:
+        allow("--hits", hits, 2, 100_000, "hits")
+    if band is not None and not 0 <= band[0] < band[1]:
+        raise TonewoodError(f"is {band[0]:g} {band[1]:g}; a lower and a higher frequency are allowed", key="--band")
+
+
+def _check_folder(output: Path) -> None:
+    """Refuse before any work what cannot be written."""
+    if output.exists() and not output.is_dir():
+        raise TonewoodError("is a file; a folder is allowed", key="--output", file=output)
+    if not output.absolute().parent.is_dir():
+        raise TonewoodError(f"there is no folder {str(output.parent)!r}", key="--output")
+    if (output / "instrument.yaml").exists():
+        raise TonewoodError("holds an instrument; a folder of its own is allowed", file=output, key="--output")
+
+
+def _words(text: str | None) -> list[str]:
+    return [] if text is None else [word.strip() for word in text.split(",")]
+
+
+def _numbers(text: str | None) -> tuple[float, ...]:
+    out = []
+    for word in _words(text):
+        try:
+            out.append(float(word))
+        except ValueError:
+            raise TonewoodError(f"{word!r} is no number; numbers by commas are allowed", key="--sensitivity") from None
+        if out[-1] == 0 or not abs(out[-1]) < float("inf"):
+            raise TonewoodError(f"{word} is not allowed: what full scale stands for", key="--sensitivity")
+    return tuple(out)
+
+
+def _references(given: list[str] | None) -> tuple[tuple[str, str], ...]:
+    pairs = [(name, begin) for name, _, begin in (text.partition("=") for text in given or [])]
+    return tuple(sorted(pairs, key=lambda pair: -len(pair[1])))
+
+
+def _named(responses: Responses, given: list[str]) -> tuple[Responses, dict[str, MeasuredPoint]]:
+    """Responses with the names that are wanted, and where the points are."""
+    from tonewood.fit.folder import MeasuredPoint
+
+    names, places = {}, {}
+    for old in (*responses.points, *responses.microphones):
+        node = _NODE.fullmatch(old)
+        if node is not None:
+            axis = _AXES.get(node[2][1], "")
+            names[old] = f"n{node[1]}{'' if axis in ('', 'z') else f'_{axis}'}{'_back' if node[2][0] == '-' else ''}"
+            sign = -1.0 if node[2][0] == "-" else 1.0
+            if axis:
+                x, y, z = _VECTORS[axis]
+                places[names[old]] = MeasuredPoint(axis if sign > 0 else (sign * x, sign * y, sign * z))
+    for text in given:
+        old, equals, rest = text.partition("=")
+        name, *more = rest.split(":")
+        if not equals or len(more) > 2:
+            raise TonewoodError(f"is {text!r}; NODE=NAME, NODE=NAME:DIRECTION or NODE=NAME:DIRECTION:U", key="--point")
+        place = places.pop(names.get(old, old), MeasuredPoint())
+        if more and more[0]:
+            if more[0] not in _VECTORS:
+                raise TonewoodError(f"is {text!r}; the directions x, y, z are allowed", key="--point")
+            place = replace(place, direction=more[0])
+        if len(more) == 2:
+            place = replace(place, u=_place_on_bridge(text, more[1]))
+        names[old] = name
+        places[name] = place
+    made = responses.renamed(names)
+    for name in (*made.points, *made.microphones):
+        if not _NAME.fullmatch(name) or name in _COLUMNS or name.startswith("sd_"):
+            raise TonewoodError(
+                f"{name!r} cannot be the name of a point: letters, digits and _ are allowed, and not "
+                f"{', '.join(_COLUMNS)} or sd_...; rename it by --point '{name}=NAME'",
+                key="--point",
+            )
+    return made, places
+
+
+def _place_on_bridge(text: str, word: str) -> float:
+    try:
+        u = float(word)
+    except ValueError:
+        u = 2.0
+    if not -1.0 <= u <= 1.0:
+        raise TonewoodError(f"is {text!r}; the place U is a number from -1 (bass) to 1 (treble)", key="--point")
+    return u
+
+
+def _figure() -> Any:
+    """Function that draws the figure; None without matplotlib."""
+    from importlib.util import find_spec
+
+    if find_spec("matplotlib") is None:
+        return None
+    from tonewood.fit.figure import draw_fit
+
+    return draw_fit
+
+
+class _Teller:
+    """Tells on a terminal how far the search is; silent in a pipe."""
+
+    def __init__(self) -> None:
+        self._on = sys.stderr.isatty()
+
+    def __call__(self, iteration: Iteration) -> None:
+        if self._on:
+            line = f"\r{len(iteration.freq)} modes, misfit {iteration.misfit:.3g} re noise  "
+            print(line, end="", file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        if self._on:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def _teller() -> _Teller:
+    return _Teller()
+
+
+def _print(folder: FitFolder, written: list[Path]) -> None:
+    made = folder.fit
+    facts, r = folder.facts(), made.responses
+    kept = "" if r.kept is None else f", {r.kept[0]} of {r.kept[1]} hits kept"
+    pairs = ", ".join(f"{point}:{reference}" for point, reference in r.pairs)
+    print(f"{pairs}: {r.freq[0]:g} to {r.freq[-1]:g} Hz in steps of {r.freq[1] - r.freq[0]:g} Hz{kept}")
+    found = ", ".join(f"{len(iteration.freq)} ({iteration.misfit:.3g})" for iteration in made.modes.iterations)
+    print(f"modes found iteration by iteration, and misfit re noise: {found}")
+    print(f"     f/Hz       Q   mass at {made.body.points[0]}/kg  +-cents   +-Q    without it")
+    for row in facts["modes"]:
+        mass = "" if row["mass_kg"] is None else f"{row['mass_kg']:.3g}"
+        if row["measured"]:
+            sure = f"{row['sd_cents']:>8.2g} {100 * row['sd_Q']:>5.2g} % {row['without_db']:>8.1f} dB"
+        else:
+            sure = "  beyond the band: stands for modes there"
+        print(f"{row['freq_Hz']:>9.2f} {row['Q']:>7.1f} {mass:>{15 + len(made.body.points[0])}}  {sure}")
+    for line in facts["dropped"]:
+        print(f"  dropped: {line}")
+    error = facts["error_db"]
+    print(
+        f"misfit {facts['misfit']:.2f} times the noise; the body's mobility re the measured one: {error['rms']:.2f} dB "
+        f"r.m.s., {error['95%']:.2f} in 95 % of the bins, {error['most']:.2f} at most"
+    )
+    if facts["radiation"] is not None:
+        heard = facts["radiation"]
+        channels = ", ".join(heard["channels"])
+        print(f"microphones {channels}: {heard['modes']} modes, {heard['error_db_rms']:.2f} dB r.m.s. off")
+    print("passive by construction (real modes)")
+    print(f"measured by {folder.origin.measured_by}: say who by --measured-by" if folder.origin.measured_by == "unknown"
+          else f"measured by {folder.origin.measured_by}")  # fmt: skip
+    print(f"written: {', '.join(str(path) for path in written)}")

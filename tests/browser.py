@@ -1,0 +1,60 @@
+"""A page opened in headless Chromium, and what it reports."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from queue import Queue
+from threading import Thread
+from urllib.parse import unquote
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+_OPTIONS = ("--headless", "--no-sandbox", "--disable-gpu", "--autoplay-policy=no-user-gesture-required")
+
+
+@contextmanager
+def listening() -> Iterator[tuple[int, Queue[str]]]:
+    """A port, and the words that pages ask it for: it plays in real time, whatever the browser's clock does."""
+    reported: Queue[str] = Queue()
+
+    class Listener(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            reported.put(unquote(self.path[1:]))
+            self.send_response(204)
+            self.end_headers()
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Says nothing."""
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Listener)
+    Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield server.server_port, reported
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+@contextmanager
+def opened(page: Path, profile: Path) -> Iterator[None]:
+    """A browser that shows a page."""
+    command = [
+        str(CHROMIUM), *_OPTIONS, "--remote-debugging-port=0", f"--user-data-dir={profile}", page.as_uri(),
+    ]  # fmt: skip
+    browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        browser.kill()
+        browser.wait()
+
+
+def dom(page: Path, profile: Path) -> str:
+    """The document after its scripts have run."""
+    command = [str(CHROMIUM), *_OPTIONS, f"--user-data-dir={profile}", "--dump-dom", page.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    return done.stdout

@@ -1,0 +1,87 @@
+"""Severity of wolf notes against two coupled oscillators in closed form."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tonewood.instrument.assembly import Model, assemble
+from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.wolf import LEAST_SHARE, intervals, share_curve, wolf_notes
+
+DENSITY, LENGTH = 1.95e-3, 0.65
+#: D3 of 12 stops: stop 6 is in the middle
+FREQ = 440.0 * 2 ** ((50 + 6 - 69) / 12)
+
+
+def instrument(folder: Path, values: dict[str, Any], mass: float, q: float, sigma: float = 1e-3) -> Model:
+    """One string, one polarization, on a body of one mode at the pitch of stop 6."""
+    (folder / "body.csv").write_text(f"f_Hz,Q,modal_mass,bridge,wing\n{FREQ},{q},{mass},1,0.4\n")
+    string = values["strings"]
+    values["strings"] = {"defaults": string["defaults"], "D3": {**string["D3"], "end_compliance": 0.0}}
+    string["defaults"].update(loss={"law": "sigma", "sigma0": sigma}, bending_stiffness=0.0)
+    return assemble(Instrument.from_values(values, folder), 16000.0)
+
+
+def half_splitting(mass: float) -> float:
+    """Half the splitting of a string's fundamental on a mode of the same frequency, cents: sqrt(m / 2 M) / pi."""
+    string_mass = DENSITY * LENGTH * 2 ** (-6 / 12)
+    return 1200 / math.log(2) * math.sqrt(string_mass / (2 * mass)) / math.pi
+
+
+@pytest.mark.parametrize("mass", [0.5, 2.0])
+def test_a_string_on_one_mode_without_loss(tmp_path: Path, values: dict[str, Any], mass: float) -> None:
+    """Depth 1/2, breadth 3 c and severity c, c half the splitting; pitch goes in steps of 6.25 cents."""
+    c = half_splitting(mass)
+    (wolf,) = wolf_notes(instrument(tmp_path, values, mass, q=1e5))
+    assert wolf.severity_cents == pytest.approx(c, rel=0.04)
+    assert wolf.breadth_cents == pytest.approx(3 * c, rel=0.04)
+    assert (1 - 3.125 / math.hypot(3.125, 2 * c)) / 2 - 0.01 < wolf.depth < 0.51
+    assert 1200 * math.log2(wolf.worst_freq / FREQ) == pytest.approx(0.0, abs=4.0)
+    assert wolf.body_freq == pytest.approx(FREQ, rel=1e-6)
+    assert wolf.stops == (6,)
+
+
+def test_the_share_is_that_of_two_oscillators(tmp_path: Path, values: dict[str, Any]) -> None:
+    """The eigenvectors of q1'' + w1^2 q1 = g q2, q2'' + w2^2 q2 = g q1, found here by numpy."""
+    mass = 1.0
+    model = instrument(tmp_path, values, mass, q=1e5)
+    string = model.strings["D3"]
+    x = np.array([-60.0, -20.0, -5.0, 5.0, 20.0, 60.0])
+    # at a stop the tuned tension has taken the body's pull in; the string's own tension counts, T = rho (2 l f)^2
+    tension = DENSITY * (2 * string.length(6) * FREQ) ** 2
+    found = share_curve(string.coupled(6), tension, FREQ, x)
+    string_mass, rad = DENSITY * string.length(6), 2 * math.pi * FREQ
+    pull = rad**2 / math.pi * math.sqrt(2 * string_mass / mass)
+    for offset, share in zip(x, found, strict=True):
+        own = (rad * 2 ** (offset / 1200)) ** 2
+        vectors = np.linalg.eigh(np.array([[own, pull], [pull, rad**2]]))[1]  # noqa: TID251  # a check of scipy's
+        assert share == pytest.approx(min(vectors[0] ** 2), abs=0.025)
+
+
+def test_losses_beyond_the_splitting_end_a_wolf(tmp_path: Path, values: dict[str, Any]) -> None:
+    """sigma_b - sigma_s > 2 times half the splitting in rad/s: the two modes are at one frequency, none is shared."""
+    mass = 2.0
+    splitting = 2 * math.pi * FREQ * math.sqrt(DENSITY * LENGTH * 2 ** (-0.5) / (2 * mass)) / math.pi
+    q = 2 * math.pi * FREQ / 2 / (4 * splitting)  # sigma_b = omega / 2 Q = 4 times half the splitting
+    assert wolf_notes(instrument(tmp_path, values, mass, q)) == []
+
+
+def test_intervals_of_a_triangle() -> None:
+    """d = 1 - |x| / 100 is at least 0.2 for |x| <= 80, and its integral there is 96."""
+    x = np.arange(-150.0, 151.0, 10.0)
+    (found,) = intervals(x, np.maximum(1 - np.abs(x) / 100, 0.0))
+    assert pytest.approx([-80.0, 80.0, 0.0, 1.0, 96.0], abs=0.6) == list(found)
+    assert LEAST_SHARE == 0.2
+
+
+def test_the_worst_comes_first() -> None:
+    wolves = wolf_notes(assemble(Instrument.load("african_harp"), 16000.0))
+    severities = [wolf.severity_cents for wolf in wolves]
+    assert severities == sorted(severities, reverse=True)
+    assert all(0 < w.severity_cents <= w.depth * w.breadth_cents for w in wolves)
+    assert all(w.severity_cents >= LEAST_SHARE * w.breadth_cents * 0.99 for w in wolves)
