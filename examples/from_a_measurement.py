@@ -1,4 +1,4 @@
-"""From hammer hits on a bridge to an instrument, and to the same one with 10 g more on its bridge.
+"""From hammer hits on a bridge to an instrument, to the same one with 10 g more on its bridge, and to their pages.
 
 The hits are made here, of a guitar that is known: six on the middle of its bridge, with what accelerometers and
 microphones would have given, and noise. The fitted body can then be compared with the truth.
@@ -20,6 +20,8 @@ from tonewood.fit.folder import FitFolder, MeasuredPoint, Origin
 from tonewood.fit.radiation import fit_radiation
 from tonewood.instrument.inspection import mobility_peaks
 from tonewood.instrument.new_bundle import new_bundle
+from tonewood.report.comparison import Candidate, compare
+from tonewood.report.page import page
 
 FS = 6400
 POINTS = {"middle": "bridge_middle", "bass": "bridge_E2", "treble": "bridge_E4"}
@@ -51,7 +53,7 @@ def make_hits(folder: Path, n_hits: int = 6, microphones: bool = True) -> list[P
 
 
 def main(
-    folder: Path = Path(), band: tuple[float, float] = (70.0, 2000.0), microphones: bool = True
+    folder: Path = Path(), band: tuple[float, float] = (70.0, 2000.0), microphones: bool = True, pages: bool = True
 ) -> dict[str, float]:
     """Frequency of the strongest resonance below 300 Hz: of the fitted body, and with 10 g in its middle."""
     hits = make_hits(folder, microphones=microphones)
@@ -73,6 +75,11 @@ def main(
         model = assemble(guitar.replace({"strings.A2.end": "body.middle"}), 48000)
         peaks = [(y, f) for f, y in mobility_peaks(model, "A2", count=20) if 150 < f < 300]
         found[name] = max(peaks)[1]
+
+    if pages:
+        sides = (Candidate(mine), Candidate(heavier, ("10 g on the bridge",)))
+        (folder / "compared.html").write_text(page(compare(sides, notes=["A2:12"], duration=2.0)), encoding="utf-8")
+        (folder / "heavier.html").write_text(page(compare(sides[1:], notes=["A2"], duration=2.0)), encoding="utf-8")
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -11,6 +12,7 @@ import pytest
 import soundfile as sf
 
 import tonewood as tw
+from browser import CHROMIUM, dom
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -116,8 +118,23 @@ def test_from_a_measurement(tmp_path: Path) -> None:
     freq = np.arange(150.0, 300.0, 0.02)
     Y = guitar.body.basis(1e4).frf(freq, "bridge_middle", "bridge_middle")
     heavy = Y / (1 + 2j * np.pi * freq * 0.010 * Y)
-    found = example("from_a_measurement").main(tmp_path, (70.0, 700.0), microphones=False)
+    found = example("from_a_measurement").main(tmp_path, (70.0, 700.0), microphones=False, pages=False)
     assert found["mine"] == pytest.approx(freq[np.argmax(np.abs(Y))], rel=1e-3)
     assert found["heavier"] == pytest.approx(freq[np.argmax(np.abs(heavy))], rel=1e-3)
     assert sf.info(str(tmp_path / "heavier.wav")).frames == 72000
     assert "measured by examples/from_a_measurement.py" in (tmp_path / "my_guitar" / "instrument.yaml").read_text()
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_pages_of_a_measurement_in_a_browser(tmp_path: Path) -> None:
+    """Both modes stand in the table of the page that a browser has opened, and its script has run."""
+    found = example("from_a_measurement").main(tmp_path, (70.0, 700.0), microphones=False)
+    compared = dom(tmp_path / "compared.html", tmp_path / "profile")
+    cells = [float(cell) for cell in re.findall(r"<td>([0-9.]+)</td>", compared)]
+    for freq in found.values():
+        assert min(abs(1200 * np.log2(cell / freq)) for cell in cells if cell > 0) < 10
+    assert 'data-state="stopped"' in compared
+    assert compared.count("<img") == 6
+    assert "10 g on the bridge" in compared
+    assert "0.01 kg at middle" in dom(tmp_path / "heavier.html", tmp_path / "profile")

@@ -5,7 +5,8 @@ The blocks of a page run in order, in a folder of their own that holds ``tune.mi
 - ``python`` blocks share their variables.
 - ``sh`` blocks: each command ``tonewood ...`` runs in this process, shortened unless ``--validate`` is given.
 - A comment before a block says more: ``<!-- not run: REASON -->``, ``<!-- run in part: REASON -->`` (only the commands
-  ``tonewood ...``), ``<!-- file: PATH -->`` (the block is written there before anything runs).
+  ``tonewood ...``), ``<!-- run in full: REASON -->`` (only with ``--validate``),
+  ``<!-- file: PATH -->`` (the block is written there before anything runs).
 """
 
 from __future__ import annotations
@@ -35,15 +36,15 @@ PAGES = sorted(
     key=lambda p: p.relative_to(ROOT).as_posix(),
 )
 NAMES = [p.relative_to(ROOT).as_posix() for p in PAGES]
-_MARKER = r"(?:^<!-- (not run|run in part|file): (.+?) -->\n)?"
+_MARKER = r"(?:^<!-- (not run|run in part|run in full|file): (.+?) -->\n)?"
 _BLOCK = re.compile(_MARKER + r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 #: what makes a command quick
 SHORT = {
     "render": ["--max-duration", "0.1"],
     "batch": ["--dry-run"],
-    "compare": ["--fs", "16000"],
-    "report": ["--fs", "16000"],
     "fit": ["--band", "70", "260"],
+    "compare": ["--fs", "16000", "--set", "stops.count=7"],
+    "report": ["--fs", "16000", "--set", "stops.count=7"],
 }
 #: commands of which the page's own option gives way
 SHORTENED = {"fit"}
@@ -83,7 +84,7 @@ def run_page(page: Path, folder: Path, whole: bool) -> dict[str, Any]:
             (folder / block.reason).write_text(block.text, encoding="utf-8")
     scope: dict[str, Any] = {"__name__": page.stem}
     for block in found:
-        if block.marker == "not run":
+        if block.marker == "not run" or (block.marker == "run in full" and not whole):
             continue
         if block.language == "python":
             exec(compile(block.text, str(page), "exec"), scope)

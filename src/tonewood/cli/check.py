@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -126,6 +127,7 @@ def _microphone(response: MicrophoneResponse) -> dict[str, Any]:
 
 
 def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) -> dict[str, Any]:
+    from tonewood.instrument.inspection import feel
     from tonewood.score.scales import note_name
 
     string, mine = model.strings[name], [(p, m) for p, m in pairs if p.string == name]
@@ -135,31 +137,13 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
         "stops": string.n_stops,
         "n_modes": sum(model.system.compiled[model.system.slot(c)].basis.n_modes for c in string.components),
         "tension": mine[0][0].tension,
-        "feel": _feel(model, name),
+        "feel": asdict(feel(model, name)),
         "given_tension": given.given,
         "held": given.held,
         "held_note": given.line() if given.noticeable else None,
         "worst_cents": max((p.error_cents for p, _ in mine), key=abs),
         "worst_cents_mounted": max((m.error_cents for _, m in mine), key=abs),
         "loss_error": _loss_error(model, name),
-    }
-
-
-def _feel(model: Model, name: str) -> dict[str, Any]:
-    """Force that pushes the open string aside, N/mm where it is plucked; angle over the bridge, and force down on it.
-
-    A stretched string gives way to F at a from one end and b from the other by F a b / (T (a + b)), and presses on the
-    bridge with T sin(angle).
-    """
-    string = model.strings[name]
-    tension, a = string.tension(0.0), string.pluck_from_bridge
-    b = string.length() - a
-    angle = model.instrument.spec.strings[name].break_angle_deg
-    return {
-        "from_bridge": a,
-        "newton_per_mm": 1e-3 * tension * (a + b) / (a * b) if a > 0 and b > 0 else None,
-        "break_angle_deg": angle,
-        "force_on_bridge": None if angle is None else tension * math.sin(math.radians(angle)),
     }
 
 

@@ -13,6 +13,7 @@ from tonewood.cli.common import (
     Bundle,
     Json,
     Overrides,
+    StringSetName,
     allow,
     installed,
     load,
@@ -60,6 +61,7 @@ def compare(
     duration: Duration = 4.0,
     velocity: Velocity = 80.0,
     fs: Rate = 48000,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -67,14 +69,15 @@ def compare(
     """Compare instruments, or one with its variants: modes, mobility, decays, wolf notes, sounds, parameters.
 
     The first is what the others are compared with. Each --variant is the first instrument with values changed,
-    'strings.E2.tension=80', several at once with semicolons between. --set changes all of them.
+    'strings.E2.tension=80', several at once with semicolons between; 'strings_from=SET' puts a string set on. --set and
+    --strings change all of them.
 
     Without --notes the lowest and the highest open string and the worst wolf note of each are played.
     """
     from tonewood.report.comparison import Candidate
 
     changes = tuple(settings or ())
-    candidates = [Candidate(load(name, settings, allow_code), changes) for name in instruments]
+    candidates = [Candidate(load(name, settings, allow_code, strings), changes) for name in instruments]
     for text in variant or ():
         made = tuple(part.strip() for part in text.split(";") if part.strip())
         base = candidates[0].instrument
@@ -91,6 +94,7 @@ def report(
     duration: Duration = 4.0,
     velocity: Velocity = 80.0,
     fs: Rate = 48000,
+    strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -101,7 +105,7 @@ def report(
     """
     from tonewood.report.comparison import Candidate
 
-    candidate = Candidate(load(instrument, settings, allow_code), tuple(settings or ()))
+    candidate = Candidate(load(instrument, settings, allow_code, strings), tuple(settings or ()))
     _run([candidate], notes, output, duration, velocity, fs, as_json)
 
 

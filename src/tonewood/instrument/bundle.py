@@ -81,7 +81,7 @@ class Instrument(ModalViews):
         return properties_html(spec.title, rows)
 
     def _viewed(self) -> tuple[ModalBasis, Mapping[str, str]]:
-        """Modes of the body, and the point that each string ends on."""
+        """Modes of the body, without what is added to it, and the point that each string ends on."""
         return self.body.basis(SHOWN_TO), {name: part.body_points[0] for name, part in self.spec.strings.items()}
 
     def _view_title(self) -> str:

@@ -104,6 +104,42 @@ class MicrophoneResponse:
     full_scale: float
 
 
+@dataclass(frozen=True, slots=True)
+class StringFeel:
+    """An open string under the hands and on the bridge.
+
+    Attributes
+    ----------
+    from_bridge : m, where it is plucked.
+    newton_per_mm : N/mm, force that pushes it aside there; None where that place is an end.
+    break_angle_deg : angle over the bridge; None where the bundle has none.
+    force_on_bridge : N, down on the bridge; None without an angle.
+    """
+
+    from_bridge: float
+    newton_per_mm: float | None
+    break_angle_deg: float | None
+    force_on_bridge: float | None
+
+
+def feel(model: Model, name: str) -> StringFeel:
+    """Force that pushes an open string aside, and force down on its bridge.
+
+    A stretched string gives way to F at a from one end and b from the other by F a b / (T (a + b)), and presses on the
+    bridge with T sin(angle).
+    """
+    string = model.strings[name]
+    tension, a = string.tension(0.0), string.pluck_from_bridge
+    b = string.length() - a
+    angle = model.instrument.spec.strings[name].break_angle_deg
+    return StringFeel(
+        from_bridge=a,
+        newton_per_mm=1e-3 * tension * (a + b) / (a * b) if a > 0 and b > 0 else None,
+        break_angle_deg=angle,
+        force_on_bridge=None if angle is None else tension * math.sin(math.radians(angle)),
+    )
+
+
 def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
     """Pitch of a string at one stop, tuned, or at the bundle's tension where it asks for no compensation."""
     held = model.strings[string]

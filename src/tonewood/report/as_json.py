@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,8 @@ def _instrument(facts: InstrumentFacts) -> dict[str, Any]:
         "licence": facts.licence,
         "description": facts.description,
         "changes": list(facts.changes),
+        "added": list(facts.added),
+        "unknown": list(facts.unknown),
         "sources": {key: source.model_dump(exclude_none=True) for key, source in facts.sources.items()},
         "stand_ins": dict(facts.stand_ins),
         "provenance": dict(facts.kinds),
@@ -69,6 +72,7 @@ def _instrument(facts: InstrumentFacts) -> dict[str, Any]:
                 "given_tension": s.given_tension,
                 "held": s.held,
                 "stops": s.stops,
+                "feel": asdict(s.feel),
                 "partials": [
                     {"number": p.number, "freq": p.freq, "cents": p.cents, "t60": finite(p.t60)} for p in s.partials
                 ],

@@ -277,7 +277,7 @@ def differing(found: Sequence[InstrumentFacts]) -> tuple[ParameterRow, ...]:
         entries = [facts.parameters.get(key) for facts in found]
         values = tuple(None if entry is None else entry.value for entry in entries)
         there = [entry for entry in entries if entry is not None]
-        if len(there) < len(entries) or any(entry.value != there[0].value for entry in there):
+        if any(value != values[0] for value in values):
             rows.append(ParameterRow(key, values, next((entry.unit for entry in there if entry.unit), "")))
     return tuple(rows)
 

@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.instrument.added import added_line
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.inspection import bridge_mobility, partials, pitches
+from tonewood.instrument.inspection import StringFeel, bridge_mobility, feel, partials, pitches
 from tonewood.instrument.mounted import Mounted
 from tonewood.instrument.schema import Provenance, Source
 from tonewood.instrument.wolf import WolfNote, wolf_notes
@@ -104,6 +105,7 @@ class StringRow:
     tension, given_tension : N, in use and in the bundle.
     held : ``pitch`` or ``tension``, which of the two the instrument keeps.
     stops : number of them.
+    feel : force that pushes it aside, and force on the bridge.
     partials : of the open string on its body.
     """
 
@@ -115,6 +117,7 @@ class StringRow:
     given_tension: float
     held: str
     stops: int
+    feel: StringFeel
     partials: tuple[PartialRow, ...]
 
 
@@ -127,7 +130,9 @@ class InstrumentFacts:
     label : A, B, ... of the instrument in a comparison.
     name, title, licence, description, folder : of the bundle.
     changes : values changed by the caller, PATH=VALUE.
+    added : masses, springs and dashpots on the body, one line each.
     sources, stand_ins : source key -> source; paths of stand-ins -> note.
+    unknown : paths of values of unknown origin.
     kinds : kind of provenance -> number of entries.
     table_doubts, warnings : one line each.
     fs : Hz, at which it was assembled.
@@ -147,8 +152,10 @@ class InstrumentFacts:
     description: str
     folder: str
     changes: tuple[str, ...]
+    added: tuple[str, ...]
     sources: Mapping[str, Source]
     stand_ins: Mapping[str, str]
+    unknown: tuple[str, ...]
     kinds: Mapping[str, int]
     table_doubts: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -184,7 +191,7 @@ def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = ()) -> 
     label : A, B, ... in a comparison.
     changes : as the caller wrote them.
     """
-    body = model.system.compiled[model.system.slot("body")].basis
+    body = model.body
     instrument, spec = model.instrument, model.instrument.spec
     freq = frequencies(body, model.fs)
     return InstrumentFacts(
@@ -195,8 +202,10 @@ def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = ()) -> 
         description=spec.description or "",
         folder=str(instrument.folder),
         changes=changes,
+        added=tuple(added_line(entry) for entry in spec.body.added),
         sources=dict(spec.sources),
         stand_ins={path: spec.provenance[path].note or "" for path in instrument.stand_ins()},
+        unknown=tuple(instrument.of_unknown_origin()),
         kinds=_kinds(spec.provenance),
         table_doubts=tuple(instrument.table_doubts()),
         warnings=model.warnings,
@@ -225,7 +234,7 @@ def frequencies(body: ModalBasis, fs: float) -> Floats:
 
 def body_modes(model: Model) -> tuple[BodyMode, ...]:
     """Modes of the body at the points where strings end, by frequency."""
-    body = model.system.compiled[model.system.slot("body")].basis
+    body = model.body
     points = [
         max(ends, key=lambda p: abs(ends[p])) for s in model.strings.values() if (ends := s.polarizations[0].ends)
     ]
@@ -286,6 +295,7 @@ def _strings(instrument: Instrument, model: Model) -> tuple[StringRow, ...]:
                 given_tension=given.given,
                 held=given.held,
                 stops=string.n_stops,
+                feel=feel(model, name),
                 partials=tuple(
                     PartialRow(p.number, p.freq, p.cents, p.t60) for p in partials(model, name, 0, count=_PARTIALS)
                 ),
