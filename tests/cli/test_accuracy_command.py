@@ -61,6 +61,7 @@ def test_a_page_in_markdown_names_the_picture(tmp_path: Path) -> None:
     plot = tmp_path / "pictures" / "a.png"
     assert call("--system", "klosner_d", "--quick", "--plot", plot, "--report", tmp_path / "a.md") == 0
     assert "](pictures/a.png)" in (tmp_path / "a.md").read_text()
+    assert "(`klosner_d`)" in (tmp_path / "a-tables.md").read_text()
 
 
 @pytest.mark.parametrize(

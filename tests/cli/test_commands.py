@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -322,6 +324,45 @@ def test_schema_is_one_json_schema_that_all_bundles_keep(tonewood: Run) -> None:
     wrong = load_yaml(tw.list_instruments()["monochord"] / "instrument.yaml")
     wrong["strings"]["A2"]["tensoin"] = 3.0
     assert not validator.is_valid(wrong)
+
+
+def test_plan_names_what_matters_and_verbose_the_rest(tonewood: Run, score: Path) -> None:
+    plan = ("plan", score, "-i", "electric_bass", "--fs", 16000, "--max-duration", 0.5)
+    brief, whole = (tonewood(*plan, *more)[1].splitlines()[1:] for more in ((), ("--verbose",)))
+    assert any(line.startswith("  outputs pickup: 0.50 s [0.00-0.50]") for line in whole)
+    assert not any("outputs" in line for line in brief)
+    (rest,) = re.findall(r"^  (\d+) more always run or never act: --verbose$", brief[-1])
+    names = [line.split()[0] for line in brief[:-1]]
+    assert len(set(names)) == len(names)
+    assert int(rest) == sum(line.split()[0] not in names for line in whole)
+
+
+@pytest.mark.parametrize(
+    ("strings", "said"),
+    [
+        (["E4"], "  Left out: rising tension of E4 for 8 s, at most 0.3 cent. Saved 0.8 s of 2.8 s."),
+        (
+            ["D3", "E4"],
+            "  Left out: rising tension of D3 for 8 s and E4 for 7 s, at most 0.3 cent. Saved 1.6 s of 3.6 s.",
+        ),
+        (
+            ["D3", "G3", "E4"],
+            "  Left out: rising tension of 3 strings for 6 to 8 s, at most 0.3 cent. Saved 2.4 s of 4.4 s.",
+        ),
+    ],
+)
+def test_what_was_left_out_and_what_it_saved(strings: list[str], said: str) -> None:
+    from tonewood.cli.render import _left_out
+    from tonewood.engine.effects.base import EffectReport
+    from tonewood.output.render import Summary
+
+    reports = [
+        EffectReport("tension_modulation", name, 2.0 + i, 0.8, 0.3, "cents", title="rising tension")
+        for i, name in enumerate(strings)
+    ]
+    summary = Summary(480000, 48000, 10.0, 2.0, 5.0, 9, 1, (), -3.0, "decayed", (), effects=reports)
+    assert _left_out(summary) == [said]
+    assert _left_out(replace(summary, effects=[replace(reports[0], seconds_saved=0.0)]))[0].endswith("0.3 cent.")
 
 
 def test_plan_and_play_have_the_options_of_render(tonewood: Run, score: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -96,7 +96,9 @@ def test_the_command_tells_as_text_and_json(capsys: pytest.CaptureFixture[str]) 
     assert run(arguments) == 0
     text = capsys.readouterr().out
     assert text.startswith("0.30 s of sound in about ")
-    assert "body_modes body: 0.30 s" in text
+    assert "body_modes" not in text
+    assert run([*arguments, "--verbose"]) == 0
+    assert "body_modes body: 0.30 s" in capsys.readouterr().out
     assert run([*arguments, "--json", "--effects", "none", "--budget-cents", "0.1"]) == 0
     reported = json.loads(capsys.readouterr().out)
     assert reported["schema"] == "tonewood-plan/1"

@@ -27,7 +27,7 @@ from tonewood.stepping.kernel import compiler, instruction_set
 
 _PIECE = 0.25  # s, rendered to predict the time of the rest
 # s to set up, s per second of sound
-_COSTS: dict[tuple[str, int, str, str, bool], tuple[float, float]] = {}
+_COSTS: dict[tuple[object, ...], tuple[float, float]] = {}
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class EngineRenderer:
         The length is that of the score with half its longest tail.
         """
         settings = condition.render
-        how = (settings.accuracy, str(settings.effects), settings.energy)
+        how = (settings.accuracy, settings.oversampling, settings.freq_limit, str(settings.effects), settings.energy)
         kind = (condition.bundle, settings.fs, *how)
         if kind not in _COSTS:
             began = time.perf_counter()

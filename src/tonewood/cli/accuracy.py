@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tonewood.cli.common import Json, need, print_json, progress
+from tonewood.cli.common import AllowCode, Json, Overrides, allow, load, need, print_json, progress
 from tonewood.errors import OutputError, TonewoodError
+
+if TYPE_CHECKING:
+    from tonewood.instrument.bundle import Instrument
 
 
 def accuracy(
@@ -23,18 +26,35 @@ def accuracy(
         bool,
         typer.Option("--stability", help="instead: which methods stay stable, by modes, pluck force and sampling rate"),
     ] = False,
+    instrument: Annotated[
+        str | None,
+        typer.Option("-i", "--instrument", help="instead: the cheapest setting of this bundle that meets --target"),
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option("--target", help="with -i: 1cent, 5%decay, 0.5dB, -60dB, or several with commas")
+    ] = None,
+    notes: Annotated[
+        str, typer.Option("--notes", metavar="STRING[:STOP],...", help="with -i; default: outer strings and the middle")
+    ] = "",
+    fs: Annotated[int, typer.Option("--fs", help="with -i: sampling rate of the sound, Hz")] = 48000,
+    bandwidth: Annotated[
+        float, typer.Option("--bandwidth", help="with -i: no setting is tried whose modes end below this, Hz")
+    ] = 10e3,
+    apply: Annotated[
+        bool, typer.Option("--apply", help="with -i: print nothing but the options for `tonewood render`")
+    ] = False,
+    settings: Overrides = None,
+    allow_code: AllowCode = False,
     plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE.png", help="Pareto charts, one per system")
+        Path | None, typer.Option("--plot", metavar="FILE.png", help="error against time, one quantity a row")
     ] = None,
     report: Annotated[
-        Path | None, typer.Option("--report", metavar="FILE.html", help="everything on one page, .html or .md")
+        Path | None,
+        typer.Option("--report", metavar="FILE.html", help="a page, .html or .md; beside the latter FILE-tables.md"),
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Compare error and time of this project with methods of the literature, and of each of its own settings."""
-    from tonewood.lab.accuracy import catalogue
-
-    catalogue.selected(system)
     for path in (plot, report):
         if path is not None and not path.absolute().parent.is_dir():
             raise OutputError(f"there is no folder {str(path.parent)!r}", file=path)
@@ -42,6 +62,16 @@ def accuracy(
         raise TonewoodError(f"is {plot.name!r}; a name ending in .png is allowed", key="--plot")
     if report is not None and report.suffix.lower() not in (".html", ".md"):
         raise TonewoodError(f"is {report.name!r}; a name ending in .html or .md is allowed", key="--report")
+    if instrument is not None:
+        if system is not None or quick or stability or report is not None:
+            raise TonewoodError("--system, --quick, --stability and --report are of another comparison", key="-i")
+        _target(load(instrument, settings, allow_code), target, notes, fs, bandwidth, apply, plot, as_json)
+        return
+    if target is not None or notes or apply or settings:
+        raise TonewoodError("--target, --notes, --apply and --set need -i INSTRUMENT", key="-i")
+    from tonewood.lab.accuracy import catalogue
+
+    catalogue.selected(system)
     if stability:
         _stability(system, quick, plot, report, as_json)
         return
@@ -64,9 +94,9 @@ def accuracy(
     study = Study(outcomes, timing.machine(), quick, more)
     png = b""
     if drawing:
-        from tonewood.lab.accuracy.picture import pareto_png
+        from tonewood.lab.accuracy.answer import chart_png
 
-        png = pareto_png(outcomes)
+        png = chart_png(outcomes)
     # everything is made before anything is written
     contents: list[tuple[Path, str | bytes]] = []
     if plot is not None:
@@ -76,6 +106,7 @@ def accuracy(
     elif report is not None:
         seen = None if plot is None else Path(os.path.relpath(plot, report.absolute().parent)).as_posix()
         contents.append((report, study.markdown(seen)))
+        contents.append((report.with_name(f"{report.stem}-tables.md"), study.tables()))
     for path, content in contents:
         write_whole(path, content)
     if as_json:
@@ -93,8 +124,46 @@ def accuracy(
         print(path)
 
 
+def _target(
+    instrument: Instrument, target: str | None, notes: str, fs: int, bandwidth: float, apply: bool,
+    plot: Path | None, as_json: bool,
+) -> None:  # fmt: skip
+    from tonewood.lab.accuracy.target import Target, search
+    from tonewood.output.options import RenderOptions, limits
+    from tonewood.whole_files import write_whole
+
+    if target is None:
+        raise TonewoodError(
+            "is missing; 1cent, 5%decay, 0.5dB, -60dB or several with commas are allowed", key="--target"
+        )
+    wanted = Target.parse(target)
+    options = RenderOptions.model_fields
+    for key, value, field in (("--fs", fs, "fs"), ("--bandwidth", bandwidth, "freq_limit")):
+        low, high = limits(options[field]) or (0.0, 0.0)
+        allow(key, value, low, high, "Hz")
+    if plot is not None:
+        need("plot", "matplotlib")
+    listed = [name for name in (word.strip() for word in notes.split(",")) if name]
+    with progress("searching", 1.0) as advance:
+        found = search(instrument, wanted, notes=listed, fs=fs, bandwidth=bandwidth, tell=advance)
+    from tonewood.lab.accuracy import target_report
+
+    if apply and found.cheapest is None:
+        raise TonewoodError(f"no setting meets {target}; without --apply the nearest is named", key="--target")
+    if plot is not None:
+        write_whole(plot, target_report.chart_png(found))
+    if as_json:
+        print_json("accuracy-target", target_report.to_json(found))
+    elif found.cheapest is not None and apply:
+        print(found.cheapest.setting.words)
+    else:
+        print(target_report.summary(found))
+        if plot is not None:
+            print(plot)
+
+
 def _stability(system: str | None, quick: bool, plot: Path | None, report: Path | None, as_json: bool) -> None:
-    from tonewood.lab.accuracy import stability
+    from tonewood.lab.accuracy import attacks, stability
     from tonewood.whole_files import write_whole
 
     if system is not None or plot is not None:
@@ -110,6 +179,6 @@ def _stability(system: str | None, quick: bool, plot: Path | None, report: Path 
     if as_json:
         print_json("stability", grid.to_json())
         return
-    print(grid.table(), end="")
+    print(f"{attacks.section(grid.attacks)}\n\n{grid.table()}", end="")
     if report is not None:
         print(report)

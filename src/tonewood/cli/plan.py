@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -26,6 +27,13 @@ from tonewood.cli.options import takes_render_options
 from tonewood.errors import OutputError
 from tonewood.output.options import RenderOptions
 
+if TYPE_CHECKING:
+    from tonewood.engine.effects.base import PlannedEffect
+    from tonewood.output.plan import Plan
+
+#: share of the computing time that is worth a word
+_WORTH = 0.02
+
 
 @takes_render_options(without=["energy"])
 def plan(
@@ -43,6 +51,9 @@ def plan(
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="every effect on every string, those that always run or never act, too")
+    ] = False,
 ) -> None:
     """Predict the render of SCORE: effects that will run, when and why, and the time of computing."""
     from tonewood.output.audio import file_format
@@ -63,9 +74,43 @@ def plan(
         return
     warn_of_dropped(found.notes_dropped)
     print(f"{found.duration_s:.2f} s of sound in about {found.predicted_s:.1f} s of computing")
+    if verbose:
+        for effect in found.effects:
+            shown = f"{effect.seconds:.2f} s{_when(effect)}{_cost([effect])}"
+            print(f"  {effect.name} {effect.component}: {shown}: {effect.why}")
+        return
+    named: dict[str, list[PlannedEffect]] = {}
     for effect in found.effects:
-        spans = ", ".join(f"{start:.2f}-{stop:.2f}" for start, stop in effect.spans_s[:3])
-        more = len(effect.spans_s) - 3
-        when = f" [{spans}{f' and {more} more' if more > 0 else ''}]" if effect.spans_s else ""
-        cost = f" ({effect.predicted_s:.1f} s of computing)" if effect.predicted_s is not None else ""
-        print(f"  {effect.name} {effect.component}: {effect.seconds:.2f} s{when}{cost}: {effect.why}")
+        if matters(effect, found):
+            named.setdefault(effect.name, []).append(effect)
+    for name, effects in named.items():
+        print(f"  {_line(name, effects)}")
+    if rest := len(found.effects) - sum(map(len, named.values())):
+        print(f"  {rest} more always run or never act: --verbose")
+
+
+def matters(effect: PlannedEffect, found: Plan) -> bool:
+    """Whether an effect runs for a part of the sound, or takes a share of the computing that is worth a word."""
+    costly = effect.predicted_s is not None and effect.predicted_s >= _WORTH * found.predicted_s
+    return costly or 0.0 < effect.seconds < 0.999 * found.duration_s
+
+
+def _line(name: str, effects: Sequence[PlannedEffect]) -> str:
+    """One effect on all its components, with the reason of the one on which it runs longest."""
+    seconds = [effect.seconds for effect in effects]
+    where = " and ".join(e.component for e in effects) if len(effects) <= 2 else f"{len(effects)} strings"
+    low, high = min(seconds), max(seconds)
+    span = f"{high:.2g} s" if f"{low:.2g}" == f"{high:.2g}" else f"{low:.2g} to {high:.2g} s"
+    longest = max(effects, key=lambda effect: effect.seconds)
+    return f"{name} of {where} for {span}{_cost(effects)}: {longest.why}"
+
+
+def _when(effect: PlannedEffect) -> str:
+    spans = ", ".join(f"{start:.2f}-{stop:.2f}" for start, stop in effect.spans_s[:3])
+    more = len(effect.spans_s) - 3
+    return f" [{spans}{f' and {more} more' if more > 0 else ''}]" if effect.spans_s else ""
+
+
+def _cost(effects: Sequence[PlannedEffect]) -> str:
+    known = [effect.predicted_s for effect in effects if effect.predicted_s is not None]
+    return f" ({sum(known):.1f} s of computing)" if known else ""

@@ -208,6 +208,10 @@ def _loudness_gain(path: Path) -> float:
     return matching_gain_db(samples, fs, LOUDNESS)
 
 
+#: strings that are named one by one; share of the computing time that is worth a word
+_NAMED, _WORTH = 2, 0.02
+
+
 def _left_out(summary: Summary) -> list[str]:
     """One line per effect that was left out for some time with a bound that is not 0; ``--json`` has all effects."""
     lines = []
@@ -217,10 +221,16 @@ def _left_out(summary: Summary) -> list[str]:
             by_title.setdefault(report.title, []).append(report)
     for title, reports in by_title.items():
         seconds = [summary.duration_s - report.seconds_active for report in reports]
-        where = reports[0].component if len(reports) == 1 else f"{len(reports)} strings"
-        span = f"{max(seconds):.2g} s" if len(reports) == 1 else f"{min(seconds):.2g} to {max(seconds):.2g} s"
+        if len(reports) <= _NAMED:
+            where = " and ".join(f"{r.component} for {s:.2g} s" for r, s in zip(reports, seconds, strict=True))
+        else:
+            where = f"{len(reports)} strings for {min(seconds):.2g} to {max(seconds):.2g} s"
         bounds = [f"{max(values):.2g} {unit}" for values, unit in _bounds(reports)]
-        lines.append(f"  Left out: {title} of {where} for {span}, at most {' and '.join(bounds)}.")
+        lines.append(f"  Left out: {title} of {where}, at most {' and '.join(bounds)}.")
+    saved = sum(report.seconds_saved for reports in by_title.values() for report in reports)
+    whole = saved + summary.render_s
+    if lines and saved >= _WORTH * whole:
+        lines[-1] += f" Saved {saved:.1f} s of {whole:.1f} s."
     return lines
 
 

@@ -11,7 +11,7 @@ import zlib
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from tonewood.instrument.directions import Direction
 from tonewood.instrument.gestures import StringPlace
@@ -372,7 +372,21 @@ class Bundle(Parameters):
     oversampling: Literal[1, 2, 4] = described(
         "steps per sample at standard accuracy: more where something lies on a string while it sounds", default=1
     )
+    draft_oversampling: float = quantity(
+        "1",
+        low=0.25,
+        high=1.0,
+        default=0.5,
+        doc="steps at draft accuracy per step at standard, in quarters: more where a draft would lose a contact",
+    )
     connections: dict[Name, ConnectionPart] = described("name -> what touches strings besides the body", default={})
+
+    @field_validator("draft_oversampling")
+    @classmethod
+    def _quarters(cls, value: float) -> float:
+        if not (4 * value).is_integer():
+            raise ValueError("0.25, 0.5, 0.75 and 1 are allowed")
+        return value
 
     @model_validator(mode="after")
     def _names(self) -> Bundle:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic.fields import FieldInfo
 
 from tonewood.errors import TonewoodError
@@ -43,7 +43,17 @@ class RenderOptions(Parameters):
     """
 
     fs: int = quantity("Hz", low=8000, high=768000, default=48000, doc="sampling rate")
-    accuracy: AccuracyName = described("oversampling and highest mode; see docs/accuracy.md", default="standard")
+    accuracy: AccuracyName = described("length of the engine's steps; see docs/accuracy.md", default="standard")
+    oversampling: float | None = quantity(
+        "steps per frame",
+        low=0.25,
+        high=16.0,
+        default=None,
+        doc="steps of the engine per frame, in quarters; default: that of accuracy on the instrument",
+    )
+    freq_limit: float | None = quantity(
+        "Hz", low=100.0, high=768e3, default=None, doc="no mode is stepped above it; default: 0.45 of the engine's rate"
+    )
     outputs: tuple[str, ...] | None = described(
         "output groups; default: the instrument's first", default=None, min_length=1
     )
@@ -126,6 +136,13 @@ class RenderOptions(Parameters):
             out |= {"tail": tail.cap, "tail_level_db": tail.level_db}
         return out
 
+    @field_validator("oversampling")
+    @classmethod
+    def _quarters(cls, value: float | None) -> float | None:
+        if value is not None and not (4 * value).is_integer():
+            raise ValueError(f"is {value:.12g}; 0.25 to 16 in steps of 0.25 are allowed")
+        return value
+
     @property
     def effect_changes(self) -> dict[str, Any]:
         """Overrides of an instrument for the effects and budgets that are given."""
@@ -167,7 +184,7 @@ def _error(fault: ValidationError, model: type[RenderOptions]) -> TonewoodError:
     key, reason = first_message(fault, model)
     name = str(fault.errors()[0]["loc"][0])
     field, value = model.model_fields.get(name), fault.errors()[0]["input"]
-    if field is not None:
+    if field is not None and fault.errors()[0]["type"] != "value_error":
         span, words = limits(field), choices(field.annotation)
         shown = f"{value:.12g} {unit_of(field)}" if span and isinstance(value, (int, float)) else repr(value)
         if span:

@@ -62,13 +62,14 @@ def plan(
     score, instrument = as_score(score), as_instrument(instrument)
     options = RenderOptions.of(options, fs, settings)
     low = max(options.fs // _SKETCH, min(_LEAST_FS, options.fs))
+    sketched = options.at(fs=low, accuracy="standard", oversampling=None, freq_limit=None)
     # what is imported and kept the first time belongs to no second of sound
     first_second = _TIMED if options.max_duration is None else min(_TIMED, options.max_duration)
-    for _ in Renderer(score, instrument, options=options.at(fs=low, max_duration=first_second)).blocks(4096):
+    for _ in Renderer(score, instrument, options=sketched.at(max_duration=first_second)).blocks(4096):
         pass
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DroppedNotesWarning)  # the first one has warned
-        sketch = Renderer(score, instrument, options=options.at(fs=low))
+        sketch = Renderer(score, instrument, options=sketched)
     sketch.engine.only_watch = True
     first = Spent()
     for _ in sketch.blocks(512):

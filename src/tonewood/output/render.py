@@ -8,6 +8,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,11 @@ from tonewood.engine.playing import Performance, perform
 from tonewood.errors import DroppedNotesWarning, TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
 from tonewood.instrument.string_setup import GivenTension
-from tonewood.output.accuracy import LEVELS, Decimator
+from tonewood.output.accuracy import LEVELS
 from tonewood.output.audio import Audio, decibels
 from tonewood.output.inputs import InstrumentLike, ScoreLike, as_instrument, as_score
 from tonewood.output.options import RenderOptions
+from tonewood.output.resampling import Resampler
 from tonewood.score.note import Dropped
 
 Floats = NDArray[np.float64]
@@ -128,11 +130,12 @@ class Renderer:
     ):
         score, instrument = as_score(score), as_instrument(instrument)
         self.options = options = RenderOptions.of(options, fs, settings)
-        self.fs, level = options.fs, LEVELS[options.accuracy]
-        # an instrument may need finer steps to be as accurate as others are
-        finer = level.oversampling * (instrument.spec.oversampling if level.as_asked else 1)
-        engine_fs = finer * self.fs
-        limit = None if level.freq_limit is None else min(level.freq_limit, FREQ_LIMIT * engine_fs)
+        self.fs = options.fs
+        steps = LEVELS[options.accuracy].oversampling(instrument.spec)
+        if options.oversampling is not None:
+            steps = Fraction(options.oversampling)
+        engine_fs = float(steps * self.fs)
+        limit = None if options.freq_limit is None else min(options.freq_limit, FREQ_LIMIT * engine_fs)
         self.model = assemble(options.applied_to(instrument), engine_fs, freq_limit=limit, outputs=options.outputs)
         self.performance: Performance = perform(score, self.model, channel_per_string=options.channel_per_string)
         self.engine = Engine(self.model, self.performance.timeline, energy=options.energy)
@@ -144,12 +147,12 @@ class Renderer:
         gain = 10 ** (options.gain_db / 20)
         scales = [group.full_scale for group in groups for _ in group.channels]
         self._scale = gain / (scales[0] if len(set(scales)) == 1 else np.array(scales))
-        self._decimator = Decimator(finer, len(columns))
+        self._resampler = Resampler(steps, len(columns))
         earliest = self.performance.timeline.start
         auto = options.lead_in == "auto"
         self.zero_frame = math.ceil(-earliest * self.fs) if auto else round(float(options.lead_in) * self.fs)
-        # the first frame out of the decimator, which looks ahead; silence before it where the lead-in is longer
-        first = self.engine.state.sample // finer - self._decimator.lead
+        # the first frame out of the resampler, which looks ahead; silence before it where the lead-in is longer
+        first = self._resampler.frame(self.engine.state.sample)
         self._pending = np.zeros((max(0, first + self.zero_frame), len(columns)))
         #: value of the first frame where earlier sound was discarded; None until that frame is computed
         self._step: Floats | None = None if earliest * self.fs < -self.zero_frame else np.zeros(len(columns))
@@ -233,7 +236,7 @@ class Renderer:
         """Copy of the whole state, to `restore` later in this renderer or in one made from the same arguments."""
         return Checkpoint(
             self.engine.snapshot(),
-            self._decimator.memory.copy(),
+            self._resampler.memory.copy(),
             self._pending.copy(),
             self._frames,
             self._loudest,
@@ -245,22 +248,23 @@ class Renderer:
     def restore(self, checkpoint: Checkpoint) -> None:
         """Restore a snapshot; the samples that follow are the same to the last bit."""
         self.engine.restore(checkpoint.engine)
-        self._decimator.memory = checkpoint.memory.copy()
+        self._resampler.memory = checkpoint.memory.copy()
         self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
         self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
         self._step = checkpoint.step
 
     def _fill(self, frames: int) -> None:
         """Step at least `frames` frames, in whole spans; one span at a time where the render may end."""
-        factor, span = self._decimator.factor, _TICKS * GRID
-        # first frame out of the decimator, which looks ahead
-        first = self.engine.state.sample // factor - self._decimator.lead
+        sample, span = self.engine.state.sample, _TICKS * GRID
+        # first frame out of the resampler, which looks ahead
+        first = self._resampler.frame(sample)
         longest = self.options.max_duration
         room = math.inf if longest is None else round(longest * self.fs) - max(first, 0)
-        lively = int(self.performance.timeline.stop * self.model.fs) - self.engine.state.sample - span
-        spans = max(1, min(math.ceil(min(frames, room) * factor / span), lively // span))
+        lively = int(self.performance.timeline.stop * self.model.fs) - sample - span
+        wanted = self._resampler.samples(min(frames, room))
+        spans = max(1, min(math.ceil(wanted / span), lively // span))
         began = time.perf_counter()
-        sound = self._decimator(self.engine.advance(spans * _TICKS)[:, self._columns] * self._scale)
+        sound = self._resampler(self.engine.advance(spans * _TICKS)[:, self._columns] * self._scale, sample)
         self._seconds += time.perf_counter() - began
         sound = self._begun(sound, first + self.zero_frame)
         room += min(max(0, -first), self.zero_frame)  # counted from score time 0
@@ -282,7 +286,7 @@ class Renderer:
 
     def _watch(self, peak: float) -> None:
         """End the render when the sound has decayed."""
-        now = self.engine.state.sample // self._decimator.factor
+        now = self.engine.state.sample // self._resampler.ratio
         self._loudest = max(self._loudest, peak)
         self._recent.append((now, peak))
         since_end = self.time - self.performance.timeline.stop

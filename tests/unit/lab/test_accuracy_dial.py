@@ -76,6 +76,7 @@ def hold(name: str, string: str | None = None) -> None:
     points = {p.accuracy: p for p in dial.measure(instrument, string or dial.middle_string(instrument))}
     errors = points["standard"].errors
     assert errors.partials >= 5
+    assert dial.out_of_order(list(points.values())) == []
     assert dial.beyond(errors) == ""
     if name not in NOT_EVERY_PARTIAL:
         assert dial.beyond(errors, worst=True) == ""
@@ -87,16 +88,29 @@ def test_limits_are_distinguished() -> None:
     assert dial.beyond(errors, worst=True) == "1.5 cents, 20 % of the decay, 1.2 dB"
 
 
-def test_a_coarser_rate_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half of the modes and half of the rate as `standard`: the limits are not kept everywhere."""
-    from tonewood.output import accuracy, render
+def test_a_setting_that_is_too_coarse_is_reported() -> None:
+    """Draft instead of standard: the limits are not kept everywhere."""
+    (draft, *_) = dial.measure(tw.load_instrument("tanpura"), "C3", nudge=False)
+    assert dial.beyond(draft.errors) != ""
 
-    poor = {**accuracy.LEVELS, "standard": accuracy.Accuracy("standard", freq_limit=2e3)}
-    for module in (render, dial):
-        monkeypatch.setattr(module, "LEVELS", poor)
-    instrument = tw.load_instrument("tanpura")
-    (standard,) = (p for p in dial.measure(instrument, "C3", nudge=False) if p.accuracy == "standard")
-    assert dial.beyond(standard.errors) != ""
+
+def test_a_dial_that_points_the_wrong_way_is_reported() -> None:
+    near, far = (dial.PartialErrors(e, e, e, e, e, e, 9, e, 0.0) for e in (0.1, 0.2))
+    points = [
+        dial.DialPoint("x", "A", name, errors, 1.0, 9, 1) for name, errors in (("draft", near), ("standard", far))
+    ]
+    assert len(dial.out_of_order(points)) == 7
+    assert dial.out_of_order([*points[:1], dial.DialPoint("x", "A", "standard", near, 1.0, 9, 1)]) == []
+
+
+@pytest.mark.parametrize(("name", "string"), [("classical_guitar", "D3"), ("steel_guitar", "G3")])
+def test_each_step_of_the_dial_leads_nearer(name: str, string: str) -> None:
+    """Pitch, decay, level and waveform; with fewer modes at the rate of `standard`, `draft` used to be nearer."""
+    points = dial.measure(tw.load_instrument(name), string, nudge=False)
+    assert dial.out_of_order(points) == []
+    draft, standard, _ = (p.errors for p in points)
+    assert standard.cents_worst < 0.3 * draft.cents_worst
+    assert points[0].n_modes < points[1].n_modes
 
 
 @pytest.mark.parametrize("name", ["monochord", "electric_bass"])

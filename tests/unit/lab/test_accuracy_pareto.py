@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tonewood.errors import TonewoodError
-from tonewood.lab.accuracy import catalogue, report, tables
+from tonewood.lab.accuracy import answer, catalogue, report, tables
 from tonewood.lab.accuracy.catalogue import Outcome
 from tonewood.lab.accuracy.measures import energy_drift, pole_errors, wave_errors
 from tonewood.lab.accuracy.pareto import DECAY, PITCH, WAVEFORM, front, headlines, line, seconds_at
@@ -182,15 +182,40 @@ def test_page_has_all_tables_and_the_picture() -> None:
     machine = {"processor": "x<y", "system": "z", "instruction_set": "avx2", "fma_peak": 1e9}
     study = report.Study([outcome()], machine, True, {"more": ("## More\n\nWords.", [1])})
     page = study.html(b"PNG")
-    assert page.count("<table>") == 5  # in short, pitch, waveform, methods, points
+    assert page.count("<table>") == 7  # answers by pitch and waveform; in short, pitch, waveform, methods, points
+    assert "<pre>echo $(tonewood accuracy" in page
     assert "data:image/png;base64,UE5H" in page
     assert "x&lt;y" in page
     assert "<h2>More</h2>" in page
-    assert "![Error against time, a chart per system](pictures/a.png)" in study.markdown("pictures/a.png")
+    assert "](pictures/a.png)" in study.markdown("pictures/a.png")
+
+
+def test_what_an_error_costs() -> None:
+    """Our cheapest point that is good enough; of the others the quickest, read between its points."""
+    found = answer.cheapest(outcome(), PITCH, 0.05)
+    assert found is not None
+    assert (found.seconds, found.cents_worst) == (0.1, 1e-9)  # of another dial
+    by_rate = replace(outcome(), points=tuple(p for p in POINTS if p.dial == "fs"))
+    assert answer.cheapest(by_rate, PITCH, 0.05) == POINTS[1]
+    assert answer.cheapest(by_rate, PITCH, 1e-6) is None
+    name, seconds = answer.best_peer(outcome(), PITCH, 1e-2) or ("", 0.0)
+    assert (name, seconds) == ("ab3", pytest.approx(10.0))
+    assert answer.best_peer(outcome(), PITCH, 1e-6) is None
+    assert "AB3 10 x" in answer.table([by_rate], PITCH)
+
+
+def test_where_verlet_is_the_quicker_one() -> None:
+    """Ours: errors 1e-1 to 1e-3 in 1 to 10 s; Verlet's, of the same order, in a fifth of the time, from 1e-2 on."""
+    ours = [replace(POINTS[0], waveform=e, seconds=s) for e, s in ((1e-1, 1.0), (1e-2, 3.0), (1e-3, 10.0))]
+    theirs = [replace(p, method="verlet", seconds=p.seconds / 5 * (1 if i < 2 else 10)) for i, p in enumerate(ours)]
+    made = Outcome("tension", "", "", (WAVEFORM,), (*ours, *theirs))
+    above = answer.verlet_is_quicker_above(made)
+    assert above is not None
+    assert 1e-3 < above < 1e-2
 
 
 def test_charts_are_drawn() -> None:
     pytest.importorskip("matplotlib")
-    from tonewood.lab.accuracy.picture import pareto_png
+    from tonewood.lab.accuracy.answer import chart_png
 
-    assert pareto_png([outcome()] * 3, dpi=30).startswith(b"\x89PNG")
+    assert chart_png([outcome()] * 3, dpi=30).startswith(b"\x89PNG")

@@ -33,9 +33,12 @@ LEFT_OUT = {render.render: {"energy"}, plan.plan: {"energy"}, play.play: {"energ
         ({"tail_level_db": 3}, "tail_level_db: is 3 dB; -300 to -1 are allowed"),
         ({"max_duration": float("nan")}, "max_duration: is nan s; 1e-06 to 86400 are allowed"),
         ({"accuracy": "best"}, "accuracy: is 'best'; draft, standard, reference are allowed"),
+        ({"oversampling": 0.3}, "oversampling: is 0.3; 0.25 to 16 in steps of 0.25 are allowed"),
+        ({"oversampling": 17}, "oversampling: is 17 steps per frame; 0.25 to 16 are allowed"),
+        ({"freq_limit": 0}, "freq_limit: is 0 Hz; 100 to 768000 are allowed"),
         ({"lead_in": -1}, "lead_in: is -1; auto or 0 to 60 s are allowed"),
         ({"budget_cents": 101}, "budget_cents: is 101 cents; 0 to 100 are allowed"),
-        ({"gain": 3}, "gain: is not a known key; did you mean gain_db? allowed: fs, accuracy, outputs, tail"),
+        ({"gain": 3}, "gain: is not a known key; did you mean gain_db? allowed: fs, accuracy, oversampling"),
     ],
 )
 def test_what_is_not_allowed_is_said_in_one_line(given: dict[str, object], line: str) -> None:

@@ -11,25 +11,26 @@ from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.registry import list_instruments
-from tonewood.lab.accuracy.partials import PartialErrors, compare
+from tonewood.lab.accuracy.partials import PartialErrors
+from tonewood.lab.accuracy.strokes import STEADY, VELOCITY_MIDI, NoteCase, Strokes
 from tonewood.lab.accuracy.study import Tell, silent
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.output.accuracy import LEVELS
-from tonewood.output.render import Renderer
-from tonewood.score.note import Note, Score
 
-Floats = NDArray[np.float64]
-
-#: of the note; Hz of the sound; s of it, from when on partials are compared
-VELOCITY_MIDI, FS, DURATION, STEADY = 64, 48000, 4.0, 0.1
+#: Hz and s of the sound
+FS, DURATION = 48000, 4.0
 #: s, in a quick run
 SHORT = 1.5
 #: how far `standard` may be from `reference`: cents, share of a decay rate, dB
 LIMITS = (1.0, 0.05, 1.0)
+#: measures of a `PartialErrors`, and their units in print
+MEASURES = {
+    "cents": " cents", "cents_worst": " cents", "decay": "", "decay_worst": "", "level": " dB", "level_worst": " dB",
+    "waveform": "",
+}  # fmt: skip
 #: share of these by which a thousandth more force makes a motion a sensitive one; its strokes, and how far apart
 SENSITIVE, STROKES, SPREAD = 0.2, 32, 0.01
 #: labels of `reference` with a thousandth more force, and of one half of its strokes against the other
@@ -40,22 +41,41 @@ TEXT = f"""\
 
 | `tonewood render --accuracy` | engine runs at | modes up to |
 | --- | --- | --- |
-| `draft` | the rate of the sound | 10 kHz |
-| `standard`, the default | that rate, or twice or four times it where a bundle asks for it | 0.45 of it |
-| `reference` | four times that of `standard`, brought down by a linear-phase filter | 0.45 of that |
+| `draft` | half the rate of `standard`, or three quarters of it where a bundle asks for it | 0.45 of it |
+| `standard`, the default | the rate of the sound, or twice or four times it where a bundle asks for it | 0.45 of it |
+| `reference` | four times that of `standard` | 0.45 of that |
+
+A linear-phase filter leads from the engine's rate to that of the sound.
 
 The middle string of every instrument, one open note of MIDI velocity {VELOCITY_MIDI} at 48 kHz, heard for
 {DURATION:g} s. Median / worst over the partials, of the first twenty, that lie within 40 dB of the loudest, against
 `reference`: pitch and level from {STEADY:g} s after the note on; decay as the slope, in dB per second, of the energy
 still to come (Schroeder's backward integration, ISO 3382-1), which is the rate of an exponential and still a number
-where partials beat or feed each other. A bow plays for half of the time, and the decay is what follows.
+where partials beat or feed each other. A bow plays for half of the time, and the decay is what follows. Waveform: the
+relative difference in the first second, under a Hann window, after the mean delay is taken out (accelerations are means
+over the step that begins at a frame, half a step early).
 
-Time is wall time of the engine. Where a thousandth more force changes `reference` by more than a fifth of a limit,
+Time is processor time of one thread. Where a thousandth more force changes `reference` by more than a fifth of a limit,
 contacts or a bow make the motion sensitive: two strokes never sound alike, and no step is fine enough to tell which one
 follows. Properties that strokes have in common are compared then: the mean pitch of {STROKES} strokes with forces
 spread over {100 * SPREAD:g} % to either side, and the mean energy of their partials. *{OTHERS}* holds one half of them
-against
-the other: that much is left to chance."""
+against the other: that much is left to chance."""
+
+WHY = """\
+### Why a draft makes longer steps
+
+A draft used to step modes up to 10 kHz only, at the rate of the sound, and lay nearer to `reference` in pitch than
+`standard` did. The cause: a force that is constant over a step of length h reaches a mode of frequency ω as
+
+    (φ²/ω²) (1 - cos ωh) cos(Ωh/2) / (cos Ωh - cos ωh)        instead of        φ²/(ω² - Ω²)
+
+at the frequency Ω, apart from a factor that all modes share. Below the Nyquist frequency the difference is
+Ω²h² (φ²/ω²) e(θ), θ = ωh/2, e = 1/(4 sin²θ) - 1/(4θ²) - 1/12 = θ²/60 + ...: for θ small each mode adds the same,
+φ² h⁴ Ω²/240, and those near the Nyquist frequency add more (1.4 times at 0.45 of the rate). So the error of pitch grows
+with the number of modes stepped, all of which the held force drives alike, and with h³ to h⁴; leaving modes out makes
+the pitch better, the sound duller, and is hardly cheaper. The formula foretells the errors of coupled partials within
+some per cent (`tests/convergence/test_highest_modes.py`). Longer steps cost less and are farther off by every
+measure."""
 
 #: cents and dB that leaving an effect out may cost
 BUDGETS = ((0.05, -120.0), (0.5, -80.0), (5.0, -40.0))
@@ -105,89 +125,33 @@ def measure(instrument: Instrument, string: str, *, nudge: bool = True) -> list[
     nudge : also what `reference` does for a thousandth more force; where that is much, strokes are compared by their
         means. Without it one stroke is, and not for so long.
     """
-    case = _Case.of(instrument, string, duration=DURATION if nudge else SHORT)
+    case = NoteCase.of(instrument, string, DURATION if nudge else SHORT, fs=FS)
     options: dict[str, dict[str, Any]] = {name: {"accuracy": name} for name in LEVELS}
     if not nudge:
-        return case.held_against({label: case.strokes(given) for label, given in options.items()}, "reference")
+        return _against(case, {label: case.strokes(given) for label, given in options.items()}, "reference")
     truth = case.strokes(options["reference"])
     again = case.strokes(options["reference"], (1.001,))
     chance = case.errors(again, truth)
     spread = (chance.cents, chance.decay, chance.level)
     if all(e <= SENSITIVE * limit for e, limit in zip(spread, LIMITS, strict=True)):
         rendered = {label: case.strokes(given) for label, given in options.items() if label != "reference"}
-        return case.held_against({**rendered, "reference": truth, NUDGED: again}, "reference")
+        return _against(case, {**rendered, "reference": truth, NUDGED: again}, "reference")
     forces = tuple(1 + SPREAD * (2 * (np.arange(STROKES) + 0.5) / STROKES - 1))
     rendered = {label: case.strokes(given, forces) for label, given in options.items()}
     truth = rendered["reference"]
-    points = case.held_against(rendered, "reference")
-    halves = [_Strokes(truth.sounds[i::2], truth.seconds, truth.n_modes) for i in (0, 1)]
-    return [*points, case.point(OTHERS, *halves)]
+    points = _against(case, rendered, "reference")
+    return [*points, _point(case, OTHERS, *truth.halves())]
 
 
-@dataclass(frozen=True, slots=True)
-class _Strokes:
-    """Sounds (n_strokes, n) of some setting; s of computing per second of sound; modes stepped."""
-
-    sounds: Floats
-    seconds: float
-    n_modes: int
+def _point(case: NoteCase, label: str, strokes: Strokes, truth: Strokes) -> DialPoint:
+    """One setting."""
+    errors, name = case.errors(strokes, truth), case.instrument.spec.name
+    return DialPoint(name, case.string, label, errors, strokes.seconds, strokes.n_modes, len(strokes.sounds))
 
 
-@dataclass(frozen=True, slots=True)
-class _Case:
-    """A string of an instrument, played with a force, driven until `let_go` s or not at all (0)."""
-
-    instrument: Instrument
-    string: str
-    force: float
-    let_go: float
-    duration: float = DURATION
-
-    @classmethod
-    def of(cls, instrument: Instrument, string: str, force: float | None = None, duration: float = DURATION) -> _Case:
-        """With the force of a velocity in the middle, if none is given."""
-        note = Note(0.0, DURATION, string=string, stop=0, force=force, velocity_midi=None if force else VELOCITY_MIDI)
-        renderer = Renderer(Score([note]), instrument, FS)
-        motions = [m for play in renderer.performance.timeline.plays for m in play.gesture.motions]
-        force = renderer.model.playing.velocity.value(VELOCITY_MIDI) if force is None else force
-        # what moves on at a velocity goes on giving energy
-        return cls(
-            instrument,
-            string,
-            force,
-            0.5 * duration if any(m.quantity == "velocity" for m in motions) else 0.0,
-            duration,
-        )
-
-    def strokes(self, options: Mapping[str, Any], factors: Sequence[float] = (1.0,)) -> _Strokes:
-        """A note rendered with some options, with these times the force."""
-        sounds, spent, n_modes = [], 0.0, 0
-        for factor in factors:
-            note = Note(0.0, self.let_go or self.duration, string=self.string, stop=0, force=self.force * factor)
-            renderer = Renderer(Score([note]), self.instrument, FS, max_duration=self.duration, **options)
-            sounds.append(np.concatenate(list(renderer.blocks(4096)))[:, 0])
-            summary = renderer.summary()
-            spent, n_modes = spent + 1 / summary.realtime_factor, summary.n_modes
-        shortest = min(len(sound) for sound in sounds)
-        return _Strokes(np.stack([sound[:shortest] for sound in sounds]), spent / len(sounds), n_modes)
-
-    def errors(self, strokes: _Strokes, truth: _Strokes) -> PartialErrors:
-        """Of some strokes against others."""
-        freq = self.instrument.tuning.freq(self.instrument.open_note(self.string))
-        skip = int(STEADY * FS)
-        let_go = self.let_go and self.let_go - STEADY
-        return compare(strokes.sounds[:, skip:], truth.sounds[:, skip:], FS, freq, let_go)
-
-    def point(self, label: str, strokes: _Strokes, truth: _Strokes) -> DialPoint:
-        """One setting."""
-        name = self.instrument.spec.name
-        return DialPoint(
-            name, self.string, label, self.errors(strokes, truth), strokes.seconds, strokes.n_modes, len(strokes.sounds)
-        )
-
-    def held_against(self, rendered: Mapping[str, _Strokes], truth: str) -> list[DialPoint]:
-        """All of them against one."""
-        return [self.point(label, strokes, rendered[truth]) for label, strokes in rendered.items()]
+def _against(case: NoteCase, rendered: Mapping[str, Strokes], truth: str) -> list[DialPoint]:
+    """All settings against one."""
+    return [_point(case, label, strokes, rendered[truth]) for label, strokes in rendered.items()]
 
 
 def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
@@ -198,8 +162,8 @@ def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
         named = f"auto, {cents:g} cents, {db:g} dB"
         options[named] = {"effects": "auto", "budget_cents": cents, "budget_db": db}
     options["none"] = {"effects": "none"}
-    case = _Case.of(instrument, middle_string(instrument), FORCE, SHORT if quick else DURATION)
-    out = case.held_against({label: case.strokes(given) for label, given in options.items()}, "all")
+    case = NoteCase.of(instrument, middle_string(instrument), SHORT if quick else DURATION, force=FORCE, fs=FS)
+    out = _against(case, {label: case.strokes(given) for label, given in options.items()}, "all")
     tell(1.0)
     return out
 
@@ -217,7 +181,41 @@ def run(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
 
 def section(points: Sequence[DialPoint]) -> str:
     """Markdown."""
-    return f"{TEXT}\n\n{_table(points, '--accuracy', 'standard', 'reference')}\n\n{_within(points)}"
+    table = _table(points, "--accuracy", "standard", "reference")
+    return f"{TEXT}\n\n{table}\n\n{_within(points)}\n\n{_order(points)}\n\n{WHY}"
+
+
+def out_of_order(points: Sequence[DialPoint]) -> list[str]:
+    """Measures of one instrument by which `standard` is farther from `reference` than `draft`, worded.
+
+    A difference counts that is larger than the change by which the reference itself is uncertain: that from a
+    thousandth more force or from other strokes, and a tenth of the errors compared.
+    """
+    at = {p.accuracy: p.errors for p in points}
+    chance = next((at[label] for label in (OTHERS, NUDGED) if label in at), None)
+    out = []
+    for name, unit in MEASURES.items():
+        coarse, fine = getattr(at["draft"], name), getattr(at["standard"], name)
+        if coarse is None or fine is None:
+            continue
+        allowed = 1.1 * coarse + (0.0 if chance is None else getattr(chance, name) or 0.0)
+        if fine > allowed:
+            out.append(f"{name} {number(fine)} against {number(coarse)}{unit}")
+    return out
+
+
+def _order(points: Sequence[DialPoint]) -> str:
+    """Whether each step of the dial leads nearer to the reference."""
+    by_name: dict[str, list[DialPoint]] = {}
+    for p in points:
+        by_name.setdefault(p.instrument, []).append(p)
+    wrong = {name: found for name, own in by_name.items() if (found := out_of_order(own))}
+    cheaper = [own[1].seconds / own[0].seconds for own in by_name.values()]
+    text = f"`draft` takes {number(1 / max(cheaper), 2)} to {number(1 / min(cheaper), 2)} of the time of `standard`"
+    if not wrong:
+        return f"{text}, and by no measure does it lie nearer to `reference`, beyond chance."
+    listed = "; ".join(f"{name} ({', '.join(found)})" for name, found in wrong.items())
+    return f"{text}; it lies nearer to `reference`: {listed}."
 
 
 def beyond(errors: PartialErrors, *, worst: bool = False) -> str:
@@ -258,13 +256,14 @@ def _table(points: Sequence[DialPoint], heading: str, unit: str, truth: str) -> 
         e = p.errors
         pairs = [(e.cents, e.cents_worst), (100 * e.decay, 100 * e.decay_worst), (e.level, e.level_worst)]
         errors = ["" if p.accuracy == truth else f"{number(middle)} / {number(worst)}" for middle, worst in pairs]
+        errors.append("" if p.accuracy == truth or e.waveform is None else number(100 * e.waveform))
         cost = (
             []
             if p.accuracy in (NUDGED, OTHERS)
             else [number(p.seconds, 3), number(p.seconds / seconds[p.instrument], 3)]
         )
         rows.append([p.instrument, p.accuracy, str(p.n_modes), *errors, *(cost or ["", ""])])
-    heads = ["instrument", heading, "modes", "cents", "decay %", "level dB", "s per s", "time ratio"]
+    heads = ["instrument", heading, "modes", "cents", "decay %", "level dB", "waveform %", "s per s", "time ratio"]
     return markdown(heads, rows, left=2)
 
 

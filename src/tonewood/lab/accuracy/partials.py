@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +31,9 @@ class PartialErrors:
     decay, decay_worst : decay rate, relative.
     level, level_worst : dB.
     partials : how many were compared.
+    waveform : ||x - y|| / ||y|| in the first second, after the delay of x is taken out; None for several strokes.
+    delay : that delay, s. Forces and accelerations are read as their mean over the step that begins at a sample: half
+        a step early.
     """
 
     cents: float
@@ -39,6 +43,8 @@ class PartialErrors:
     level: float
     level_worst: float
     partials: int
+    waveform: float | None = None
+    delay: float | None = None
 
 
 def compare(sounds: ArrayLike, truths: ArrayLike, fs: float, freq: float, let_go: float = 0.0) -> PartialErrors:
@@ -76,7 +82,30 @@ def compare(sounds: ArrayLike, truths: ArrayLike, fs: float, freq: float, let_go
     decay = [abs(_decay(t[free], A[k, free]) / _decay(t[free], B[k, free]) - 1) for k in kept]
     level = np.abs(10 * np.log10(A[kept][:, heard].sum(axis=1) / sums[kept]))
     (c, c_worst), (d, d_worst), (v, v_worst) = ((float(np.median(x)), float(np.max(x))) for x in (cents, decay, level))
-    return PartialErrors(c, c_worst, d, d_worst, v, v_worst, len(kept))
+    wave = waveform(ours[0], theirs[0], fs) if len(ours) == len(theirs) == 1 else (None, None)
+    return PartialErrors(c, c_worst, d, d_worst, v, v_worst, len(kept), *wave)
+
+
+def waveform(sound: Floats, truth: Floats, fs: float) -> tuple[float, float]:
+    """Relative error of a waveform in the first second, and the delay (s) that was taken out before.
+
+    The delay is the slope of the phase of X Y* over frequency, weighted by |X Y|, found anew twice after it is taken
+    out.
+    """
+    from scipy.fft import irfft, rfft, rfftfreq
+
+    n = min(len(sound), len(truth), round(fs))
+    window = np.hanning(n + 2)[1:-1]
+    x, y, freq = rfft(sound[:n] * window), rfft(truth[:n] * window), rfftfreq(n, 1 / fs)
+    if not (size := float(np.sum((truth[:n] * window) ** 2))):
+        return 0.0, 0.0
+    delay = 0.0
+    for _ in range(3):
+        pair = x * np.exp(2j * np.pi * freq * delay) * np.conj(y)
+        weight = np.abs(pair) * freq
+        delay -= float(np.sum(weight * np.angle(pair)) / np.sum(weight * freq)) / (2 * np.pi)
+    shifted = irfft(x * np.exp(2j * np.pi * freq * delay), n)
+    return float(np.sqrt(np.sum((shifted - truth[:n] * window) ** 2) / size)), delay
 
 
 def _partials(truth: Floats, fs: float, freq: float) -> list[float]:
@@ -113,14 +142,26 @@ def _detuning(t: Floats, a: Complexes, b: Complexes, freq: float) -> float:
 
 def _decay(t: Floats, energy: Floats) -> float:
     """Rate of a partial's energy (n_looks), nepers in the time there is: see `compare`."""
-    rates = np.concatenate([np.linspace(-10, 20, 121), np.geomspace(20, 500, 60)[1:]])
     span = (t - t[0]) / (t[-1] - t[0])
-    slopes = [_slope(span, np.exp(-rate * span)) for rate in rates]
-    return float(np.interp(-_slope(span, energy), np.negative(slopes), rates))
+    rates, slopes = _slopes_of_exponentials(span.tobytes())
+    return float(np.interp(-_slope(span, energy[None])[0], np.negative(slopes), rates))
 
 
-def _slope(t: Floats, energy: Floats) -> float:
-    """Of the level of the energy still to come, dB/s, weighted by its root."""
-    left = np.maximum(np.cumsum(energy[::-1])[::-1], 1e-300)
-    left /= left[0]
-    return float(np.polynomial.polynomial.polyfit(t, 10 * np.log10(left), 1, w=left**0.25)[1])
+@lru_cache(maxsize=8)
+def _slopes_of_exponentials(span: bytes) -> tuple[Floats, Floats]:
+    """Rates, and the slopes that exponentials of these rates have, for times (float64, 0 to 1)."""
+    t = np.frombuffer(span)
+    rates = np.concatenate([np.linspace(-10, 20, 121), np.geomspace(20, 500, 60)[1:]])
+    return rates, _slope(t, np.exp(-rates[:, None] * t))
+
+
+def _slope(t: Floats, energy: Floats) -> Floats:
+    """Slopes of the levels of the energy still to come (n, n_looks), dB per unit of t, weighted by its root."""
+    left = np.maximum(np.cumsum(energy[:, ::-1], axis=1)[:, ::-1], 1e-300)
+    left /= left[:, :1]
+    weight = np.sqrt(left)
+    level = 10 * np.log10(left)
+    total = weight.sum(axis=1)
+    mean = (weight @ t) / total
+    off = t - mean[:, None]
+    return np.asarray((weight * off * level).sum(axis=1) / (weight * off**2).sum(axis=1))

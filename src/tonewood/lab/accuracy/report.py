@@ -7,10 +7,13 @@ import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from tonewood.lab.accuracy import answer
 from tonewood.lab.accuracy.catalogue import Outcome
 from tonewood.lab.accuracy.tables import expectation, headline_tables, section, summary_table, to_json
 
 INTRODUCTION = """\
+## How it is measured
+
 Every method steps the same modes of the same system with the same compiler flags, so that their times can be compared:
 what differs is the integrator, and the level at which the connections are held together. All systems are held still by
 a constant force and let go; nothing but the method's own stepping then makes an error.
@@ -19,8 +22,10 @@ a constant force and let go; nothing but the method's own stepping then makes an
   rate are replaced by their compliance. *A sweep per sample* is the same scheme in the loop of the other methods.
 - **Adams-Bashforth 3** on Udwadia and Kalaba's equation in complex modes (Fabre et al. 2024), just above its limit of
   stability and further up; **velocity Verlet** on it in real modes (Antunes & Debut 2017).
-- **P0, P1, P2, trapezoidal, Simpson**: exact flow, the force from accelerations at sampling instants continued over the
-  step (Chinnakonda 2007). **Held force, velocity constraint** and **P1, position constraint** are two near neighbours.
+- **P0, P1, P2, trapezoidal, Simpson**: the updates of modes under known forces are those of Chinnakonda (2007); that
+  the force is found from a constraint on accelerations at sampling instants and continued over the step is this
+  project's construction, not the thesis's. **Held force, velocity constraint** and **P1, position constraint** are two
+  near neighbours.
 - **Newmark** (average acceleration) and **HHT-alpha**, accelerations of the gaps zero at the end of a step.
 - **Superposition** of the coupled modes of the whole: the floor, where everything is linear and nothing ever changes.
 
@@ -45,6 +50,27 @@ A time ratio at equal error is read from the Pareto line of each method, straigh
 between measured points. *Not reached*: no measured point of the method is that good. *Not stable*: none is stable.
 *Partials lost*: every stable one has lost some. Where methods stay stable at all, by modes, force and sampling rate:
 `tonewood accuracy --stability`."""
+
+READING = """\
+A cell has the cheapest setting of tonewood that was measured with an error no larger (sampling rate, or the highest
+mode of strings at 48 kHz), its seconds of computing per second of sound, and the best other method with its time as a
+multiple of ours. All methods step the same modes of the same system, compiled alike, so a multiple has two factors: the
+scheme, and cache blocking (modes are moved once per block of samples), which the other methods were not given. The
+second one alone is the ratio of *tonewood's scheme, a sweep per sample* in the [tables](accuracy-tables.md). *Velocity
+level* is that scheme with the velocities of a joint made equal instead of its positions: no published method, of second
+order, and unstable with modes above the Nyquist frequency.
+*Superposition* of the coupled modes has no error of pitch or waveform at any rate, as long as no stop, bend or contact
+changes; the eigenproblem of the whole is not in its time.
+
+For an instrument of your own: `tonewood accuracy -i INSTRUMENT --target 1cent` prints the cheapest setting, what it
+costs and the settings around it, with the own error of the reference that it judges by. Targets are pitch (`1cent`),
+decay (`5%decay`), level (`0.5dB`) and waveform (`-60dB`) of the worst partial, or several with commas; `--notes` names
+notes, `--plot` draws the frontier, and `--apply` prints the options alone:
+
+<!-- run in part: 20 s -->
+```sh
+echo $(tonewood accuracy -i monochord --target 1cent --apply)
+```"""
 
 SHORT = """\
 ## In short
@@ -91,31 +117,30 @@ class Study:
         return f"{m['processor']}, {m['system']}, {m['instruction_set']}, one core, measured peak {peak}"
 
     def markdown(self, picture: str | None = None) -> str:
-        """The page; `picture` is the path of the chart as seen from it."""
-        parts = [
-            "# What accuracy costs in time",
-            f"Printed by `tonewood accuracy{' --quick' * self.quick}`.",
-            INTRODUCTION,
-        ]
-        parts += [f"Machine: {self.machine_line}."]
-        if self.outcomes:
-            parts += [
-                SHORT,
-                summary_table(self.outcomes),
-                HEADLINE,
-                headline_tables(self.outcomes),
-            ]
+        """The page, without its appendix; `picture` is the path of the chart as seen from it."""
+        parts = ["# What does one cent cost?", answer.section(self.outcomes)]
         if picture is not None:
-            parts.append(f"![Error against time, a chart per system]({picture})")
+            parts.append(f"![Error against time, one system and one quantity a row]({picture})")
+        parts += [READING, self._made, *(text for text, _ in self.more.values()), INTRODUCTION]
+        return "\n\n".join(part for part in parts if part) + "\n"
+
+    def tables(self) -> str:
+        """The appendix: every point of every system."""
+        parts = ["# What accuracy costs: tables", self._made, SHORT, summary_table(self.outcomes)]
+        parts += [HEADLINE, headline_tables(self.outcomes)]
         parts += [expectation(o) for o in self.outcomes if o.name == "fabre_guitar"]
-        parts += [text for text, _ in self.more.values()]
         parts += [section(o).rstrip() for o in self.outcomes]
         return "\n\n".join(parts) + "\n"
+
+    @property
+    def _made(self) -> str:
+        command = f"tonewood accuracy{' --quick' * self.quick} --report FILE.md --plot FILE.png"
+        return f"Printed by `{command}`. Machine: {self.machine_line}; a shared one: compare times as ratios."
 
     def html(self, png: bytes) -> str:
         """The page with its picture inside."""
         chart = base64.b64encode(png).decode("ascii")
-        return _PAGE.format(body=_html(self.markdown(f"data:image/png;base64,{chart}")))
+        return _PAGE.format(body=_html(self.markdown(f"data:image/png;base64,{chart}") + "\n" + self.tables()))
 
 
 _PAGE = """<!DOCTYPE html>
@@ -138,6 +163,9 @@ def _html(text: str) -> str:
         if block.startswith("!["):
             label, _, source = block[2:-1].partition("](")
             out.append(f'<p><img alt="{html.escape(label)}" src="{html.escape(source)}"></p>')
+        elif block.startswith("<!--"):
+            code = "\n".join(line for line in lines if not line.startswith(("<!--", "```")))
+            out.append(f"<pre>{html.escape(code)}</pre>")
         elif block.startswith("#"):
             level = len(block) - len(block.lstrip("#"))
             out.append(f"<h{level}>{_inline(block.lstrip('# '))}</h{level}>")

@@ -16,6 +16,8 @@ from functools import partial
 import numpy as np
 
 from tonewood.errors import NumericalError
+from tonewood.lab.accuracy import attacks
+from tonewood.lab.accuracy.attacks import Attack, section
 from tonewood.lab.accuracy.cases import a2_case
 from tonewood.lab.accuracy.flat import Flat
 from tonewood.lab.accuracy.nonlinear import ExplicitRun, NonlinearCase, OwnRun
@@ -25,6 +27,15 @@ from tonewood.lab.accuracy.schemes import build
 from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems import string_and_body
 from tonewood.modal.string_modes import string_basis
+
+HEAD = """\
+# Can it become unstable?
+
+No scene tried has made energy, at any rate, stiffness or mass. The table has the hardest ones; below it, methods of the
+literature on two systems that are merely let go. Why it is so: [theory](theory.md). Printed by
+`tonewood accuracy --stability --report FILE.md`.
+
+## Attacks"""
 
 STABLE, GROWS, NAN = "stable", "grows", "NaN"
 #: energy beyond that of the pluck, as a factor; explicit methods vary by some tens of per cent while they are stable
@@ -78,6 +89,7 @@ class StabilityGrid:
 
     cells: Sequence[Cell]
     duration: float
+    attacks: Sequence[Attack] = ()
 
     def verdicts(self, method: str) -> list[str]:
         """Of one method."""
@@ -104,13 +116,14 @@ class StabilityGrid:
 
     def markdown(self) -> str:
         """A page of its own."""
-        head = "# Stability of methods\n\nPrinted by `tonewood accuracy --stability --report FILE.md`.\n\n"
-        return head + self.table().replace("\n### ", "\n## ")
+        head = f"{HEAD}\n\n{section(self.attacks)}\n\n## Methods of the literature\n\n"
+        return head + self.table()
 
     def to_json(self) -> dict[str, object]:
         """Plain data; an infinite growth is null."""
         cells = [asdict(cell) | {"growth": cell.growth if np.isfinite(cell.growth) else None} for cell in self.cells]
-        return {"duration_s": self.duration, "growth_limit": GROWTH, "cells": cells}
+        attacks = [asdict(a) | {"residual": a.residual if np.isfinite(a.residual) else None} for a in self.attacks]
+        return {"duration_s": self.duration, "growth_limit": GROWTH, "cells": cells, "attacks": attacks}
 
 
 def run(quick: bool = False, tell: Callable[[float], None] | None = None) -> StabilityGrid:
@@ -121,8 +134,9 @@ def run(quick: bool = False, tell: Callable[[float], None] | None = None) -> Sta
     for i, make in enumerate(makes):
         cells.append(make())
         if tell is not None:
-            tell((i + 1) / len(makes))
-    return StabilityGrid(cells, duration)
+            tell(0.3 * (i + 1) / len(makes))
+    made = attacks.run(quick=quick, tell=None if tell is None else lambda share: tell(0.3 + 0.7 * share))
+    return StabilityGrid(cells, duration, made)
 
 
 def _linear(quick: bool, duration: float) -> Iterator[Callable[[], Cell]]:

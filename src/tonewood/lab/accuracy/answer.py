@@ -1,0 +1,173 @@
+"""The first screen of the page: what an error costs on each system, by us, by the best other method, at least."""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tonewood.errors import TonewoodError
+from tonewood.lab.accuracy.catalogue import SLOW_ONLY, Outcome
+from tonewood.lab.accuracy.pareto import DIAL, OURS, PITCH, WAVEFORM, Measure, front, line, seconds_at, usual
+from tonewood.lab.accuracy.study import Point
+from tonewood.lab.accuracy.tables import markdown, number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: errors that are asked for: cents, relative
+TARGETS = {PITCH.name: (10.0, 1.0, 0.1, 0.01), WAVEFORM.name: (0.1, 0.01, 1e-3, 1e-4)}
+#: methods that are no peers: ours in another loop, the floor, and one that is Adams-Bashforth's with more modes
+NO_PEERS = (OURS, "held_position", "superposition", "ab3_paper")
+#: names in cells and on lines
+NAMES = {
+    OURS: "tonewood", "ab3": "AB3", "verlet": "Verlet", "newmark": "Newmark", "hht": "HHT", "p0": "P0", "p1": "P1",
+    "p2": "P2", "trapezoidal": "trapezoidal", "simpson": "Simpson", "held_velocity": "velocity level",
+    "superposition": "superposition",
+}  # fmt: skip
+#: rows of the chart: system and measure
+CHART = (("fabre_guitar", PITCH), ("classical_guitar", WAVEFORM), ("tension", WAVEFORM))
+#: methods drawn there
+DRAWN = (OURS, "ab3", "verlet", "newmark", "p1", "p2", "superposition")
+
+
+def cheapest(outcome: Outcome, measure: Measure, error: float) -> Point | None:
+    """Our cheapest measured point, of any dial, with an error no larger."""
+    found = [
+        p
+        for p in outcome.points
+        if p.method == OURS and p.stable == "stable" and np.isfinite(p.seconds) and measure.of(p) <= error
+    ]
+    return min(found, key=lambda p: p.seconds, default=None)
+
+
+def best_peer(outcome: Outcome, measure: Measure, error: float) -> tuple[str, float] | None:
+    """The other method that reaches an error in least time, and that time; None: none reaches it."""
+    methods = {p.method for p in outcome.points if p.dial == DIAL} - set(NO_PEERS)
+    times = {m: seconds_at(line(outcome.points, m, measure), error) for m in sorted(methods)}
+    reached = {m: t for m, t in times.items() if t is not None}
+    return min(reached.items(), key=lambda item: item[1], default=None)
+
+
+def floor(outcome: Outcome) -> float | None:
+    """Seconds that superposition takes; None where there is no such thing."""
+    return next((p.seconds for p in outcome.points if p.method == "superposition"), None)
+
+
+def verlet_is_quicker_above(outcome: Outcome) -> float | None:
+    """Return the error of the waveform above which velocity Verlet takes less time than we do; None: nowhere."""
+    ours, theirs = (line(outcome.points, m, WAVEFORM) for m in (OURS, "verlet"))
+    if not ours or not theirs:
+        return None
+    low, high = (max(front(points)[i][1] for points in (ours, theirs)) for i in (-1, 0))
+    errors = np.geomspace(low, high, 200)[::-1]
+    quicker = [(seconds_at(theirs, e) or np.inf) < (seconds_at(ours, e) or np.inf) for e in errors]
+    return float(errors[quicker.index(False) - 1]) if quicker[0] and False in quicker else None
+
+
+def table(outcomes: Sequence[Outcome], measure: Measure) -> str:
+    """A row per system, a column per error: setting, seconds per second, best other method as a ratio to that."""
+    rows = []
+    for o in outcomes:
+        if o.name in SLOW_ONLY or not any(np.isfinite(measure.of(p)) for p in o.points if p.method == OURS):
+            continue
+        cells = [_cell(o, measure, error) for error in TARGETS[measure.name]]
+        at_usual, least = usual(o.points, measure), floor(o)
+        ratio = "" if least is None or at_usual is None else f"{number(least)} s"
+        rows.append([f"`{o.name}`", *cells, ratio])
+    words = [f"{e:g} cent" if measure is PITCH else f"{100 * e:g} %" for e in TARGETS[measure.name]]
+    return markdown(["system", *words, "superposition"], rows)
+
+
+def _cell(outcome: Outcome, measure: Measure, error: float) -> str:
+    ours, peer = cheapest(outcome, measure, error), best_peer(outcome, measure, error)
+    if ours is None:
+        return "not measured" if peer is None else f"not measured; {NAMES[peer[0]]} {number(peer[1])} s"
+    shown = "none" if peer is None else f"{NAMES[peer[0]]} {number(peer[1] / ours.seconds)} x"
+    return f"{ours.value.removeprefix('strings solved ')}: {number(ours.seconds)} s; {shown}"
+
+
+def sentences(outcomes: Sequence[Outcome]) -> str:
+    """Return three sentences: the cost of one cent, that by other methods, and where others are the better choice."""
+    linear = [o for o in outcomes if o.name not in SLOW_ONLY and (floor(o) is not None or o.name == "classical_guitar")]
+    ours = [(o, p) for o in linear if (p := cheapest(o, PITCH, 1.0)) is not None]
+    out = []
+    if ours:
+        times = [p.seconds for _, p in ours]
+        peers = [t[1] / p.seconds for o, p in ours if (t := best_peer(o, PITCH, 1.0)) is not None]
+        out.append(
+            f"One cent, in the worst of a string's partials 1 to 40, costs {number(min(times))} to "
+            f"{number(max(times))} s of computing per second of sound on the linear systems here"
+            + (
+                f"; the best other method takes {number(min(peers))} to {number(max(peers))} times as long."
+                * bool(peers)
+            )
+        )
+        floors = [f / p.seconds for o, p in ours if (f := floor(o)) is not None]
+        if floors:
+            out.append(
+                "Where nothing ever changes, superposition of the coupled modes is exact and takes "
+                f"{number(min(floors))} to {number(max(floors))} times that."
+            )
+    rising = next((o for o in outcomes if o.name == "tension"), None)
+    above = None if rising is None else verlet_is_quicker_above(rising)
+    if above is not None:
+        out.append(f"With rising tension velocity Verlet is the quicker one for errors above {number(100 * above)} %.")
+    return " ".join(out)
+
+
+def section(outcomes: Sequence[Outcome]) -> str:
+    """Sentences and tables."""
+    parts = [textwrap.fill(sentences(outcomes), 120)]
+    for measure in (PITCH, WAVEFORM):
+        made = table(outcomes, measure)
+        if made.count("\n") > 1:
+            parts += [f"By the {measure.title}:", made]
+    return "\n\n".join(part for part in parts if part)
+
+
+def chart_png(outcomes: Sequence[Outcome], *, dpi: int = 120) -> bytes:
+    """One system and one quantity a row, a labelled line per method.
+
+    Raises
+    ------
+    TonewoodError : matplotlib is not installed.
+    """
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        raise TonewoodError('pictures need matplotlib: pip install "tonewood[plot]"', key="--plot") from None
+    mpl.use("Agg")
+    from matplotlib.figure import Figure
+
+    by_name = {o.name: o for o in outcomes}
+    rows = [(by_name[name], measure) for name, measure in CHART if name in by_name]
+    rows = rows or [(o, o.measures[0]) for o in outcomes]
+    figure = Figure(figsize=(9.0, 4.2 * len(rows)), layout="constrained")
+    for ax, (outcome, measure) in zip(figure.subplots(len(rows), 1, squeeze=False)[:, 0], rows, strict=True):
+        _row(ax, outcome, measure)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
+    return stream.getvalue()
+
+
+def _row(ax: Axes, outcome: Outcome, measure: Measure) -> None:
+    for i, method in enumerate(DRAWN):
+        points = [(s, e) for s, e in line(outcome.points, method, measure) if e > 0]
+        if not points:
+            continue
+        ours = method == OURS
+        seconds, errors = zip(*points, strict=True)
+        ax.plot(
+            seconds, errors, "o-", color="black" if ours else f"C{i}", lw=3 if ours else 2, ms=7, label=NAMES[method]
+        )
+    ax.set(xscale="log", yscale="log")
+    ax.set_title(outcome.title, fontsize=15)
+    ax.set_xlabel("s of computing per s of sound", fontsize=14)
+    ax.set_ylabel("pitch, cents" if measure is PITCH else "waveform, relative", fontsize=14)
+    ax.tick_params(labelsize=13)
+    ax.grid(which="major", alpha=0.3)
+    ax.legend(fontsize=13, loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -1,0 +1,157 @@
+"""Results of `target.search` as text, JSON and charts."""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from tonewood.errors import TonewoodError
+from tonewood.lab.accuracy.tables import markdown, number
+from tonewood.lab.accuracy.target import NAMES, Frontier, Tried, Worst
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: measure -> heading, factor from its unit to that of the heading
+HEADS = {
+    "cents": ("pitch, cents", 1.0),
+    "decay": ("decay, %", 100.0),
+    "level": ("level, dB", 1.0),
+    "waveform": ("waveform, dB", 1.0),
+}
+
+
+def summary(found: Frontier) -> str:
+    """The answer first, then what it rests on, then the table."""
+    lines = [_answer(found), "", *_ground(found), "", table(found)]
+    return "\n".join(lines)
+
+
+def _answer(found: Frontier) -> str:
+    best, default = found.cheapest, found.default
+    asked = f"{found.target.text} on {found.instrument} ({', '.join(found.notes)})"
+    if best is None:
+        near = found.nearest
+        if not found.target.met(found.own):
+            return f"{asked}: no setting can be shown to meet it; the reference itself is not known so well, see below."
+        return f"{asked}: no setting tried meets it. The nearest: {near.setting.words} ({_worded(near.errors)})."
+    ratio = best.seconds / default.seconds
+    meets = "meets it, too" if default.met else "does not meet it"
+    return (
+        f"{asked}: {best.setting.words}\n"
+        f"It takes {number(best.seconds, 3)} s of computing per second of sound, {number(ratio, 2)} times what a "
+        f"render without options takes, which {meets} ({_worded(default.errors)})."
+    )
+
+
+def _ground(found: Frontier) -> list[str]:
+    out = [
+        f"Errors: worst partial of the first twenty within 40 dB of the loudest, worst note, 2 s at {found.fs} Hz, "
+        f"against {found.reference:g} steps per frame{' with all effects' if found.default.setting.effects else ''}.",
+        f"The reference's own error, by Richardson's extrapolation: {_worded(found.own)}. It is added before an error "
+        "is held against the target.",
+        "Part of the instrument and in no error: the limit of its strings' modes; twice as high, it would change "
+        f"{_worded(found.modes)}.",
+    ]
+    if found.strokes > 1:
+        out.append(
+            f"A thousandth more force changes these notes: compared are means over {found.strokes} strokes, and what "
+            "two halves of the reference's strokes differ by counts as its own error."
+        )
+    return out
+
+
+def table(found: Frontier) -> str:
+    """A row per setting, from cheap to dear: `>` the cheapest that meets the target; `*` errors on the frontier."""
+    rows = []
+    for t in found.tried:
+        cells = [f"{_shown(t.errors, name)}{'*' if found.on_front(t, name) else ''}" for name in NAMES]
+        mark = ">" if t is found.cheapest else "yes" if t.met else ""
+        budgets = (
+            t.setting.effects or "" if t.setting.budgets is None else "{:g} cents, {:g} dB".format(*t.setting.budgets)
+        )
+        given = [f"{t.setting.oversampling:g}", f"{t.highest / 1e3:.3g}", budgets, str(t.n_modes), *cells]
+        rows.append([mark, *given, number(t.seconds, 3), number(t.seconds / found.default.seconds, 2)])
+    heads = ["meets", "oversampling", "modes to, kHz", "effects", "modes", *(h for h, _ in HEADS.values())]
+    note = "`>`: the cheapest that meets the target. `*`: no cheaper one has as small an error."
+    return f"{markdown([*heads, 's per s', 'time ratio'], rows, left=1)}\n\n{note}"
+
+
+def _shown(errors: Worst, name: str) -> str:
+    value = getattr(errors, name)
+    if value is None:
+        return "–"
+    return f"{20 * math.log10(value):.0f}" if name == "waveform" and value > 0 else number(HEADS[name][1] * value)
+
+
+def _worded(errors: Worst) -> str:
+    units = {"cents": " cent", "decay": " % of the decay", "level": " dB", "waveform": " dB of the waveform"}
+    return ", ".join(_shown(errors, name) + unit for name, unit in units.items() if getattr(errors, name) is not None)
+
+
+def to_json(found: Frontier) -> dict[str, object]:
+    """Everything, with the options of the cheapest setting."""
+    best = found.cheapest
+    return asdict(found) | {"apply": None if best is None else best.setting.words}
+
+
+def chart_png(found: Frontier, *, dpi: int = 120) -> bytes:
+    """One quantity a row: error against time, the frontier drawn as a line.
+
+    Raises
+    ------
+    TonewoodError : matplotlib is not installed.
+    """
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        raise TonewoodError('pictures need matplotlib: pip install "tonewood[plot]"', key="--plot") from None
+    mpl.use("Agg")
+    from matplotlib.figure import Figure
+
+    shown = [name for name in NAMES if any(getattr(t.errors, name) for t in found.tried)]
+    figure = Figure(figsize=(8.0, 3.0 * len(shown)), layout="constrained")
+    axes = figure.subplots(len(shown), 1, squeeze=False, sharex=True)[:, 0]
+    for ax, name in zip(axes, shown, strict=True):
+        _row(ax, found, name)
+    axes[-1].xaxis.set_major_formatter("{x:g}")
+    axes[-1].xaxis.set_minor_formatter("{x:.2g}")
+    axes[-1].tick_params(axis="x", which="both", labelsize=12)
+    axes[-1].set_xlabel("s of computing per s of sound", fontsize=14)
+    figure.suptitle(f"{found.instrument}: {', '.join(found.notes)}", fontsize=14)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
+    return stream.getvalue()
+
+
+def _row(ax: Axes, found: Frontier, name: str) -> None:
+    heading, factor = HEADS[name]
+    points = [(t, factor * e) for t in found.tried if (e := getattr(t.errors, name))]
+    ax.plot([t.seconds for t, _ in points], [e for _, e in points], "o", color="0.6", ms=6)
+    front = [(t, e) for t, e in points if found.on_front(t, name)]
+    ax.plot([t.seconds for t, _ in front], [e for _, e in front], "o-", color="C0", lw=2, ms=8)
+    for t, e in front:
+        ax.annotate(_label(t), (t.seconds, e), xytext=(6, 6), textcoords="offset points", fontsize=12)
+    best = found.cheapest
+    if best is not None and (error := getattr(best.errors, name)):
+        ax.plot(best.seconds, factor * error, "o", color="C3", ms=14, mfc="none", mew=2.5)
+    for value, style, text in (
+        (getattr(found.target.limits, name), "-", "target"),
+        (getattr(found.own, name), ":", "the reference's own error"),
+    ):
+        if value:
+            ax.axhline(factor * value, color="C3" if style == "-" else "0.3", ls=style, lw=1.5)
+            ax.annotate(
+                text, (0.995, factor * value), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=11
+            )
+    ax.set(xscale="log", yscale="log")
+    ax.set_ylabel("waveform" if name == "waveform" else heading, fontsize=14)
+    ax.tick_params(labelsize=12)
+    ax.margins(0.12, 0.25)
+    ax.grid(which="major", alpha=0.3)
+
+
+def _label(t: Tried) -> str:
+    return f"{t.setting.oversampling:g}x, {t.highest / 1e3:.3g} kHz"

@@ -1,0 +1,165 @@
+"""The cheapest setting that meets a target: how targets are read, what a reference is worth, what is found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tonewood as tw
+from midi_bytes import note, write
+from tonewood.cli.main import run
+from tonewood.lab.accuracy import target_report
+from tonewood.lab.accuracy.partials import compare
+from tonewood.lab.accuracy.target import Frontier, Setting, Target, Tried, Worst, cases_of, search
+
+FS = 24000
+
+
+@pytest.mark.parametrize(
+    ("text", "limits"),
+    [
+        ("1cent", Worst(cents=1.0)),
+        ("0.1 cents", Worst(cents=0.1)),
+        ("5%decay", Worst(decay=0.05)),
+        ("0.5dB", Worst(level=0.5)),
+        ("-60dB", Worst(waveform=1e-3)),
+        ("1cent, 5% decay,-40 dB", Worst(cents=1.0, decay=0.05, waveform=0.01)),
+    ],
+)
+def test_targets_are_read(text: str, limits: Worst) -> None:
+    assert Target.parse(text).limits == limits
+
+
+@pytest.mark.parametrize("text", ["", "1", "1Hz", "-1cent", "0dB", "1cent,", "nan cent", "5%"])
+def test_what_is_no_target_is_said(text: str) -> None:
+    with pytest.raises(tw.TonewoodError, match=r"1cent, 5%decay, 0\.5dB, -60dB or several with commas are allowed"):
+        Target.parse(text)
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0, 4.0])
+def test_the_own_error_of_a_reference_is_found_from_coarser_ones(order: float) -> None:
+    """Errors of h^order, seen against a reference that has some itself."""
+    true = {h: 3.0 * h**order for h in (1.0, 2.0, 4.0)}
+    half, quarter = (Worst(cents=true[h] - true[1.0]) for h in (2.0, 4.0))
+    assert Worst.own(half, quarter).cents == pytest.approx(true[1.0])
+    assert Worst.own(half, quarter).level is None
+
+
+def test_an_error_that_is_not_known_meets_no_target() -> None:
+    assert not Target.parse("-60dB").met(Worst(0.0, 0.0, 0.0, None))
+    assert Target.parse("1cent").met(Worst(0.9, None, None, None))
+
+
+def test_the_frontier_has_what_nothing_cheaper_reaches() -> None:
+    tried = tuple(Tried(Setting(1.0), Worst(cents=e), e < 0.4, s, 1, 1.0) for s, e in ((1, 0.5), (2, 0.6), (3, 0.1)))
+    found = Frontier("x", Target.parse("0.4cent"), ("A",), 48000, 1e4, tried, 8.0, Worst(), Worst(), 1, tried[0])
+    assert [found.on_front(t, "cents") for t in tried] == [True, False, True]
+    assert found.cheapest is tried[2]
+
+
+@pytest.mark.parametrize(
+    ("own", "said"), [(0.1, "no setting tried meets it. The nearest:"), (1.0, "not known so well")]
+)
+def test_a_target_below_the_reference_is_said(own: float, said: str) -> None:
+    tried = (Tried(Setting(1.0), Worst(0.5, 0.0, 0.0, 0.1), False, 1.0, 1, 1e4),)
+    target, known = Target.parse("0.4cent"), Worst(own, 0.0, 0.0, 0.0)
+    found = Frontier("x", target, ("A",), 48000, 1e4, tried, 8.0, known, Worst(), 1, tried[0])
+    assert said in target_report.summary(found).splitlines()[0]
+
+
+def test_notes_that_cannot_be_played_are_said() -> None:
+    monochord = tw.load_instrument("monochord")
+    with pytest.raises(tw.TonewoodError, match="there is no string 'E2'; there is A2"):
+        cases_of(monochord, ["E2"], 48000)
+    with pytest.raises(tw.TonewoodError, match="STRING or STRING:STOP is allowed"):
+        cases_of(monochord, ["A2:x"], 48000)
+    with pytest.raises(tw.TonewoodError, match="A2:99 cannot be played"):
+        cases_of(monochord, ["A2:99"], 48000)
+
+
+@pytest.fixture(scope="module")
+def monochord() -> Frontier:
+    return search(tw.load_instrument("monochord"), Target.parse("2cent,1dB"), notes=["A2:5"], fs=FS, bandwidth=5e3)
+
+
+def test_the_setting_found_meets_the_target_against_another_reference(monochord: Frontier) -> None:
+    """Six steps per frame, which the search does not use; the next cheaper setting does not meet it."""
+    (case,) = cases_of(tw.load_instrument("monochord"), ["A2:5"], FS)
+    truth = case.strokes({"oversampling": 6.0})
+    assert monochord.cheapest is not None
+    best = case.errors(case.strokes(monochord.cheapest.setting.options), truth)
+    assert best.cents_worst < 2.0
+    assert best.level_worst < 1.0
+    for cheaper in monochord.tried[: monochord.tried.index(monochord.cheapest)]:
+        errors = case.errors(case.strokes(cheaper.setting.options), truth)
+        assert errors.cents_worst > 2.0 or errors.level_worst > 1.0
+
+
+def test_the_own_error_of_the_reference_is_of_the_right_size(monochord: Frontier) -> None:
+    """Against twice as many steps as the reference has."""
+    (case,) = cases_of(tw.load_instrument("monochord"), ["A2:5"], FS)
+    reference, finer = (case.strokes({"oversampling": k * monochord.reference}).sounds for k in (1.0, 2.0))
+    freq = 110.0 * 2 ** (5 / 12)
+    error = compare(reference[:, FS // 10 :], finer[:, FS // 10 :], FS, freq)
+    assert monochord.own.level == pytest.approx(error.level_worst, rel=0.5)
+    assert monochord.own.cents == pytest.approx(error.cents_worst, rel=0.5)
+
+
+def test_text_json_and_chart(monochord: Frontier) -> None:
+    text = target_report.summary(monochord)
+    assert monochord.cheapest is not None
+    assert text.splitlines()[0].endswith(monochord.cheapest.setting.words)
+    assert text.count("\n| ") == len(monochord.tried) + 2
+    plain = json.loads(json.dumps(target_report.to_json(monochord)), parse_constant=pytest.fail)
+    assert plain["apply"] == monochord.cheapest.setting.words
+    pytest.importorskip("matplotlib")
+    assert target_report.chart_png(monochord, dpi=20).startswith(b"\x89PNG")
+
+
+def test_options_it_prints_are_those_of_render(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def call(*arguments: object) -> str:
+        with pytest.raises(SystemExit) as ended:
+            run(list(map(str, arguments)))
+        out, err = capsys.readouterr()
+        assert (ended.value.code, err) == (0, "")
+        return out
+
+    asked = ("accuracy", "-i", "monochord", "--target", "1cent", "--notes", "A2", "--fs", 16000)
+    words = call(*asked, "--bandwidth", 3000, "--apply").split()
+    assert words[0] == "--oversampling"
+    score = write(tmp_path / "a.mid", note(0.0, 0.1, 45))
+    call("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.1, "--fs", 16000, *words)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["-i", "monochord"], "--target: is missing"),
+        (["-i", "monochord", "--target", "1Hz"], "--target: is '1Hz'"),
+        (["-i", "monochord", "--target", "1cent", "--quick"], "of another comparison"),
+        (["-i", "monochord", "--target", "1cent", "--bandwidth", "90000"], "--bandwidth: is 90000 Hz; up to 86400"),
+        (["-i", "monochord", "--target", "1cent", "--fs", "1"], "--fs: is 1 Hz; 8000 to 768000 are allowed"),
+        (["--target", "1cent"], "need -i INSTRUMENT"),
+    ],
+)
+def test_refusals_are_one_line(options: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run(["accuracy", *options])
+    out, err = capsys.readouterr()
+    assert (ended.value.code, out, err.count("\n")) == (2, "", 1)
+    assert said in err
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize("name", ["steel_guitar", "tanpura", "buzzing_monochord"])
+def test_instruments_that_are_not_linear(name: str) -> None:
+    instrument = tw.load_instrument(name)
+    found = search(instrument, Target.parse("5cent,8dB"), notes=[instrument.string_names[0]])
+    assert found.cheapest is not None
+    assert np.isfinite(found.own.cents or np.nan)
+    assert (found.strokes > 1) == (name == "buzzing_monochord")
+    budgeted = [t for t in found.tried if t.setting.budgets is not None]
+    assert bool(budgeted) == (name == "steel_guitar")
