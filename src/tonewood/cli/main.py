@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import suppress
+from difflib import get_close_matches
 from itertools import pairwise
 from typing import NoReturn
 
@@ -73,10 +74,13 @@ def _print_error(given: list[str], kind: str, fault: TonewoodError, code: int) -
 def _usage(error: Exception, given: list[str]) -> str:
     """One line for a wrong argument, with the option that it resembles and the command to ask."""
     text = " ".join((error.format_message() if hasattr(error, "format_message") else str(error)).split())
-    if hasattr(error, "possibilities"):  # of an option that there is not
-        option = str(getattr(error, "option_name", ""))
-        hint = did_you_mean(option, error.possibilities or ()).replace("did", "Did")
-        text = f"No such option: {option}. {hint}".strip()
+    if hasattr(error, "option_name") and hasattr(error, "possibilities"):
+        hint = did_you_mean(str(error.option_name), error.possibilities or ()).replace("did", "Did")
+        text = f"No such option: {error.option_name}. {hint}".strip()
+    elif hasattr(error, "command_name"):  # click 8.4 and later, where typer does not bring its own
+        close = get_close_matches(str(error.command_name), COMMANDS, n=1)
+        hint = f"Did you mean '{close[0]}'?" if close else ""
+        text = f"No such command '{error.command_name}'. {hint}".strip()
     command = " ".join(["tonewood", *(name for name in given[:1] if name in COMMANDS), "-h"])
     return f"{text if text.endswith(('.', '?')) else text + '.'} See: {command}"
 
