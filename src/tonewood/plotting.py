@@ -252,6 +252,13 @@ def save(made: Figure, path: Path, *, make_folder: bool = False) -> Path:
     return path
 
 
+def png(made: Figure, dpi: float = 110) -> bytes:
+    """A figure as PNG."""
+    stream = io.BytesIO()
+    made.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
+    return stream.getvalue()
+
+
 def svg(made: Figure) -> bytes:
     """A figure as SVG, the same bytes for the same figure."""
     import matplotlib as mpl

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tonewood.errors import TonewoodError
 from tonewood.lab.accuracy.catalogue import SLOW_ONLY, Outcome
 from tonewood.lab.accuracy.pareto import DIAL, OURS, PITCH, WAVEFORM, Measure, front, line, seconds_at, usual
 from tonewood.lab.accuracy.study import Point
 from tonewood.lab.accuracy.tables import markdown, number
+from tonewood.plotting import COLOURS, LINE, figure, legend_above, png, title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,8 +29,9 @@ NAMES = {
 }  # fmt: skip
 #: rows of the chart: system and measure
 CHART = (("fabre_guitar", PITCH), ("classical_guitar", WAVEFORM), ("tension", WAVEFORM))
-#: methods drawn there
+#: methods drawn there, and marks of all but the first
 DRAWN = (OURS, "ab3", "verlet", "newmark", "p1", "p2", "superposition")
+MARKS = ("s", "^", "v", "D", "P", "*", "X")
 
 
 def cheapest(outcome: Outcome, measure: Measure, error: float) -> Point | None:
@@ -129,45 +129,33 @@ def section(outcomes: Sequence[Outcome]) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def chart_png(outcomes: Sequence[Outcome], *, dpi: int = 120) -> bytes:
+def chart_png(outcomes: Sequence[Outcome], *, dpi: int = 110) -> bytes:
     """One system and one quantity a row, a labelled line per method.
 
     Raises
     ------
     TonewoodError : matplotlib is not installed.
     """
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise TonewoodError('pictures need matplotlib: pip install "tonewood[plot]"', key="--plot") from None
-    mpl.use("Agg")
-    from matplotlib.figure import Figure
-
     by_name = {o.name: o for o in outcomes}
     rows = [(by_name[name], measure) for name, measure in CHART if name in by_name]
     rows = rows or [(o, o.measures[0]) for o in outcomes]
-    figure = Figure(figsize=(9.0, 4.2 * len(rows)), layout="constrained")
-    for ax, (outcome, measure) in zip(figure.subplots(len(rows), 1, squeeze=False)[:, 0], rows, strict=True):
+    made, axes = figure(len(rows), heights=[4.6] * len(rows))
+    for ax, (outcome, measure) in zip(axes[:, 0], rows, strict=True):
         _row(ax, outcome, measure)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
-    return stream.getvalue()
+    legend_above(made, axes[0, 0])
+    return png(made, dpi)
 
 
 def _row(ax: Axes, outcome: Outcome, measure: Measure) -> None:
-    for i, method in enumerate(DRAWN):
-        points = [(s, e) for s, e in line(outcome.points, method, measure) if e > 0]
-        if not points:
-            continue
+    others = iter(zip(COLOURS, MARKS, strict=True))
+    for method in DRAWN:
         ours = method == OURS
-        seconds, errors = zip(*points, strict=True)
-        ax.plot(
-            seconds, errors, "o-", color="black" if ours else f"C{i}", lw=3 if ours else 2, ms=7, label=NAMES[method]
-        )
+        colour, mark = (COLOURS[-1], "o") if ours else next(others)
+        points = [(s, e) for s, e in line(outcome.points, method, measure) if e > 0]
+        seconds, errors = zip(*points, strict=True) if points else ((), ())
+        ax.plot(seconds, errors, mark, ls="-", color=colour, lw=3.5 if ours else LINE, ms=9, label=NAMES[method])
     ax.set(xscale="log", yscale="log")
-    ax.set_title(outcome.title, fontsize=15)
-    ax.set_xlabel("s of computing per s of sound", fontsize=14)
-    ax.set_ylabel("pitch, cents" if measure is PITCH else "waveform, relative", fontsize=14)
-    ax.tick_params(labelsize=13)
+    title(ax, outcome.title)
+    ax.set_xlabel("s of computing per s of sound")
+    ax.set_ylabel("pitch, cents" if measure is PITCH else "waveform, relative")
     ax.grid(which="major", alpha=0.3)
-    ax.legend(fontsize=13, loc="center left", bbox_to_anchor=(1.0, 0.5))

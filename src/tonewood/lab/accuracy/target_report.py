@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from tonewood.errors import TonewoodError
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.accuracy.target import NAMES, Frontier, Tried, Worst
+from tonewood.plotting import COLOURS, LINE, SMALL, figure, png, title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,58 +97,63 @@ def to_json(found: Frontier) -> dict[str, object]:
     return asdict(found) | {"apply": None if best is None else best.setting.words}
 
 
-def chart_png(found: Frontier, *, dpi: int = 120) -> bytes:
-    """One quantity a row: error against time, the frontier drawn as a line.
+def chart_png(found: Frontier, *, dpi: int = 110) -> bytes:
+    """One quantity a row: error against time, the frontier drawn as a line with the numbers of its settings.
 
     Raises
     ------
     TonewoodError : matplotlib is not installed.
     """
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise TonewoodError('pictures need matplotlib: pip install "tonewood[plot]"', key="--plot") from None
-    mpl.use("Agg")
-    from matplotlib.figure import Figure
-
     shown = [name for name in NAMES if any(getattr(t.errors, name) for t in found.tried)]
-    figure = Figure(figsize=(8.0, 3.0 * len(shown)), layout="constrained")
-    axes = figure.subplots(len(shown), 1, squeeze=False, sharex=True)[:, 0]
-    for ax, name in zip(axes, shown, strict=True):
-        _row(ax, found, name)
-    axes[-1].xaxis.set_major_formatter("{x:g}")
-    axes[-1].xaxis.set_minor_formatter("{x:.2g}")
-    axes[-1].tick_params(axis="x", which="both", labelsize=12)
-    axes[-1].set_xlabel("s of computing per s of sound", fontsize=14)
-    figure.suptitle(f"{found.instrument}: {', '.join(found.notes)}", fontsize=14)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
-    return stream.getvalue()
+    made, axes = figure(len(shown), heights=[3.6] * len(shown), sharex=True)
+    best = [t for t in sorted(found.tried, key=lambda t: t.seconds) if any(found.on_front(t, name) for name in shown)]
+    numbers = {id(t): i for i, t in enumerate(best, 1)}
+    for ax, name in zip(axes[:, 0], shown, strict=True):
+        _row(ax, found, name, numbers)
+    for i, t in enumerate(best, 1):
+        axes[0, 0].plot([], [], marker=f"${i}$", ls="", color="black", ms=11, label=_label(t))
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    made.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=SMALL)
+    from matplotlib.ticker import LogLocator, NullFormatter  # `figure` has refused where there is none
+
+    last = axes[-1, 0]
+    last.xaxis.set_major_formatter("{x:g}")
+    last.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    last.xaxis.set_minor_formatter(NullFormatter())
+    last.set_xlabel("s of computing per s of sound")
+    title(axes[0, 0], f"{found.instrument}: {', '.join(found.notes)}")
+    return png(made, dpi)
 
 
-def _row(ax: Axes, found: Frontier, name: str) -> None:
+def _row(ax: Axes, found: Frontier, name: str, numbers: Mapping[int, int]) -> None:
     heading, factor = HEADS[name]
     points = [(t, factor * e) for t in found.tried if (e := getattr(t.errors, name))]
-    ax.plot([t.seconds for t, _ in points], [e for _, e in points], "o", color="0.6", ms=6)
+    ax.plot([t.seconds for t, _ in points], [e for _, e in points], "o", color="0.6", ms=7)
     front = [(t, e) for t, e in points if found.on_front(t, name)]
-    ax.plot([t.seconds for t, _ in front], [e for _, e in front], "o-", color="C0", lw=2, ms=8)
-    for t, e in front:
-        ax.annotate(_label(t), (t.seconds, e), xytext=(6, 6), textcoords="offset points", fontsize=12)
+    ax.plot([t.seconds for t, _ in front], [e for _, e in front], "o-", color=COLOURS[0], lw=LINE, ms=9)
+    for i, (t, e) in enumerate(sorted(front, key=lambda point: point[0].seconds)):
+        at = (t.seconds, e)
+        above = (0, -22 if i % 2 else 9)
+        ax.annotate(str(numbers[id(t)]), at, xytext=above, ha="center", textcoords="offset points", fontsize=SMALL)
     best = found.cheapest
     if best is not None and (error := getattr(best.errors, name)):
-        ax.plot(best.seconds, factor * error, "o", color="C3", ms=14, mfc="none", mew=2.5)
+        ax.plot(best.seconds, factor * error, "o", color=COLOURS[1], ms=17, mfc="none", mew=3)
     for value, style, text in (
         (getattr(found.target.limits, name), "-", "target"),
         (getattr(found.own, name), ":", "the reference's own error"),
     ):
         if value:
-            ax.axhline(factor * value, color="C3" if style == "-" else "0.3", ls=style, lw=1.5)
+            ax.axhline(factor * value, color=COLOURS[1] if style == "-" else "0.3", ls=style, lw=LINE)
             ax.annotate(
-                text, (0.995, factor * value), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=11
+                text,
+                (0.995, factor * value),
+                xycoords=("axes fraction", "data"),
+                ha="right",
+                va="bottom",
+                fontsize=SMALL,
             )
     ax.set(xscale="log", yscale="log")
-    ax.set_ylabel("waveform" if name == "waveform" else heading, fontsize=14)
-    ax.tick_params(labelsize=12)
+    ax.set_ylabel("waveform" if name == "waveform" else heading)
     ax.margins(0.12, 0.25)
     ax.grid(which="major", alpha=0.3)
 
