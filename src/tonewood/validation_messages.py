@@ -46,7 +46,7 @@ def first_message(error: ValidationError, model: type[BaseModel]) -> tuple[str, 
     key of earlier versions is answered by the model's mapping `removed`, a number beyond its bounds by these in units.
     """
     faults = error.errors(include_url=False)
-    fault = next((f for f in faults if _misspelt(f, faults)), faults[0])
+    fault = next((f for f in faults if _misspelt(f, faults)), _within(faults))
     keys, owners = _walk(fault["loc"], model)
     kind, reason = fault["type"], _RAISED.sub("", fault["msg"])
     if kind == "extra_forbidden":
@@ -64,6 +64,8 @@ def first_message(error: ValidationError, model: type[BaseModel]) -> tuple[str, 
     if named:
         return named[1], reason[named.end() :]
     same_place = [f["msg"] for f in faults if _walk(f["loc"], model)[0] == keys]  # members of a union
+    if kind in _BOUNDS:  # of a number: it is no other member
+        same_place = [fault["msg"]]
     first, *others = dict.fromkeys(_RAISED.sub("", text) for text in same_place)
     return ".".join(keys), "; or ".join([first, *map(_lower_first, others)]) + _shown(fault)
 
@@ -81,14 +83,23 @@ def _walk(loc: Sequence[int | str], model: type[BaseModel]) -> tuple[list[str], 
         elif tagged := [m for m in models if part in _tags(m)]:
             owners = here = tagged
             continue
-        elif containers := [a for a in here if get_origin(a) in _CONTAINERS]:
+        elif containers := [a for a in here if _holds(a, part)]:
             here = [t for c in containers for t in _members(get_args(c)[-1])]
-        elif models:
+        elif named := [m for m in models if part == m.__name__ and len(here) > 1]:  # a member of a union
+            owners = here = named
+            continue
+        elif models and len(models) == len(here):
             owners, here = models, []
         else:  # name of a union's member, e.g. "float" or "list[str]"
             continue
         keys.append(str(part))
     return keys, owners
+
+
+def _holds(annotation: Any, part: int | str) -> bool:
+    """Whether a list or mapping may have a member of that number or name."""
+    origin = get_origin(annotation)
+    return origin in _CONTAINERS and (isinstance(part, int) or origin in (dict, Mapping))
 
 
 def _fields(model: type[BaseModel]) -> dict[int | str, Any]:
@@ -121,6 +132,14 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     spelt = {word.lower().rpartition(".")[2]: word for word in known}
     close = difflib.get_close_matches(name.lower().rpartition(".")[2], spelt, n=1, cutoff=0.7)
     return f"did you mean {spelt[close[0]]}? " if close else ""
+
+
+def _within(faults: Sequence[Any]) -> Any:
+    """First fault, or the first one inside a mapping that is no number, where a union allows both."""
+    first = faults[0]
+    if isinstance(first["input"], Mapping) and first["type"].endswith("_type"):
+        return next((f for f in faults if f["loc"][:-2] == first["loc"][:-1]), first)
+    return first
 
 
 def _misspelt(fault: Any, faults: Sequence[Any]) -> bool:
