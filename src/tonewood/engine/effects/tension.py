@@ -378,9 +378,10 @@ def _partners(system: System, law: TensionModulation | GeometricStretch) -> list
 def potential(system: System, state: State, name: str) -> float:
     """Energy that a string's rising tension stores besides its modes when it is on, J.
 
-    Without longitudinal motion EA/(8 L) S^2; with it, the energy of the coupling, which may be negative.
+    Without longitudinal motion psi^2 / 2, which is EA/(8 L) S^2 where it was off; with it, the energy of the coupling,
+    which may be negative.
     """
-    law = next(t for t in system.rising if t.name == name)
+    index, law = next((i, t) for i, t in enumerate(system.rising) if t.name == name)
     parts = law.parts if isinstance(law, GeometricStretch) else law.components
     stretch = kappa = 0.0
     shares, coordinates = [], []
@@ -395,7 +396,8 @@ def potential(system: System, state: State, name: str) -> float:
             coordinates.append(compiled.geometric.coordinates(x.T))
     if shares:
         return _coupled(tuple(shares)).energy(np.concatenate(coordinates))
-    return 0.5 * kappa * stretch**2
+    excess = state.tension[index, 3] if state.tension.size else 0.0
+    return float(0.5 * (np.sqrt(kappa) * stretch + excess) ** 2)
 
 
 #: forms of strings as they are held: large, and needed again
