@@ -153,7 +153,6 @@ bool Kernel::load_nonlinear(const NonlinearDescription& d) {
 }
 
 bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed) {
-    const std::size_t m = model_.solve.m;
     Tensions& t = model_.tensions;
     std::vector<int> before = std::move(t.components);
     bool changed = components_changed || t.strings.size() != d.strings.size();
@@ -172,14 +171,11 @@ bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed
             c.tension.on = true;
             t.components.push_back(i);
         }
-        t.strings.push_back({string.index, string.kappa, string.slots});
+        Tensions::String loaded;
+        loaded.index = string.index, loaded.kappa = string.kappa, loaded.components = string.slots;
+        t.strings.push_back(std::move(loaded));
     }
-    changed = changed || before != t.components;
-    if (d.strings.empty()) return changed;
-    expect("tensions.matrix", d.matrix, {m, m});
-    expect("tensions.offset", d.offset, {m});
-    changed |= assign(t.matrix, d.matrix);
-    return assign(t.offset, d.offset) || changed;
+    return changed || before != t.components;
 }
 
 void Kernel::load(const CompiledSystem& system) {
@@ -203,7 +199,7 @@ void Kernel::load(const CompiledSystem& system) {
         make_buffers(model.components, model.nonlinear, capacity_, model.contacts);
     }
     if (changed || linear || contacts || tensions) {
-        make_tensions(model.components, model.solve, model.layout, model.tensions, capacity_, model.nonlinear, model.tension);
+        make_tensions(model.components, model.layout, model.tensions, capacity_, model.nonlinear, model.tension);
         reset_responses(model.nonlinear, model.layout, model.contacts);
     }
     loaded_ = true;
@@ -217,6 +213,9 @@ Fault Kernel::run(const Job& job) {
     for (const Injection& in : job.injections)
         require(in.slot >= 0 && std::size_t(in.slot) < model_.components.size(),
                 "injections: no component " + std::to_string(in.slot));
+    require(model_.tensions.strings.empty() || (job.phase >= 0 && (job.phase == 0 || job.phase + job.n <= kSettled)),
+            "phase: with rising tensions a run that begins between two multiples of " + std::to_string(kSettled) +
+                " samples ends at the next one");
     return table_.run(model_, job);
 }
 
