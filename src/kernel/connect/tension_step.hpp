@@ -22,26 +22,35 @@ public:
         tensions_.begin_sample(b);
         direct_(block_.line(b), now);
         tensions_.couple(now);
-        if (!laws_.any() || laws_.idle(b, [&] { tensions_.add_to_ports(now); })) {
-            if (!laws_.any()) tensions_.add_to_ports(now);
-            if (layout_.own_port.empty()) {
-                linear_forces(b);
-                tensions_.add_to_linear(block_.f.data());
-                std::copy_n(block_.f.begin(), m_, f_out);
-            } else {
-                own_forces(layout_, now, m_, f_out);
-            }
-        } else {
+        if (laws_.any() && !laws_.idle(b, [&] { tensions_.add_to_ports(now); })) {
             linear_forces(b);
             if (!laws_.forces(b, block_.f.data(), now)) return false;
-            laws_.commit(b);
-            std::copy_n(block_.f.begin(), m_, f_out);
+            if (laws_.commit(b)) {
+                std::copy_n(block_.f.begin(), m_, f_out);
+                finish(b, now);
+                return true;
+            }
+            direct_(block_.line(b), now);  // no law acts: the same forces as without laws
+            tensions_.add_to_ports(now);
+        } else if (!laws_.any()) {
+            tensions_.add_to_ports(now);
         }
-        tensions_.finish_sample(now, [&](int i) { return laws_.loads(i, b); });
+        if (layout_.own_port.empty()) {
+            linear_forces(b);
+            tensions_.add_to_linear(block_.f.data());
+            std::copy_n(block_.f.begin(), m_, f_out);
+        } else {
+            own_forces(layout_, now, m_, f_out);
+        }
+        finish(b, now);
         return true;
     }
 
 private:
+    void finish(int b, const double* now) {
+        tensions_.finish_sample(now, [&](int i) { return laws_.loads(i, b); });
+    }
+
     // Forces of the linear connections without tensions in block.f.
     __attribute__((flatten)) void linear_forces(int b) {
         const int n = int(layout_.port_rows.size());

@@ -180,6 +180,8 @@ class Engine:
             self._control()
             start = self.state.sample
             steps = min(self._next_event(), end) - start
+            if self.energy_budget:  # it makes the motion again from the forces: what rounding adds must not grow long
+                steps = min(steps, GRID)
             before = self.state.copy() if self.energy_budget else None
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)
