@@ -258,15 +258,17 @@ private:
     double compression_after(int j) const {
         double p = ws_.free_p[j];
         for (std::size_t q = 0; q < n_before_; ++q)
-            p -= (ws_.z[std::size_t(j) * nl_.k + ws_.active[q]] - yielded(j, ws_.active[q])) * ws_.law_force[ws_.active[q]];
+            p -= (ws_.z[std::size_t(j) * nl_.k + ws_.active[q]] - yielded(j, q)) * ws_.law_force[ws_.active[q]];
         return p;
     }
 
-    // What the tensions' own motion takes off the gap of connection i per force of j: d_i M^-1 d_j / 2.
-    double yielded(int i, int j) const {
+    // What the tensions' own motion takes off the gap of connection i per force of active law number a: d_i M^-1 d_a / 2.
+    double yielded(int i, std::size_t a) const {
         if (!tensions) return 0.0;
-        const std::size_t w = wide(tensions->n_strings());
-        return 0.5 * dot(ts_.gap.data() + i * w, ts_.solved.data() + j * w, tensions->n_strings());
+        const std::size_t w = wide(tensions->n_strings()), laws = wide(int(ws_.active.size()));
+        double sum = 0.0;
+        for (int s = 0; s < tensions->n_strings(); ++s) sum += ts_.gap[i * w + s] * ts_.solved[s * laws + a];
+        return 0.5 * sum;
     }
 
     // Gap j per psi_m of each string, d_j in ts.gap; returns what the means without nonlinear connections make of it.
@@ -297,13 +299,20 @@ private:
 
     // Gaps of the active laws per force, the tensions answering: z - d M^-1 d^T / 2.
     void yield_to_tensions() {
-        const std::size_t w = wide(tensions->n_strings()), k = nl_.k;
-        for (const int j : ws_.active) {
-            std::copy_n(ts_.gap.data() + j * w, w, ts_.solved.data() + j * w);
-            tensions->solve(ts_.solved.data() + j * w);
+        const std::size_t w = wide(tensions->n_strings()), k = nl_.k, n = ws_.active.size(), laws = wide(int(n));
+        double* const solved = ts_.solved.data();  // (strings, laws)
+        for (int s = 0; s < tensions->n_strings(); ++s) {
+            std::fill_n(solved + s * laws, laws, 0.0);
+            for (std::size_t a = 0; a < n; ++a) solved[s * laws + a] = ts_.gap[ws_.active[a] * w + s];
         }
-        for (const std::size_t i : ws_.active)
-            for (const std::size_t j : ws_.active) ts_.z[i * k + j] = ws_.z[i * k + j] - yielded(int(i), int(j));
+        tensions->solve(solved, laws);
+        for (const std::size_t i : ws_.active) {
+            double* const row = ts_.row.data();
+            std::fill_n(row, laws, 0.0);
+            add_product(solved, int(laws), ts_.gap.data() + i * w, tensions->n_strings(), row);
+            for (std::size_t a = 0; a < n; ++a)
+                ts_.z[i * k + ws_.active[a]] = ws_.z[i * k + ws_.active[a]] - 0.5 * row[a];
+        }
     }
 
     void bound_excursions(int b) {
@@ -319,10 +328,12 @@ private:
             for (int k = 0; k < layout_.f_width; ++k) f[k] -= answer[k] * force;
         }
         if (tensions) {
-            const std::size_t w = wide(tensions->n_strings());
-            std::copy_n(ts_.alone.begin(), w, ts_.mean.begin());
-            for (const std::size_t j : ws_.active)
-                for (std::size_t s = 0; s < w; ++s) ts_.mean[s] += 0.5 * ts_.solved[j * w + s] * ws_.law_force[j];
+            const std::size_t n = ws_.active.size(), laws = wide(int(n));
+            for (int s = 0; s < tensions->n_strings(); ++s) {
+                double sum = 0.0;
+                for (std::size_t a = 0; a < n; ++a) sum += ts_.solved[s * laws + a] * ws_.law_force[ws_.active[a]];
+                ts_.mean[s] = ts_.alone[s] + 0.5 * sum;
+            }
             tensions->add_to_linear(f);
             bound_excursions(b);
         }

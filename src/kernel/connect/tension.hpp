@@ -88,12 +88,14 @@ public:
             }
         }
         factorize(ws_.matrix.data(), strings, ws_.upper.data(), ws_.over.data());
-        solve(ws_.alone.data());
+        solve_definite(ws_.matrix.data(), ws_.upper.data(), ws_.over.data(), strings, ws_.alone.data());
         std::copy(ws_.alone.begin(), ws_.alone.end(), ws_.mean.begin());
     }
 
-    // M^-1 b in place, b (strings, padded).
-    void solve(double* b) const { solve_definite(ws_.matrix.data(), ws_.upper.data(), ws_.over.data(), n_strings(), b); }
+    // M^-1 b in place for the columns of b (strings, width), width a multiple of kLane.
+    void solve(double* b, std::size_t width) const {
+        solve_columns(ws_.matrix.data(), ws_.over.data(), n_strings(), b, width);
+    }
 
     // What psi_m moves the linear connections to: port forces `now`, or the connections' own forces f.
     void add_to_ports(double* now) { add(t_.onto_forces.data(), layout_.force_width, now); }

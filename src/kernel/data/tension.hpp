@@ -50,10 +50,11 @@ struct TensionState {
     Array<double> stiff;                // (strings, width)
     Array<double> matrix, upper, over;  // of the equations of the means, factors (dense.hpp)
     Array<double> linear, y;            // (f_width); (2 two-way ports)
-    // of nonlinear connections: gap per mean psi of each string, the same solved, (k, strings padded); displacement of a
+    // of nonlinear connections: gap per mean psi of each string (k, strings padded);
+    // the same of the active laws, solved (strings, laws padded); displacement of a
     // gap per displacement of a port (k, width), known if has_meets; gaps per force (k, k)
     std::vector<char> has_meets;
-    Array<double> gap, solved, meets, z;
+    Array<double> gap, solved, meets, z, row;
 };
 
 // Strings whose longitudinal motion is stepped with the transverse one (connect/longitudinal.hpp).

@@ -77,7 +77,7 @@ inline void make_tensions(const std::vector<Component>& components, const Layout
     for (Array<double>* a : {&ws.matrix, &ws.upper}) a->assign(strings * lane, 0.0);
     ws.linear.assign(l.f_width, 0.0), ws.y.assign(2 * n_places, 0.0);
     ws.has_meets.assign(k, 0), ws.meets.assign(k * width, 0.0), ws.z.assign(k * k, 0.0);
-    for (Array<double>* a : {&ws.gap, &ws.solved}) a->assign(k * lane, 0.0);
+    ws.gap.assign(k * lane, 0.0), ws.solved.assign(strings * padded(k), 0.0), ws.row.assign(padded(k), 0.0);
 }
 
 // Part of a string with longitudinal motion; `c` is its component.
