@@ -104,7 +104,8 @@ public:
     // Largest psi_m sqrt(sum g^2 / a) of component i in the sample.
     double excursion(int i) const {
         const int s = string_of(i);
-        return std::abs(ws_.mean[s]) * t_.strings[s].root * ws_.spread[s] * (1 + 1e-9);
+        const double size = std::sqrt(0.5 * std::max(ws_.spread[s], 0.0)) + ws_.bound[s];
+        return std::abs(ws_.mean[s]) * t_.strings[s].root * size * (1 + 1e-9);
     }
 
     // Displacements of a contact port now and free of forces, and per psi_m.
@@ -134,20 +135,20 @@ public:
             const auto loaded = loads(part.part->component);
             if (inputs.empty() && loaded.empty()) continue;
             finish(part);
-            const double *const basis = part.c->tension.basis.data(), *const numbers = part.c->tension.numbers.data();
-            const std::size_t n = part.c->n, step = std::size_t(kScaledNumbers + part.c->n_ports) * kPadding;
+            const double* const basis = part.c->tension.basis.data();
+            const std::size_t n = part.c->n;
             for (const auto& [port, force] : loaded) {
                 const double* row = part.c->contact.rows.data() + 2 * std::size_t(port) * n;
-                each_mode(part, [&](std::size_t k, double& xi, double& v) {
-                    const double* at = numbers + k / kPadding * step + k % kPadding;
-                    const double modal = basis[3 * n + k] * row[k] * force;
-                    xi += modal, v += (at[3 * kPadding] - at[2 * kPadding]) * modal;
+                each_vector(part, [&](std::size_t k, V& xi, V& v, const double* at) {
+                    const V modal = S::load(basis + 3 * n + k) * S::load(row + k) * force;
+                    xi += modal, v += (S::load(at + 3 * kPadding) - S::load(at + 2 * kPadding)) * modal;
                 });
             }
             for (const Input& in : inputs) {
                 const double value = in.values[sample_ * in.stride];
-                each_mode(part, [&](std::size_t k, double&, double& v) {
-                    v += (basis[6 * n + k] * in.vector[k] + basis[7 * n + k] * in.vector[n + k]) * value;
+                each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
+                    v += (S::load(basis + 6 * n + k) * S::load(in.vector + k) +
+                          S::load(basis + 7 * n + k) * S::load(in.vector + n + k)) * value;
                 });
             }
             scaled_.invalidate(part.part->component);
@@ -176,6 +177,8 @@ public:
     }
 
 private:
+    using S = Simd;
+    using V = S::V;
     struct Polarization {
         const Tensions::Part* part;
         const Component* c;
@@ -206,7 +209,9 @@ private:
             const double* const basis = part.c->tension.basis.data();
             for (const Input& in : inputs) {
                 const double value = in.values[sample_ * in.stride];
-                each_mode(part, [&](std::size_t k, double&, double& v) { v += basis[k] * in.vector[k] * value; });
+                each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
+                    v += S::load(basis + k) * S::load(in.vector + k) * value;
+                });
             }
             tension_pass<false, true>(*part.c, part.state, {}, ahead, to);
         }
@@ -221,11 +226,16 @@ private:
         part.pending = false;
     }
 
+    // use(first mode, xi, v, numbers) of a vector of modes at a time, which may change xi and v.
     template <class Use>
-    static void each_mode(const Polarization& part, const Use& use) {
-        for (std::size_t k = 0; k < std::size_t(part.c->n); ++k) {
-            double* const at = part.state + k / kPadding * kScaledState * kPadding + k % kPadding;
-            use(k, at[0], at[kPadding]);
+    static void each_vector(const Polarization& part, const Use& use) {
+        const std::size_t n = part.c->n, step = std::size_t(kScaledNumbers + part.c->n_ports) * kPadding;
+        for (std::size_t k = 0; k < n; k += S::width) {
+            const std::size_t group = k / kPadding, j = k % kPadding;
+            double* const at = part.state + group * kScaledState * kPadding + j;
+            S::V xi = S::load(at), v = S::load(at + kPadding);
+            use(k, xi, v, part.c->tension.numbers.data() + group * step + j);
+            S::store(at, xi), S::store(at + kPadding, v);
         }
     }
 
@@ -234,27 +244,28 @@ private:
         const Tensions::String& string = t_.strings[s];
         const double *const f = ws_.driven.data() + string.first, T = now_[s].ahead, root = string.root;
         double* const reach = ws_.reach.data() + string.first;
-        double power = 0.0, own = 0.0, spread = 0.0, bound = 0.0;
-        for (const Polarization& part : states_) {
-            if (part.part->string != s) continue;
-            const double* sum = ws_.sums.data() + part.part->sums;
+        double power = 0.0, own = 0.0, spread = 0.0, bound = 0.0, answered = 0.0;
+        for (int i = string.first_part; i < string.first_part + int(string.components.size()); ++i) {
+            const Tensions::Part& part = t_.parts[i];
+            const double* sum = ws_.sums.data() + part.sums;
             power += sum[0], own += sum[1], spread += sum[2];
             sum += kSharedSums;
-            for (int p = part.part->first_port - string.first, end = p + part.c->n_ports; p < end; ++p, sum += kPortSums) {
-                power += f[p] * sum[2], own += 2 * f[p] * sum[4], reach[p] = sum[3];
-                for (int q = part.part->first_port - string.first; q < end; ++q) {
-                    const auto& once = string.once[std::size_t(p) * string.n + q];
-                    const auto& twice = string.twice[std::size_t(p) * string.n + q];
-                    reach[p] += f[q] * (once[0] + T * (once[1] + T * once[2]));
-                    own += f[p] * f[q] * (twice[0] + T * (twice[1] + T * (twice[2] + T * (twice[3] + T * twice[4]))));
+            const int first = part.first_port - string.first, end = first + components_[part.component].n_ports;
+            for (int p = first; p < end; ++p, sum += kPortSums) {
+                double moved = sum[3], crossed = 2 * sum[4];
+                for (int q = first; q < end; ++q) {
+                    const auto& once = string.once[p * string.n + q];
+                    const auto& twice = string.twice[p * string.n + q];
+                    moved += f[q] * (once[0] + T * once[1]);
+                    crossed += f[q] * (twice[0] + T * (twice[1] + T * twice[2]));
                 }
-                bound += std::abs(f[p]) * std::sqrt(0.5 * string.once[std::size_t(p) * string.n + p][0]);
+                power += f[p] * sum[2], own += f[p] * crossed;
+                reach[p] = root * moved, answered += f[p] * reach[p];
+                bound += std::abs(f[p]) * string.steady[p];
             }
         }
-        double answered = 0.0;
-        for (int p = 0; p < string.n; ++p) answered += f[p] * (reach[p] *= root);
         own_[s] = root * root * own;
-        ws_.spread[s] = std::sqrt(0.5 * std::max(spread, 0.0)) + bound;
+        ws_.spread[s] = spread, ws_.bound[s] = bound;
         ws_.alone[s] = ws_.psi[s] + 0.5 * (root * power + answered);
     }
 

@@ -20,12 +20,13 @@ struct Tensions {
         int index;     // of its row in the state
         double kappa;  // EA/(4 L)
         std::vector<int> components;
-        int first = 0, n = 0;           // its ports
+        int first = 0, n = 0, first_part = 0;  // its ports; its polarizations, one for each component
+        Array<double> steady;           // (n) sqrt(sum h r r / 2)
         double root = 0, highest = 0;   // 2 sqrt(kappa); largest w a / 2
         // (n, n) pairs of its ports: coefficients by powers of the tension of sum q r r and of sum q^2 r r, where
-        // q = h (1 - h T + h^2 T^2)
-        std::vector<std::array<double, 3>> once;
-        std::vector<std::array<double, 5>> twice;
+        // q = h (1 - h T)
+        std::vector<std::array<double, 2>> once;
+        std::vector<std::array<double, 3>> twice;
     };
     std::vector<String> strings;
     std::vector<int> components;
@@ -43,8 +44,9 @@ constexpr int kSharedSums = 3, kPortSums = 5;  // of a modal pass over a polariz
 struct TensionState {
     Array<double> scaled;               // of modes: modal/scaled_modes.hpp
     Array<double> lanes, sums;          // of the modal passes, before and after their lanes are added
-    // by string: psi and its mean over the step, the tension that the direction counts on, mean tensions of the last steps
-    Array<double> psi, mean, ahead, alone, spread, past[3];
+    // by string: psi and its mean over the step, with and without nonlinear connections; sizes of the direction (excursion);
+    // mean tensions of the last steps
+    Array<double> psi, mean, alone, spread, bound, past[3];
     Array<double> reach, driven;        // (ports): displacement per mean psi; forces of the linear connections alone
     Array<double> forces;               // (ports): of the last step found
     Array<double> stiff;                // (strings, width)

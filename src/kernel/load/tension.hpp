@@ -20,11 +20,8 @@ inline void derive_pairs(const Component& c, int at, Tensions::String& string) {
             for (int k = 0; k < c.n; ++k) {
                 const double* const numbers = c.tension.numbers.data() + k / kPadding * step + k % kPadding;
                 const double h = numbers[0], rr = numbers[(kScaledNumbers + p) * kPadding] * numbers[(kScaledNumbers + q) * kPadding];
-                const double signs[5] = {1, -2, 3, -2, 1};
-                double term = h * rr;
-                for (int i = 0; i < 3; ++i, term *= h) once[i] += i % 2 ? -term : term;
-                term = h * h * rr;
-                for (int i = 0; i < 5; ++i, term *= h) twice[i] += signs[i] * term;
+                once[0] += h * rr, once[1] -= h * h * rr;
+                twice[0] += h * h * rr, twice[1] -= 2 * h * h * h * rr, twice[2] += h * h * h * h * rr;
             }
         }
 }
@@ -44,7 +41,7 @@ inline void make_tensions(const std::vector<Component>& components, const Layout
     for (std::size_t s = 0; s < strings; ++s) {
         Tensions::String& string = t.strings[s];
         string.root = 2 * std::sqrt(string.kappa), string.highest = 0.0;
-        string.first = int(t.ports.size()), string.n = 0;
+        string.first = int(t.ports.size()), string.n = 0, string.first_part = int(t.parts.size());
         for (const int i : string.components) string.n += components[i].n_ports;
         string.once.assign(std::size_t(string.n) * string.n, {}), string.twice.assign(std::size_t(string.n) * string.n, {});
         for (const int i : string.components) {
@@ -56,6 +53,9 @@ inline void make_tensions(const std::vector<Component>& components, const Layout
             for (int p = 0; p < c.n_ports; ++p)
                 t.ports.push_back({int(s), l.row[i] + p, l.port[i] + p, place[i] + p});
         }
+        string.steady.clear();
+        for (int p = 0; p < string.n; ++p)
+            string.steady.push_back(std::sqrt(0.5 * string.once[std::size_t(p) * string.n + p][0]));
     }
     const std::size_t n = t.ports.size(), width = padded(n);
     t.width = int(width);
@@ -70,7 +70,7 @@ inline void make_tensions(const std::vector<Component>& components, const Layout
     const std::size_t n_sums = (t.n_sums + kPadding - 1) / kPadding * kPadding, k = nl.k;
     ws.scaled.assign(kScaledState * capacity, 0.0);
     ws.lanes.assign(n_sums * 8, 0.0), ws.sums.assign(n_sums, 0.0);
-    for (Array<double>* a : {&ws.psi, &ws.mean, &ws.ahead, &ws.alone, &ws.spread, &ws.past[0], &ws.past[1], &ws.past[2], &ws.over})
+    for (Array<double>* a : {&ws.psi, &ws.mean, &ws.alone, &ws.spread, &ws.bound, &ws.past[0], &ws.past[1], &ws.past[2], &ws.over})
         a->assign(lane, 0.0);
     for (Array<double>* a : {&ws.reach, &ws.driven, &ws.forces}) a->assign(width, 0.0);
     ws.stiff.assign(strings * width, 0.0);

@@ -2,7 +2,7 @@
 // what the next one needs.
 //
 // In the coordinates xi, v of scaled_modes.hpp, r the rows of the ports: with h = half, b = 2 xi + v + r f, f the forces
-// of the linear connections without tensions, and q = h (1 - h T (1 - h T)) at the tension T counted on,
+// of the linear connections without tensions, and q = h (1 - h T) at the tension T counted on,
 //     g = 2 sqrt(kappa) q b,      modal force p = r f+ - psi_m g,      f+ the forces found.
 // g is a sum of a part without f and one for each force, so that all sums are known before the forces are.
 #pragma once
@@ -19,8 +19,8 @@ struct TensionMade {
     const double *alone = nullptr, *found = nullptr;
 };
 
-// Sums as vectors, over b = 2 xi + v: q b v, (q b)^2, q^2 b^2 / h, and for each port r xi, r (xi + v), q r v, q r b,
-// q^2 r b. `ahead` is the tension counted on.
+// Sums as vectors, over b = 2 xi + v: q b v, (q b)^2, q b^2, and for each port r xi, r (xi + v), q r v, q r b, q^2 r b.
+// `ahead` is the tension counted on.
 template <int P, bool Make, bool Begin>
 void tension_pass(const Component& c, double* state, const TensionMade& made, double ahead, double* to) {
     using V = Pack<2>;  // two vectors at a time: their latencies overlap
@@ -33,34 +33,30 @@ void tension_pass(const Component& c, double* state, const TensionMade& made, do
     if constexpr (Make)
         for (int p = 0; p < n_ports; ++p) alone[p] = made.alone[p], found[p] = made.found[p];
     S::V all[kSharedSums] = {}, each[kMost][kPortSums] = {};
-    const auto weight = [](const V& h, double tension) {
-        const V alpha = h * tension;
-        return neg_mul_plus(alpha, 1.0 - alpha, 1.0);
-    };
     const auto make_step = [&](const double* at, double* x) {
-        const V h = V::load(at), xi = V::load(x), v = V::load(x + kPadding);
-        V b = xi + xi + v, modal{};
+        const V h = V::load(at), xi = V::load(x), v = V::load(x + kPadding), free = xi + v;
+        V b = xi + free, modal{};
         for (int p = 0; p < n_ports; ++p) {
             const V r = V::load(at + (kScaledNumbers + p) * kPadding);
             b = mul_add(r, alone[p], b), modal = mul_add(r, found[p], modal);
         }
-        modal = neg_mul_add(h * weight(h, made.ahead), b * made.pull, modal);
-        const V next = xi + v + modal;
+        modal = mul_add(neg_mul_add(h, h * made.ahead, h) * b, -made.pull, modal);
+        const V next = free + modal;
         next.store(x);
         neg_mul_add(V::load(at + 2 * kPadding), next,
                     mul_add(V::load(at + 3 * kPadding), modal, V::load(at + kPadding) * v)).store(x + kPadding);
     };
     const auto begin_step = [&](const double* at, const double* x) {
         const V h = V::load(at), xi = V::load(x), v = V::load(x + kPadding), free = xi + v, b = xi + free;
-        const V size = weight(h, ahead), qb = h * size * b;
-        add_products(all[0], qb, v);
+        const V q = neg_mul_add(h, h * ahead, h), qb = q * b, qv = q * v, qqb = q * qb;
+        add_products(all[0], b, qv);
         add_products(all[1], qb, qb);
-        add_products(all[2], qb, size * b);
+        add_products(all[2], qb, b);
         for (int p = 0; p < n_ports; ++p) {
-            const V r = V::load(at + (kScaledNumbers + p) * kPadding), qr = h * size * r;
+            const V r = V::load(at + (kScaledNumbers + p) * kPadding);
             add_products(each[p][0], r, xi), add_products(each[p][1], r, free);
-            add_products(each[p][2], qr, v), add_products(each[p][3], qr, b);
-            add_products(each[p][4], qr, qb);
+            add_products(each[p][2], r, qv), add_products(each[p][3], r, qb);
+            add_products(each[p][4], r, qqb);
         }
     };
     // the sums of a pack follow one pack behind its step, so that neither waits for the other
@@ -112,10 +108,10 @@ inline ContactSums contact_sums(const Component& c, const double* state, int por
     for (std::size_t k = 0; k < n; k += kPadding, numbers += step, state += kScaledState * kPadding)
         for (int j = 0; j < kPadding; j += S::width) {
             const V h = S::load(numbers + j), xi = S::load(state + j), v = S::load(state + kPadding + j);
-            const V r = S::load(row + k + j) * S::load(root + k + j), alpha = h * begun.ahead;
+            const V r = S::load(row + k + j) * S::load(root + k + j);
             V b = xi + xi + v;
             for (int p = 0; p < c.n_ports; ++p) b += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * begun.alone[p];
-            here += r * xi, later += r * (xi + v), moved += r * h * (1.0 - alpha * (1.0 - alpha)) * b;
+            here += r * xi, later += r * (xi + v), moved += r * (h - h * (h * begun.ahead)) * b;
         }
     return {S::sum(here), S::sum(later), S::sum(moved)};
 }

@@ -11,11 +11,11 @@ Ducceschi, Zama, J. Comput. Phys. 472 (2023) 111697): over a step
 whose work is -[V+ - V] for any direction g that is known beforehand. So energy cannot rise whatever the step and the
 amplitude, and the step is linear: the tension is one more connection of the string, along g. Here
 
-    g = 2 sqrt(kappa) a (y_f + y) / 2 (1 - alpha (1 - alpha)),   alpha = w a T / 2,
+    g = 2 sqrt(kappa) a (y_f + y) / 2 (1 - alpha),      alpha = w a T / 2,
 
 y_f the coordinates after the step under all forces but the tension's and those of nonlinear connections, w the
 displacement over one step per modal force: the gradient of psi in the middle of the step, what the tension itself moves
-included to second order by its value T extrapolated from the last three steps. T = 2 sqrt(kappa) psi_m is the mean over
+included to first order by its value T extrapolated from the last three steps. T = 2 sqrt(kappa) psi_m is the mean over
 the step; its time is the middle of it.
 
 psi and sqrt(kappa) S part by the error of the steps. Every 64 samples psi is put back and the kinetic energy of the
@@ -143,7 +143,7 @@ class TensionShare:
         """(n_modes,) g over a step from x to `free` under all forces but the tension's, which is about `tension`."""
         alpha = self.half * tension
         middle = 0.5 * self.reading * (free[:, 0] + x[:, 0])
-        return np.asarray(2 * np.sqrt(self.kappa) * self.weights * middle * (1 - alpha * (1 - alpha)))
+        return np.asarray(2 * np.sqrt(self.kappa) * self.weights * middle * (1 - alpha))
 
 
 def settle(parts: Sequence[TensionShare], states: Sequence[Floats], excess: float) -> float:
