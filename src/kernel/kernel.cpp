@@ -154,11 +154,8 @@ bool Kernel::load_nonlinear(const NonlinearDescription& d) {
 
 bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed) {
     Tensions& t = model_.tensions;
-    std::vector<int> before = std::move(t.components);
-    bool changed = components_changed || t.strings.size() != d.strings.size();
-    for (std::size_t s = 0; !changed && s < t.strings.size(); ++s)
-        changed = t.strings[s].index != d.strings[s].index || t.strings[s].kappa != d.strings[s].kappa;
-    t.strings.clear(), t.components.clear();
+    std::vector<Tensions::String> strings;
+    std::vector<int> components;
     for (Component& c : model_.components) c.tension.on = false;
     for (std::size_t s = 0; s < d.strings.size(); ++s) {
         const auto& string = d.strings[s];
@@ -169,13 +166,18 @@ bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed
             Component& c = model_.components[i];
             require(!c.tension.a.empty(), name + ": component " + std::to_string(i) + " was loaded without `tension`");
             c.tension.on = true;
-            t.components.push_back(i);
+            components.push_back(i);
         }
-        Tensions::String loaded;
-        loaded.index = string.index, loaded.kappa = string.kappa, loaded.components = string.slots;
-        t.strings.push_back(std::move(loaded));
+        strings.emplace_back();
+        strings.back().index = string.index, strings.back().kappa = string.kappa, strings.back().components = string.slots;
     }
-    return changed || before != t.components;
+    const bool same = std::equal(strings.begin(), strings.end(), t.strings.begin(), t.strings.end(),
+                                 [](const auto& a, const auto& b) {
+                                     return a.index == b.index && a.kappa == b.kappa && a.components == b.components;
+                                 });
+    if (same && !components_changed) return false;
+    t.strings = std::move(strings), t.components = std::move(components);  // `make_tensions` derives the rest
+    return true;
 }
 
 void Kernel::load(const CompiledSystem& system) {
