@@ -165,13 +165,16 @@ class TensionEffect(SwitchedEffect):
         seen: list[tuple[str, Bound, bool]] = []
         if look or moved:
             others = {name: value for name, value in cents.items() if name not in staying}
-            bounds = self.bounds(moment, others, [name for name in others if whole or name in moved])
-            wanted = self.wanted(bounds, wanted) | staying
+            asked = [name for name in others if whole or (name in moved and name not in wanted)]
+            bounds = self.bounds(moment, others, asked)
+            unasked = (on | switching.pending) - set(asked)
+            wanted = self.wanted(bounds, wanted) | staying | unasked
             until |= {name: self.next_bound(name, moment, bound) for name, bound in bounds.items() if name in wanted}
             seen += [(name, bound, name not in wanted) for name, bound in bounds.items()]
         for play in fresh:
             name = play.string or ""
-            bound = self.foreseen(play, moment, float(energies[self.components.index(name)]))
+            # a string that rises goes on: how loud it would be without is not asked for
+            bound = self.foreseen(play, moment, float(energies[self.components.index(name)]), name not in wanted)
             if bound.cents > self.budget or bound.level > self.budget_level:
                 wanted |= {name}
             seen.append((name, bound, name not in wanted))
@@ -339,8 +342,8 @@ class TensionEffect(SwitchedEffect):
         seconds = min(math.log(over) / (4.0 * max(rate, _TINY)), _LONGEST_UNWATCHED)
         return moment.sample + int(seconds / moment.system.dt)
 
-    def foreseen(self, play: Play, moment: Moment, energy: float) -> Bound:
-        """Bound after a gesture on a string of `energy` (J); infinite if unknown."""
+    def foreseen(self, play: Play, moment: Moment, energy: float, levels: bool = True) -> Bound:
+        """Bound after a gesture on a string of `energy` (J); infinite if unknown, or its level if not asked for."""
         gesture, name, system = play.gesture, play.string or "", moment.system
         if gesture.motions or gesture.on is not None or not gesture.segments or name in self.longitudinal:
             return Bound(math.inf, math.inf)  # the phantom partials that a pluck will drive are not known beforehand
@@ -349,7 +352,7 @@ class TensionEffect(SwitchedEffect):
         compliance = self.compliance(name, system, fretting)
         foreseen = (math.sqrt(max(energy, 0.0)) + force * math.sqrt(0.5 * compliance)) ** 2
         cents = _DRAWN * self.rise(name, system, foreseen)
-        if cents > self.budget:
+        if cents > self.budget or not levels:
             return Bound(cents, math.inf)
         components = self._laws[name].components
         plucked = dict.fromkeys(components, np.zeros(0))
