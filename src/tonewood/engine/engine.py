@@ -99,6 +99,8 @@ class Engine:
         self.model, self.timeline = model, timeline
         self.effects = runtime_effects(model)
         switched = [effect for effect in self.effects if isinstance(effect, SwitchedEffect)]
+        for effect in switched:
+            effect.prepare(timeline)
         self.switchings = {effect.name: effect.start() for effect in switched}
         self._switched = [effect for effect in switched if effect.chosen]
         self._watched = [effect for effect in switched if effect.watched]

@@ -34,7 +34,7 @@ from tonewood.engine.effects.phantoms import Phantoms
 from tonewood.engine.effects.sidebands import Sidebands
 from tonewood.engine.fretting import Fretting
 from tonewood.engine.gestures import places
-from tonewood.engine.timeline import GRID, Play
+from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
 from tonewood.instrument.effects import Effect, Norms
@@ -49,6 +49,9 @@ LOOK, SELDOM = 16, 64
 #: s, shortest time for which a rise is left out: two switches and the bounds before them cost some 5 ms, a rise saves
 #: some 20 ms/s (a steel guitar's string at 48 kHz)
 SHORTEST = 0.3
+#: least share of the time of all strings, by their modes, for which rises must be likely to be left out: below it,
+#: looking costs what leaving out saves (some 5 % of a render; strings whose tension rises cost some 50 %)
+WORTH = 0.1
 #: s, longest time for which a rise goes on without another look at its bound
 _LONGEST_UNWATCHED = 0.5
 #: share of the budget below which a rise is left out; above the whole of it, it comes back
@@ -123,6 +126,46 @@ class TensionEffect(SwitchedEffect):
         # the system that they describe, and what its strings rise per joule, cents: `Effect.bound` is proportional
         self._system: System | None = None
         self._per_joule = np.zeros(len(self.components))
+        self._worth = True
+
+    @property
+    def watched(self) -> bool:
+        """Whether any rise may be left out, and the score gives time for it."""
+        return super().watched and self._worth
+
+    def prepare(self, timeline: Timeline) -> None:
+        """Decide from the score whether looking for rises to leave out pays; if not, all rise all the time.
+
+        Nothing is known beforehand of what is played live: then it is looked for.
+        """
+        if super().watched and timeline.plays:
+            self._worth = self.idle_share(timeline) >= WORTH
+
+    def idle_share(self, timeline: Timeline) -> float:
+        """Estimate the share of time, by modes of strings, in which the rise will be within the budget of cents.
+
+        A pluck makes a rise of what its force stores on the open string, and that falls as the least damped mode's
+        energy. What is not plucked by a known force is taken to need no rise; how loud sidebands are is not asked for.
+        """
+        system, end = self.model.system, max(timeline.stop, _TINY)
+        self._follow(system)
+        whole = idle = 0.0
+        plays: dict[str | None, list[Play]] = {}
+        for play in timeline.plays:
+            plays.setdefault(play.string, []).append(play)
+        for name, per_joule in zip(self.components, self._per_joule, strict=True):
+            load = self.load(name)
+            whole += load * end
+            rate = min(float(system.compiled[slot].basis.damping_rate.min()) for slot in self._planes[name])
+            per_force = _DRAWN * per_joule * 0.5 * self.compliance(name, system, Fretting())
+            free = 0.0  # time from which on the rise is within the budget
+            for play in plays.get(name, []):
+                idle += load * max(min(play.start, end) - free - SHORTEST, 0.0)
+                force = max((abs(piece.c0) for piece in play.gesture.segments), default=0.0)
+                over = per_force * force**2 / max(_LEAVE * self.budget, _TINY)
+                free = max(free, play.stop) + (math.log(over) / (2 * max(rate, _TINY)) if over > 1.0 else 0.0)
+            idle += load * max(end - free - SHORTEST, 0.0)
+        return idle / whole if whole else 0.0
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -207,6 +250,8 @@ class TensionEffect(SwitchedEffect):
         """By how much the tension rises, against the budget."""
         if self.model.choice.mode != "auto":
             return super().why(usage, component)
+        if not self._worth:
+            return "the score leaves hardly any time in which it could be left out"
         bound = usage.largest.get((self.name, component), Bound())
         rises = f"its tension rises by up to {bound.cents:.2g} cents" if bound.cents < 1e9 else "a gesture moves it"
         return f"{rises}; the budget is {self.model.choice.budget_cents:g}"
