@@ -215,8 +215,8 @@ Fault Kernel::run(const Job& job) {
     for (const Injection& in : job.injections)
         require(in.slot >= 0 && std::size_t(in.slot) < model_.components.size(),
                 "injections: no component " + std::to_string(in.slot));
-    require(model_.tensions.strings.empty() || (job.phase >= 0 && (job.phase == 0 || job.phase + job.n <= kSettled)),
-            "phase: with rising tensions a run that begins between two multiples of " + std::to_string(kSettled) +
+    require(model_.tensions.strings.empty() || (job.phase >= 0 && (job.phase == 0 || job.phase + job.n <= kResetSteps)),
+            "phase: with rising tensions a run that begins between two multiples of " + std::to_string(kResetSteps) +
                 " samples ends at the next one");
     return table_.run(model_, job);
 }

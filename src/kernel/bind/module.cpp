@@ -194,7 +194,7 @@ void expect_shape(const char* name, const Out& a, std::initializer_list<std::siz
 
 // Advances `modes` (2, capacity) and `series`, `slip`, `last_force` (k) in place; fills out (n, n_channels), forces
 // (n, m) and law_forces (n, k), which must be zero. Injections are (slot, first step, vectors, values), controls
-// (connection, (4, n)). `phase`: samples since the last multiple of kSettled. Returns (slot, sample) of the first fault; slot -1 if there is none, -2 if forces were not found.
+// (connection, (4, n)). `phase`: samples since the last multiple of kResetSteps. Returns (slot, sample) of the first fault; slot -1 if there is none, -2 if forces were not found.
 std::pair<int, std::int64_t> run(Kernel& kernel, Out modes, Out out, Out forces,
                                  const std::vector<std::tuple<int, std::int64_t, In, In>>& injections, Out law_forces,
                                  const std::vector<std::pair<int, In>>& controls, Out series, Out slip, Out last_force,

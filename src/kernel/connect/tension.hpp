@@ -97,7 +97,7 @@ public:
         solve_columns(ws_.matrix.data(), ws_.over.data(), n_strings(), b, width);
     }
 
-    // What psi_m moves the linear connections to: port forces `now`, or the connections' own forces f.
+    // Adds the answer of the linear connections to psi_m: port forces `now`, or the connections' own forces f.
     void add_to_ports(double* now) { add(t_.onto_forces.data(), layout_.force_width, now); }
     void add_to_linear(double* f) { add(t_.onto_linear.data(), layout_.f_width, f); }
 
@@ -156,10 +156,10 @@ public:
     }
 
     // Writes the tensions to the state and, where the next block or a readout needs them, the modes; puts psi back at
-    // multiples of kSettled samples.
+    // multiples of kResetSteps samples.
     void finish_block() {
         const std::int64_t end = block_.start + block_.nb;
-        const bool settles = (block_.job.phase + end) % kSettled == 0, last = settles || end == block_.job.n;
+        const bool resets = (block_.job.phase + end) % kResetSteps == 0, last = resets || end == block_.job.n;
         for (Polarization& part : states_) {
             if (!last && !part.is_read && !part.is_grouped) continue;
             finish(part);
@@ -169,11 +169,11 @@ public:
         if (!last) return;
         for (int s = 0; s < n_strings(); ++s) {
             const double root = 0.5 * t_.strings[s].root * stretch(s);
-            if (settles) settle(s, root);
+            if (resets) reset_psi(s, root);
             for (int j = 0; j < 3; ++j) row(s)[j] = ws_.past[j][s];
             row(s)[3] = ws_.psi[s] - root;
         }
-        from_state_ = settles;
+        from_state_ = resets;
     }
 
 private:
@@ -239,7 +239,7 @@ private:
         }
     }
 
-    // What string s does along its direction: own_, ws.reach, and the right side of its equation in ws.alone.
+    // Finds own_ and ws.reach of string s along its direction, and the right side of its equation in ws.alone.
     void direct(int s) {
         const Tensions::String& string = t_.strings[s];
         const double *const f = ws_.driven.data() + string.first, T = now_[s].ahead, root = string.root;
@@ -289,7 +289,7 @@ private:
     }
 
     // Puts psi back to `root`, the string's kinetic energy paying or receiving the difference of potential.
-    void settle(int s, double root) {
+    void reset_psi(int s, double root) {
         double kinetic = 0.0;
         const auto velocities = [&](const auto& use) {
             for (const int i : t_.strings[s].components) {

@@ -10,7 +10,7 @@ namespace tonewood {
 
 constexpr int kBlock = 16;    // samples between two modal passes
 constexpr int kWindow = 4;    // blocks after which every mode stands in its own two numbers again
-constexpr int kSettled = 64;  // samples after which psi of a rising tension is put back (connect/tension.hpp)
+constexpr int kResetSteps = 64;  // samples after which psi of a rising tension is put back (connect/tension.hpp)
 constexpr int kPadding = 16;  // modes per component are a multiple of this
 constexpr int kGranule = 32;  // modes that use the same recurrence
 constexpr int kLane = 8;      // rows and ports in `Layout` are padded to this

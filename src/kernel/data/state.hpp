@@ -96,7 +96,7 @@ struct Job {
     double *series, *slip, *last_force;  // (k), moved
     std::vector<Control> controls;
     double* tension;     // (n_tensions, 4), moved
-    int phase = 0;       // samples since the last multiple of kSettled; with tensions and above 0, n ends at the next one
+    int phase = 0;       // samples since the last multiple of kResetSteps; with tensions and above 0, n ends at the next one
 };
 
 // Where a run had to stop: a component that is no longer finite, or connections whose forces were not found.

@@ -13,7 +13,7 @@
 namespace tonewood {
 namespace {
 
-// What finishes a step: its tension counted on, 2 sqrt(kappa) psi_m, and forces on the ports, alone and found.
+// Numbers that finish a step: its tension counted on, 2 sqrt(kappa) psi_m, and forces on the ports, alone and found.
 struct TensionMade {
     double ahead = 0, pull = 0;
     const double *alone = nullptr, *found = nullptr;

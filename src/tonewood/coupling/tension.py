@@ -19,7 +19,7 @@ included to first order by its value T extrapolated from the last three steps. T
 the step; its time is the middle of it.
 
 psi and sqrt(kappa) S part by the error of the steps. Every 64 samples psi is put back and the kinetic energy of the
-string pays for it (`settle`).
+string pays for it (`reset_psi`).
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ class TensionShare:
         return np.asarray(2 * np.sqrt(self.kappa) * self.weights * middle * (1 - alpha))
 
 
-def settle(parts: Sequence[TensionShare], states: Sequence[Floats], excess: float) -> float:
+def reset_psi(parts: Sequence[TensionShare], states: Sequence[Floats], excess: float) -> float:
     """Put a string's psi back to sqrt(kappa) S, its kinetic energy paying or receiving the difference of potential.
 
     Velocities are scaled, displacements stay. No more than a quarter of the kinetic energy is taken or given at once.
@@ -158,7 +158,8 @@ def settle(parts: Sequence[TensionShare], states: Sequence[Floats], excess: floa
 
     Returns
     -------
-    What is left of the excess.
+    float
+        The excess that is left, sqrt(J).
     """
     moving = [part.velocity[0] * x[:, 0] + part.velocity[1] * x[:, 1] for part, x in zip(parts, states, strict=True)]
     kinetic = 0.5 * sum(float(v @ v) for v in moving)

@@ -11,19 +11,19 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.coupling.system import System
-from tonewood.coupling.tension import TensionShare, settle
+from tonewood.coupling.tension import TensionShare, reset_psi
 
 Floats = NDArray[np.float64]
 
 #: steps after which psi is put back to sqrt(kappa) S
-SETTLED = 64
+RESET_STEPS = 64
 #: largest alpha, of the highest mode, at which the direction is corrected for what the tension moves
 LARGEST_ALPHA = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class TensionsOverStep:
-    """What the tensions of s strings do in one step.
+    """Action of s rising tensions over one step.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class TensionSolve:
         return TensionsOverStep(reach, own, psi + 0.5 * power, s.solve.G, modal)
 
     def carried(self, x: Sequence[Floats], after: Sequence[Floats], mean: Floats, tension: Floats, step: int) -> Floats:
-        """Rows of the state after a step, made by psi_m; settles `after` in place where the step calls for it.
+        """Rows of the state after a step, made by psi_m; resets `after` in place where the step calls for it.
 
         Parameters
         ----------
@@ -118,8 +118,8 @@ class TensionSolve:
         psi = self.roots * self._stretches(x) + tension[self.index, 3]
         excess = 2 * mean - psi - self.roots * self._stretches(after)
         for q, (t, string) in enumerate(zip(self.index, self.strings, strict=True)):
-            if step % SETTLED == 0:
-                excess[q] = settle([part for _, part in string], [after[i] for i, _ in string], float(excess[q]))
+            if step % RESET_STEPS == 0:
+                excess[q] = reset_psi([part for _, part in string], [after[i] for i, _ in string], float(excess[q]))
             out[t] = 2 * self.roots[q] * mean[q], tension[t, 0], tension[t, 1], excess[q]
         return out
 

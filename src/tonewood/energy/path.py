@@ -74,13 +74,13 @@ def step_again(
     def by_slot(at: Floats) -> list[Floats]:
         return [at[spans[name]] if name in spans else none for name in system.names]
 
-    tense = TensionSolve(system) if any(system.tension_on) else None
+    rising = TensionSolve(system) if any(system.tension_on) else None
     tensions = np.zeros((T + 1, len(system.tensions), 4))
     if tension.size:
         tensions[0] = tension
     modal_forces = {
         system.names[slot]: np.zeros((T, part.weights.size))
-        for string in (tense.strings if tense else ())
+        for string in (rising.strings if rising else ())
         for slot, part in string
     }
     solve = GeometricSolve(system) if system.geometric else None
@@ -91,17 +91,17 @@ def step_again(
         path[t + 1, :, 0] += e00 * x + e01 * y
         path[t + 1, :, 1] += e10 * x + e11 * y
         before, free = by_slot(path[t]), by_slot(path[t + 1])
-        if tense is not None:
+        if rising is not None:
             linear = system.solve
             alone = linear.constant - linear.G @ (system.gaps(free) + linear.gamma * system.gaps(before))
-            over = tense.over(before, free, alone, tensions[t])
+            over = rising.over(before, free, alone, tensions[t])
             mean = over.mean_under(forces[t])
         path[t + 1] += forced[t]
-        if tense is not None:
+        if rising is not None:
             for slot, (q, direction, added) in over.modal.items():
                 modal_forces[system.names[slot]][t] = -direction * mean[q]
                 free[slot] += added * mean[q]
-            tensions[t + 1] = tense.carried(before, free, mean, tensions[t], sample + t + 1)
+            tensions[t + 1] = rising.carried(before, free, mean, tensions[t], sample + t + 1)
         if solve is not None:
             force, _, found = solve.find(before, free, list)
             if not found:

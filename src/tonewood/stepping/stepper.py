@@ -229,20 +229,20 @@ class NumpyStepper:
         linear, nonlinear = s.solve, s.nonlinear
         gap, gap_free = s.gaps(x), s.gaps(free)
         f = linear.constant - linear.G @ (gap_free + linear.gamma * gap)
-        tense = self._tension.over(x, free, f, tension) if self._tension else None
+        rising = self._tension.over(x, free, f, tension) if self._tension else None
         mean = np.zeros(0)
-        if tense is not None:
-            mean = tense.mean(f)
-            gap_free = gap_free + tense.reach @ mean
-            f = f - linear.G @ (tense.reach @ mean)
+        if rising is not None:
+            mean = rising.mean(f)
+            gap_free = gap_free + rising.reach @ mean
+            f = f - linear.G @ (rising.reach @ mean)
         series, slip, gives = series.copy(), slip.copy(), None
         if nonlinear is not None:
             on, Z = nonlinear.index, nonlinear.Z
             lag = (1 - nonlinear.theta) / nonlinear.theta * series[on]
             here, before = gap_free[on] + nonlinear.from_linear @ f - lag, gap[on] + series[on]
-            if tense is not None:
-                moved = tense.reach[on] - nonlinear.from_linear @ (linear.G @ tense.reach)
-                answer = tense.answer(moved)
+            if rising is not None:
+                moved = rising.reach[on] - nonlinear.from_linear @ (linear.G @ rising.reach)
+                answer = rising.answer(moved)
                 Z = Z + moved @ answer
             found = find_forces(
                 nonlinear.laws, Z, here, before, s.dt, partners, guess[on], branches, careful=self._careful
@@ -256,10 +256,10 @@ class NumpyStepper:
                 names = ", ".join(acting or [s.connections[j].name for j in on])
                 raise ValueError(f"the forces of {names} were not found")
             f = f - nonlinear.answer @ found.forces
-            if tense is not None:
+            if rising is not None:
                 more = answer @ found.forces
                 mean = mean + more
-                f = f - linear.G @ (tense.reach @ more)
+                f = f - linear.G @ (rising.reach @ more)
             f[on] = found.forces
             series[on] = nonlinear.residual @ found.forces / nonlinear.theta - lag
             for i, friction in branches.items():
@@ -270,6 +270,6 @@ class NumpyStepper:
         after = [
             free[i] + np.einsum("p,pmx->mx", s.incidence(i).T @ f, c.W) for i, c in enumerate(s.compiled)
         ]  # fmt: skip
-        if tense is not None:
-            after = tense.after(after, mean)
+        if rising is not None:
+            after = rising.after(after, mean)
         return _Attempt(after, f, series, slip, mean, gives)

@@ -145,7 +145,7 @@ class TensionEffect(SwitchedEffect):
         """Estimate the share of time, by modes of strings, in which the rise will be within the budget of cents.
 
         A pluck makes a rise of what its force stores on the open string, and that falls as the least damped mode's
-        energy. What is not plucked by a known force is taken to need no rise; how loud sidebands are is not asked for.
+        energy. Other gestures are taken to need no rise, and the level of sidebands is left out.
         """
         system, end = self.model.system, max(timeline.stop, _TINY)
         self._follow(system)
