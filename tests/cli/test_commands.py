@@ -499,3 +499,13 @@ def test_check_warns_of_microphones_that_hear_nothing(tonewood: Run, tmp_path: P
     code, out, _ = tonewood("check", folder, "--fs", 16000, *few)
     assert code == 0
     assert "warning: microphones.bass hears nothing of the strings" in out
+
+
+def test_modes_of_a_drawn_body_are_listed_and_drawn(tonewood: Run, tmp_path: Path) -> None:
+    picture = tmp_path / "modes.png"
+    code, text, _ = tonewood("modes", "drawn_guitar", "--string", "E4", "--count", 1, "--plot", picture)
+    assert code == 0
+    assert "A0 110" in text
+    assert "hinged" in text
+    assert "(T1, Q" in text
+    assert picture.stat().st_size > 50_000
