@@ -6,8 +6,8 @@ body is passive. Coordinates of the drawing: x (m) from the neck joint to the ta
 top. A point at height H above the top's middle surface moves by w along z, -H dw/dx along x and -H dw/dy
 along y: strings across the bridge feel it rock.
 
-Left out: arching and the strings' static load, neck and sides (mass at the edge), laps of crossing braces, shear and
-width of braces (a line instead of a strip, above about 3 kHz), loss that rises with frequency, modes of the cavity
+Left out: arching and the strings' static load, neck and sides (mass at the edge), laps of crossing braces, shear of
+braces, loss that rises with frequency, modes of the cavity
 along its depth (above 1.8 kHz at 95 mm), diffraction about the box.
 """
 

@@ -1,13 +1,15 @@
-"""Braces and bridges: beams on a line of the plate, whose energies are line integrals of the plate's displacement.
+"""Braces and bridges: beams on a strip of the plate, whose energies are integrals of the plate's displacement.
 
 With s along the line, n across it, (u, w) the plate's motion along s and out of its plane, and e from the plate's
 middle surface to the beam's axis (positive below the plate):
 
     2 U = int EA (u_s + e w_ss)^2 + EI w_ss^2 + GJ w_sn^2 ds
-    2 T = int m w'^2 + m (h^2/12 + e^2) w_s'^2 + m ((b^2 + h^2)/12 + e^2) w_n'^2 ds
+    2 T = int m w'^2 + m (h^2/12 + e^2) (w_s'^2 + w_n'^2) ds
 
-Euler-Bernoulli bending and Saint-Venant torsion, J = l^3 L (1/3 - 0.21 l/L (1 - l^4 / 12 L^4)) of a rectangle of sides
-l <= L (W. C. Young, Roark's Formulas, 7th ed. (2002), table 10.1). Crossing beams are not cut through one another.
+The integrands are averaged over the beam's width b, as a beam on a line would kink the plate in its plane; that adds
+the moment of inertia m b^2/12, too. Euler-Bernoulli bending and Saint-Venant torsion, J = l^3 L (1/3 - 0.21 l/L (1 -
+l^4 / 12 L^4)) of a rectangle of sides l <= L (W. C. Young, Roark's Formulas, 7th ed. (2002), table 10.1). Crossing
+beams are not cut through one another.
 """
 
 from __future__ import annotations
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 Floats = NDArray[np.float64]
+
+#: lines of points across a beam's width
+_ACROSS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +118,19 @@ def beam_matrices(grid: SplineGrid, beam: Beam, thickness: Floats | float) -> tu
     mass = (
         integral(m, grid.at(points))
         + integral(m * (height**2 / 12 + offset**2), w_s)
-        + integral(m * ((b**2 + height**2) / 12 + offset**2), w_n)
+        + integral(m * (height**2 / 12 + offset**2), w_n)
     )
     return stiffness, mass
 
 
 def beam_line(grid: SplineGrid, beam: Beam) -> tuple[Floats, Floats, Floats]:
-    """Points, weights and places of a beam's integrals: parts of at most half a cell."""
-    return line(beam.start, beam.stop, max(2, int(np.ceil(2 * beam.length / grid.size.min()))))
+    """Points (n, 2), weights (n,) in m and places (n,) of a beam's integrals, spread evenly over its width.
+
+    Parts along it are at most half a cell long. Three lines of Gauss stand for the width.
+    """
+    middle, weights, place = line(beam.start, beam.stop, max(2, int(np.ceil(2 * beam.length / grid.size.min()))))
+    g, w = np.polynomial.legendre.leggauss(_ACROSS)
+    c, s = (beam.stop - beam.start) / beam.length
+    across = beam.width / 2 * np.array([-s, c])
+    points = middle + g[:, None, None] * across
+    return points.reshape(-1, 2), np.outer(w / 2, weights).ravel(), np.tile(place, len(g))
