@@ -228,3 +228,33 @@ def test_microphones_need_a_body_that_says_how_it_moves() -> None:
     values = {"outputs.microphones": {"name": "microphones", "plugin": "body_microphones", "at": {"a": [0, 0, 1]}}}
     with pytest.raises(BundleError, match="hears bodies that say how their whole surface moves"):
         assemble(guitar("classical_guitar").replace(values | {"outputs.microphones.full_scale": 1.0}), 48000)
+
+
+def test_a_measured_body_with_shapes_on_a_grid_is_heard(tmp_path: Path) -> None:
+    """A table of the drawn body's own modes at a grid of its squares gives nearly the same pressure at 1 m."""
+    drawn = guitar().body
+    modes = drawn.modes_below(1200.0)
+    n = int(modes.hole_from[0])
+    step, few = modes.volumes[:n] / modes.areas[:n, None], range(0, n, 7)
+    names = [f"p{i}" for i in few]
+    head = ",".join(["f_Hz", "Q", "saddle", *names])
+    saddle = modes.shapes[list(drawn.points()).index("saddle_G3")]
+    rows = [
+        ",".join(f"{x:.12g}" for x in (f, 1 / loss, s, *step[list(few), k]))
+        for k, (f, loss, s) in enumerate(zip(modes.freq, modes.loss, saddle, strict=True))
+    ]
+    (tmp_path / "grid.csv").write_text("\n".join([head, *rows]))
+    share = modes.areas[:n].sum() / modes.areas[list(few)].sum()
+    points: dict[str, Any] = {"saddle": {}}
+    for i, name in zip(few, names, strict=True):
+        place, area = modes.sources[i].tolist(), float(modes.areas[i] * share)
+        points[name] = {"place": place, "area": area, "driven": False}
+    values = {"table": "grid.csv", "shapes": "points", "points": points}
+    table = plugin("modal_table").from_values(values, Files(tmp_path, tmp_path / "instrument.yaml"), "body")
+    found = table.sources(2e4)
+    assert found is not None
+    assert found.volumes.shape == (len(names), len(modes.freq))
+    at, f = (0.3, 0.0, 1.0), np.array([80.0, 400.0])
+    exact = type(found)(modes.sources[:n], modes.volumes[:n], baffled=False).pressure(at, f)[:2]
+    assert np.abs(found.pressure(at, f)[:2]) == pytest.approx(np.abs(exact), rel=0.1)
+    assert guitar("classical_guitar").body.sources(2e4) is None
