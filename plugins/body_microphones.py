@@ -3,7 +3,8 @@
 The pressure is the Rayleigh sum over the whole surface and the soundhole, near field and delays included. For each
 driven point of the body the bank has residues on the body's own poles, fitted by least squares to that sum
 (`tonewood.plate.microphones`). Nothing acts back on the body; the power radiated is part of the body's own damping.
-Each microphone's sound begins when it leaves the point of the body that is nearest to it: that delay is taken out.
+Time counts from when the microphone that is nearest hears the nearest point of the body; delays between microphones,
+up to 5 ms, are kept.
 
 In free air (`baffle: none` of the body) a first-order shelf of 1/2 at low frequencies stands for diffraction about the
 box. There is no room, no player, no neck and no sound of the strings themselves.
@@ -34,6 +35,8 @@ from tonewood.authoring import (
 
 #: m, least distance of a microphone from the surface; its squares are 10 mm wide
 NEAREST = 0.03
+#: m, by which distances of microphones of one output may differ; their delays cost some 15 modes per 0.34 m
+FARTHEST = 1.7
 
 
 class BodyMicrophonesParameters(Parameters):
@@ -78,16 +81,21 @@ class BodyMicrophones(Pickup[BodyMicrophonesParameters]):
         """Bank of all microphones; each has modes of its own, so that those that are not recorded are not stepped."""
         shapes = np.array([body.right[body.index(point)].real for point in driven])
         place = self.parameters.at
-        digest = hashlib.sha256(f"{highest!r} {sources.baffled}".encode())
+        nearest = {name: float(sources.distances(at).min()) for name, at in place.items()}
+        far = max(nearest, key=lambda name: nearest[name])
+        if nearest[far] - min(nearest.values()) > FARTHEST:
+            raise self.fault(f"is more than {FARTHEST:g} m farther from the body than the nearest one", f"at.{far}")
+        delay = min(nearest.values()) / plate.SOUND_SPEED
+        digest = hashlib.sha256(f"{highest!r} {sources.baffled} {delay!r}".encode())
         for array in (body.poles, shapes, sources.points, sources.volumes):
             digest.update(np.ascontiguousarray(array).tobytes())
         poles, residues, index = [], [], []
         for k, (name, at) in enumerate(place.items()):
-            if sources.distances(at).min() < NEAREST:
+            if nearest[name] < NEAREST:
                 raise self.fault(f"is nearer than {NEAREST:g} m to the body", f"at.{name}")
 
             def fitted(at: Vector = at) -> dict[str, NDArray[np.complex128]]:
-                bank = plate.microphone(sources, at, body.poles, shapes, highest)
+                bank = plate.microphone(sources, at, body.poles, shapes, highest, delay)
                 return {"poles": bank.poles, "residues": bank.residues}
 
             bank = cached_arrays({"sources": digest.hexdigest(), "at": list(at)}, fitted)

@@ -266,7 +266,17 @@ class DrawnBody(Body[DrawnBodyParameters]):
         """Squares of 10 mm of the top, and the hole."""
         modes, drawing = self.modes_below(freq_upper), self.drawing
         rings = (drawing.outline,) if drawing.hole is None else (drawing.outline, drawing.hole)
-        return plate.Sources(modes.sources, modes.volumes, drawing.baffled, modes.areas, rings, modes.labels())
+        behind = np.column_stack([modes.back_sources, np.full(len(modes.back_sources), -drawing.depth)])
+        return plate.Sources(
+            modes.sources,
+            modes.volumes,
+            drawing.baffled,
+            modes.areas,
+            rings,
+            modes.labels(),
+            behind,
+            modes.back_volumes,
+        )
 
     def modes_below(self, freq_upper: float) -> plate.BodyModes:
         """All that is known of the modes below `freq_upper` (Hz), computed once for a drawing."""

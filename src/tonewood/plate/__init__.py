@@ -3,6 +3,7 @@
 `body.body_modes` makes the modes of a `body.BodyDrawing`; every other module has one step of it.
 """
 
+from tonewood.plate.air import SOUND_SPEED as SOUND_SPEED
 from tonewood.plate.beams import Beam as Beam
 from tonewood.plate.body import BodyDrawing as BodyDrawing
 from tonewood.plate.body import BodyModes as BodyModes

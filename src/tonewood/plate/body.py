@@ -150,16 +150,19 @@ class BodyModes:
     def named(self) -> dict[str, int]:
         """Numbers of the modes that are called A0 and T1.
 
-        Both are modes below 400 Hz: T1 that in which the top displaces the largest volume while the air in the hole, if
-        there is one, moves outwards with it; A0 that below T1 in which air goes out of the hole as the top goes in.
+        Both are modes below 400 Hz in which the cavity's own modes hold less than half of the kinetic energy: A0, where
+        there is a hole, the one in whose air there is most of it, T1 the one above A0 in which the top displaces the
+        largest volume.
         """
-        top, hole = (part.sum(axis=0) for part in np.split(self.volumes, [int(self.hole_from[0])]))
-        low = np.flatnonzero((self.freq < 400.0) & (top * hole >= 0) & (self.kinetic[2] < 0.5))
-        if not low.size:
-            return {}
-        first = int(low[np.argmax(np.abs(top[low]))])
-        below = np.flatnonzero(top[:first] * hole[:first] < 0)
-        return {"T1": first} | ({"A0": int(below[np.argmax(self.kinetic[1, below])])} if below.size else {})
+        low = np.flatnonzero((self.freq < 400.0) & (self.kinetic[2] < 0.5))
+        found = {}
+        if low.size and self.kinetic[1, low].max() > 0:
+            found["A0"] = int(low[np.argmax(self.kinetic[1, low])])
+            low = low[low > found["A0"]]
+        if low.size:
+            top = np.abs(self.volumes[: int(self.hole_from[0])].sum(axis=0))
+            found["T1"] = int(low[np.argmax(top[low])])
+        return found
 
     def labels(self) -> tuple[str, ...]:
         """Name of each mode: ``A0``, ``T1``, or the part that holds most of its kinetic energy."""

@@ -40,7 +40,7 @@ class Bank:
     ----------
     poles : (n,) 1/s, the body's, -omega_b of the shelf, and those of high damping; one of each pair.
     residues : (n, inputs) Pa/(N s).
-    delay : s, of the nearest source; it is not in the residues.
+    delay : s, that is not in the residues.
     error_db : median and 95th percentile of the error over frequency and inputs, dB.
     """
 
@@ -72,7 +72,9 @@ def pressure(
     return np.asarray((gains * modal) @ shapes.T)
 
 
-def microphone(sources: Sources, at: ArrayLike, poles: Complexes, shapes: Floats, highest: float) -> Bank:
+def microphone(
+    sources: Sources, at: ArrayLike, poles: Complexes, shapes: Floats, highest: float, delay: float | None = None
+) -> Bank:
     """Fit the bank of one microphone.
 
     Parameters
@@ -80,14 +82,15 @@ def microphone(sources: Sources, at: ArrayLike, poles: Complexes, shapes: Floats
     at : (3,) m.
     poles, shapes : as for `pressure`; shapes (inputs, n) at every point that may be driven.
     highest : Hz, that the bank is stepped up to; poles of high damping above it are left out.
+    delay : s, taken out; that of the nearest source where left out. A smaller one stays in the bank.
     """
     from scipy.linalg import lstsq
 
-    delay = float(sources.distances(at).min()) / SOUND_SPEED
+    delay = float(sources.distances(at).min()) / SOUND_SPEED if delay is None else delay
     freq = _frequencies(poles, highest)
     target = pressure(sources, at, poles, shapes, freq, delay)
     top = float(np.abs(poles).max() / (2 * np.pi))
-    wide = _background(sources, at, top)
+    wide = _background(sources, at, top, delay)
     every = np.concatenate([poles, wide[np.abs(wide) < 2 * np.pi * highest]])
     s = 2j * np.pi * freq[:, None]
     columns = _columns(s, every)
@@ -108,13 +111,14 @@ def microphone(sources: Sources, at: ArrayLike, poles: Complexes, shapes: Floats
     return Bank(every, bank.residues, delay, (float(np.median(error)), float(np.percentile(error, 95))))
 
 
-def _background(sources: Sources, at: ArrayLike, top: float) -> Complexes:
+def _background(sources: Sources, at: ArrayLike, top: float, delay: float) -> Complexes:
     """Poles of high damping up to `_BEYOND` times `top` (Hz), and that of the shelf.
 
     A delay of T changes over 1/T Hz: poles 1/T apart and as wide, T the spread of delays, follow what the tails of the
     body's modes add up to between their resonances.
     """
-    spread = float(np.ptp(sources.distances(at))) / SOUND_SPEED
+    farthest = max(float(r.max(initial=0.0)) for r in (sources.distances(at), sources.distances_behind(at)))
+    spread = farthest / SOUND_SPEED - delay
     step = min(1.0 / spread, 0.3 * top)
     pairs = 2 * np.pi * step * ((np.arange(int(_BEYOND * top / step)) + 0.5) * 1j - 1.0)
     return np.asarray(pairs if sources.baffled else np.concatenate([[-sources.shelf + 0j], pairs]))

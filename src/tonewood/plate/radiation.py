@@ -11,7 +11,8 @@ for it, from 1/2 at omega << c/a to 1 at omega >> c/a, a half the body's length,
 
     H(s) = (s + omega_b / 2) / (s + omega_b),    omega_b = c / a,
 
-and (1/2 + k^2) / (1 + k^2), k = omega / omega_b, on the power: half of a pressure in twice the space. It is no
+and (1/2 + k^2) / (1 + k^2), k = omega / omega_b, on the power: half of a pressure in twice the space. A back is heard
+through the rest of it, 1 - H(s), so that at low frequencies all volumes add up to a source in free air. It is no
 calculation of diffraction about the box.
 """
 
@@ -39,6 +40,7 @@ class Sources:
     baffled : whether the plane about them is rigid; else the shelf of this module stands for free air.
     areas : (n,) m^2 of the cells; empty where they are not known.
     rings : outline of the plate and its holes, each (m, 2) m, for pictures.
+    behind, behind_volumes : (m, 3) m and (m, modes) m^3, the same of a back, counted outwards; not heard where baffled.
     labels : name of each mode, in its order: ``A0``, ``T1``, or the part that holds most of its kinetic energy.
     """
 
@@ -48,6 +50,8 @@ class Sources:
     areas: Floats = field(default_factory=lambda: np.zeros(0))
     rings: tuple[Floats, ...] = ()
     labels: tuple[str, ...] = ()
+    behind: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    behind_volumes: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def shelf(self) -> float:
@@ -59,12 +63,24 @@ class Sources:
         x, y, z = np.asarray(at, dtype=np.float64)
         return np.asarray(np.sqrt((self.points[:, 0] - x) ** 2 + (self.points[:, 1] - y) ** 2 + z**2))
 
+    def distances_behind(self, at: ArrayLike) -> Floats:
+        """(m,) m, of the squares of the back from a place (3,)."""
+        return np.asarray(np.sqrt(((self.behind - np.asarray(at, dtype=np.float64)) ** 2).sum(axis=1)))
+
     def pressure(self, at: ArrayLike, freq: ArrayLike, delay: float = 0.0) -> Complexes:
         """(modes, n_freq) Pa at a place (3,) m per unit acceleration of each mode, `delay` (s) taken out."""
         r, omega = self.distances(at), 2 * np.pi * np.atleast_1d(np.asarray(freq, dtype=np.float64))
         weights = AIR_DENSITY / (2 * np.pi) * self.volumes / r[:, None]
         out = weights.T @ np.exp(-1j * np.outer(r / SOUND_SPEED - delay, omega))
-        return np.asarray(out if self.baffled else out * self.shelf_at(np.asarray(1j * omega)))
+        if self.baffled:
+            return np.asarray(out)
+        shelf = self.shelf_at(np.asarray(1j * omega))
+        out = out * shelf
+        if len(self.behind):
+            r = self.distances_behind(at)
+            weights = AIR_DENSITY / (2 * np.pi) * self.behind_volumes / r[:, None]
+            out += (1 - shelf) * (weights.T @ np.exp(-1j * np.outer(r / SOUND_SPEED - delay, omega)))
+        return np.asarray(out)
 
     def shelf_at(self, s: Complexes) -> Complexes:
         """The shelf H(s)."""

@@ -129,6 +129,15 @@ def test_free_air_halves_low_pressures_and_powers() -> None:
     assert open_air.resistance([2.0])[0] == pytest.approx(disc.resistance([2.0])[0] / 2, rel=1e-3)
 
 
+def test_a_small_box_is_a_source_in_free_air() -> None:
+    """At low frequencies top and back, moving outwards, make p = rho (V1 + V2)'' / 4 pi r."""
+    disc = piston(0.1)
+    behind = np.column_stack([disc.points, np.full(len(disc.points), -0.1)])
+    box = Sources(disc.points, disc.volumes, baffled=False, behind=behind, behind_volumes=0.5 * disc.volumes)
+    expected = AIR_DENSITY * 1.5 * np.pi * 0.01 / (4 * np.pi * 10.0)
+    assert abs(box.pressure((0.0, 0.0, 10.0), 2.0)[0, 0]) == pytest.approx(expected, rel=0.01)
+
+
 @pytest.mark.parametrize(("at", "median", "most"), [((0.2, 0.1, 1.0), 0.01, 0.1), ((0.7, 0.5, 0.8), 0.01, 0.1)])
 def test_a_bank_follows_the_rayleigh_sum(at, median: float, most: float) -> None:
     """Of a hinged plate's first modes, driven at two points: error in dB over frequency, and nothing at rest."""
