@@ -321,6 +321,8 @@ class DrawnBody(Body[DrawnBodyParameters]):
                 f"T1 is {modes.freq[named['T1']]:.1f} Hz on this edge ({self.parameters.edge.kind}), {hinged:.1f} Hz "
                 f"hinged, {clamped:.1f} Hz clamped: its stiffness is seldom known"
             )
+            share = modes.radiation_loss[named["T1"]] / modes.loss[named["T1"]]
+            lines.append(f"{100 * share:.0f} % of what T1 loses is radiated")
         return lines
 
     def _on_other_edges(self) -> tuple[float, float]:

@@ -274,3 +274,21 @@ def test_a_measured_body_with_shapes_on_a_grid_is_heard(tmp_path: Path) -> None:
     exact = type(found)(modes.sources[:n], modes.volumes[:n], baffled=False).pressure(at, f)[:2]
     assert np.abs(found.pressure(at, f)[:2]) == pytest.approx(np.abs(exact), rel=0.1)
     assert guitar("classical_guitar").body.sources(2e4) is None
+
+
+def test_its_modes_can_be_written_as_a_table(tmp_path: Path) -> None:
+    """`modal_table` makes the same body of the table and of the keys in its first lines."""
+    from tonewood.instrument.modal_export import modal_table_text
+    from tonewood.yaml_io import parse_yaml
+
+    body = guitar().body
+    text = modal_table_text(body, "body.csv", 2e4)
+    (tmp_path / "body.csv").write_text(text)
+    keys = "\n".join(line[2:] for line in text.splitlines() if line.startswith("# "))
+    values = dict(parse_yaml(keys)["body"])
+    del values["plugin"]
+    table = plugin("modal_table").from_values(values, Files(tmp_path, tmp_path / "instrument.yaml"), "body")
+    f = np.array([110.0, 440.0, 5000.0, 9000.0])
+    for a, b in (("saddle_E2", "saddle_E2"), ("saddle_B3_y", "lower_bout")):
+        assert table.basis(2e4).frf(f, a, b) == pytest.approx(body.basis(2e4).frf(f, a, b), rel=1e-6)
+    assert table.points()["saddle_E2_y"].direction == (0.0, 1.0, 0.0)

@@ -36,6 +36,9 @@ def modes(
             "their nodal lines"
         ),
     ] = None,
+    table: Annotated[
+        Path | None, typer.Option(help="write the body's modes to this table (.csv), which modal_table reads")
+    ] = None,
     strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
@@ -45,6 +48,8 @@ def modes(
     from tonewood.cli.check import pitch_row, wolf_line
     from tonewood.instrument.assembly import assemble
     from tonewood.instrument.inspection import mobility_peaks, partials, pitches
+    from tonewood.instrument.modal_export import modal_table_text
+    from tonewood.whole_files import write_whole
 
     render_options({"fs": fs})
     bundle = load(instrument, settings, allow_code, strings)
@@ -70,6 +75,8 @@ def modes(
     peaks = {name: mobility_peaks(model, name) for name in names}
     if plot is not None:
         _plot(model, names, plot)
+    if table is not None:
+        write_whole(table, modal_table_text(bundle.body, table.name, SHOWN_TO))
     if as_json:
         report: dict[str, Any] = {
             "instrument": bundle.name,
@@ -90,6 +97,7 @@ def modes(
             "body": {"facts": list(facts), "modes": _body_modes(bundle)},
             "wolf_notes": wolves,
             "plot": None if plot is None else str(plot),
+            "table": None if table is None else str(table),
         }  # fmt: skip
         print_json("modes", report)
         return
@@ -112,6 +120,8 @@ def modes(
         print(f"wolf note: {wolf_line(row)}")
     if plot is not None:
         print(f"bridge mobility: {plot}")
+    if table is not None:
+        print(f"modes of the body: {table}; its first lines are the keys for a bundle")
 
 
 def _body_modes(bundle: Instrument) -> list[dict[str, Any]]:

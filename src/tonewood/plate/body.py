@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tonewood.plate.air import AirModes, Cavity, cavity_modes, couple_air
 from tonewood.plate.beams import Beam
-from tonewood.plate.outline import quadrature
+from tonewood.plate.outline import area, quadrature
 from tonewood.plate.plate import CLAMPED, Edge, Plate, PlateModes, Thickness, cell_size
 from tonewood.plate.radiation import Sources, gathered_sources
 from tonewood.plate.splines import SplineGrid
@@ -26,8 +26,8 @@ from tonewood.plate.wood import Wood
 
 Floats = NDArray[np.float64]
 
-#: cells of a plate's grid
-MOST_FUNCTIONS = 20_000
+#: coefficients of a plate's displacements
+MOST_UNKNOWNS = 25_000
 #: m, squares in which a plate's motion is gathered for its sound and its pictures
 SOURCE_SIZE = 0.01
 
@@ -151,8 +151,8 @@ class BodyModes:
         """Numbers of the modes that are called A0 and T1.
 
         Both are modes below 400 Hz in which the cavity's own modes hold less than half of the kinetic energy: A0, where
-        there is a hole, the one in whose air there is most of it, T1 the one above A0 in which the top displaces the
-        largest volume.
+        there is a hole, the one in whose air there is most of it, T1 the one above A0 with the largest volume displaced
+        by the top, over frequency squared.
         """
         low = np.flatnonzero((self.freq < 400.0) & (self.kinetic[2] < 0.5))
         found = {}
@@ -161,7 +161,7 @@ class BodyModes:
             low = low[low > found["A0"]]
         if low.size:
             top = np.abs(self.volumes[: int(self.hole_from[0])].sum(axis=0))
-            found["T1"] = int(low[np.argmax(top[low])])
+            found["T1"] = int(low[np.argmax(top[low] / self.freq[low] ** 2)])
         return found
 
     def labels(self) -> tuple[str, ...]:
@@ -176,7 +176,7 @@ def body_modes(drawing: BodyDrawing) -> BodyModes:
 
     Raises
     ------
-    ValueError : a plate would need more functions than `MOST_FUNCTIONS`.
+    ValueError : a plate would need more than `MOST_UNKNOWNS` unknowns.
     """
     rings = [drawing.outline] if drawing.hole is None else [drawing.outline, drawing.hole]
     top = _solved(rings, drawing.top, drawing.fmax)
@@ -240,11 +240,11 @@ def first_modes(drawing: BodyDrawing, edges: Sequence[Edge], fmax: float = 1500.
 def _plate(rings: Sequence[Floats], drawn: PlateDrawing, fmax: float) -> Plate:
     typical = drawn.thickness if not callable(drawn.thickness) else float(np.mean(drawn.thickness(rings[0])))
     size = drawn.size or cell_size(drawn.wood, typical, fmax)
-    width, height = np.ptp(rings[0], axis=0)
-    if width * height / size**2 > MOST_FUNCTIONS:
+    unknowns = area(rings[0]) / size**2 * (3 if drawn.beams else 1)
+    if unknowns > MOST_UNKNOWNS:
         raise ValueError(
-            f"modes to {fmax:g} Hz need cells of {1e3 * size:.2g} mm, more than {MOST_FUNCTIONS} of them: a lower fmax "
-            "or a larger cell is wanted"
+            f"modes to {fmax:g} Hz need cells of {1e3 * size:.2g} mm, some {unknowns:.0f} unknowns; {MOST_UNKNOWNS} are "
+            "allowed: a lower fmax or a larger cell is wanted"
         )
     return Plate(rings, drawn.wood, drawn.thickness, drawn.edge, drawn.beams, size=size, grain=drawn.grain)
 
@@ -285,11 +285,11 @@ def _with_air(
     at_hole, hole = np.zeros(len(cavity.freq)), None
     if mouth is not None:
         points, weights = mouth
-        area = float(weights.sum())
-        at_hole = weights @ cavity.shapes(points) / area
+        opening = float(weights.sum())
+        at_hole = weights @ cavity.shapes(points) / opening
         thick = drawing.top.thickness
         wall = thick if not callable(thick) else float(np.mean(thick(points)))
-        hole = (area, wall + drawing.end_correction * float(np.sqrt(area / np.pi)))
+        hole = (opening, wall + drawing.end_correction * float(np.sqrt(opening / np.pi)))
     return couple_air(freq, outward, cavity.volume, hole, (cavity.freq, b, at_hole)), cavity
 
 
