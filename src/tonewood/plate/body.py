@@ -243,8 +243,8 @@ def _plate(rings: Sequence[Floats], drawn: PlateDrawing, fmax: float) -> Plate:
     unknowns = area(rings[0]) / size**2 * (3 if drawn.beams else 1)
     if unknowns > MOST_UNKNOWNS:
         raise ValueError(
-            f"modes to {fmax:g} Hz need cells of {1e3 * size:.2g} mm, some {unknowns:.0f} unknowns; {MOST_UNKNOWNS} are "
-            "allowed: a lower fmax or a larger cell is wanted"
+            f"modes to {fmax:g} Hz need cells of {1e3 * size:.2g} mm, some {unknowns:.0f} unknowns, of which "
+            f"{MOST_UNKNOWNS} are allowed: a lower fmax or a larger cell is wanted"
         )
     return Plate(rings, drawn.wood, drawn.thickness, drawn.edge, drawn.beams, size=size, grain=drawn.grain)
 
