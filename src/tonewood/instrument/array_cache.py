@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +54,7 @@ def cached_arrays(
         if path is not None:
             try:
                 with whole_file(path, make_folder=True) as stream:
-                    np.savez_compressed(stream, allow_pickle=False, **found)
+                    np.savez_compressed(stream, **cast(Any, found))
             except OutputError:
                 pass  # nothing is lost but time
     while len(_RECENT) >= _MOST_RECENT:
