@@ -300,14 +300,14 @@ def test_its_modes_can_be_written_as_a_table(tmp_path: Path) -> None:
 @pytest.mark.validate
 @pytest.mark.parametrize("name", ["drawn_guitar", "drawn_guitar_x"])
 def test_a_braced_top_has_converged(name: str) -> None:
-    """First 100 modes with the default cells against finer ones: median within 0.6 %, all within 1.5 %, from above."""
+    """First 100 modes with the default cells against finer ones: median within 0.8 %, all within 1.5 %."""
     drawing = guitar(name).body.drawing
     size = cell_size(drawing.top.wood, drawing.top.thickness, 6000.0)
     coarse, fine = (
         body_modes(replace(drawing, fmax=5000.0, top=replace(drawing.top, size=s))).freq[:100] for s in (size, 5.5e-3)
     )
     apart = coarse / fine - 1
-    assert np.median(apart) < 0.006
+    assert np.median(apart) < 0.008
     assert np.abs(apart).max() < 0.015
 
 
