@@ -17,7 +17,7 @@ LAYERS = (
     {"errors", "validation_messages", "_kernel", "_methods"},
     {"units", "params", "yaml_io", "whole_files", "blas"},
     {"yaml_edit", "plotting", "tables"},
-    {"modal"},
+    {"modal", "plate"},
     {"coupling", "passivity"},
     {"stepping"},
     {"energy"},
@@ -33,7 +33,7 @@ LAYERS = (
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 
 #: packages that compute: arrays, no files, no formats
-COMPUTING = ("modal", "coupling", "stepping", "energy", "passivity")
+COMPUTING = ("modal", "plate", "coupling", "stepping", "energy", "passivity")
 #: and what they may stand on
 ARRAYS_ONLY = {"numpy", "scipy", "matplotlib", "threadpoolctl", "tonewood"}
 STANDARD_FORBIDDEN = {"json", "csv", "io", "tempfile", "shutil", "subprocess"}
