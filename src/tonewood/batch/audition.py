@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tonewood.batch.layout import Group
 from tonewood.batch.manifest import Manifest
+from tonewood.batch.pages import localised
 from tonewood.batch.pictures import CAPTION, HEIGHT, WIDTH
 from tonewood.batch.production import PICTURES, SoundFile
 from tonewood.whole_files import whole_file
@@ -37,13 +38,13 @@ img {{ display: block; max-width: 100%; height: auto; }}
 
 def audition_page(manifest: Manifest, groups: Sequence[Group], files: dict[str, SoundFile]) -> str:
     """The page as text; a blind batch shows codes where an open one shows conditions."""
-    title = escape(manifest.title or manifest.name)
+    title = escape(localised(manifest.title, manifest.language) or manifest.name)
     parts = [_HEAD.format(title=title, count=len(files), caption=CAPTION)]
     for number, group in enumerate(groups, start=1):
         shown = [files[s.code] for s in group.stimuli if s.code in files]
         if not shown:
             continue
-        question = escape(manifest.pages[group.page].name)
+        question = escape(localised(manifest.pages[group.page].name, manifest.language))
         name = f"Set {number}" if manifest.output.blind else escape(group.name)
         parts.append(f"<section>\n<h2>{name}</h2>\n" + (f"<p>{question}</p>\n" if question else ""))
         parts += [_sound(manifest, file) for file in shown]

@@ -63,6 +63,25 @@ class EngineRenderer:
             "computed_with": computed_with(),
         }
 
+    def own_value(self, condition: Condition, path: str) -> Any:
+        """Value of a parameter of the instrument, or of an option of the render (``render.``); None if not given.
+
+        Raises
+        ------
+        TonewoodError
+            The bundle cannot be loaded, or an override does not fit it.
+        """
+        value: Any = instrument_of(condition, self.allow_code).resolved
+        if path.startswith("render."):
+            return condition.render.model_dump().get(path.removeprefix("render."))
+        for name in path.split("."):
+            if isinstance(value, list):
+                value = {str(v.get("name", i) if isinstance(v, Mapping) else i): v for i, v in enumerate(value)}
+            if not isinstance(value, Mapping):
+                return None
+            value = next(iter(value.values()), None) if name == "*" else value.get(name)
+        return value
+
     def predict(self, condition: Condition) -> float:
         """Time of a render, s, from a short measured piece of the first one asked for on the same bundle and rate.
 

@@ -18,11 +18,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tonewood.batch import audition, records, webmushra
+from tonewood.batch import audition, definition, records
 from tonewood.batch.conditions import Condition, expand
 from tonewood.batch.layout import Group, lay_out
-from tonewood.batch.manifest import HtmlPage, Manifest, ManifestError, load_manifest
-from tonewood.batch.production import PICTURES, SERVED, SOUNDS, Fault, SoundFile, make_files
+from tonewood.batch.manifest import Manifest, ManifestError, load_manifest
+from tonewood.batch.pages import HtmlPage, PairPage, as_pairs
+from tonewood.batch.production import PICTURES, SOUNDS, Fault, SoundFile, make_files
 from tonewood.batch.store import Rendered, Store, content_key
 from tonewood.batch.workers import Workers
 from tonewood.errors import NumericalError, OutputError, TonewoodError
@@ -43,6 +44,9 @@ class StimulusRenderer(Protocol):
     def render(self, condition: Condition) -> Rendered:
         """The sound itself."""
 
+    def own_value(self, condition: Condition, path: str) -> Any:
+        """Value of a parameter of the instrument or the render (``render.``); raises a TonewoodError without one."""
+
     def predict(self, condition: Condition) -> float:
         """About how long `render` will take, s."""
 
@@ -53,6 +57,7 @@ class BatchPlan:
 
     Attributes
     ----------
+    source : the manifest's folder.
     conditions, groups : of the manifest, those that could be resolved.
     keys : content key by condition name.
     todo : one condition for each key that is not rendered yet.
@@ -61,6 +66,7 @@ class BatchPlan:
     """
 
     manifest: Manifest
+    source: Path
     conditions: tuple[Condition, ...]
     groups: tuple[Group, ...]
     keys: dict[str, str]
@@ -71,9 +77,25 @@ class BatchPlan:
     notes: tuple[str, ...]
 
     @property
+    def room(self) -> Path | None:
+        """File of the impulse response that all sounds are convolved with."""
+        return None if self.manifest.stimuli.room is None else self.source / self.manifest.stimuli.room
+
+    @property
     def n_files(self) -> int:
         """Sound files that will be written."""
         return sum(len(g.stimuli) for g in self.groups)
+
+    def trials_of_a_pair(self) -> dict[int, int]:
+        """Trials that a listener gets on each page (from 0) of pairs, of one pair of levels."""
+        found: dict[int, int] = {}
+        for index, page in enumerate(self.manifest.pages):
+            if isinstance(page, PairPage):
+                (factor, pairs), *_ = page.pairs.items()
+                count = len(as_pairs(pairs, self.manifest.choices()[factor]))
+                trials = sum(len(g.trials) for g in self.groups if g.page == index)
+                found[index] = page.times * max(1, trials // count)
+        return found
 
     def summary(self) -> dict[str, Any]:
         """The plan as JSON-ready data."""
@@ -146,6 +168,7 @@ def plan_batch(
     try:
         conditions = expand(manifest, manifest_path.parent)
         groups, notes = lay_out(manifest, conditions)
+        definition.check_staircases(manifest, manifest_path.parent, renderer.own_value)
     except ManifestError as fault:
         raise ManifestError(fault.reason, file=manifest_path, key=fault.key) from None
     keys: dict[str, str] = {}
@@ -159,6 +182,8 @@ def plan_batch(
             continue
         keys[condition.name] = key = content_key(identity)
         identities[key] = identity
+    if not keys:  # a misspelt path of a factor: one line, however many conditions have it
+        raise ManifestError(f"no condition can be resolved: {faults[0].reason}", file=manifest_path, key="factors")
     store = Store(folder / WORK)
     todo: dict[str, Condition] = {}
     for condition in conditions:
@@ -180,7 +205,16 @@ def plan_batch(
                 faults.append(Fault(condition.name, str(fault)))
         seconds /= 1 if workers is None else workers.count
     return BatchPlan(
-        manifest, conditions, groups, keys, identities, tuple(todo.values()), seconds, tuple(faults), tuple(notes)
+        manifest,
+        manifest_path.parent,
+        conditions,
+        groups,
+        keys,
+        identities,
+        tuple(todo.values()),
+        seconds,
+        tuple(faults),
+        tuple(notes),
     )
 
 
@@ -228,7 +262,7 @@ def run_batch(
         manifest.stimuli,
         folder,
         workers.local(),
-        durations={name: renders[key]["frames"] / renders[key]["fs"] for name, key in keys.items()},
+        room=plan.room,
         seed=manifest.seed,
         pictures="html" in manifest.output.formats,
         advance=_Counter(progress, "files", 2 * sum(len(g.stimuli) for g in groups)),
@@ -341,8 +375,10 @@ def _write_records(
     conditions = {c.name: c for c in plan.conditions}
     _remove_strangers(folder, set(by_code))
     rows = records.file_records(files, conditions, plan.identities, renders)
-    if "webmushra" in formats:
-        webmushra.write_experiment(folder / SERVED, webmushra.experiment(manifest, groups, by_code))
+    if "test" in formats:
+        drops = {f.group: f.page_drop_db for f in files}
+        made = definition.definition_of(manifest, groups, by_code, plan.source, drops)
+        records.write_json(folder / definition.FILE, made)
     if "html" in formats:
         audition.write_audition(folder, audition.audition_page(manifest, groups, by_code))
     if "csv" in formats:
