@@ -138,7 +138,7 @@ def test_loudness_of_notes_that_decay() -> None:
         assert -23.0 - gain == pytest.approx(weight + 10 * np.log10(mean), abs=0.05)
         gains[t60] = (gain, stimuli.level_gain_db(note, FS, "bs1770_gated", -23.0))
     by_loudest, by_gated = (gains[1.0][i] - gains[8.0][i] for i in (0, 1))
-    assert 0 < by_loudest < 2.2
+    assert 0 < by_loudest < 2.5
     assert by_gated > 4.0
 
 
