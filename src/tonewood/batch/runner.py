@@ -11,7 +11,7 @@ import json
 import re
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -23,6 +23,7 @@ from tonewood.batch.conditions import Condition, expand
 from tonewood.batch.layout import Group, lay_out
 from tonewood.batch.manifest import Manifest, ManifestError, load_manifest
 from tonewood.batch.pages import HtmlPage, PairPage, as_pairs
+from tonewood.batch.pictures import write_differences
 from tonewood.batch.production import PICTURES, SOUNDS, Fault, SoundFile, make_files
 from tonewood.batch.store import Rendered, Store, content_key
 from tonewood.batch.workers import Workers
@@ -380,12 +381,38 @@ def _write_records(
         made = definition.definition_of(manifest, groups, by_code, plan.source, drops)
         records.write_json(folder / definition.FILE, made)
     if "html" in formats:
-        audition.write_audition(folder, audition.audition_page(manifest, groups, by_code))
+        _draw_differences(groups, by_code, folder)
+        audition.write_audition(folder, manifest, groups, by_code, conditions)
     if "csv" in formats:
         records.write_csv(folder / records.RECORD_CSV, rows)
     if "json" in formats:
         records.write_json(folder / records.RECORD_JSON, records.batch_record(manifest, rows, faults, notes))
     records.write_json(folder / manifest.output.key, records.key_of(manifest, groups, conditions))
+
+
+#: sounds in one figure of differences
+_MOST_DIFFERENCES = 13
+
+
+def _draw_differences(groups: Sequence[Group], files: Mapping[str, SoundFile], folder: Path) -> None:
+    """One figure a group: how its sounds differ from the reference, or from the first."""
+    import soundfile
+
+    shown = [g for g in groups if any(s.code in files for s in g.stimuli)]
+    for number, group in enumerate(shown, start=1):
+        references = [t.reference for t in group.trials if t.reference is not None]
+        present = sorted((s for s in group.stimuli if s.code in files), key=lambda s: s.code not in references[:1])
+        path = folder / PICTURES / f"differences{number}.png"
+        if 1 < len(present) <= _MOST_DIFFERENCES:
+            sounds = {
+                s.condition + ("" if s.role == "sound" else f" ({s.role})"): soundfile.read(
+                    folder / files[s.code].file, always_2d=True
+                )[0]
+                for s in present
+            }
+            write_differences(path, sounds, files[present[0].code].fs, group.name)
+        else:
+            remove(path)
 
 
 def _remove_strangers(folder: Path, codes: set[str]) -> None:

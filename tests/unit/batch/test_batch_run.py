@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import base64
 import csv
 import errno
 import hashlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -51,7 +53,8 @@ def test_a_batch_from_manifest_to_pages(tmp_path: Path) -> None:
     assert seen[-1] == ("files", 48, 48)
     out = tmp_path / "out"
     assert {p.name for p in out.iterdir()} == {
-        "stimuli", "test.json", "pictures", "work", "audition.html", "key.json", "manifest.json", "manifest.csv",
+        "stimuli", "test.json", "pictures", "audition", "work", "audition.html", "key.json", "manifest.json",
+        "manifest.csv",
     }  # fmt: skip
     record = json.loads((out / "manifest.json").read_text())
     for row in record["files"]:
@@ -94,17 +97,26 @@ def test_blind_names_and_the_key(tmp_path: Path) -> None:
     assert {s["role"] for s in heard} == {"sound", "anchor35", "anchor70"}
 
 
-def test_an_open_audition_shows_conditions(tmp_path: Path) -> None:
-    page = {"type": "html", "group_by": ["score"], "reference": {"damping": "complex"}, "anchors": [3500]}
-    report = run(tmp_path, pages=[page], output={"blind": False})
+def test_the_audition_has_every_sound_and_keeps_names_apart(tmp_path: Path) -> None:
+    evil = "</script><script>alert(1)</script>"
+    page = {"type": "html", "name": evil, "group_by": ["score"], "reference": {"damping": "complex"}, "anchors": [3500]}
+    report = run(tmp_path, pages=[page], output={"blind": True}, title=evil)
     text = (report.folder / "audition.html").read_text()
-    assert "harp.low.damping=complex" in text
-    assert "(anchor35)" in text
+    assert text.count("<script") == 2
+    assert "alert(1)</script>" not in text
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])
+    assert data["sets"][0]["question"] == evil
+    assert {s["code"] for s in data["sets"][0]["sounds"]} == {f.code for f in report.files}
+    names = (report.folder / "audition" / "names.js").read_text()
+    assert "harp.low.damping=complex" in names
+    assert '"role": "anchor35"' in names
+    script = (report.folder / "audition" / "set1.js").read_text()
+    sounds = json.loads(script.removeprefix("soundsOf(0, ").removesuffix(");\n"))
     for file in report.files:
-        assert f'src="{file.file}"' in text
-        assert (report.folder / file.file).exists()
+        assert base64.b64decode(sounds[file.code]) == (report.folder / file.file).read_bytes()
     by_role = {f.role: f for f in report.files if "complex" in f.condition}
     assert by_role["anchor35"].gain_db == by_role["sound"].gain_db
+    assert (report.folder / "pictures" / "differences1.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_same_manifest_gives_the_same_bytes(tmp_path: Path) -> None:
