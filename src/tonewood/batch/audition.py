@@ -1,9 +1,8 @@
 """A page to hear everything of a batch: gapless switching, one cursor, sorting by factor, names hidden until asked for.
 
 ``audition.html`` opens from the disk. Sounds of a set are in ``audition/setN.js``, loaded when it is first played:
-browsers let a page from the disk load scripts, but neither sounds for gapless playing nor data. Names of conditions are in
-``audition/names.js``, which is loaded when the page is unblinded. Texts are set as text by the
-script.
+browsers let a page from the disk load scripts, but neither sounds for gapless playing nor data. Names of conditions
+are in ``audition/names.js``, which is loaded when the page is unblinded. Texts are set as text by the script.
 """
 
 from __future__ import annotations
@@ -64,11 +63,9 @@ def write_audition(
     factors += ["repeat"] if manifest.repeats > 1 else []
     _write(folder / FOLDER / "names.js", f"namesAre({_json({'factors': factors, 'names': names})});\n")
     title = localised(manifest.title, language) or manifest.name
-    data = {"sets": sets, "blind": manifest.output.blind, "pictures": PICTURES, "edge": LEFT_EDGE / WIDTH}
-    assets = {
-        name: (package_files("tonewood.batch") / name).read_text("utf-8") for name in ("audition.html", "audition.js")
-    }
-    page = assets["audition.html"]
+    data = {"sets": sets, "blind": manifest.output.blind, "pictures": PICTURES}
+    assets = package_files("tonewood.batch")
+    page, script = ((assets / f"audition.{kind}").read_text("utf-8") for kind in ("html", "js"))
     for mark, text in (
         ("{{title}}", escape(title)), ("{{caption}}", escape(CAPTION)), ("{{count}}", str(len(files))),
         ("{{data}}", _json(data)), ("{{script}}", script),
