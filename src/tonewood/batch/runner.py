@@ -191,6 +191,11 @@ def plan_batch(
         wanted = keys.get(condition.name)
         if wanted is not None and wanted not in todo and not store.has(wanted):
             todo[wanted] = condition
+    # one instrument after the other: workers keep the models that they used last
+    order = sorted(
+        todo, key=lambda key: json.dumps([(c := todo[key]).bundle, c.overrides], default=str, sort_keys=True)
+    )
+    todo = {key: todo[key] for key in order}
     if todo and (unused := store.others(set(keys.values()))):
         notes.append(
             f"{unused} renders in {store.folder} are not used: they were made of something else (parameters, scores, "
