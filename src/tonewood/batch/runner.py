@@ -279,7 +279,7 @@ def run_batch(
     unrendered = [Fault(name, f.reason, f.detail) for name, key in plan.keys.items() if (f := failed.get(key))]
     faults = (*plan.faults, *unrendered, *silent)
     notes = (*plan.notes, *lost, *lowered, *lost_too)
-    _write_records(plan, groups, files, renders, faults, notes, folder)
+    _write_records(plan, groups, files, renders, faults, notes, folder, workers.local())
     return Report(
         name=manifest.name,
         folder=folder,
@@ -375,6 +375,7 @@ def _write_records(
     faults: Sequence[Fault],
     notes: Sequence[str],
     folder: Path,
+    workers: Workers,
 ) -> None:
     manifest, formats = plan.manifest, plan.manifest.output.formats
     by_code = {f.code: f for f in files}
@@ -386,7 +387,7 @@ def _write_records(
         made = definition.definition_of(manifest, groups, by_code, plan.source, drops)
         records.write_json(folder / definition.FILE, made)
     if "html" in formats:
-        _draw_differences(groups, by_code, folder)
+        _draw_differences(groups, by_code, folder, workers)
         audition.write_audition(folder, manifest, groups, by_code, conditions)
     if "csv" in formats:
         records.write_csv(folder / records.RECORD_CSV, rows)
@@ -399,25 +400,30 @@ def _write_records(
 _MOST_DIFFERENCES = 13
 
 
-def _draw_differences(groups: Sequence[Group], files: Mapping[str, SoundFile], folder: Path) -> None:
+def _draw_differences(groups: Sequence[Group], files: Mapping[str, SoundFile], folder: Path, workers: Workers) -> None:
     """One figure a group: how its sounds differ from the reference, or from the first."""
-    import soundfile
-
     shown = [g for g in groups if any(s.code in files for s in g.stimuli)]
+    tasks = []
     for number, group in enumerate(shown, start=1):
         references = [t.reference for t in group.trials if t.reference is not None]
         present = sorted((s for s in group.stimuli if s.code in files), key=lambda s: s.code not in references[:1])
         path = folder / PICTURES / f"differences{number}.png"
         if 1 < len(present) <= _MOST_DIFFERENCES:
-            sounds = {
-                s.condition + ("" if s.role == "sound" else f" ({s.role})"): soundfile.read(
-                    folder / files[s.code].file, always_2d=True
-                )[0]
-                for s in present
-            }
-            write_differences(path, sounds, files[present[0].code].fs, group.name)
+            labels = [s.condition + ("" if s.role == "sound" else f" ({s.role})") for s in present]
+            sounds = {label: folder / files[s.code].file for label, s in zip(labels, present, strict=True)}
+            tasks.append((path, sounds, group.name))
         else:
             remove(path)
+    for _ in workers.each(_draw, tasks) if tasks else ():
+        pass
+
+
+def _draw(task: tuple[Path, dict[str, Path], str]) -> None:
+    import soundfile
+
+    path, files, heading = task
+    sounds = {label: soundfile.read(file, always_2d=True)[0] for label, file in files.items()}
+    write_differences(path, sounds, soundfile.info(next(iter(files.values()))).samplerate, heading)
 
 
 def _remove_strangers(folder: Path, codes: set[str]) -> None:

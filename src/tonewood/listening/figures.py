@@ -45,7 +45,8 @@ def figures_of(found: PanelResults, page: PageResults) -> dict[str, Any]:
 
 
 def _cell(cell: dict[str, str]) -> str:
-    return ", ".join(f"{k} = {v.replace('|', ' or ')}" for k, v in cell.items())
+    text = ", ".join(v.replace("|", " or ") if len(cell) > 1 else f"{k} = {v}" for k, v in cell.items())
+    return text.replace("|", " or ")
 
 
 def _points(
@@ -58,7 +59,7 @@ def _points(
     values = [math.nan if v is None else v for _, v, _, _ in rows]
     below = [0.0 if low is None or v is None else v - low for _, v, low, _ in rows]
     above = [0.0 if high is None or v is None else high - v for _, v, _, high in rows]
-    made, grid = figure(heights=[2.2 + 0.55 * len(rows)])
+    made, grid = figure(heights=[2.6 + 0.62 * len(rows)])
     axes = grid[0, 0]
     axes.errorbar(values, range(len(rows)), xerr=[below, above], fmt="o", capsize=6, color=COLOURS[0], lw=LINE, ms=8)
     axes.set_yticks(range(len(rows)), [plain(name) for name, *_ in rows])

@@ -190,13 +190,17 @@ def _readable(name: str, columns: Mapping[str, str]) -> str:
 
 
 def rank_analysis(rows: Rows, factors: Sequence[str]) -> RankAnalysis:
-    """Rank tests of each factor, on listeners who rated all its levels."""
+    """Rank tests of each factor, on listeners who rated all its levels, in cells of the others that have all of them."""
     from scipy.stats import friedmanchisquare, wilcoxon
 
     tests, pairs = [], []
     for factor in factors:
         levels = unique([str(row[factor]) for row in rows])
-        means = [listener_means([row for row in rows if str(row[factor]) == level]) for level in levels]
+        cells: dict[tuple[str, ...], set[str]] = {}
+        for row in rows:
+            cells.setdefault(_cell(row, factors, factor), set()).add(str(row[factor]))
+        whole = [row for row in rows if len(cells[_cell(row, factors, factor)]) == len(levels)]
+        means = [listener_means([row for row in whole if str(row[factor]) == level]) for level in levels]
         who = [w for w in means[0] if all(w in m for m in means)]
         if len(levels) < 2 or len(who) < 3:
             continue
@@ -227,6 +231,11 @@ def rank_analysis(rows: Rows, factors: Sequence[str]) -> RankAnalysis:
             holm[i] = worst
         pairs += [RankPair(factor, a, b, len(who), p, float(q), r) for (a, b, p, r), q in zip(raw, holm, strict=True)]
     return RankAnalysis(tuple(tests), tuple(pairs))
+
+
+def _cell(row: Mapping[str, Any], factors: Sequence[str], but: str) -> tuple[str, ...]:
+    """Levels of all factors but one."""
+    return tuple(str(row[name]) for name in factors if name != but)
 
 
 def _rank_biserial(change: Any) -> float:
