@@ -13,7 +13,7 @@ from tonewood.yaml_edit import Edit
 def manifest_edits(values: Mapping[str, Any], file: str | os.PathLike[str] | None = None) -> list[Edit]:
     """Return the edits that take single precision and webMUSHRA's options (0.1) out of a manifest's values.
 
-    A page `paired_comparison` of 0.1 asked which of two is the reference: it becomes `abx`. It is told from the one of
+    A page `paired_comparison` of 0.1 asked which of two is the reference: it becomes `abx`. It differs from the one of
     today by its lack of a question.
 
     Raises

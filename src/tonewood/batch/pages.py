@@ -140,7 +140,7 @@ class PairPage(SoundPage):
 
     pairs: Pairs = Field(min_length=1, max_length=1)
     times: int = Field(default=1, ge=1, le=1000, description="trials of each pair")
-    expect: float | None = Field(default=None, gt=0, lt=1, description="share of answers to be told from guessing")
+    expect: float | None = Field(default=None, gt=0, lt=1, description="share of answers beyond guessing")
     feedback: bool = Field(default=False, description="show whether an answer was right")
 
 

@@ -143,14 +143,18 @@ def _plain(value: Any) -> Any:
 
 def instrument_of(condition: Condition, allow_code: bool = False) -> Instrument:
     """The bundle with the condition's overrides, and with what varies once per repeat."""
-    instrument = _loaded(condition.bundle, allow_code).replace(
-        {**condition.overrides, **condition.render.effect_changes}
-    )
+    changes = json.dumps({**condition.overrides, **condition.render.effect_changes})
+    return _changed(condition.bundle, allow_code, changes, tuple(d for d in condition.draws if d.note_field is None))
+
+
+@lru_cache(maxsize=64)
+def _changed(bundle: str, allow_code: bool, changes: str, draws: tuple[Draw, ...]) -> Instrument:
+    """A bundle with overrides, written as JSON, and drawn variations."""
+    instrument = _loaded(bundle, allow_code).replace(json.loads(changes))
     varied: dict[str, Any] = {}
-    for draw in condition.draws:
-        if draw.note_field is None:
-            drawn = float(draw.values(1)[0])
-            varied |= {path: draw.applied(value, drawn) for path, value in _numbers(instrument.resolved, draw.path)}
+    for draw in draws:
+        drawn = float(draw.values(1)[0])
+        varied |= {path: draw.applied(value, drawn) for path, value in _numbers(instrument.resolved, draw.path)}
     return instrument.replace(varied)
 
 

@@ -236,7 +236,7 @@ def run_batch(
     Parameters
     ----------
     manifest_path : the YAML file.
-    folder : made if need be; ``serve/`` is for listeners, all else for the experimenter.
+    folder : made if need be; of it, listeners get sounds only, by `tonewood serve`.
     renderer : see `StimulusRenderer`.
     workers : where the work is done; rendering may go to a cluster, files are made here.
     progress : called with the stage's name, what is done and what there is to do.

@@ -1,7 +1,7 @@
 """Answers on disk: one file a listener, one JSON line an answer, written through to the disk.
 
 The file appears complete with its first line (who, which test, which seed). Each answer is appended by one write and is
-on the disk before the listener's browser is told so. A line that a crash cut off has no line end: it is left out when
+on the disk before the server confirms it. A line that a crash cut off has no line end: it is left out when
 the file is read, and cut off when it is taken up again; that answer was never confirmed, so its page is shown again.
 """
 

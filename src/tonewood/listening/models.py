@@ -190,7 +190,7 @@ def _readable(name: str, columns: Mapping[str, str]) -> str:
 
 
 def rank_analysis(rows: Rows, factors: Sequence[str]) -> RankAnalysis:
-    """Rank tests of each factor, on listeners who rated all its levels, in cells of the others that have all of them."""
+    """Rank tests of each factor, on listeners who rated all its levels, in cells of the others that have all."""
     from scipy.stats import friedmanchisquare, wilcoxon
 
     tests, pairs = [], []

@@ -81,7 +81,7 @@ def test_right_answers_are_where_the_sounds_are(test_of_all: ListeningTest) -> N
         assert min(counts) > 0.4 * sum(counts) / len(counts), (kind, counts)
 
 
-def test_browsers_are_told_no_code_no_level_and_no_answer(test_of_all: ListeningTest) -> None:
+def test_browsers_get_no_code_no_level_and_no_answer(test_of_all: ListeningTest) -> None:
     key = json.loads((test_of_all.folder / "key.json").read_text())
     hidden = [*key["stimuli"], *key["trials"], "complex", "proportional", "near", "far", "correct", "level"]
     session, who = Session(test_of_all, 3), listener(test_of_all)
