@@ -117,7 +117,7 @@ def test_a_misspelt_factor_is_one_line(small: Path, capsys: pytest.CaptureFixtur
         code, out, err = command(capsys, "batch", path, "-o", small.parent / "misspelt", *extra)
         assert (code, out) == (2, "")
         assert err.count("\n") == 1
-        assert "factors: no condition can be resolved: " in err
+        assert "misspelt.yaml: no condition can be resolved: " in err
         assert "dampingcase" in err
 
 

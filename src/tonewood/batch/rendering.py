@@ -144,13 +144,14 @@ def _plain(value: Any) -> Any:
 def instrument_of(condition: Condition, allow_code: bool = False) -> Instrument:
     """The bundle with the condition's overrides, and with what varies once per repeat."""
     changes = json.dumps({**condition.overrides, **condition.render.effect_changes})
-    return _changed(condition.bundle, allow_code, changes, tuple(d for d in condition.draws if d.note_field is None))
+    draws = tuple(draw for draw in condition.draws if draw.note_field is None)
+    return _changed(_loaded(condition.bundle, allow_code), changes, draws)
 
 
 @lru_cache(maxsize=64)
-def _changed(bundle: str, allow_code: bool, changes: str, draws: tuple[Draw, ...]) -> Instrument:
+def _changed(bundle: Instrument, changes: str, draws: tuple[Draw, ...]) -> Instrument:
     """A bundle with overrides, written as JSON, and drawn variations."""
-    instrument = _loaded(bundle, allow_code).replace(json.loads(changes))
+    instrument = bundle.replace(json.loads(changes))
     varied: dict[str, Any] = {}
     for draw in draws:
         drawn = float(draw.values(1)[0])

@@ -184,7 +184,7 @@ def plan_batch(
         keys[condition.name] = key = content_key(identity)
         identities[key] = identity
     if not keys:  # a misspelt path of a factor: one line, however many conditions have it
-        raise ManifestError(f"no condition can be resolved: {faults[0].reason}", file=manifest_path, key="factors")
+        raise ManifestError(f"no condition can be resolved: {faults[0].reason}", file=manifest_path)
     store = Store(folder / WORK)
     todo: dict[str, Condition] = {}
     for condition in conditions:

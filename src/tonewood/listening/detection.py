@@ -178,10 +178,9 @@ def _same_different(
     rate = _log_linear(n, m)
     random = np.random.default_rng(1)
     h, f = rate(hits, alarms)
-    drawn = [
-        sensitivity_same_different(*rate(int(a), int(b)))
-        for a, b in zip(random.binomial(n, h, draws), random.binomial(m, f, draws), strict=True)
-    ]
+    counts = np.column_stack([random.binomial(n, h, draws), random.binomial(m, f, draws)])
+    pairs, which = np.unique(counts, axis=0, return_inverse=True)
+    drawn = np.array([sensitivity_same_different(*rate(int(a), int(b))) for a, b in pairs])[which.ravel()]
     tail = 50 * (1 - confidence)
     low, high = np.percentile(drawn, [tail, 100 - tail])
     return sensitivity_same_different(h, f), float(low), float(high)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,7 @@ class PageResults:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready, without the rows."""
-        return {k: v for k, v in asdict(self).items() if k != "rows"}
+        return {k: v for k, v in asdict(replace(self, rows=())).items() if k != "rows"}
 
 
 @dataclass(frozen=True)
