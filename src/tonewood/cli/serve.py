@@ -42,6 +42,7 @@ def serve(
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listening.bind((host, port))
+            listening.listen(128)  # who comes before the server is ready waits
         except OSError as fault:
             raise TonewoodError(f"{host}:{port} cannot be used: {fault.strerror}", key="--host, --port") from None
         for name in _names(host):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -135,6 +136,29 @@ def test_a_whole_test_is_taken_through_a_kill(everything: ListeningTest) -> None
     assert {page.kind for page in found.pages} >= {"mushra", "staircase", "rating"}
     (questions,) = [r for r in found.table.rows if r["item"] == "plays"]
     assert questions["response"] == "much"
+
+
+def test_the_command_serves_this_computer_only(everything: ListeningTest) -> None:
+    command = [sys.executable, "-m", "tonewood", "serve", str(everything.folder), "--port", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
+        with urllib.request.urlopen(address, timeout=30) as reply:
+            assert b"test.js" in reply.read()
+        port = int(address.rsplit(":", 1)[1].strip("/"))
+        with socket.socket() as other, pytest.raises(OSError, match="in use"):
+            other.bind(("127.0.0.1", port))  # it is taken here,
+        with socket.socket() as other:
+            other.bind(("127.0.0.2", port))  # and nowhere else
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=30) in (0, 130)
+        assert process.stderr is not None
+        assert "Traceback" not in process.stderr.read()
+    finally:
+        process.kill()
+        process.wait()
 
 
 def test_nothing_but_the_pages_can_be_reached(everything: ListeningTest) -> None:
