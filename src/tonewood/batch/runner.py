@@ -7,6 +7,7 @@ and the others are rendered; pages and pairs without one of their sounds are lef
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import time
@@ -170,6 +171,8 @@ def plan_batch(
         conditions = expand(manifest, manifest_path.parent)
         groups, notes = lay_out(manifest, conditions)
         definition.check_staircases(manifest, manifest_path.parent, renderer.own_value)
+        if manifest.stimuli.room is not None:
+            room_response(manifest_path.parent / manifest.stimuli.room, manifest.stimuli)
     except ManifestError as fault:
         raise ManifestError(fault.reason, file=manifest_path, key=fault.key) from None
     keys: dict[str, str] = {}
@@ -392,7 +395,10 @@ def _write_records(
     if "csv" in formats:
         records.write_csv(folder / records.RECORD_CSV, rows)
     if "json" in formats:
-        records.write_json(folder / records.RECORD_JSON, records.batch_record(manifest, rows, faults, notes))
+        record = records.batch_record(manifest, rows, faults, notes)
+        if plan.room is not None:
+            record["room_sha256"] = hashlib.sha256(plan.room.read_bytes()).hexdigest()
+        records.write_json(folder / records.RECORD_JSON, record)
     records.write_json(folder / manifest.output.key, records.key_of(manifest, groups, conditions))
 
 

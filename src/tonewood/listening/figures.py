@@ -21,7 +21,7 @@ _TRACKS = 6
 def figures_of(found: PanelResults, page: PageResults) -> dict[str, Any]:
     """Figures of one page: name -> figure."""
     who = f"{page.listeners} {'simulated ' if found.simulated == found.listeners else ''}listeners"
-    heading = f"{page.heading}\n{who}, {100 * found.confidence:g} % intervals"
+    heading = f"{who}, {100 * found.confidence:g} % intervals"
     made: dict[str, Any] = {}
     if page.thresholds is not None:
         made["tracks"] = _tracks(found, page, who)
@@ -37,7 +37,7 @@ def figures_of(found: PanelResults, page: PageResults) -> dict[str, Any]:
         limits = (0.0, 100.0) if page.kind == "mushra" else None
         shown = [*page.cells, *(h for h in page.helpers if h.cell["role"] != "reference")]
         rows = [(_cell(m.cell), m.mean, m.low, m.high) for m in shown]
-        label = "difference grade" if page.kind == "bs1116" else "score"
+        label = "difference grade" if page.kind == "bs1116" else "rating"
         made["means"] = _points(rows, label, heading, limits, 0.0 if page.kind == "bs1116" else None)
         if len(page.factors) > 1:
             made["interaction"] = _interaction(page, label, heading, found.confidence)
@@ -120,7 +120,7 @@ def _tracks(found: PanelResults, page: PageResults, who: str) -> Any:
     )
     legend(axes, ncols=2)
     shown = "" if len(names) <= _TRACKS else f", the first {_TRACKS} tracks"
-    title(axes, f"{page.heading}\n{who}{shown}")
+    title(axes, f"{who}{shown}")
     return made
 
 
@@ -151,5 +151,5 @@ def _psychometric(found: PanelResults, page: PageResults, who: str) -> Any:
         axes.set_xscale("log")
     axes.set(ylim=(0, 1.02), xlabel=plain(f"level {thresholds.unit}".strip()), ylabel="share of right answers")
     legend(axes)
-    title(axes, f"{page.heading}\n{who}; one line a listener, dots: all answers")
+    title(axes, f"{who}; one line a listener, dots: all answers")
     return made

@@ -131,7 +131,7 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
     unfinished = [one.listener for one in answers if not one.records or one.records[-1]["page"] != finish]
     pages: list[PageResults] = []
     for index, page in enumerate(test.pages):
-        rows = table.of_page(index)
+        rows = _in_order(table.of_page(index), table)
         if rows:
             pages += _page_results(test, index, page, rows, table, confidence, screening)
     began = [one for one in answers if one.records]
@@ -204,7 +204,8 @@ def _rated(
     screened: tuple[ScreenedListener, ...] = (),
 ) -> PageResults:
     sounds = [row for row in rows if row["role"] in ("sound", "reference") and row["value"] is not None]
-    used = _used(sounds, table.factors)
+    reference = getattr(page, "reference", {})  # its factors are the question: they come first
+    used = _used(sounds, sorted(table.factors, key=lambda factor: factor not in reference))
     by = used or ("type",)
     return PageResults(
         **base,
@@ -218,6 +219,16 @@ def _rated(
         mixed=mixed_model(sounds, used, confidence, _levels(table, page)),
         ranks=rank_analysis(sounds, used),
     )
+
+
+def _in_order(rows: list[dict[str, Any]], table: AnswerTable) -> list[dict[str, Any]]:
+    """Answers by the levels heard, in the manifest's order; those to the same levels stay as they are."""
+
+    def place(row: dict[str, Any]) -> list[int]:
+        first = [(f, str(row[f]).partition(VERSUS)[0]) for f in table.factors if f in table.levels]
+        return [table.levels[f].index(level) if level in table.levels[f] else -1 for f, level in first]
+
+    return sorted(rows, key=place)
 
 
 def _levels(table: AnswerTable, page: AnyPage) -> dict[str, list[str]]:

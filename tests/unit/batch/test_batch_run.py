@@ -19,8 +19,11 @@ import pytest
 import soundfile
 from batch_fakes import FakeRenderer
 
-from tonewood.batch import stimuli
+from tonewood.batch import stimuli, trimming
+from tonewood.batch.manifest import Stimuli
+from tonewood.batch.production import room_response
 from tonewood.batch.runner import Report, plan_batch, run_batch
+from tonewood.batch.stimuli import StimulusError
 from tonewood.batch.store import Rendered, Store, content_key
 from tonewood.batch.workers import Workers
 from tonewood.errors import OutputError, TonewoodError
@@ -297,6 +300,43 @@ def test_a_page_is_lowered_as_a_whole(tmp_path: Path) -> None:
     for file in report.files:
         assert file.lufs == pytest.approx(-8.0 - drop, abs=0.01)
     assert f"lowered by {drop:.2f} dB" in report.notes[0]
+
+
+def test_files_begin_at_the_same_sample_and_end_with_the_longest_decay(tmp_path: Path) -> None:
+    report = run(tmp_path, stimuli={"onset": {"at": 0.02}})
+    found = {}
+    for file in report.files:
+        samples, fs = soundfile.read(report.folder / file.file, always_2d=True)
+        assert fs == 48000
+        if file.role == "sound":
+            assert trimming.onset(samples, -40.0) == 960
+            found[file.condition] = np.flatnonzero(np.abs(samples[:, 0]) > 1.5 / 2**15)[-1] / fs
+    # complex decays by 60 dB in 0.5 s: no file is longer, and the others are silent after their own decay
+    assert {file.frames for file in report.files} == {max(f.frames for f in report.files)}
+    assert report.files[0].frames / 48000 == pytest.approx(0.5 + 0.02, abs=0.03)
+    assert found["harp.low.damping=block"] == pytest.approx(0.3 + 0.02, abs=0.04)
+    rendered = run(tmp_path, "score", stimuli={"onset": {"align": "score"}, "trim": {"level_db": None}})
+    assert rendered.files[0].frames == round(1.0 * 48000) + 480  # two decay times are rendered
+
+
+def test_sounds_in_a_room(tmp_path: Path) -> None:
+    """Two channels, the second half as loud and 100 samples later."""
+    response = np.zeros((101, 2))
+    response[0, 0], response[100, 1] = 1.0, 0.5
+    (tmp_path / "out_in").mkdir()
+    soundfile.write(tmp_path / "out_in" / "room.wav", response, 48000, subtype="DOUBLE")
+    report = run(tmp_path, stimuli={"channels": 2, "subtype": "PCM_24", "room": "room.wav"})
+    for file in report.files:
+        samples, _ = soundfile.read(report.folder / file.file, always_2d=True)
+        left, right = samples[600:9000, 0], samples[700:9100, 1]
+        if file.role == "sound":
+            assert np.max(np.abs(right - 0.5 * left)) < 1e-5
+    with pytest.raises(StimulusError, match=r"room\.wav: has 2 channels; 1 or 1 are allowed"):
+        room_response(tmp_path / "out_in" / "room.wav", Stimuli())
+    record = json.loads((report.folder / "manifest.json").read_text())
+    assert record["room_sha256"] == hashlib.sha256((tmp_path / "out_in" / "room.wav").read_bytes()).hexdigest()
+    with pytest.raises(StimulusError, match=r"gone\.wav: cannot be read"):
+        run(tmp_path, "absent", stimuli={"room": "gone.wav"})
 
 
 def test_24_bits_two_channels_other_rates_and_a_given_length(tmp_path: Path) -> None:
