@@ -25,7 +25,7 @@ from tonewood.batch.layout import Group, lay_out
 from tonewood.batch.manifest import Manifest, ManifestError, load_manifest
 from tonewood.batch.pages import HtmlPage, PairPage, as_pairs
 from tonewood.batch.pictures import write_differences
-from tonewood.batch.production import PICTURES, SOUNDS, Fault, SoundFile, make_files
+from tonewood.batch.production import PICTURES, SOUNDS, Fault, SoundFile, make_files, room_response
 from tonewood.batch.store import Rendered, Store, content_key
 from tonewood.batch.workers import Workers
 from tonewood.errors import NumericalError, OutputError, TonewoodError
