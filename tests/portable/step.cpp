@@ -35,6 +35,7 @@ ComponentDescription component(const saved::File& file, const std::string& at) {
     if ((d.has_tension = file.has(at + "a"))) {
         d.tension.a = view(file, at + "a"), d.tension.half = view(file, at + "half");
         d.tension.reading = view(file, at + "reading"), d.tension.kick = view(file, at + "kick");
+        d.tension.velocity = view(file, at + "velocity");
     }
     return d;
 }
@@ -74,7 +75,6 @@ CompiledSystem system_of(const saved::File& file) {
         const std::string at = saved::at("tensions/strings", i);
         s.tensions.strings.push_back({int(file.integer(at + "0")), file[at + "1"].f8[0], file.integers(at + "2")});
     }
-    s.tensions.matrix = view(file, "tensions/matrix"), s.tensions.offset = view(file, "tensions/offset");
     for (std::size_t i = 0; file.has(saved::at("geometric", i) + "scale"); ++i) {
         GeometricDescription d;
         d.scale = file[saved::at("geometric", i) + "scale"].f8[0], d.along = file.integer(saved::at("geometric", i) + "along");
@@ -98,7 +98,7 @@ bool same(const char* path, double tolerance) {
     Kernel kernel(instruction_set("baseline"), system.components.size(), capacity, int(wanted.shape[1]));
     kernel.load(system);
     std::vector<double> modes(2 * capacity), out(wanted.f8.size()), forces(n * m), law_forces(n * k), series(k), slip(k),
-        last(k), tension(3 * kernel.n_tensions());
+        last(k), tension(4 * kernel.n_tensions());
     Job job;
     job.modes[0] = modes.data(), job.modes[1] = modes.data() + capacity;
     job.n = std::int64_t(n), job.out = out.data(), job.forces = forces.data(), job.n_channels = kernel.n_channels();
