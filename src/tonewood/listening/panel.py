@@ -130,7 +130,7 @@ class _Listener:
         assert page is not None
         given: dict[str, Any] = {"seconds": 5.0, "plays": dict.fromkeys(step.slots, 1)}
         if isinstance(page, StaircasePage):
-            number = self.test.pages.index(page)
+            number = session.page_index or 0
             return given | {
                 "choice": self._choice(choices(page, step), step.correct, self._detects(page, number, step.level))
             }

@@ -147,7 +147,7 @@ class ListeningServer:
             if slot not in step.slots:
                 return Response(status_code=404)
             if step.level is not None and self.pairs is not None:
-                number = self.test.pages.index(page) if page is not None else 0
+                number = opened.session.page_index or 0
                 made = self.pairs.pair(number, step.level)
                 self._expect(opened, number, step)
                 return Response(made[step.slots[slot]], media_type="audio/wav")

@@ -83,12 +83,17 @@ class Session:
         self.step: Step | None = next(self._course, None)
 
     @property
-    def page(self) -> AnyPage | None:
-        """The manifest's page of the step; of a training step, the page that is trained."""
+    def page_index(self) -> int | None:
+        """Index of the step's page in the manifest; of a training step, of the page that is trained."""
         if self.step is None:
             return None
         page = self.test.pages[self.step.page]
-        return self.test.pages[page.page - 1] if isinstance(page, TrainingPage) else page
+        return page.page - 1 if isinstance(page, TrainingPage) else self.step.page
+
+    @property
+    def page(self) -> AnyPage | None:
+        """The page of `page_index`."""
+        return None if self.page_index is None else self.test.pages[self.page_index]
 
     @property
     def total(self) -> int:
