@@ -77,7 +77,7 @@ CompiledSystem system_of(const saved::File& file) {
     }
     for (std::size_t i = 0; file.has(saved::at("geometric", i) + "scale"); ++i) {
         GeometricDescription d;
-        d.scale = file[saved::at("geometric", i) + "scale"].f8[0], d.along = file.integer(saved::at("geometric", i) + "along");
+        d.scale = file[saved::at("geometric", i) + "scale"].f8[0], d.longitudinal = file.integer(saved::at("geometric", i) + "longitudinal");
         for (std::size_t p = 0; file.has(saved::at(saved::at("geometric", i) + "parts", p) + "slot"); ++p) {
             const std::string at = saved::at(saved::at("geometric", i) + "parts", p);
             d.parts.push_back({int(file.integer(at + "slot")), view(file, at + "slopes"), view(file, at + "reading"),
