@@ -120,7 +120,18 @@ def test_what_computes_knows_arrays_only():
             where = f"{path.relative_to(ROOT)}:{line}"
             assert root not in STANDARD_FORBIDDEN, f"{where}: reads and writes nothing"
             known = root in ARRAYS_ONLY or root in {"__future__", "collections", "dataclasses", "functools"}
-            allowed = {"abc", "ctypes", "itertools", "math", "os", "pathlib", "threading", "typing", "warnings", "weakref"}
+            allowed = {
+                "abc",
+                "ctypes",
+                "itertools",
+                "math",
+                "os",
+                "pathlib",
+                "threading",
+                "typing",
+                "warnings",
+                "weakref",
+            }
             assert known or root in allowed, f"{where}: {module}"
 
 
