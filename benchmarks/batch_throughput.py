@@ -1,14 +1,19 @@
 """Stimuli per second of `tonewood batch`, and how much of the cores it uses.
 
     python benchmarks/batch_throughput.py --notes 1000 --jobs 2 --workers processes
+    python benchmarks/batch_throughput.py --notes 10000 --jobs 2 --dask --formats json
 
-Renders notes of two seconds on the classical guitar, once each, from manifest to files and pages. Core efficiency is
-the processor time of rendering and file making, summed over all workers, divided by jobs times wall time.
+Renders notes of two seconds on the classical guitar, once each, from manifest to files and pages; `--dask` renders on a
+cluster of so many processes of this machine. Core efficiency is the processor time of rendering and file making, summed
+over all workers, divided by jobs times wall time. The rates of the tenths of the renders show whether a stimulus costs
+more the more came before.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import itertools
 import json
 import os
 import resource
@@ -21,7 +26,7 @@ from tonewood.batch.runner import run_batch
 from tonewood.batch.workers import Workers
 
 
-def manifest(notes: int) -> dict:
+def manifest(notes: int, formats: list[str]) -> dict:
     """So many notes: pitches of the guitar, each at several places."""
     pitches = min(notes, 40)
     places = {f"p{i}": round(0.05 + 0.1 * i / (notes / pitches), 5) for i in range(-(-notes // pitches))}
@@ -35,6 +40,7 @@ def manifest(notes: int) -> dict:
         "render": {"tail": {"energy_db": -200, "cap": 0.01}},
         "stimuli": {"duration": 2.0},
         "pages": [{"type": "html"}],
+        "output": {"formats": formats},
     }
 
 
@@ -43,19 +49,33 @@ def main() -> None:
     parser.add_argument("--notes", type=int, default=1000)
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--workers", choices=["processes", "threads"], default="processes")
+    parser.add_argument("--dask", action="store_true")
+    parser.add_argument("--formats", nargs="*", default=["test", "html", "csv", "json"])
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "batch.yaml"
-        path.write_text(json.dumps(manifest(given.notes)))
+        path.write_text(json.dumps(manifest(given.notes, given.formats)))
         stages: dict[str, list[float]] = {}
+        times: list[float] = []
         began = time.perf_counter()
 
         def mark(stage: str, done: int, total: int) -> None:
             now = time.perf_counter() - began
             stages.setdefault(stage, [now, now])[1] = now
+            if stage == "renders":
+                times.append(now)
 
-        report = run_batch(path, Path(folder) / "out", EngineRenderer(), Workers(given.jobs, given.workers), mark)
-        wall = time.perf_counter() - began
+        with contextlib.ExitStack() as stack:
+            address = None
+            if given.dask:
+                from distributed import LocalCluster
+
+                options = {"threads_per_worker": 1, "processes": True, "dashboard_address": None}
+                address = stack.enter_context(LocalCluster(given.jobs, **options)).scheduler_address
+                began = time.perf_counter()
+            workers = Workers(given.jobs, given.workers, address)
+            report = run_batch(path, Path(folder) / "out", EngineRenderer(), workers, mark)
+            wall = time.perf_counter() - began
     from joblib.externals.loky import get_reusable_executor
 
     get_reusable_executor().shutdown(wait=True)  # only ended children are counted below
@@ -64,6 +84,11 @@ def main() -> None:
         for usage in (resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN))
     )
     print(f"{len(report.files)} stimuli, {given.jobs} {given.workers}: {wall:.1f} s, {len(report.files) / wall:.2f} /s")
+    tenths = [times[i * (len(times) - 1) // 10] for i in range(11)]
+    rates = [(len(times) - 1) / 10 / (b - a) for a, b in itertools.pairwise(tenths)]
+    print("renders per second, by tenths: " + ", ".join(f"{rate:.1f}" for rate in rates))
+    own, most = (resource.getrusage(who).ru_maxrss / 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    print(f"peak memory: this process {own:.0f} MB, largest worker {most:.0f} MB")
     print("until the end of each stage, s: " + ", ".join(f"{k} {v[1]:.1f}" for k, v in stages.items()))
     print(f"core efficiency {used / wall / given.jobs:.3f} (processor time {used:.1f} s)")
 

@@ -40,10 +40,11 @@ def listening() -> Iterator[tuple[int, Queue[str]]]:
 
 
 @contextmanager
-def opened(page: Path, profile: Path) -> Iterator[None]:
-    """A browser that shows a page."""
+def opened(page: Path | str, profile: Path) -> Iterator[None]:
+    """A browser that shows a page, a file or an address."""
+    address = page if isinstance(page, str) else page.as_uri()
     command = [
-        str(CHROMIUM), *_OPTIONS, "--remote-debugging-port=0", f"--user-data-dir={profile}", page.as_uri(),
+        str(CHROMIUM), *_OPTIONS, "--remote-debugging-port=0", f"--user-data-dir={profile}", address,
     ]  # fmt: skip
     browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:

@@ -27,6 +27,7 @@ LAYERS = (
     {"authoring"},
     {"output"},
     {"lab", "batch", "fit", "report"},
+    {"listening"},
     {"cli"},
     {"__init__", "__main__"},
 )

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 
@@ -24,6 +23,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The worked example, one short note and one stiffness."""
     data = load_yaml(EXAMPLE)
     data["scores"] = {"string4": data["scores"]["string4"]}
+    data["pages"][5]["times"] = 1
     data["factors"]["stiffness"]["levels"] = {"nominal": {"scale": 1.0}}
     data["exclude"] = []
     data["repeats"] = 1
@@ -43,37 +43,39 @@ def done(small: Path) -> Path:
 
 
 def test_the_worked_example_from_manifest_to_pages(done: Path) -> None:
-    experiment = load_yaml(done / "serve" / "webmushra.yaml")
-    assert [p["type"] for p in experiment["pages"]] == ["mushra"] * 2 + ["paired_comparison"] * 2 + ["finish"]
+    test = json.loads((done / "test.json").read_text())
+    assert [t["page"] for t in test["trials"]] == [4, 4, 6, 6]
     record = json.loads((done / "manifest.json").read_text())
-    assert len(record["files"]) == 2 * 4
+    assert len(record["files"]) == 2 * 4 + 2 * 2  # two anchors for each page of two pluck places
     by_condition = {f["condition"]: f["identity"]["parameters"]["body"]["damping_case"] for f in record["files"]}
     assert {name.split(".")[2]: case for name, case in by_condition.items()} == {
         "damping=complex": "complex",
         "damping=proportional": "proportional",
     }
-    sounds = {f["condition"]: f["sha256"] for f in record["files"] if f["group"].startswith("page2")}
+    sounds = {f["condition"]: f["sha256"] for f in record["files"] if f["group"].startswith("page6")}
     assert len(set(sounds.values())) == 4
-    assert "audio controls" in (done / "audition.html").read_text()
 
 
 def test_the_plan(small: Path, done: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = command(capsys, "batch", small, "-o", small.parent / "new", "--dry-run", "--json")
     plan = json.loads(out)
-    assert (code, plan["to_render"], plan["files"], plan["trials"]) == (0, 4, 8, 4)
+    assert (code, plan["to_render"], plan["files"], plan["trials"]) == (0, 4, 12, 4)
+    needed = {row["page"]: row["listeners"] for row in plan["power"]}
+    assert needed == {4: 48, 6: 38}  # 5 points of sd 12 by a t test; 76 answers, two a listener
     assert plan["predicted_seconds"] > 0
     assert not (small.parent / "new").exists()
     code, out, _ = command(capsys, "batch", small, "-o", done, "--dry-run")
     assert (code, out.splitlines()[0]) == (0, "harp.string4.damping=complex.stiffness=nominal.pluck=middle")
-    assert "4 conditions: 0 to render, 4 rendered; 8 files, 4 trials" in out
+    assert "4 conditions: 0 to render, 4 rendered; 12 files, 4 trials" in out
+    assert "page 4, mushra: 48 listeners for 5 points, sd 12" in out
 
 
 def test_a_second_run_renders_nothing(small: Path, done: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = {p.name: p.read_bytes() for p in (done / "serve" / "stimuli").iterdir()}
+    before = {p.name: p.read_bytes() for p in (done / "stimuli").iterdir()}
     code, out, _ = command(capsys, "batch", small, "-o", done, "--jobs", "1")
     assert code == 0
-    assert "8 files from 0 new and 4 earlier renders" in out
-    assert {p.name: p.read_bytes() for p in (done / "serve" / "stimuli").iterdir()} == before
+    assert "12 files from 0 new and 4 earlier renders" in out
+    assert {p.name: p.read_bytes() for p in (done / "stimuli").iterdir()} == before
 
 
 def test_a_failing_condition_sets_the_exit_code(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,28 +108,64 @@ def test_mistakes_are_one_line(arguments: tuple, line: str, capsys: pytest.Captu
     assert err.count("\n") == 1
 
 
-def test_results(done: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    key = json.loads((done / "key.json").read_text())
-    table = done.parent / "mushra.csv"
-    with table.open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(
-            ["session_test_id", "listener", "trial_id", "rating_stimulus", "rating_score", "rating_time", "comment"]
-        )
-        for listener, score in (("1", 60), ("2", 70), ("3", 80)):
-            for trial, entry in key["trials"].items():
-                if entry["type"] == "mushra":
-                    marks = {**dict.fromkeys(entry["stimuli"], score), "reference": 100 if listener != "3" else 40}
-                    for name, mark in marks.items():
-                        writer.writerow(["harp_damping", listener, trial, name, mark, 1, ""])
-    code, out, err = command(capsys, "results", table, "--key", done / "key.json")
-    assert code == 0
-    assert "2 of 3 listeners" in out
-    assert "damping=proportional: 65.00 [1.47, 128.53]" in out  # 65 -+ 12.7062 * 7.0711 / sqrt(2)
-    assert "3 is left out: hidden reference below 90 in 2 of 2 trials" in err
-    assert table.with_suffix(".png").exists()
-    code, out, _ = command(capsys, "results", table, "--key", done / "key.json", "--no-screening", "--json")
-    found = json.loads(out)
-    assert [m["mean"] for m in found["overall"]] == [70.0, 80.0]
-    code, _, err = command(capsys, "results", table, "--key", table)
+def test_a_misspelt_factor_is_one_line(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = load_yaml(small)
+    data["factors"]["damping"]["path"] = "body.dampingcase"
+    path = small.parent / "misspelt.yaml"
+    path.write_text(json.dumps(data))
+    for extra in ((), ("--dry-run",)):
+        code, out, err = command(capsys, "batch", path, "-o", small.parent / "misspelt", *extra)
+        assert (code, out) == (2, "")
+        assert err.count("\n") == 1
+        assert "misspelt.yaml: no condition can be resolved: " in err
+        assert "dampingcase" in err
+
+
+def test_a_level_that_fails_everywhere_is_one_line(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = load_yaml(small)
+    data["factors"]["damping"]["levels"]["none"] = "nothing"
+    path = small.parent / "level.yaml"
+    path.write_text(json.dumps(data))
+    code, _, err = command(capsys, "batch", path, "-o", small.parent / "level", "--dry-run")
+    failed = [line for line in err.splitlines() if "failed" in line]
+    assert code == 1
+    assert len(failed) == 1
+    assert "damping=none" in failed[0]
+    assert "and 1 other conditions" in failed[0]
+
+
+def test_simulated_listeners_and_their_results(done: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("statsmodels")
+    code, _, err = command(capsys, "results", done)
     assert (code, err.count("\n")) == (2, 1)
+    assert "answers: holds no answers" in err
+    code, out, _ = command(capsys, "simulate", done, "--panel", EXAMPLE.with_name("harp_panel.yaml"), "--listeners", 6)
+    assert (code, out) == (0, f"{done}: 6 simulated listeners\n")
+    code, out, _ = command(capsys, "results", done)
+    assert code == 0
+    assert "harp_damping: 6 simulated listeners, 95 % intervals" in out
+    assert "mixed model: value ~ C(damping) + C(pluck) + C(damping):C(pluck) + (1 | listener)" in out
+    page = (done / "results" / "report.html").read_text()
+    assert "simulated listeners" in page
+    assert "loudness BS.1770, LUFS" in page
+    assert {p.name for p in (done / "results").glob("*.csv")} == {"answers.csv", "means.csv"}
+    code, out, _ = command(capsys, "results", done, "--json", "--confidence", "0.9")
+    found = json.loads(out)
+    assert (found["simulated"], found["confidence"], len(found["pages"])) == (6, 0.9, 2)
+    for arguments in (("--confidence", "2"), ("--key", done / "test.json"), ("--key", "gone.json")):
+        code, _, err = command(capsys, "results", done, *arguments)
+        assert (code, err.count("\n")) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("gone",), "gone/test.json: cannot be read: No such file or directory; `tonewood batch` writes it"),
+        ((".", "--port", "70000"), "--port: is 70000"),
+    ],
+)
+def test_mistakes_of_serve_are_one_line(arguments: tuple, line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = command(capsys, "serve", *arguments)
+    assert code == 2
+    assert line in err
+    assert err.count("\n") == 1

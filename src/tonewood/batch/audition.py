@@ -1,75 +1,92 @@
-"""A plain page to hear everything of a batch, with pictures: one HTML file, relative links, no script."""
+"""A page to hear everything of a batch: gapless switching, one cursor, sorting by factor, names hidden until asked for.
+
+``audition.html`` opens from the disk. Sounds of a set are in ``audition/setN.js``, loaded when it is first played:
+browsers let a page from the disk load scripts, but neither sounds for gapless playing nor data. Names of conditions
+are in ``audition/names.js``, which is loaded when the page is unblinded. Texts are set as text by the script.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import base64
+import json
+from collections.abc import Mapping, Sequence
 from html import escape
+from importlib.resources import files as package_files
 from pathlib import Path
+from typing import Any
 
+from tonewood.batch.conditions import Condition
 from tonewood.batch.layout import Group
 from tonewood.batch.manifest import Manifest
-from tonewood.batch.pictures import CAPTION, HEIGHT, WIDTH
+from tonewood.batch.pages import localised
+from tonewood.batch.pictures import CAPTION
 from tonewood.batch.production import PICTURES, SoundFile
 from tonewood.whole_files import whole_file
 
 FILE = "audition.html"
-
-_HEAD = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>
-body {{ font-family: system-ui, sans-serif; margin: 2rem auto; max-width: 60rem; padding: 0 1rem; color: #222; }}
-section {{ border-top: 1px solid #ccc; margin-top: 2rem; }}
-figure {{ margin: 1rem 0; }}
-figcaption {{ display: flex; flex-wrap: wrap; gap: 1rem; align-items: center; }}
-img {{ display: block; max-width: 100%; height: auto; }}
-.facts {{ color: #666; font-size: .85rem; }}
-</style>
-</head>
-<body>
-<h1>{title}</h1>
-<p class="facts">{count} sounds. {caption}</p>
-"""
+FOLDER = "audition"
 
 
-def audition_page(manifest: Manifest, groups: Sequence[Group], files: dict[str, SoundFile]) -> str:
-    """The page as text; a blind batch shows codes where an open one shows conditions."""
-    title = escape(manifest.title or manifest.name)
-    parts = [_HEAD.format(title=title, count=len(files), caption=CAPTION)]
-    for number, group in enumerate(groups, start=1):
-        shown = [files[s.code] for s in group.stimuli if s.code in files]
-        if not shown:
-            continue
-        question = escape(manifest.pages[group.page].name)
-        name = f"Set {number}" if manifest.output.blind else escape(group.name)
-        parts.append(f"<section>\n<h2>{name}</h2>\n" + (f"<p>{question}</p>\n" if question else ""))
-        parts += [_sound(manifest, file) for file in shown]
-        parts.append("</section>\n")
-    parts.append("</body>\n</html>\n")
-    return "".join(parts)
+def write_audition(
+    folder: Path,
+    manifest: Manifest,
+    groups: Sequence[Group],
+    files: Mapping[str, SoundFile],
+    conditions: Mapping[str, Condition],
+) -> None:
+    """Write the page, its sounds and its names into the batch's folder; files of an earlier run are removed."""
+    language = manifest.language
+    shown = [g for g in groups if any(s.code in files for s in g.stimuli)]
+    sets: list[dict[str, Any]] = []
+    names: dict[str, Any] = {}
+    for number, group in enumerate(shown, start=1):
+        present = [s for s in group.stimuli if s.code in files]
+        sets.append(
+            {
+                "title": f"Set {number}",
+                "question": localised(manifest.pages[group.page].name, language),
+                "sounds": [{"code": s.code, "facts": facts_of(files[s.code])} for s in present],
+                "script": f"{FOLDER}/set{number}.js",
+                "figure": f"{PICTURES}/differences{number}.png",
+            }
+        )
+        names[f"Set {number}"] = group.name
+        for stimulus in present:
+            levels = conditions[stimulus.condition].all_levels
+            names[stimulus.code] = {"name": stimulus.condition, "role": stimulus.role, "levels": levels}
+        sounds = {s.code: base64.b64encode((folder / files[s.code].file).read_bytes()).decode() for s in present}
+        _write(folder / FOLDER / f"set{number}.js", f"soundsOf({number - 1}, {_json(sounds)});\n")
+    for path in (folder / FOLDER).glob("set*.js"):
+        if path.stem.removeprefix("set").isdigit() and int(path.stem.removeprefix("set")) > len(sets):
+            path.unlink()
+    factors = [name for name, levels in manifest.choices().items() if len(levels) > 1]
+    factors += ["repeat"] if manifest.repeats > 1 else []
+    _write(folder / FOLDER / "names.js", f"namesAre({_json({'factors': factors, 'names': names})});\n")
+    title = localised(manifest.title, language) or manifest.name
+    data = {"sets": sets, "blind": manifest.output.blind, "pictures": PICTURES}
+    assets = package_files("tonewood.batch")
+    page, script = ((assets / f"audition.{kind}").read_text("utf-8") for kind in ("html", "js"))
+    for mark, text in (
+        ("{{title}}", escape(title)), ("{{caption}}", escape(CAPTION)), ("{{count}}", str(len(files))),
+        ("{{data}}", _json(data)), ("{{script}}", script),
+    ):  # fmt: skip
+        page = page.replace(mark, text)
+    _write(folder / FILE, page)
 
 
-def write_audition(folder: Path, page: str) -> None:
-    """Write the page into the batch's folder."""
-    with whole_file(folder / FILE, make_folder=True) as stream:
-        stream.write(page.encode())
-
-
-def _sound(manifest: Manifest, file: SoundFile) -> str:
-    if manifest.output.blind:
-        name = file.code
-    else:
-        name = escape(file.condition) + (f" ({file.role})" if file.role != "sound" else "")
+def facts_of(file: SoundFile) -> str:
+    """Length and levels of a file in words."""
     loudness = "" if file.lufs is None else f"{file.lufs:.1f} LUFS{'' if file.loudness_gated else ' (ungated)'}, "
     peak = "silent" if file.true_peak_dbtp is None else f"{file.true_peak_dbtp:.1f} dBTP"
-    facts = f"{file.frames / file.fs:.2f} s, {loudness}{peak}"
-    return (
-        f'<figure id="{file.code}">\n<figcaption><strong>{name}</strong> '
-        f'<audio controls preload="metadata" src="{file.file}"></audio> '
-        f'<span class="facts">{facts}</span></figcaption>\n'
-        f'<img src="{PICTURES}/{file.code}.png" width="{WIDTH}" height="{HEIGHT}" loading="lazy" '
-        f'alt="waveform and spectrogram of {name}">\n</figure>\n'
-    )
+    return f"{file.frames / file.fs:.2f} s, {loudness}{peak}"
+
+
+def _json(data: Any) -> str:
+    """JSON that may stand in a script element of a page."""
+    text = json.dumps(data, ensure_ascii=False)
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+
+
+def _write(path: Path, text: str) -> None:
+    with whole_file(path, make_folder=True) as stream:
+        stream.write(text.encode())

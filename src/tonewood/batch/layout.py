@@ -11,14 +11,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from tonewood.batch.conditions import Condition
-from tonewood.batch.manifest import (
+from tonewood.batch.manifest import Manifest, ManifestError
+from tonewood.batch.pages import (
     Bs1116Page,
     HtmlPage,
-    Manifest,
-    ManifestError,
     MushraPage,
-    Page,
-    PairedPage,
+    PairPage,
+    RatedPage,
+    RatingPage,
+    SoundPage,
+    StaircasePage,
     as_pairs,
 )
 from tonewood.batch.seeds import blind_codes
@@ -38,7 +40,10 @@ class Stimulus:
 
 @dataclass(frozen=True)
 class Trial:
-    """Sounds that are judged together; `reference` and `stimuli` are codes."""
+    """Sounds that are judged together; `reference` and `stimuli` are codes.
+
+    The two of a pair are the reference and the only stimulus; a sound that is rated alone has no reference.
+    """
 
     id: str
     name: str
@@ -76,10 +81,10 @@ def lay_out(manifest: Manifest, conditions: Sequence[Condition]) -> tuple[tuple[
         if isinstance(page, HtmlPage) and not page.group_by and page.reference is None:
             used = {c for draft in drafts for c in draft.sounds}
             left = [c for c in conditions if c.name not in used]
-            drafts += _drafts(index, page, left, ["instrument", "score", "repeat"], notes)
-        else:
-            drafts += _drafts(index, page, conditions, page.group_by, notes)
-    if not drafts:
+            drafts += _drafts(manifest, index, page, left, ["instrument", "score", "repeat"], notes)
+        elif isinstance(page, SoundPage):
+            drafts += _drafts(manifest, index, page, conditions, page.group_by, notes)
+    if not drafts and not any(isinstance(page, StaircasePage) for page in manifest.pages):
         raise ManifestError("no page is left with anything to hear", key="pages")
     names = [name for draft in drafts for name in draft.names()]
     codes = blind_codes(manifest.seed, names)
@@ -119,14 +124,23 @@ class _Draft:
 
 
 def _drafts(
-    index: int, page: Page, conditions: Sequence[Condition], group_by: list[str], notes: list[str]
+    manifest: Manifest,
+    index: int,
+    page: SoundPage,
+    conditions: Sequence[Condition],
+    group_by: list[str],
+    notes: list[str],
 ) -> Iterator[_Draft]:
-    rated = isinstance(page, (MushraPage, Bs1116Page))
+    rated = isinstance(page, RatedPage)
     keys = [*group_by, "repeat"] if rated and "repeat" not in group_by else group_by
     for fixed, members in _grouped(conditions, keys):
         label = ".".join([f"page{index + 1}", *(f"{k}={v}" for k, v in fixed.items())])
-        if isinstance(page, PairedPage):
-            draft = _paired(index, page, label, fixed, members)
+        draft: _Draft | None
+        if isinstance(page, PairPage):
+            draft = _paired(manifest, index, page, label, fixed, members)
+        elif isinstance(page, RatingPage):
+            names = tuple(c.name for c in members)
+            draft = _Draft(label, index, fixed, names, tuple((None, (name,)) for name in names))
         else:
             draft = _compared(index, page, label, fixed, members)
         if draft is None:
@@ -145,17 +159,19 @@ def _grouped(conditions: Sequence[Condition], keys: list[str]) -> Iterator[tuple
 
 def _compared(
     index: int,
-    page: MushraPage | Bs1116Page | HtmlPage,
+    page: SoundPage,
     label: str,
     fixed: dict[str, str],
     members: list[Condition],
 ) -> _Draft | None:
     names = tuple(c.name for c in members)
-    if page.reference is None:
+    reference: dict[str, str] | None = getattr(page, "reference", None)
+    cutoffs: list[int] = getattr(page, "anchors", [])
+    if reference is None:
         return _Draft(label, index, fixed, names, ((None, names),))
-    found = [c.name for c in members if page.reference.items() <= c.all_levels.items()]
+    found = [c.name for c in members if reference.items() <= c.all_levels.items()]
     if len(found) != 1:
-        asked = ", ".join(f"{k}: {v}" for k, v in page.reference.items())
+        asked = ", ".join(f"{k}: {v}" for k, v in reference.items())
         raise ManifestError(
             f"{{{asked}}} names {len(found)} conditions on {label}, one is wanted"
             + (": name more levels, or more factors in group_by" if found else ""),
@@ -164,25 +180,28 @@ def _compared(
     others = tuple(name for name in names if name != found[0])
     if not others:
         return None
-    signals = len(names) + len(page.anchors)
+    signals = len(names) + len(cutoffs)
     if isinstance(page, MushraPage) and page.strict and signals > MAX_SIGNALS:
         raise ManifestError(
             f"{signals} signals on {label}; at most {MAX_SIGNALS} (BS.1534), or strict: false",
             key=f"pages.{index}",
         )
-    files = tuple(ANCHOR_ROLES[a] for a in page.anchors) if isinstance(page, HtmlPage) else ()
-    return _Draft(label, index, fixed, names, ((found[0], others),), files, found[0])
+    anchors = tuple(ANCHOR_ROLES[cutoff] for cutoff in cutoffs)
+    if isinstance(page, Bs1116Page):  # one sound at a time
+        return _Draft(label, index, fixed, names, tuple((found[0], (other,)) for other in others))
+    return _Draft(label, index, fixed, names, ((found[0], others),), anchors, found[0])
 
 
-def _paired(index: int, page: PairedPage, label: str, fixed: dict[str, str], members: list[Condition]) -> _Draft | None:
+def _paired(
+    manifest: Manifest, index: int, page: PairPage, label: str, fixed: dict[str, str], members: list[Condition]
+) -> _Draft | None:
     (factor, pairs), *_ = page.pairs.items()
     trials: list[tuple[str | None, tuple[str, ...]]] = []
-    for first, second in as_pairs(pairs):
+    for first, second in as_pairs(pairs, manifest.choices()[factor]):
         partner = {_rest(c, factor): c.name for c in members if c.all_levels[factor] == second}
         for condition in members:
             if condition.all_levels[factor] == first and (other := partner.get(_rest(condition, factor))):
                 trials.append((condition.name, (other,)))
-                trials += [(other, (condition.name,))] if page.both_orders else []
     heard = {name for reference, others in trials for name in (reference, *others)}
     if not trials:
         return None

@@ -12,9 +12,25 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from tonewood.batch.pages import (
+    TRIALS,
+    AnyPage,
+    HtmlPage,
+    Language,
+    Levels,
+    Name,
+    PairPage,
+    ParameterPath,
+    Section,
+    SoundPage,
+    StaircasePage,
+    Text,
+    TrainingPage,
+    as_pairs,
+)
 from tonewood.errors import TonewoodError
 from tonewood.output.options import RenderOptions
 from tonewood.params import described, quantity
@@ -22,10 +38,6 @@ from tonewood.score.note import Note
 from tonewood.validation_messages import first_message
 from tonewood.yaml_io import load_yaml
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_+-]*$", max_length=60)]
-ParameterPath = Annotated[str, Field(pattern=r"^[^.\s]+(\.[^.\s]+)*$", max_length=200)]
-Positive = Annotated[float, Field(gt=0)]
-Levels = dict[str, str]
 RESERVED = ("instrument", "score", "repeat")
 #: keys under ``render.tail`` -> field
 TAIL_KEYS = {"cap": "tail", "energy_db": "tail_level_db"}
@@ -35,11 +47,7 @@ class ManifestError(TonewoodError):
     """A manifest cannot be used."""
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-class NoteFields(_Section):
+class NoteFields(Section):
     """One inline note: the fields of `tonewood.Note`."""
 
     time: float = Field(ge=0, le=3600)
@@ -60,7 +68,7 @@ class NoteFields(_Section):
         return Note(**self.model_dump())
 
 
-class ScoreSource(_Section):
+class ScoreSource(Section):
     """A phrase written inline, or an excerpt of a MIDI file (path relative to the manifest)."""
 
     phrase: list[NoteFields] | None = Field(default=None, min_length=1, max_length=10_000)
@@ -80,14 +88,14 @@ class ScoreSource(_Section):
         return self
 
 
-class Factor(_Section):
+class Factor(Section):
     """A parameter and its named levels; a level is a value, ``{scale: x}`` or ``{fraction: x}``."""
 
     path: ParameterPath
     levels: dict[Name, Any] = Field(min_length=1, max_length=1000)
 
 
-class Variation(_Section):
+class Variation(Section):
     """Variation of one parameter from repeat to repeat; exactly one law."""
 
     normal_db: float | None = Field(default=None, gt=0, le=24, description="standard deviation, dB")
@@ -138,106 +146,83 @@ class RenderSettings(RenderOptions):
         return out
 
 
-class Fade(_Section):
+class Fade(Section):
     """Raised-cosine fades, s."""
 
     in_: float = Field(default=0.002, ge=0, le=5, alias="in")
     out: float = Field(default=0.050, ge=0, le=5)
 
 
-class Loudness(_Section):
-    """One gain per file, from its gated loudness; see `tonewood.batch.stimuli`."""
+class Onset(Section):
+    """Alignment: the onset of every sound stands at the same sample; see `tonewood.batch.trimming`."""
 
-    method: Literal["bs1770_gated", "none"] = "bs1770_gated"
-    short: Literal["ungated_400ms"] = "ungated_400ms"
+    align: Literal["detected", "score"] = "detected"
+    level_db: float = Field(default=-40.0, ge=-100, le=-3, description="re the sound's peak, of the first sample")
+    at: float = Field(default=0.010, ge=0, le=10, description="s from the beginning of the file")
+
+
+class Trim(Section):
+    """The end of a sound: after it no block is louder than `level_db` re the loudest; see `tonewood.batch.trimming`."""
+
+    level_db: float | None = Field(default=-60.0, ge=-120, le=-20, description="None: sounds are not trimmed")
+    block: float = Field(default=0.020, ge=0.001, le=1.0, description="s")
+
+
+class Loudness(Section):
+    """One gain per file, from its loudness; see `tonewood.batch.stimuli`."""
+
+    method: Literal["bs1770_gated", "loudest", "none"] = "bs1770_gated"
+    window: float = Field(default=0.1, ge=0.01, le=3.0, description="s, of loudest")
     target_lufs: float = Field(default=-23.0, ge=-60, le=-5)
     true_peak_dbtp: float = Field(default=-1.0, ge=-30, le=-0.1)
-    on_clash: Literal["lower_page"] = "lower_page"
+    removed: ClassVar[dict[str, str]] = {
+        "short": "was removed in 0.2: a sound shorter than 400 ms is always measured over one block",
+        "on_clash": "was removed in 0.2: a page is always lowered as a whole",
+    }
 
 
-class Stimuli(_Section):
+class Stimuli(Section):
     """Properties of all sound files of the batch."""
 
     fs: int = Field(default=48000, ge=8000, le=192000, description="Hz; renders at another rate are resampled")
     channels: int = Field(default=1, ge=1, le=2)
     downmix: Literal["mean", "first"] = "mean"
     subtype: Literal["PCM_16", "PCM_24"] = "PCM_16"
+    room: str | None = Field(default=None, description="impulse response (WAV): of a room, or binaural with 2 channels")
+    onset: Onset = Onset()
+    trim: Trim = Trim()
     duration: Literal["page_max"] | Annotated[float, Field(gt=0, le=600)] = "page_max"
     longest: float = Field(default=12.0, gt=0, le=600, description="s, limit of page_max")
     fade: Fade = Fade()
     loudness: Loudness = Loudness()
 
 
-class _Page(_Section):
-    name: str = Field(default="", max_length=300, description="the question, shown as title")
-    content: str = Field(default="", description="HTML shown above the sounds")
-    group_by: list[str] = Field(default_factory=list, description="factors that stay the same on one page")
+class Power(Section):
+    """Probabilities of the errors that `--dry-run` plans the number of listeners for."""
+
+    alpha: float = Field(default=0.05, gt=0, lt=0.5)
+    power: float = Field(default=0.8, ge=0.5, lt=1)
 
 
-class _RatedPage(_Page):
-    reference: Levels = Field(min_length=1)
-    anchors: list[Literal[3500, 7000]] = Field(default_factory=list, max_length=2)
-    show_waveform: bool = False
-    looping: bool = True
-    strict: bool = True
-
-
-class MushraPage(_RatedPage):
-    """Several sounds against a reference on a scale of 0 to 100 (BS.1534)."""
-
-    type: Literal["mushra"]
-    switch_back: bool = False
-
-
-class Bs1116Page(_RatedPage):
-    """One sound and the hidden reference against the open reference (BS.1116)."""
-
-    type: Literal["bs1116"]
-
-
-class PairedPage(_Page):
-    """Which of two is the reference (ABX)? Pairs of levels of one factor, all else equal."""
-
-    type: Literal["paired_comparison"]
-    pairs: dict[str, list[str] | list[list[str]]] = Field(min_length=1, max_length=1)
-    both_orders: bool = Field(default=False, description="each of the two once as the reference")
-    unforced: str | None = None
-    show_waveform: bool = False
-    looping: bool = True
-
-
-class HtmlPage(_Page):
-    """A page only of the audition file; anchors are written as files."""
-
-    type: Literal["html"]
-    reference: Levels | None = None
-    anchors: list[Literal[3500, 7000]] = Field(default_factory=list, max_length=2)
-
-    @model_validator(mode="after")
-    def _anchored(self) -> Self:
-        if self.anchors and self.reference is None:
-            raise PydanticCustomError("html", "anchors are made from a reference: give one")
-        return self
-
-
-Page = Annotated[MushraPage | Bs1116Page | PairedPage | HtmlPage, Field(discriminator="type")]
-
-
-class Output(_Section):
+class Output(Section):
     """Files that are written, and the order of the pages."""
 
-    blind: bool = Field(default=True, description="the audition page shows codes only")
+    blind: bool = Field(default=True, description="the audition page shows codes until it is unblinded")
     key: Annotated[str, Field(pattern=r"^[\w.-]+\.json$")] = "key.json"
-    formats: list[Literal["webmushra", "html", "csv", "json"]] = ["webmushra", "html", "csv", "json"]
-    page_order: Literal["seeded", "listed", "per_listener"] = "seeded"
+    formats: list[Literal["test", "html", "csv", "json"]] = Field(default=["test", "html", "csv", "json"])
+    page_order: Literal["seeded", "listed", "per_listener"] = "per_listener"
 
 
-class Manifest(_Section):
+class Manifest(Section):
     """A whole batch."""
 
     schema_: Literal["tonewood-batch/1"] = Field(alias="schema")
     name: Name
-    title: str = Field(default="", max_length=300)
+    title: Text = ""
+    language: Language = Field(default="en", description="of a listener whose own has no texts")
+    texts: dict[Language, dict[str, str]] = Field(
+        default_factory=dict, description="words of the pages of one's own: language -> key -> text"
+    )
     seed: int = Field(ge=0, lt=2**63)
     instruments: dict[Name, str] = Field(min_length=1)
     scores: dict[Name, ScoreSource] = Field(min_length=1)
@@ -249,7 +234,8 @@ class Manifest(_Section):
     vary: dict[ParameterPath, Variation] = Field(default_factory=dict)
     render: RenderSettings = RenderSettings()
     stimuli: Stimuli = Stimuli()
-    pages: list[Page] = Field(default=[HtmlPage(type="html")], min_length=1)
+    pages: list[AnyPage] = Field(default=[HtmlPage(type="html")], min_length=1)
+    power: Power = Power()
     output: Output = Output()
 
     @field_validator("factors")
@@ -286,19 +272,26 @@ class Manifest(_Section):
         return self
 
     def _check_page(self, page: Any, key: str, choices: dict[str, list[str]]) -> None:
-        for name in page.group_by:
+        for name in page.group_by if isinstance(page, SoundPage) else ():
             if name not in choices and name != "repeat":
                 allowed = ", ".join([*choices, "repeat"])
                 raise PydanticCustomError("page", f"{key}.group_by: {name} is not one of {allowed}")
-        if isinstance(page, PairedPage):
+        if isinstance(page, PairPage):
             for factor, pairs in page.pairs.items():
-                for pair in as_pairs(pairs):
+                _check_levels({factor: choices.get(factor, [""])[0]}, choices, f"{key}.pairs")
+                for pair in as_pairs(pairs, choices[factor]):
                     if len(pair) != 2 or pair[0] == pair[1]:
                         raise PydanticCustomError("page", f"{key}.pairs: a pair is two different levels")
                     for level in pair:
                         _check_levels({factor: level}, choices, f"{key}.pairs")
-        elif page.reference is not None:
-            _check_levels(page.reference, choices, f"{key}.reference")
+        elif isinstance(page, StaircasePage):
+            _check_levels(page.of, choices, f"{key}.of")
+        elif isinstance(page, TrainingPage):
+            trained = self.pages[page.page - 1] if page.page <= len(self.pages) else None
+            if not isinstance(trained, TRIALS):
+                raise PydanticCustomError("page", f"{key}.page: {page.page} is no page with trials")
+        elif (reference := getattr(page, "reference", None)) is not None:
+            _check_levels(reference, choices, f"{key}.reference")
 
     def _check_render_levels(self, name: str, factor: Factor) -> None:
         if not factor.path.startswith("render."):
@@ -315,12 +308,6 @@ class Manifest(_Section):
         names = {f"tail.{key}": field for key, field in TAIL_KEYS.items()}
         data = {**self.render.model_dump(), **{names.get(key, key): value for key, value in changes.items()}}
         return RenderSettings.model_validate(data)
-
-
-def as_pairs(pairs: list[str] | list[list[str]]) -> list[list[str]]:
-    """One pair ``[a, b]``, or a list of pairs, as a list of pairs."""
-    rows = [p for p in pairs if isinstance(p, list)]
-    return rows if len(rows) == len(pairs) else [[str(p) for p in pairs]]
 
 
 def _check_levels(row: Levels, choices: dict[str, list[str]], key: str) -> None:

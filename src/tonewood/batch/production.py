@@ -1,7 +1,8 @@
-"""Making the sound files: measure every sound, set the level of each group, write.
+"""Making the sound files: measure every sound, set the length and level of each group, write.
 
-Two passes over the finished renders, both free to run many at once: the first finds each sound's gain and true peak,
-the second writes the files. Between them each group that would pass the true-peak limit is lowered as a whole.
+Two passes over the finished renders, both free to run many at once: the first finds each sound's length, gain and true
+peak, the second writes the files. Between them each group gets the length of its longest sound, and one that would pass
+the true-peak limit is lowered as a whole.
 """
 
 from __future__ import annotations
@@ -9,12 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+
+import numpy as np
 
 from tonewood.batch import stimuli as st
+from tonewood.batch import trimming
 from tonewood.batch.layout import ANCHOR_ROLES, Group, Stimulus
-from tonewood.batch.manifest import Stimuli
+from tonewood.batch.manifest import Loudness, Stimuli
 from tonewood.batch.pictures import write_picture
 from tonewood.batch.seeds import generator
 from tonewood.batch.store import Rendered, Store
@@ -22,8 +27,7 @@ from tonewood.batch.workers import Workers
 from tonewood.errors import TonewoodError
 from tonewood.whole_files import whole_file
 
-SERVED = "serve"
-SOUNDS = f"{SERVED}/stimuli"
+SOUNDS = "stimuli"
 PICTURES = "pictures"
 _CUTOFF = {role: cutoff for cutoff, role in ANCHOR_ROLES.items()}
 
@@ -37,15 +41,16 @@ class _Job:
     render: Path
     key: str
     settings: Stimuli
-    length: int
+    room: Path | None
     seed: int
 
 
 @dataclass(frozen=True)
 class _Level:
-    """Result of the first pass: gain of the sound alone and true peak with it, or the reason of its failure."""
+    """Result of the first pass: length, gain of the sound alone and true peak with it, or why there is none."""
 
     code: str
+    frames: int
     gain_db: float
     true_peak_dbtp: float
     fault: str | None = None
@@ -68,6 +73,7 @@ class SoundFile:
     gain_db: float
     page_drop_db: float
     lufs: float | None
+    momentary_lufs: float | None
     loudness_gated: bool
     peak_dbfs: float | None
     true_peak_dbtp: float | None
@@ -83,15 +89,6 @@ class Fault:
     detail: str = ""
 
 
-def group_length(group: Group, durations: dict[str, float], settings: Stimuli) -> int:
-    """Samples of every file of a group; `durations` are those of the renders by condition, s."""
-    if settings.duration == "page_max":
-        seconds = min(max(durations[s.condition] for s in group.stimuli), settings.longest)
-    else:
-        seconds = settings.duration
-    return max(1, round(seconds * settings.fs))
-
-
 def make_files(
     groups: Sequence[Group],
     keys: dict[str, str],
@@ -100,7 +97,7 @@ def make_files(
     folder: Path,
     workers: Workers,
     *,
-    durations: dict[str, float],
+    room: Path | None = None,
     seed: int,
     pictures: bool,
     advance: Callable[[], None],
@@ -112,26 +109,30 @@ def make_files(
     groups : with stimuli whose condition is in `keys` only.
     keys : content key of each condition's render in `store`.
     folder : the batch's output folder.
-    durations : of the renders, s.
+    room : file of the impulse response of `settings`.
     advance : called twice per file.
 
     Returns
     -------
     files, faults, notes : in the order of `groups`; notes tell which groups were lowered.
     """
-    jobs = [
-        _Job(s, g.name, store.folder, keys[s.condition], settings, group_length(g, durations, settings), seed)
-        for g in groups
-        for s in g.stimuli
-    ]
+    jobs = [_Job(s, g.name, store.folder, keys[s.condition], settings, room, seed) for g in groups for s in g.stimuli]
     levels: dict[str, _Level] = {}
     for level in workers.each(_find_level, jobs):
         levels[level.code] = level
         advance()
     faults = [Fault(j.stimulus.condition, f) for j in jobs if (f := levels[j.stimulus.code].fault)]
     drops, notes = _drops(groups, levels, settings)
+    lengths = {g.name: group_length([levels[s.code].frames for s in g.stimuli], settings) for g in groups}
     tasks = [
-        (job, levels[job.stimulus.code].gain_db - drops[job.group], drops[job.group], folder, pictures)
+        (
+            job,
+            lengths[job.group],
+            levels[job.stimulus.code].gain_db - drops[job.group],
+            drops[job.group],
+            folder,
+            pictures,
+        )
         for job in jobs
         if levels[job.stimulus.code].fault is None
     ]
@@ -142,29 +143,73 @@ def make_files(
     return [files[j.stimulus.code] for j in jobs if j.stimulus.code in files], faults, notes
 
 
-def prepared(rendered: Rendered, settings: Stimuli, length: int, role: str) -> st.Audio:
-    """A render at the files' rate, channels and length, faded; low-passed if it is an anchor."""
+def level_settings(loudness: Loudness) -> tuple[str, float, float]:
+    """Settings of `stimuli.level_gain_db`."""
+    return loudness.method, loudness.target_lufs, loudness.window
+
+
+def group_length(frames: Sequence[int], settings: Stimuli) -> int:
+    """Samples of every file of a group, given the lengths of its sounds."""
+    return max(frames, default=1) if settings.duration == "page_max" else longest(settings)
+
+
+def longest(settings: Stimuli) -> int:
+    """Samples of the longest file that is allowed."""
+    seconds = settings.longest if settings.duration == "page_max" else settings.duration
+    return max(1, round(seconds * settings.fs))
+
+
+def prepared(rendered: Rendered, settings: Stimuli, role: str = "sound", room: Path | None = None) -> st.Audio:
+    """A render at the files' rate and channels, aligned, trimmed and faded; low-passed if it is an anchor."""
     audio = st.resampled(rendered.samples, rendered.fs, settings.fs)
-    audio = st.with_channels(audio, settings.channels, settings.downmix)[:length]
+    if room is None:
+        audio = st.with_channels(audio, settings.channels, settings.downmix)
+    else:
+        response = room_response(room, settings)
+        dry = st.with_channels(audio, audio.shape[1] if audio.shape[1] == settings.channels else 1, settings.downmix)
+        audio = trimming.convolved(dry, response)
+    lead = round(settings.onset.at * settings.fs)
+    found = trimming.onset(audio, settings.onset.level_db) if settings.onset.align == "detected" else 0
+    audio = trimming.shifted(audio, lead - found)[: longest(settings)]
+    if settings.trim.level_db is not None:
+        audio = audio[: trimming.end(audio, max(1, round(settings.trim.block * settings.fs)), settings.trim.level_db)]
     if role in _CUTOFF:
         audio = st.anchor(audio, settings.fs, _CUTOFF[role])
-    return st.fitted(audio, settings.fs, length, settings.fade.in_, settings.fade.out)
+    return st.faded(audio, settings.fs, settings.fade.in_, settings.fade.out)
+
+
+@cache
+def room_response(path: Path, settings: Stimuli) -> st.Audio:
+    """The impulse response of a room at the files' rate, (n, 1 or `channels`).
+
+    Raises
+    ------
+    StimulusError : the file cannot be read, or has other channels.
+    """
+    import soundfile
+
+    try:
+        samples, fs = soundfile.read(path, dtype="float64", always_2d=True)
+    except (OSError, soundfile.SoundFileError) as fault:
+        raise st.StimulusError(f"cannot be read: {fault}", file=path) from None
+    if samples.shape[1] not in (1, settings.channels):
+        raise st.StimulusError(f"has {samples.shape[1]} channels; 1 or {settings.channels} are allowed", file=path)
+    return st.resampled(samples, int(fs), settings.fs)
 
 
 def _find_level(job: _Job) -> _Level:
     code, settings, role = job.stimulus.code, job.settings, job.stimulus.role
     try:
         rendered = Store(job.render).load(job.key)
-        sound = prepared(rendered, settings, job.length, "sound")
-        gain = 0.0
-        if settings.loudness.method != "none":  # an anchor has the gain of what it is made of
-            gain = st.matching_gain_db(sound, settings.fs, settings.loudness.target_lufs)
+        sound = prepared(rendered, settings, room=job.room)
+        # an anchor has the gain of the sound it is made of
+        gain = st.level_gain_db(sound, settings.fs, *level_settings(settings.loudness))
         if role in _CUTOFF:
-            sound = prepared(rendered, settings, job.length, role)
+            sound = prepared(rendered, settings, role, job.room)
         peak = st.true_peak(sound)
     except TonewoodError as fault:
-        return _Level(code, 0.0, -math.inf, str(fault))
-    return _Level(code, gain, gain + 20.0 * math.log10(peak) if peak > 0 else -math.inf)
+        return _Level(code, 1, 0.0, -math.inf, str(fault))
+    return _Level(code, len(sound), gain, gain + 20.0 * math.log10(peak) if peak > 0 else -math.inf)
 
 
 def _drops(groups: Iterable[Group], levels: dict[str, _Level], settings: Stimuli) -> tuple[dict[str, float], list[str]]:
@@ -177,10 +222,11 @@ def _drops(groups: Iterable[Group], levels: dict[str, _Level], settings: Stimuli
     return drops, notes
 
 
-def _write(task: tuple[_Job, float, float, Path, bool]) -> SoundFile:
-    job, gain, drop, folder, pictures = task
+def _write(task: tuple[_Job, int, float, float, Path, bool]) -> SoundFile:
+    job, length, gain, drop, folder, pictures = task
     settings, code, role = job.settings, job.stimulus.code, job.stimulus.role
-    audio = prepared(Store(job.render).load(job.key), settings, job.length, role) * 10.0 ** (gain / 20.0)
+    audio = prepared(Store(job.render).load(job.key), settings, role, job.room) * 10.0 ** (gain / 20.0)
+    audio = np.pad(audio, ((0, length - len(audio)), (0, 0)))
     random = generator(job.seed, "dither", job.group, job.stimulus.condition, role)
     samples = st.quantised(audio, settings.subtype, random)
     file = f"{SOUNDS}/{code}.wav"
@@ -203,6 +249,7 @@ def _write(task: tuple[_Job, float, float, Path, bool]) -> SoundFile:
         gain_db=gain,
         page_drop_db=drop,
         lufs=_finite(found.lufs),
+        momentary_lufs=_finite(found.momentary_lufs),
         loudness_gated=found.gated,
         peak_dbfs=_finite(found.peak_dbfs),
         true_peak_dbtp=_finite(found.true_peak_dbtp),
@@ -212,11 +259,16 @@ def _write(task: tuple[_Job, float, float, Path, bool]) -> SoundFile:
 
 def write_wav(path: Path, samples: Any, fs: int, subtype: str) -> None:
     """Write integer samples as they are; the file's bytes depend on nothing else."""
+    with whole_file(path, make_folder=True) as stream:
+        encoded_wav(stream, samples, fs, subtype)
+
+
+def encoded_wav(stream: BinaryIO, samples: Any, fs: int, subtype: str) -> None:
+    """Write integer samples as a WAV file into a stream."""
     import soundfile
 
     whole = samples if subtype == "PCM_16" else samples << 8  # soundfile wants 24 bits at the top of 32
-    with whole_file(path, make_folder=True) as stream:
-        soundfile.write(stream, whole, fs, subtype=subtype, format="WAV")
+    soundfile.write(stream, whole, fs, subtype=subtype, format="WAV")
 
 
 def _finite(value: float) -> float | None:

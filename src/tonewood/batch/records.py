@@ -51,6 +51,7 @@ def key_of(manifest: Manifest, groups: Sequence[Group], conditions: Mapping[str,
         "name": manifest.name,
         "seed": manifest.seed,
         "factors": list(manifest.choices()),
+        "levels": manifest.choices(),
         "trials": trials,
         "stimuli": stimuli,
     }

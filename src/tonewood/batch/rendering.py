@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import platform
 import time
+from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache, lru_cache
@@ -17,9 +19,10 @@ from tonewood.batch.conditions import Condition, Draw, vary_notes
 from tonewood.batch.store import Rendered
 from tonewood.blas import blas_libraries
 from tonewood.errors import TonewoodError
-from tonewood.instrument.assembly import assemble
+from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.output.render import Renderer
+from tonewood.output.options import RenderOptions
+from tonewood.output.render import Renderer, assembled
 from tonewood.score.assignment import assign
 from tonewood.score.midi import read_midi
 from tonewood.score.note import Note, Score
@@ -63,6 +66,25 @@ class EngineRenderer:
             "computed_with": computed_with(),
         }
 
+    def own_value(self, condition: Condition, path: str) -> Any:
+        """Value of a parameter of the instrument, or of an option of the render (``render.``); None if not given.
+
+        Raises
+        ------
+        TonewoodError
+            The bundle cannot be loaded, or an override does not fit it.
+        """
+        value: Any = instrument_of(condition, self.allow_code).resolved
+        if path.startswith("render."):
+            return condition.render.model_dump().get(path.removeprefix("render."))
+        for name in path.split("."):
+            if isinstance(value, list):
+                value = {str(v.get("name", i) if isinstance(v, Mapping) else i): v for i, v in enumerate(value)}
+            if not isinstance(value, Mapping):
+                return None
+            value = next(iter(value.values()), None) if name == "*" else value.get(name)
+        return value
+
     def predict(self, condition: Condition) -> float:
         """Time of a render, s, from a short measured piece of the first one asked for on the same bundle and rate.
 
@@ -104,6 +126,7 @@ class EngineRenderer:
             _varied(_score(condition), instrument, condition),
             instrument,
             options=options if max_duration is None else options.at(max_duration=max_duration),
+            model=_MODELS.of(instrument, options),
         )
 
 
@@ -120,15 +143,49 @@ def _plain(value: Any) -> Any:
 
 def instrument_of(condition: Condition, allow_code: bool = False) -> Instrument:
     """The bundle with the condition's overrides, and with what varies once per repeat."""
-    instrument = _loaded(condition.bundle, allow_code).replace(
-        {**condition.overrides, **condition.render.effect_changes}
-    )
+    changes = json.dumps({**condition.overrides, **condition.render.effect_changes})
+    draws = tuple(draw for draw in condition.draws if draw.note_field is None)
+    return _changed(_loaded(condition.bundle, allow_code), changes, draws)
+
+
+@lru_cache(maxsize=64)
+def _changed(bundle: Instrument, changes: str, draws: tuple[Draw, ...]) -> Instrument:
+    """A bundle with overrides, written as JSON, and drawn variations."""
+    instrument = bundle.replace(json.loads(changes))
     varied: dict[str, Any] = {}
-    for draw in condition.draws:
-        if draw.note_field is None:
-            drawn = float(draw.values(1)[0])
-            varied |= {path: draw.applied(value, drawn) for path, value in _numbers(instrument.resolved, draw.path)}
+    for draw in draws:
+        drawn = float(draw.values(1)[0])
+        varied |= {path: draw.applied(value, drawn) for path, value in _numbers(instrument.resolved, draw.path)}
     return instrument.replace(varied)
+
+
+class ModelCache:
+    """The models that this process used last, by everything that decides them.
+
+    Conditions come ordered by instrument (`runner.plan_batch`), so a few are enough, and the time of a render does not
+    depend on how many came before. A model is immutable but for bases of stops that do not depend on their order.
+    """
+
+    def __init__(self, most: int = 4):
+        self.most = most
+        self._models: OrderedDict[str, Model] = OrderedDict()
+
+    def of(self, instrument: Instrument, options: RenderOptions) -> Model:
+        """The model of an instrument with the options of a render, made if it is not among the last ones."""
+        decides = {
+            name: getattr(options, name)
+            for name in ("fs", "accuracy", "oversampling", "freq_limit", "outputs", "humanize", "effects")
+        }
+        changes = json.dumps({**decides, **options.effect_changes}, sort_keys=True, default=str)
+        key = f"{instrument.content_hash} {changes}"
+        model = self._models.pop(key, None) or assembled(instrument, options)
+        self._models[key] = model
+        while len(self._models) > self.most:
+            self._models.popitem(last=False)
+        return model
+
+
+_MODELS = ModelCache()
 
 
 @lru_cache(maxsize=64)

@@ -7,22 +7,25 @@ and the others are rendered; pages and pairs without one of their sounds are lef
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from tonewood.batch import audition, records, webmushra
+from tonewood.batch import audition, definition, records
 from tonewood.batch.conditions import Condition, expand
 from tonewood.batch.layout import Group, lay_out
-from tonewood.batch.manifest import HtmlPage, Manifest, ManifestError, load_manifest
-from tonewood.batch.production import PICTURES, SERVED, SOUNDS, Fault, SoundFile, make_files
+from tonewood.batch.manifest import Manifest, ManifestError, load_manifest
+from tonewood.batch.pages import HtmlPage, PairPage, as_pairs
+from tonewood.batch.pictures import write_differences
+from tonewood.batch.production import PICTURES, SOUNDS, Fault, SoundFile, make_files, room_response
 from tonewood.batch.store import Rendered, Store, content_key
 from tonewood.batch.workers import Workers
 from tonewood.errors import NumericalError, OutputError, TonewoodError
@@ -43,6 +46,9 @@ class StimulusRenderer(Protocol):
     def render(self, condition: Condition) -> Rendered:
         """The sound itself."""
 
+    def own_value(self, condition: Condition, path: str) -> Any:
+        """Value of a parameter of the instrument or the render (``render.``); raises a TonewoodError without one."""
+
     def predict(self, condition: Condition) -> float:
         """About how long `render` will take, s."""
 
@@ -53,6 +59,7 @@ class BatchPlan:
 
     Attributes
     ----------
+    source : the manifest's folder.
     conditions, groups : of the manifest, those that could be resolved.
     keys : content key by condition name.
     todo : one condition for each key that is not rendered yet.
@@ -61,6 +68,7 @@ class BatchPlan:
     """
 
     manifest: Manifest
+    source: Path
     conditions: tuple[Condition, ...]
     groups: tuple[Group, ...]
     keys: dict[str, str]
@@ -71,9 +79,25 @@ class BatchPlan:
     notes: tuple[str, ...]
 
     @property
+    def room(self) -> Path | None:
+        """File of the impulse response that all sounds are convolved with."""
+        return None if self.manifest.stimuli.room is None else self.source / self.manifest.stimuli.room
+
+    @property
     def n_files(self) -> int:
         """Sound files that will be written."""
         return sum(len(g.stimuli) for g in self.groups)
+
+    def trials_of_a_pair(self) -> dict[int, int]:
+        """Trials that a listener gets on each page (from 0) of pairs, of one pair of levels."""
+        found: dict[int, int] = {}
+        for index, page in enumerate(self.manifest.pages):
+            if isinstance(page, PairPage):
+                (factor, pairs), *_ = page.pairs.items()
+                count = len(as_pairs(pairs, self.manifest.choices()[factor]))
+                trials = sum(len(g.trials) for g in self.groups if g.page == index)
+                found[index] = page.times * max(1, trials // count)
+        return found
 
     def summary(self) -> dict[str, Any]:
         """The plan as JSON-ready data."""
@@ -146,6 +170,9 @@ def plan_batch(
     try:
         conditions = expand(manifest, manifest_path.parent)
         groups, notes = lay_out(manifest, conditions)
+        definition.check_staircases(manifest, manifest_path.parent, renderer.own_value)
+        if manifest.stimuli.room is not None:
+            room_response(manifest_path.parent / manifest.stimuli.room, manifest.stimuli)
     except ManifestError as fault:
         raise ManifestError(fault.reason, file=manifest_path, key=fault.key) from None
     keys: dict[str, str] = {}
@@ -159,12 +186,19 @@ def plan_batch(
             continue
         keys[condition.name] = key = content_key(identity)
         identities[key] = identity
+    if not keys:  # a misspelt path of a factor: one line, however many conditions have it
+        raise ManifestError(f"no condition can be resolved: {faults[0].reason}", file=manifest_path)
     store = Store(folder / WORK)
     todo: dict[str, Condition] = {}
     for condition in conditions:
         wanted = keys.get(condition.name)
         if wanted is not None and wanted not in todo and not store.has(wanted):
             todo[wanted] = condition
+    # one instrument after the other: workers keep the models that they used last
+    order = sorted(
+        todo, key=lambda key: json.dumps([(c := todo[key]).bundle, c.overrides], default=str, sort_keys=True)
+    )
+    todo = {key: todo[key] for key in order}
     if todo and (unused := store.others(set(keys.values()))):
         notes.append(
             f"{unused} renders in {store.folder} are not used: they were made of something else (parameters, scores, "
@@ -180,7 +214,16 @@ def plan_batch(
                 faults.append(Fault(condition.name, str(fault)))
         seconds /= 1 if workers is None else workers.count
     return BatchPlan(
-        manifest, conditions, groups, keys, identities, tuple(todo.values()), seconds, tuple(faults), tuple(notes)
+        manifest,
+        manifest_path.parent,
+        conditions,
+        groups,
+        keys,
+        identities,
+        tuple(todo.values()),
+        seconds,
+        tuple(faults),
+        tuple(notes),
     )
 
 
@@ -196,7 +239,7 @@ def run_batch(
     Parameters
     ----------
     manifest_path : the YAML file.
-    folder : made if need be; ``serve/`` is for listeners, all else for the experimenter.
+    folder : made if need be; of it, listeners get sounds only, by `tonewood serve`.
     renderer : see `StimulusRenderer`.
     workers : where the work is done; rendering may go to a cluster, files are made here.
     progress : called with the stage's name, what is done and what there is to do.
@@ -228,7 +271,7 @@ def run_batch(
         manifest.stimuli,
         folder,
         workers.local(),
-        durations={name: renders[key]["frames"] / renders[key]["fs"] for name, key in keys.items()},
+        room=plan.room,
         seed=manifest.seed,
         pictures="html" in manifest.output.formats,
         advance=_Counter(progress, "files", 2 * sum(len(g.stimuli) for g in groups)),
@@ -239,7 +282,7 @@ def run_batch(
     unrendered = [Fault(name, f.reason, f.detail) for name, key in plan.keys.items() if (f := failed.get(key))]
     faults = (*plan.faults, *unrendered, *silent)
     notes = (*plan.notes, *lost, *lowered, *lost_too)
-    _write_records(plan, groups, files, renders, faults, notes, folder)
+    _write_records(plan, groups, files, renders, faults, notes, folder, workers.local())
     return Report(
         name=manifest.name,
         folder=folder,
@@ -335,21 +378,58 @@ def _write_records(
     faults: Sequence[Fault],
     notes: Sequence[str],
     folder: Path,
+    workers: Workers,
 ) -> None:
     manifest, formats = plan.manifest, plan.manifest.output.formats
     by_code = {f.code: f for f in files}
     conditions = {c.name: c for c in plan.conditions}
     _remove_strangers(folder, set(by_code))
     rows = records.file_records(files, conditions, plan.identities, renders)
-    if "webmushra" in formats:
-        webmushra.write_experiment(folder / SERVED, webmushra.experiment(manifest, groups, by_code))
+    if "test" in formats:
+        drops = {f.group: f.page_drop_db for f in files}
+        made = definition.definition_of(manifest, groups, by_code, plan.source, drops)
+        records.write_json(folder / definition.FILE, made)
     if "html" in formats:
-        audition.write_audition(folder, audition.audition_page(manifest, groups, by_code))
+        _draw_differences(groups, by_code, folder, workers)
+        audition.write_audition(folder, manifest, groups, by_code, conditions)
     if "csv" in formats:
         records.write_csv(folder / records.RECORD_CSV, rows)
     if "json" in formats:
-        records.write_json(folder / records.RECORD_JSON, records.batch_record(manifest, rows, faults, notes))
+        record = records.batch_record(manifest, rows, faults, notes)
+        if plan.room is not None:
+            record["room_sha256"] = hashlib.sha256(plan.room.read_bytes()).hexdigest()
+        records.write_json(folder / records.RECORD_JSON, record)
     records.write_json(folder / manifest.output.key, records.key_of(manifest, groups, conditions))
+
+
+#: sounds in one figure of differences
+_MOST_DIFFERENCES = 13
+
+
+def _draw_differences(groups: Sequence[Group], files: Mapping[str, SoundFile], folder: Path, workers: Workers) -> None:
+    """One figure a group: how its sounds differ from the reference, or from the first."""
+    shown = [g for g in groups if any(s.code in files for s in g.stimuli)]
+    tasks = []
+    for number, group in enumerate(shown, start=1):
+        references = [t.reference for t in group.trials if t.reference is not None]
+        present = sorted((s for s in group.stimuli if s.code in files), key=lambda s: s.code not in references[:1])
+        path = folder / PICTURES / f"differences{number}.png"
+        if 1 < len(present) <= _MOST_DIFFERENCES:
+            labels = [s.condition + ("" if s.role == "sound" else f" ({s.role})") for s in present]
+            sounds = {label: folder / files[s.code].file for label, s in zip(labels, present, strict=True)}
+            tasks.append((path, sounds, group.name))
+        else:
+            remove(path)
+    for _ in workers.each(_draw, tasks) if tasks else ():
+        pass
+
+
+def _draw(task: tuple[Path, dict[str, Path], str]) -> None:
+    import soundfile
+
+    path, files, heading = task
+    sounds = {label: soundfile.read(file, always_2d=True)[0] for label, file in files.items()}
+    write_differences(path, sounds, soundfile.info(next(iter(files.values()))).samplerate, heading)
 
 
 def _remove_strangers(folder: Path, codes: set[str]) -> None:

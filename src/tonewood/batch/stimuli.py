@@ -1,13 +1,21 @@
 """From a rendered sound to a listening-test stimulus: rate, channels, length, fades, level, dither.
 
 All signals are float64 of shape (n, channels), 1.0 is full scale. Level is set by one gain per file and nothing
-else, so nothing of a sound's dynamics is touched. Loudness is ITU-R BS.1770-4 (K-weighting, gated), true peak its
-Annex 2 by fourfold oversampling.
+else, so nothing of a sound's dynamics is touched. True peak is that of ITU-R BS.1770-4, Annex 2, by fourfold
+oversampling. Loudness is one of two:
+
+- ``bs1770_gated``: BS.1770-4 over the whole sound, the alignment of BS.1534 and BS.1116. Its gate (10 LU below the
+  mean) leaves out most of a decay, but not all: two notes with the same attack and decays (T60) of 1 and 8 s
+  differ by 4 dB. For phrases and sustained sounds.
+- ``loudest``: K-weighted level of the loudest 100 ms (`window`), about the time over which the ear integrates loudness
+  (100 to 200 ms: B. C. J. Moore, An Introduction to the Psychology of Hearing, 6th ed., chapter 4). The same two notes
+  differ by 2 dB. For single plucked notes.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import TonewoodError
-from tonewood.output.loudness import loudness
+from tonewood.output.loudness import loudest, loudness
 from tonewood.output.loudness import matching_gain_db as matching_gain_db
 from tonewood.output.loudness import resampled as resampled
 from tonewood.output.loudness import true_peak as true_peak
@@ -36,12 +44,14 @@ class Measured:
 
     Attributes
     ----------
-    lufs : LUFS; -inf for silence.
+    lufs : LUFS, BS.1770-4; -inf for silence.
+    momentary_lufs : LUFS, of the loudest 400 ms.
     gated : False for a sound shorter than a gating block, or one with no block above the absolute gate.
     peak_dbfs, true_peak_dbtp : dB re full scale, of the samples and of the fourfold oversampled sound.
     """
 
     lufs: float
+    momentary_lufs: float
     gated: bool
     peak_dbfs: float
     true_peak_dbtp: float
@@ -59,20 +69,16 @@ def with_channels(audio: Audio, channels: int, downmix: str = "mean") -> Audio:
     raise StimulusError(f"{present} channels cannot become {channels}; allowed: 1, {present}")
 
 
-def fitted(audio: Audio, fs: int, length: int, fade_in: float, fade_out: float) -> Audio:
-    """Cut to `length` samples, faded, and padded with zeros to that length.
-
-    The fades are raised cosines, ``(1 - cos(pi t / T)) / 2``; the one at the end ends where the sound does, so
-    padding begins without a step. Fades longer than the sound share it.
+def faded(audio: Audio, fs: int, fade_in: float, fade_out: float) -> Audio:
+    """A copy with raised-cosine fades, ``(1 - cos(pi t / T)) / 2``; fades longer than the sound share it.
 
     Parameters
     ----------
     audio : (n, channels).
     fs : Hz.
-    length : samples.
     fade_in, fade_out : s.
     """
-    sound = np.array(audio[:length])
+    sound = np.array(audio)
     n = len(sound)
     n_in, n_out = round(fade_in * fs), round(fade_out * fs)
     if n_in + n_out > n:
@@ -80,7 +86,7 @@ def fitted(audio: Audio, fs: int, length: int, fade_in: float, fade_out: float) 
         n_out = n - n_in
     sound[:n_in] *= _raised_cosine(n_in)[:, None]
     sound[n - n_out :] *= _raised_cosine(n_out)[::-1, None]
-    return np.pad(sound, ((0, length - n), (0, 0)))
+    return sound
 
 
 def _raised_cosine(n: int) -> NDArray[np.float64]:
@@ -95,7 +101,20 @@ def measured(audio: Audio, fs: int) -> Measured:
     """
     peak = float(np.max(np.abs(audio), initial=0.0))
     lufs, gated = loudness(audio, fs)
-    return Measured(lufs, gated, decibel(peak), decibel(true_peak(audio)))
+    return Measured(lufs, loudest(audio, fs), gated, decibel(peak), decibel(true_peak(audio)))
+
+
+def level_gain_db(audio: Audio, fs: int, method: str, target_lufs: float, window: float = 0.1) -> float:
+    """Gain in dB that brings a sound to a loudness by ``bs1770_gated`` or ``loudest``; 0 for ``none``.
+
+    Raises
+    ------
+    OutputError : the sound is silent.
+    """
+    if method == "none":
+        return 0.0
+    found = loudest(audio, fs, window) if method == "loudest" else -math.inf
+    return target_lufs - found if math.isfinite(found) else matching_gain_db(audio, fs, target_lufs)
 
 
 def page_drop_db(true_peaks_dbtp: list[float], limit_dbtp: float) -> float:

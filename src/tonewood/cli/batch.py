@@ -13,7 +13,10 @@ from tonewood.cli.common import Advance, AllowCode, Json, need, print_json, prog
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tonewood.batch.runner import BatchPlan, Report
+    from tonewood.listening.power import PowerRow
 
 
 def batch(
@@ -35,6 +38,7 @@ def batch(
     from tonewood.batch.rendering import EngineRenderer
     from tonewood.batch.runner import plan_batch, run_batch
     from tonewood.batch.workers import Workers
+    from tonewood.listening.power import power_of
 
     if jobs == 0 or jobs < -1:
         raise TonewoodError(f"is {jobs}; 1 or more are allowed, or -1", key="--jobs")
@@ -43,7 +47,13 @@ def batch(
     place = Workers(jobs, "threads" if workers == "threads" else "processes", cluster)
     if dry_run:
         plan = plan_batch(manifest, output, EngineRenderer(allow_code), place, predict=True)
-        print_json("batch-plan", plan.summary(), ok=not plan.faults) if as_json else _print_plan(plan)
+        power = power_of(plan.manifest, plan.trials_of_a_pair())
+        if as_json:
+            rows = [vars(row) for row in power]
+            print_json("batch-plan", {**plan.summary(), "power": rows}, ok=not plan.faults)
+        else:
+            _print_plan(plan)
+            _print_power(plan, power)
         return 1 if plan.faults else 0
     with _Bars() as bars:
         try:
@@ -81,6 +91,14 @@ def _print_plan(plan: BatchPlan) -> None:
     _print_faults(plan)
 
 
+def _print_power(plan: BatchPlan, power: Sequence[PowerRow]) -> None:
+    if power:
+        asked = plan.manifest.power
+        print(f"for a power of {asked.power:g} at alpha {asked.alpha:g}:")
+        for row in power:
+            print(f"  {row}")
+
+
 def _print_report(report: Report) -> None:
     print(
         f"{report.folder}: {len(report.files)} files from {report.rendered} new and {report.reused} earlier renders, "
@@ -91,5 +109,9 @@ def _print_report(report: Report) -> None:
 
 def _print_faults(found: BatchPlan | Report) -> None:
     warn(list(found.notes))
+    reasons: dict[str, list[str]] = {}
     for fault in found.faults:
-        print(f"tonewood: failed: {fault.name}: {fault.reason}", file=sys.stderr)
+        reasons.setdefault(fault.reason, []).append(fault.name)
+    for reason, names in reasons.items():
+        others = "" if len(names) == 1 else f" and {len(names) - 1} other conditions"
+        print(f"tonewood: failed: {names[0]}{others}: {reason}", file=sys.stderr)

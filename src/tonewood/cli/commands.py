@@ -17,6 +17,8 @@ COMMANDS = {
     "fit": "fit:fit",
     "new": "new:new",
     "batch": "batch:batch",
+    "serve": "serve:serve",
+    "simulate": "simulate:simulate",
     "results": "results:results",
     "validate": "validate:validate",
     "accuracy": "accuracy:accuracy",

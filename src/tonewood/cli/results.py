@@ -1,70 +1,104 @@
-"""``tonewood results``: the answers of a listening test, opened and counted."""
+"""``tonewood results``: the answers of a listening test, opened and analysed."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tonewood.cli.common import Json, need, print_json, warn
 
 if TYPE_CHECKING:
-    from tonewood.batch.results import Rate, RatingMean, Results
+    from tonewood.listening.results import PageResults, PanelResults
 
 
 def results(
-    table: Annotated[Path, typer.Argument(metavar="RESULTS", help="CSV file of webMUSHRA, of any test type")],
-    key: Annotated[Path, typer.Option(help="key.json of the batch")],
-    plot: Annotated[Path | None, typer.Option(help="PNG of the means; beside RESULTS by default")] = None,
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="output folder of `tonewood batch`, with answers")],
+    key: Annotated[Path | None, typer.Option(help="key of the batch, if it is not in DIR")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="folder; DIR/results by default")] = None,
     confidence: Annotated[float, typer.Option(help="of the intervals")] = 0.95,
     screening: Annotated[bool, typer.Option(help="leave listeners out after BS.1534-3")] = True,
-    per_trial: Annotated[bool, typer.Option("--per-trial", help="list every trial too")] = False,
     as_json: Json = False,
 ) -> None:
-    """Means, confidence intervals, post-screening and a plot of RESULTS."""
-    need("batch", "matplotlib")
-    from tonewood.batch.results import analyse, write_plot
+    """Write the table of answers of DIR, means, models, sensitivities and thresholds, and a report with figures."""
+    need("results", "statsmodels", "pandas", "jinja2", "matplotlib")
+    from tonewood.listening.report import write_report
+    from tonewood.listening.results import FOLDER, analyse, write_tables
 
-    found = analyse(table, key, confidence=confidence, screening=screening)
-    picture = plot or table.with_suffix(".png")
-    write_plot(found, picture)
+    found = analyse(folder, key=key, confidence=confidence, screening=screening)
+    place = output or folder / FOLDER
+    write_tables(found, place)
+    page = write_report(found, place, _facts(folder))
     if as_json:
-        print_json("results", {**found.to_dict(), "plot": str(picture)})
+        print_json("results", {**found.to_dict(), "report": str(page)})
         return
-    _print(found, per_trial)
-    print(f"plot: {picture}")
+    _print(found)
+    print(f"{page}; answers.csv has one row an answer")
 
 
-def _print(found: Results, per_trial: bool) -> None:
-    for screened in found.screened:
-        warn([f"{screened.listener} is left out: {screened.reason}"])
-    warn(list(found.notes))
-    counted = found.listeners - len(found.screened)
-    print(
-        f"{found.name}, {found.kind}: {counted} of {found.listeners} listeners, {100 * found.confidence:g} % intervals"
-    )
-    for row in found.overall:
-        print("  " + _line(row))
-    if per_trial:
-        for row in found.per_trial:
-            print(f"  {row.trial}: {_line(row)}")
+def _facts(folder: Path) -> dict[str, Any] | None:
+    """Facts of the stimuli, from the record of the batch if it was written."""
+    try:
+        record = json.loads((folder / "manifest.json").read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
+    files = record["files"]
+    names = {
+        "length, s": [f["frames"] / f["fs"] for f in files],
+        "loudness BS.1770, LUFS": [f["lufs"] for f in files],
+        "loudest 400 ms, LUFS": [f["momentary_lufs"] for f in files],
+        "true peak, dBTP": [f["true_peak_dbtp"] for f in files],
+    }
+    rows = [
+        {"name": name, "low": min(values), "high": max(values)}
+        for name, given in names.items()
+        if (values := [v for v in given if v is not None])
+    ]
+    onset = record["manifest"].get("stimuli", {}).get("onset", {}).get("at", 0.010)
+    return {"count": len(files), "fs": files[0]["fs"], "onset_ms": 1000 * onset, "rows": rows} if files else None
 
 
-def _line(row: RatingMean | Rate) -> str:
-    from tonewood.batch.results import Rate
-
-    if isinstance(row, Rate):
-        share = "none decided" if row.rate is None else f"{100 * row.rate:.1f} % right{_interval(row, 100)}"
-        chance = "" if row.p_value is None else f", p = {row.p_value:.3g}"
-        return f"{row.label}: {row.correct} right, {row.incorrect} wrong, {row.undecided} undecided; {share}{chance}"
-    return (
-        f"{row.label}: {row.mean:.2f}{_interval(row, 1)}, median {row.median:.1f} "
-        f"({row.lower_quartile:.1f} to {row.upper_quartile:.1f}), {row.ratings} ratings"
-    )
+def _print(found: PanelResults) -> None:
+    for page in found.pages:
+        warn([f"{s.listener} is left out: {s.reason}" for s in page.screened])
+    warn([f"{who} did not finish" for who in found.unfinished])
+    print(f"{found.test.manifest.name}: {found.who}, {100 * found.confidence:g} % intervals")
+    for page in found.pages:
+        print(f"{page.page}. {page.heading} ({page.kind}, {page.listeners} listeners)")
+        for line in _lines(page):
+            print("   " + line)
 
 
-def _interval(row: RatingMean | Rate, scale: float) -> str:
-    if row.low is None or row.high is None:
-        return ""
-    return f" [{scale * row.low:.2f}, {scale * row.high:.2f}]"
+def _lines(page: PageResults) -> list[str]:
+    lines = []
+    for mean in (*page.cells, *page.helpers):
+        bounds = "" if mean.low is None else f" [{mean.low:.2f}, {mean.high:.2f}]"
+        lines.append(f"{mean.label}: {mean.mean:.2f}{bounds}")
+    if page.mixed is not None:
+        lines.append(f"mixed model: {page.mixed.formula} + {page.mixed.groups}")
+        for term in page.mixed.terms:
+            lines.append(
+                f"  {term.name}: {term.difference:+.2f} [{term.low:.2f}, {term.high:.2f}], p = {term.p_value:.3g}, "
+                f"d = {term.cohens_d:.2f}"
+            )
+    for pair in page.ranks.pairs if page.ranks is not None else ():
+        lines.append(f"ranks, {pair.factor}: {pair.second} over {pair.first}: r = {pair.r:.2f}, p = {pair.p_holm:.3g}")
+    for one in page.detections:
+        cell = ", ".join(f"{k}={v}" for k, v in one.cell.items())
+        if one.share is None:
+            lines.append(f"{cell}: none decided")
+            continue
+        d = "" if one.d_prime is None else f", d' = {one.d_prime:.2f}"
+        lines.append(
+            f"{cell}: {one.right} of {one.answers} right, {100 * one.share:.1f} % "
+            f"[{100 * (one.low or 0):.1f}, {100 * (one.high or 0):.1f}], p = {one.p_value:.3g}{d}"
+        )
+    for value in page.scale:
+        lines.append(f"{value.level}: {value.value:+.2f} [{value.low:.2f}, {value.high:.2f}] logits")
+    if page.thresholds is not None:
+        found = page.thresholds
+        bounds = "" if found.low is None else f" [{found.low:.4g}, {found.high:.4g}]"
+        lines.append(f"threshold {found.mean:.4g}{bounds} {found.unit}, at {100 * found.share:.1f} % right")
+    return lines

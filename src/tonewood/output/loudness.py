@@ -22,6 +22,11 @@ BLOCK = 0.400  # s, gating block of BS.1770
 _REACH, _REACH_GAIN = 10, 2.25  # of scipy's fourfold filter: samples each side, and sum of |h| (2.2414) over them
 METER_FS = 48000  # Hz, the rate for which BS.1770 gives its filters
 OVERSAMPLING = 4
+#: K-weighting at 48 kHz, BS.1770-4 tables 1 and 2
+_K_WEIGHTING = (
+    (1.53512485958697, -2.69169618940638, 1.19839281085285, 1.0, -1.69065929318241, 0.73248077421585),
+    (1.0, -2.0, 1.0, 1.0, -1.99004745483398, 0.99007225036621),
+)
 
 
 def resampled(audio: Floats, fs: int, target: int) -> Floats:
@@ -67,6 +72,29 @@ def _meter() -> Any:
 
     # of its filters, the one that meets the standard's -3.01 LUFS at 997 Hz; exact at this rate only
     return pyloudnorm.Meter(METER_FS, filter_class="DeMan", block_size=BLOCK)
+
+
+def loudest(audio: Floats, fs: int, window: float = BLOCK) -> float:
+    """Loudness of the loudest stretch of a sound, LUFS, without gates; with 400 ms the largest momentary loudness.
+
+        L = -0.691 + 10 log10( max_t sum_c (1/T) int_{t-T}^{t} y_c^2 ),   y K-weighted
+
+    A shorter sound is padded to T; silence gives -inf. Source: BS.1770-4; EBU Tech 3341 for T = 400 ms.
+
+    Parameters
+    ----------
+    audio : (n, channels).
+    fs : Hz.
+    window : T, s.
+    """
+    from scipy.signal import sosfilt
+
+    block = math.ceil(window * METER_FS)
+    sound = resampled(audio, fs, METER_FS)
+    power = np.sum(np.asarray(sosfilt(_K_WEIGHTING, np.pad(sound, ((0, block), (0, 0))), axis=0)) ** 2, axis=1)
+    total = np.cumsum(np.pad(power, (1, 0)))
+    largest = float(np.max(total[block:] - total[:-block])) / block
+    return -0.691 + 10.0 * math.log10(largest) if largest > 0.0 else -math.inf
 
 
 def true_peak(audio: Floats) -> float:

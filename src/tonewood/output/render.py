@@ -20,7 +20,8 @@ from tonewood.engine.effects.base import EffectReport
 from tonewood.engine.engine import GRID, Engine, Snapshot
 from tonewood.engine.playing import Performance, perform
 from tonewood.errors import DroppedNotesWarning, TonewoodError
-from tonewood.instrument.assembly import FREQ_LIMIT, assemble
+from tonewood.instrument.assembly import FREQ_LIMIT, Model, assemble
+from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.string_setup import GivenTension
 from tonewood.output.accuracy import LEVELS
 from tonewood.output.audio import Audio, decibels
@@ -95,6 +96,20 @@ class Checkpoint:
     step: Floats | None
 
 
+def assembled(instrument: Instrument, options: RenderOptions) -> Model:
+    """The model that a `Renderer` steps: of an instrument, at the engine's rate of these options."""
+    engine_fs = float(_steps(instrument, options) * options.fs)
+    limit = None if options.freq_limit is None else min(options.freq_limit, FREQ_LIMIT * engine_fs)
+    return assemble(options.applied_to(instrument), engine_fs, freq_limit=limit, outputs=options.outputs)
+
+
+def _steps(instrument: Instrument, options: RenderOptions) -> Fraction:
+    """Steps per sample."""
+    if options.oversampling is not None:
+        return Fraction(options.oversampling)
+    return LEVELS[options.accuracy].oversampling(instrument.spec)
+
+
 class Renderer:
     """Streams a score on an instrument.
 
@@ -111,6 +126,7 @@ class Renderer:
     instrument : a loaded instrument, or its name or folder.
     fs : sampling rate, Hz.
     options : of the render; single ones may be given as keywords instead.
+    model : that `assembled` made of this instrument and these options, for several renders; else it is made.
 
     Raises
     ------
@@ -126,17 +142,14 @@ class Renderer:
         fs: float | None = None,
         *,
         options: RenderOptions | None = None,
+        model: Model | None = None,
         **settings: Any,
     ):
         score, instrument = as_score(score), as_instrument(instrument)
         self.options = options = RenderOptions.of(options, fs, settings)
         self.fs = options.fs
-        steps = LEVELS[options.accuracy].oversampling(instrument.spec)
-        if options.oversampling is not None:
-            steps = Fraction(options.oversampling)
-        engine_fs = float(steps * self.fs)
-        limit = None if options.freq_limit is None else min(options.freq_limit, FREQ_LIMIT * engine_fs)
-        self.model = assemble(options.applied_to(instrument), engine_fs, freq_limit=limit, outputs=options.outputs)
+        steps = _steps(instrument, options)
+        self.model = assembled(instrument, options) if model is None else model
         self.performance: Performance = perform(score, self.model, channel_per_string=options.channel_per_string)
         self.engine = Engine(self.model, self.performance.timeline, energy=options.energy)
         self.engine.tail_level = options.tail_level_db

@@ -36,7 +36,7 @@ BASE: dict[str, Any] = {
             "reference": {"damping": "complex"},
             "anchors": [3500],
         },
-        {"type": "paired_comparison", "group_by": ["score"], "pairs": {"damping": ["complex", "block"]}},
+        {"type": "abx", "group_by": ["score"], "pairs": {"damping": ["complex", "block"]}},
     ],
 }
 
@@ -73,6 +73,11 @@ class FakeRenderer:
         if condition.overrides.get("body.t60") == "unknown":
             raise TonewoodError("unknown is not a number", key="body.t60")
         return {"asked": condition.asked(), "bundle": condition.bundle, "version": self.version, "isa": "any"}
+
+    def own_value(self, condition: Condition, path: str) -> Any:
+        if not path.startswith(("body.", "render.")):
+            raise TonewoodError("is not a known key", key=path)
+        return condition.overrides.get(path, 0.5)
 
     def predict(self, condition: Condition) -> float:
         return 0.5

@@ -69,6 +69,45 @@ def test_renders_repeat_to_the_bit_and_hear_their_factor() -> None:
     assert np.std(other.samples[late]) < 0.9 * np.std(first.samples[late])
 
 
+def test_a_kept_model_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Notes at several stops, in two orders, on models that were used before and on fresh ones."""
+    notes = {
+        f"n{m}": {"phrase": [NOTE | {"note": float(m)}, NOTE | {"time": 0.1, "note": m + 3.0}]} for m in (41, 57, 48)
+    }
+    given = conditions(scores=notes)
+
+    def rendered(order: list[int], most: int) -> dict[int, np.ndarray]:
+        monkeypatch.setattr(rendering, "_MODELS", rendering.ModelCache(most))
+        return {i: ENGINE.render(given[i]).samples for i in order}
+
+    fresh = rendered(list(range(len(given))), 0)
+    for order in ([0, 1, 2, 3, 4, 5], [5, 2, 4, 0, 3, 1]):
+        kept = rendered(order, 4)
+        assert all(np.array_equal(kept[i], fresh[i]) for i in order)
+
+
+def test_few_models_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+
+    def assembled(instrument: Any, options: Any) -> str:
+        made.append(instrument.content_hash)
+        return "a model"
+
+    monkeypatch.setattr(rendering, "assembled", assembled)
+    cache = rendering.ModelCache(2)
+    low, high = (instrument_of(c) for c in conditions())
+    options = conditions()[0].render
+    for instrument, at in (
+        (low, options),
+        (high, options),
+        (low, options),
+        (low, options.at(fs=44100)),
+        (high, options),
+    ):
+        cache.of(instrument, at)
+    assert made == [low.content_hash, high.content_hash, low.content_hash, high.content_hash]
+
+
 def test_varied_force_scales_a_linear_sound() -> None:
     given = conditions()[0]
     ramp = {"exciters.pluck": {"plugin": "pluck_ramp"}}  # a finger's release depends on the force

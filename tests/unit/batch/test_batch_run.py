@@ -1,16 +1,17 @@
 from __future__ import annotations
 
+import base64
 import csv
 import errno
 import hashlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import batch_fakes as fakes
 import numpy as np
@@ -18,21 +19,20 @@ import pytest
 import soundfile
 from batch_fakes import FakeRenderer
 
-from tonewood.batch import stimuli, webmushra
-from tonewood.batch.conditions import expand
-from tonewood.batch.layout import lay_out
-from tonewood.batch.manifest import check_manifest
+from tonewood.batch import stimuli, trimming
+from tonewood.batch.manifest import Stimuli
+from tonewood.batch.production import room_response
 from tonewood.batch.runner import Report, plan_batch, run_batch
+from tonewood.batch.stimuli import StimulusError
 from tonewood.batch.store import Rendered, Store, content_key
 from tonewood.batch.workers import Workers
 from tonewood.errors import OutputError, TonewoodError
-from tonewood.yaml_io import load_yaml
 
 SMALL = {
     "scores": {"low": fakes.BASE["scores"]["low"]},
     "factors": {"damping": fakes.BASE["factors"]["damping"]},
     "pages": [{"type": "mushra", "reference": {"damping": "complex"}, "anchors": [3500, 7000]}],
-    "output": {"formats": ["webmushra", "csv", "json"]},
+    "output": {"formats": ["test", "csv", "json"]},
 }
 
 
@@ -42,7 +42,7 @@ def run(tmp_path: Path, name: str = "out", renderer: FakeRenderer | None = None,
 
 
 def sounds(folder: Path) -> dict[str, bytes]:
-    return {p.name: p.read_bytes() for p in sorted((folder / "serve" / "stimuli").iterdir())}
+    return {p.name: p.read_bytes() for p in sorted((folder / "stimuli").iterdir())}
 
 
 def test_a_batch_from_manifest_to_pages(tmp_path: Path) -> None:
@@ -51,12 +51,13 @@ def test_a_batch_from_manifest_to_pages(tmp_path: Path) -> None:
     report = run_batch(path, tmp_path / "out", FakeRenderer(), progress=lambda *step: seen.append(step))
     assert report.ok
     assert (report.rendered, report.reused) == (12, 0)
-    assert len(report.files) == 12 + 8
+    assert len(report.files) == 12 + 4 + 8
     assert seen[11] == ("renders", 12, 12)
-    assert seen[-1] == ("files", 40, 40)
+    assert seen[-1] == ("files", 48, 48)
     out = tmp_path / "out"
     assert {p.name for p in out.iterdir()} == {
-        "serve", "pictures", "work", "audition.html", "key.json", "manifest.json", "manifest.csv",
+        "stimuli", "test.json", "pictures", "audition", "work", "audition.html", "key.json", "manifest.json",
+        "manifest.csv",
     }  # fmt: skip
     record = json.loads((out / "manifest.json").read_text())
     for row in record["files"]:
@@ -67,7 +68,8 @@ def test_a_batch_from_manifest_to_pages(tmp_path: Path) -> None:
         assert hashlib.sha256(samples.astype("<i2").tobytes()).hexdigest() == row["sha256"]
         heard = stimuli.measured(samples / 2.0**15, fs)
         assert heard.lufs == pytest.approx(row["lufs"], abs=1e-9)
-        assert row["lufs"] == pytest.approx(-23.0 - row["page_drop_db"], abs=0.01)
+        if row["role"] == "sound":
+            assert row["lufs"] == pytest.approx(-23.0 - row["page_drop_db"], abs=0.01)
         assert heard.true_peak_dbtp <= -1.0
         assert row["render"]["info"]["energy_residual"] == 1e-12
         assert row["identity"]["version"] == "1"
@@ -83,37 +85,47 @@ def test_a_batch_from_manifest_to_pages(tmp_path: Path) -> None:
 
 
 def test_blind_names_and_the_key(tmp_path: Path) -> None:
-    report = run(tmp_path, output={"blind": True})
+    report = run(tmp_path, output={"blind": True, "formats": ["test", "html"]})
     out = report.folder
-    served = "".join(p.read_text() for p in (out / "serve").glob("*.yaml")) + (out / "audition.html").read_text()
+    page = (out / "audition.html").read_text()
     for word in ("complex", "proportional", "=block", "damping="):
-        assert word not in served
+        assert word not in page
     key = json.loads((out / "key.json").read_text())
     assert {f"{code}.wav" for code in key["stimuli"]} == set(sounds(out))
     by_code = key["stimuli"]
     (trial,) = key["trials"].values()
     assert by_code[trial["reference"]]["levels"]["damping"] == "complex"
-    assert {by_code[c]["levels"]["damping"] for c in trial["stimuli"]} == {"proportional", "block"}
-    assert not list((out / "serve").rglob("key.json"))
+    heard = [by_code[c] for c in trial["stimuli"]]
+    assert {s["levels"]["damping"] for s in heard if s["role"] == "sound"} == {"proportional", "block"}
+    assert {s["role"] for s in heard} == {"sound", "anchor35", "anchor70"}
 
 
-def test_an_open_audition_shows_conditions(tmp_path: Path) -> None:
-    page = {"type": "html", "group_by": ["score"], "reference": {"damping": "complex"}, "anchors": [3500]}
-    report = run(tmp_path, pages=[page], output={"blind": False})
+def test_the_audition_has_every_sound_and_keeps_names_apart(tmp_path: Path) -> None:
+    evil = "</script><script>alert(1)</script>"
+    page = {"type": "html", "name": evil, "group_by": ["score"], "reference": {"damping": "complex"}, "anchors": [3500]}
+    report = run(tmp_path, pages=[page], output={"blind": True}, title=evil)
     text = (report.folder / "audition.html").read_text()
-    assert "harp.low.damping=complex" in text
-    assert "(anchor35)" in text
+    assert text.count("<script") == 2
+    assert "alert(1)</script>" not in text
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])
+    assert data["sets"][0]["question"] == evil
+    assert {s["code"] for s in data["sets"][0]["sounds"]} == {f.code for f in report.files}
+    names = (report.folder / "audition" / "names.js").read_text()
+    assert "harp.low.damping=complex" in names
+    assert '"role": "anchor35"' in names
+    script = (report.folder / "audition" / "set1.js").read_text()
+    sounds = json.loads(script.removeprefix("soundsOf(0, ").removesuffix(");\n"))
     for file in report.files:
-        assert f'src="{file.file}"' in text
-        assert (report.folder / file.file).exists()
+        assert base64.b64decode(sounds[file.code]) == (report.folder / file.file).read_bytes()
     by_role = {f.role: f for f in report.files if "complex" in f.condition}
     assert by_role["anchor35"].gain_db == by_role["sound"].gain_db
+    assert (report.folder / "pictures" / "differences1.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_same_manifest_gives_the_same_bytes(tmp_path: Path) -> None:
     first, second = run(tmp_path, "a"), run(tmp_path, "b")
     assert sounds(first.folder) == sounds(second.folder)
-    for name in ("key.json", "serve/webmushra.yaml"):
+    for name in ("key.json",):
         assert (first.folder / name).read_bytes() == (second.folder / name).read_bytes()
     other = run(tmp_path, "c", seed=8)
     assert not set(sounds(first.folder)) & set(sounds(other.folder))
@@ -173,12 +185,12 @@ def test_equal_conditions_are_rendered_once(tmp_path: Path) -> None:
     levels = {"complex": 0.5, "proportional": 0.4, "same": 0.4}
     report = run(tmp_path, renderer=FakeRenderer(log=log), factors={"damping": {"path": "body.t60", "levels": levels}})
     assert len(log.read_text().splitlines()) == report.rendered == 2
-    assert len(report.files) == 3
+    assert len(report.files) == 5
 
 
 def test_files_of_an_earlier_seed_are_removed_and_strangers_kept(tmp_path: Path) -> None:
     out = run(tmp_path).folder
-    (out / "serve" / "stimuli" / "training.wav").write_bytes(b"mine")
+    (out / "stimuli" / "training.wav").write_bytes(b"mine")
     after = run(tmp_path, seed=9)
     assert set(sounds(out)) == {Path(f.file).name for f in after.files} | {"training.wav"}
 
@@ -188,8 +200,8 @@ def test_the_plan_writes_nothing(tmp_path: Path) -> None:
     plan = plan_batch(path, tmp_path / "out", FakeRenderer(), Workers(1), predict=True)
     assert not (tmp_path / "out").exists()
     summary = plan.summary()
-    assert (summary["to_render"], summary["files"], summary["trials"]) == (3, 3, 1)
-    assert summary["predicted_seconds"] == pytest.approx(3 * 0.5 + 3 * 0.1)
+    assert (summary["to_render"], summary["files"], summary["trials"]) == (3, 5, 1)
+    assert summary["predicted_seconds"] == pytest.approx(3 * 0.5 + 5 * 0.1)
     run_batch(path, tmp_path / "out", FakeRenderer())
     assert plan_batch(path, tmp_path / "out", FakeRenderer()).summary()["to_render"] == 0
 
@@ -259,7 +271,7 @@ def test_one_failing_condition_is_reported_and_the_rest_goes_on(tmp_path: Path, 
         factors={"damping": {"path": "body.t60", "levels": levels}},
         pages=[
             {"type": "mushra", "reference": {"damping": "complex"}},
-            {"type": "paired_comparison", "pairs": {"damping": pairs}},
+            {"type": "abx", "pairs": {"damping": pairs}},
         ],
     )
     assert not report.ok
@@ -267,8 +279,8 @@ def test_one_failing_condition_is_reported_and_the_rest_goes_on(tmp_path: Path, 
     assert reason in report.faults[0].reason
     assert any("page1.repeat=1: 1 of 1 trials left out" in note for note in report.notes)
     assert any("page2: 1 of 2 trials left out" in note for note in report.notes)
-    experiment = load_yaml(report.folder / "serve" / "webmushra.yaml")
-    assert [p["type"] for p in experiment["pages"]] == ["paired_comparison", "finish"]
+    test = json.loads((report.folder / "test.json").read_text())
+    assert [trial["page"] for trial in test["trials"]] == [2]
     assert len(sounds(report.folder)) == 2
     record = json.loads((report.folder / "manifest.json").read_text())
     assert record["failed"][0]["name"] == "harp.low.damping=bad"
@@ -290,6 +302,43 @@ def test_a_page_is_lowered_as_a_whole(tmp_path: Path) -> None:
     assert f"lowered by {drop:.2f} dB" in report.notes[0]
 
 
+def test_files_begin_at_the_same_sample_and_end_with_the_longest_decay(tmp_path: Path) -> None:
+    report = run(tmp_path, stimuli={"onset": {"at": 0.02}})
+    found = {}
+    for file in report.files:
+        samples, fs = soundfile.read(report.folder / file.file, always_2d=True)
+        assert fs == 48000
+        if file.role == "sound":
+            assert trimming.onset(samples, -40.0) == 960
+            found[file.condition] = np.flatnonzero(np.abs(samples[:, 0]) > 1.5 / 2**15)[-1] / fs
+    # complex decays by 60 dB in 0.5 s: no file is longer, and the others are silent after their own decay
+    assert {file.frames for file in report.files} == {max(f.frames for f in report.files)}
+    assert report.files[0].frames / 48000 == pytest.approx(0.5 + 0.02, abs=0.03)
+    assert found["harp.low.damping=block"] == pytest.approx(0.3 + 0.02, abs=0.04)
+    rendered = run(tmp_path, "score", stimuli={"onset": {"align": "score"}, "trim": {"level_db": None}})
+    assert rendered.files[0].frames == round(1.0 * 48000) + 480  # two decay times are rendered
+
+
+def test_sounds_in_a_room(tmp_path: Path) -> None:
+    """Two channels, the second half as loud and 100 samples later."""
+    response = np.zeros((101, 2))
+    response[0, 0], response[100, 1] = 1.0, 0.5
+    (tmp_path / "out_in").mkdir()
+    soundfile.write(tmp_path / "out_in" / "room.wav", response, 48000, subtype="DOUBLE")
+    report = run(tmp_path, stimuli={"channels": 2, "subtype": "PCM_24", "room": "room.wav"})
+    for file in report.files:
+        samples, _ = soundfile.read(report.folder / file.file, always_2d=True)
+        left, right = samples[600:9000, 0], samples[700:9100, 1]
+        if file.role == "sound":
+            assert np.max(np.abs(right - 0.5 * left)) < 1e-5
+    with pytest.raises(StimulusError, match=r"room\.wav: has 2 channels; 1 or 1 are allowed"):
+        room_response(tmp_path / "out_in" / "room.wav", Stimuli())
+    record = json.loads((report.folder / "manifest.json").read_text())
+    assert record["room_sha256"] == hashlib.sha256((tmp_path / "out_in" / "room.wav").read_bytes()).hexdigest()
+    with pytest.raises(StimulusError, match=r"gone\.wav: cannot be read"):
+        run(tmp_path, "absent", stimuli={"room": "gone.wav"})
+
+
 def test_24_bits_two_channels_other_rates_and_a_given_length(tmp_path: Path) -> None:
     settings = {"subtype": "PCM_24", "channels": 2, "fs": 44100, "duration": 0.75}
     report = run(tmp_path, stimuli=settings)
@@ -299,69 +348,6 @@ def test_24_bits_two_channels_other_rates_and_a_given_length(tmp_path: Path) -> 
         samples, _ = soundfile.read(report.folder / file.file, dtype="int32")
         assert not np.any(samples & 0xFF)
         assert stimuli.samples_sha256(samples >> 8) == file.sha256
-
-
-def test_the_webmushra_experiment(tmp_path: Path) -> None:
-    pages = [
-        {"type": "mushra", "reference": {"damping": "complex"}, "anchors": [3500], "name": "How close?"},
-        {"type": "bs1116", "reference": {"damping": "complex"}},
-        {"type": "paired_comparison", "pairs": {"damping": ["complex", "block"]}, "unforced": "no difference"},
-        {"type": "html"},
-    ]
-    report = run(tmp_path, pages=pages, title='Harp: damping, "complex" or not?')
-    experiment = load_yaml(report.folder / "serve" / "webmushra.yaml")
-    assert list(experiment) == [
-        "testname", "testId", "bufferSize", "stopOnErrors", "showButtonPreviousPage", "remoteService", "pages",
-    ]  # fmt: skip
-    assert experiment["testname"] == 'Harp: damping, "complex" or not?'
-    assert experiment["bufferSize"] in (256, 512, 1024, 2048, 4096, 8192, 16384)
-    mushra, bs1116, paired, finish = experiment["pages"]
-    assert set(mushra) == {
-        "type", "id", "name", "content", "showWaveform", "enableLooping", "strict", "reference", "createAnchor35",
-        "createAnchor70", "randomize", "showConditionNames", "stimuli", "switchBack",
-    }  # fmt: skip
-    assert (mushra["createAnchor35"], mushra["createAnchor70"], mushra["strict"]) == (True, False, True)
-    assert mushra["name"] == "How close?"
-    assert mushra["showConditionNames"] is False
-    assert len(mushra["stimuli"]) == 2
-    assert mushra["reference"] not in mushra["stimuli"].values()  # webMUSHRA adds the hidden reference itself
-    assert set(bs1116) == {
-        "type", "id", "name", "content", "showWaveform", "enableLooping", "reference", "createAnchor35",
-        "createAnchor70", "stimuli",
-    }  # fmt: skip
-    assert set(paired) == {
-        "type", "id", "name", "content", "unforced", "showWaveform", "enableLooping", "reference", "stimuli",
-    }  # fmt: skip
-    assert paired["unforced"] == "no difference"
-    assert (finish["type"], finish["writeResults"], finish["showResults"]) == ("finish", True, False)
-    for page in (mushra, bs1116, paired):
-        for path in (page["reference"], *page["stimuli"].values()):
-            assert path.startswith("configs/damping/stimuli/")
-            assert (report.folder / "serve" / path.removeprefix("configs/damping/")).exists()
-        assert all(path.endswith(f"/{code}.wav") for code, path in page["stimuli"].items())
-
-
-def test_page_order() -> None:
-    detune = {"path": "body.detune", "levels": {f"d{i}": 1.0 + 0.01 * i for i in range(6)}}
-    page = {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}}
-
-    def order(choice: str, seed: int) -> list[str]:
-        changes = {"factors": SMALL["factors"] | {"pluck": detune}, "pages": [page], "seed": seed}
-        data = check_manifest(fakes.manifest(**SMALL | changes | {"output": {"page_order": choice}}))
-        groups, _ = lay_out(data, expand(data, Path()))
-        files = {s.code: SimpleNamespace(frames=1, fs=1) for g in groups for s in g.stimuli}
-        pages = webmushra.experiment(data, groups, files)["pages"][:-1]
-        pluck = {t.id: g.fixed["pluck"] for g in groups for t in g.trials}
-        if choice == "per_listener":
-            (pages,) = pages
-            assert pages.pop(0) == "random"
-        return [pluck[p["id"]] for p in pages]
-
-    listed = [f"d{i}" for i in range(6)]
-    assert order("listed", 1) == order("per_listener", 1) == listed
-    assert sorted(order("seeded", 1)) == listed
-    assert order("seeded", 1) == order("seeded", 1)
-    assert len({tuple(order("seeded", seed)) for seed in (1, 2, 3)}) > 1
 
 
 def test_store(tmp_path: Path) -> None:

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import freqz, resample_poly
 
-from tonewood.batch import stimuli
+from tonewood.batch import stimuli, trimming
 from tonewood.batch.seeds import generator
 from tonewood.batch.stimuli import StimulusError
 from tonewood.errors import OutputError
+from tonewood.output.loudness import loudest
 
 FS = 48000
 
@@ -74,7 +75,7 @@ def test_silence_has_no_loudness_to_match() -> None:
 def test_true_peak_between_samples() -> None:
     # a sine at fs/4 sampled 45 degrees off its crests: samples at 0.7071, the wave reaches 1
     between = sine(FS / 4, 0.1, phase=np.pi / 4)
-    windowed = stimuli.fitted(between, FS, len(between), 0.01, 0.01)
+    windowed = stimuli.faded(between, FS, 0.01, 0.01)
     got = stimuli.measured(windowed, FS)
     assert got.peak_dbfs == pytest.approx(-3.0103, abs=1e-3)
     assert got.true_peak_dbtp == pytest.approx(0.0, abs=0.02)
@@ -98,24 +99,75 @@ def test_page_drop() -> None:
     assert stimuli.page_drop_db([-3.0, 2.0], -1.0) == pytest.approx(3.0 + stimuli.PEAK_MARGIN_DB)
 
 
-def test_fades_are_raised_cosines_and_padding_starts_without_a_step() -> None:
-    ones = np.ones((1000, 2))
-    got = stimuli.fitted(ones, 1000, 1500, 0.1, 0.2)
-    assert got.shape == (1500, 2)
+def test_fades_are_raised_cosines() -> None:
+    got = stimuli.faded(np.ones((1000, 2)), 1000, 0.1, 0.2)
     t = np.arange(100) / 100
     np.testing.assert_allclose(got[:100, 0], np.sin(np.pi * t / 2) ** 2, atol=1e-15)
     assert np.all(got[100:800] == 1.0)
     np.testing.assert_allclose(got[800:1000, 1][::-1], np.sin(np.pi * np.arange(200) / 400) ** 2, atol=1e-15)
-    assert got[999, 0] == 0.0
-    assert not got[1000:].any()
-    assert np.array_equal(stimuli.fitted(ones, 1000, 600, 0.0, 0.0), np.ones((600, 2)))
+    assert np.array_equal(stimuli.faded(np.ones((600, 2)), 1000, 0.0, 0.0), np.ones((600, 2)))
 
 
 def test_fades_longer_than_the_sound_share_it() -> None:
-    got = stimuli.fitted(np.ones((90, 1)), 1000, 90, 0.1, 0.2)
+    got = stimuli.faded(np.ones((90, 1)), 1000, 0.1, 0.2)
     assert got[0, 0] == got[-1, 0] == 0.0
     assert np.argmax(got) in (30, 29)
-    assert stimuli.fitted(np.ones((0, 1)), 1000, 5, 0.1, 0.1).shape == (5, 1)
+    assert stimuli.faded(np.ones((0, 1)), 1000, 0.1, 0.1).shape == (0, 1)
+
+
+@pytest.mark.parametrize("fs", [44100, 48000])
+def test_loudest_is_that_of_the_loudest_400_ms(fs: int) -> None:
+    assert loudest(sine(997.0, 5.0, fs=fs), fs) == pytest.approx(-3.01, abs=0.005)
+    # 400 ms of tone after a quiet one: only these count; half of them is 3 dB less
+    loud, quiet = sine(997.0, 0.4, 0.5, fs=fs), sine(997.0, 2.0, 0.05, fs=fs)
+    both = np.concatenate([quiet, loud, quiet])
+    assert loudest(both, fs) == pytest.approx(-3.01 - 6.02, abs=0.02)
+    assert loudest(loud[: len(loud) // 2], fs) == pytest.approx(-3.01 - 6.02 - 3.01, abs=0.02)
+    assert loudest(np.zeros((fs, 1)), fs) == -np.inf
+
+
+def test_loudness_of_notes_that_decay() -> None:
+    """The loudest 100 ms in closed form; how much the length of a decay matters to either measure."""
+    gains = {}
+    weight = loudest(sine(220.0, 2.0), FS) - 10 * np.log10(0.5)  # K-weighting at 220 Hz
+    for t60 in (1.0, 8.0):
+        note = pluck(220.0, 8.0, t60)
+        gain = stimuli.level_gain_db(note, FS, "loudest", -23.0)
+        rate = 2 * np.log(1000) / t60  # of the energy
+        mean = 0.5 * (1 - np.exp(-0.1 * rate)) / (0.1 * rate)
+        assert -23.0 - gain == pytest.approx(weight + 10 * np.log10(mean), abs=0.05)
+        gains[t60] = (gain, stimuli.level_gain_db(note, FS, "bs1770_gated", -23.0))
+    by_loudest, by_gated = (gains[1.0][i] - gains[8.0][i] for i in (0, 1))
+    assert 0 < by_loudest < 2.5
+    assert by_gated > 4.0
+
+
+def test_onsets_stand_at_the_same_sample() -> None:
+    sound = np.concatenate([np.zeros((777, 1)), pluck(300.0, 1.0)])
+    first = trimming.onset(sound, -40.0)
+    assert first == 777 + int(np.argmax(np.abs(pluck(300.0, 1.0)[:, 0]) >= 0.01 * np.abs(pluck(300.0, 1.0)).max()))
+    assert trimming.onset(1e-6 * sound, -40.0) == first  # whatever the level
+    for place in (0, 100, 5000):
+        moved = trimming.shifted(sound, place - first)
+        assert trimming.onset(moved, -40.0) == place
+        assert np.array_equal(moved[place:], sound[first:])
+    assert trimming.onset(np.zeros((10, 2)), -40.0) == 0
+
+
+@pytest.mark.parametrize("t60", [0.5, 1.5])
+def test_a_sound_ends_where_it_has_decayed_by_60_db(t60: float) -> None:
+    end = trimming.end(pluck(400.0, 8.0, t60), 960, -60.0)
+    assert end / FS == pytest.approx(t60, abs=0.03)
+    later = np.concatenate([pluck(400.0, 2.0, 0.2), pluck(400.0, 2.0, t60)])  # a second note counts
+    assert trimming.end(later, 960, -60.0) / FS == pytest.approx(2.0 + t60, abs=0.03)
+    assert trimming.end(np.zeros((5000, 1)), 960, -60.0) == 960
+
+
+def test_a_room_is_a_convolution(rng: np.random.Generator) -> None:
+    dry, response = rng.standard_normal((200, 1)), rng.standard_normal((31, 2))
+    wet = trimming.convolved(dry, response)
+    for c in range(2):
+        np.testing.assert_allclose(wet[:, c], np.convolve(dry[:, 0], response[:, c]), atol=1e-12)
 
 
 @pytest.mark.parametrize(("subtype", "bits"), [("PCM_16", 16), ("PCM_24", 24)])

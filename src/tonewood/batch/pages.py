@@ -1,0 +1,338 @@
+"""Pages of a listening test: one class per type of page, with what a manifest may say of it.
+
+A text is a plain string, or a mapping from languages to strings; it is escaped wherever it is shown, and an empty line
+begins a new paragraph.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_+-]*$", max_length=60)]
+ParameterPath = Annotated[str, Field(pattern=r"^[^.\s]+(\.[^.\s]+)*$", max_length=200)]
+Language = Annotated[str, Field(pattern=r"^[a-z]{2,3}(-[A-Za-z0-9]{2,8})*$")]
+Text = str | dict[Language, str]
+Levels = dict[str, str]
+Pairs = dict[str, Literal["all"] | list[str] | list[list[str]]]
+
+
+_WEBMUSHRA = "was removed in 0.2: it was an option of webMUSHRA; `tonewood serve` has the pages now"
+_ABX = "was removed in 0.2: which of two is the reference is asked by type abx; `tonewood migrate` helps"
+
+
+class Section(BaseModel):
+    """A part of a manifest: unknown keys are refused, values are not converted."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class Page(Section):
+    """A page of any type."""
+
+    name: Text = Field(default="", description="title")
+    content: Text = Field(default="", description="plain text shown below the title")
+
+
+class ConsentPage(Page):
+    """Information on the test and a box that must be ticked to go on."""
+
+    type: Literal["consent"]
+    agree: Text = Field(default="", description="words beside the box")
+
+
+class InstructionsPage(Page):
+    """A page to read."""
+
+    type: Literal["instructions"]
+
+
+class LevelPage(Page):
+    """Level setting: a tone as loud as the stimuli, by which the playback level is set and not changed again."""
+
+    type: Literal["level"]
+    freq: float = Field(default=1000.0, ge=50, le=10000, description="Hz, of the tone")
+    spl_db: float | None = Field(default=None, ge=20, le=100, description="dB SPL that the tone is to have at the ear")
+    measured: bool = Field(default=False, description="ask for the sound pressure level that was measured")
+
+
+class TrainingPage(Page):
+    """Trials of another page before it begins, with the right answer shown; they do not count."""
+
+    type: Literal["training"]
+    page: int = Field(ge=1, description="number of the page that is trained, counted from 1")
+    trials: int = Field(default=2, ge=1, le=100)
+
+
+class Question(Section):
+    """One question of a questionnaire."""
+
+    name: Name
+    label: Text
+    kind: Literal["text", "number", "choice", "scale"] = "text"
+    choices: dict[Name, Text] | None = None
+    low: float = 1.0
+    high: float = 5.0
+    optional: bool = False
+
+    @model_validator(mode="after")
+    def _has_choices(self) -> Self:
+        if (self.kind == "choice") != (self.choices is not None):
+            raise PydanticCustomError("question", "kind: choice and choices belong together")
+        if self.low >= self.high:
+            raise PydanticCustomError("question", "low must be below high")
+        return self
+
+
+class QuestionnairePage(Page):
+    """Questions on the listener, or on the test."""
+
+    type: Literal["questionnaire"]
+    questions: list[Question] = Field(min_length=1, max_length=100)
+
+
+class FinishPage(Page):
+    """The last page; one is added where a manifest has none."""
+
+    type: Literal["finish"]
+
+
+class SoundPage(Page):
+    """A page with sounds of the batch."""
+
+    group_by: list[str] = Field(default_factory=list, description="factors that stay the same on one page")
+
+
+class RatedPage(SoundPage):
+    """Sounds against a reference."""
+
+    reference: Levels = Field(min_length=1)
+    expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
+    expect_sd: float | None = Field(
+        default=None, gt=0, description="standard deviation of the listeners' differences, points"
+    )
+    removed: ClassVar[dict[str, str]] = dict.fromkeys(
+        ("show_waveform", "looping", "switch_back"),
+        "was removed in 0.2: it was an option of webMUSHRA; `tonewood serve` has the pages now",
+    )
+
+
+class MushraPage(RatedPage):
+    """Several sounds against a reference on a scale of 0 to 100 (BS.1534)."""
+
+    type: Literal["mushra"]
+    anchors: list[Literal[3500, 7000]] = Field(default_factory=list, max_length=2)
+    strict: bool = Field(default=True, description="refuse more signals on a page than BS.1534 allows")
+
+
+class Bs1116Page(RatedPage):
+    """One sound and the hidden reference against the open reference, grades 1 to 5 (BS.1116)."""
+
+    type: Literal["bs1116"]
+
+
+class PairPage(SoundPage):
+    """Pairs of levels of one factor, all else equal; `times` trials each."""
+
+    pairs: Pairs = Field(min_length=1, max_length=1)
+    times: int = Field(default=1, ge=1, le=1000, description="trials of each pair")
+    expect: float | None = Field(default=None, gt=0, lt=1, description="share of answers beyond guessing")
+    feedback: bool = Field(default=False, description="show whether an answer was right")
+
+
+class AbxPage(PairPage):
+    """Which of A and B is X?"""
+
+    type: Literal["abx"]
+    unforced: bool = Field(default=False, description="allow the answer that no difference is heard")
+
+
+class AbPage(PairPage):
+    """Are A and B the same? Every second trial has one sound twice."""
+
+    type: Literal["ab"]
+
+
+class PairedPage(PairPage):
+    """Which of two has more of something, or is preferred?"""
+
+    type: Literal["paired_comparison"]
+    question: Text
+    tie: bool = Field(default=False, description="allow the answer that both are equal")
+    feedback: Literal[False] = False
+    removed: ClassVar[dict[str, str]] = dict.fromkeys(
+        ("unforced", "both_orders", "show_waveform", "looping"),
+        "was removed in 0.2: which of two is the reference is asked by type abx; `tonewood migrate` helps",
+    )
+
+
+class AfcPage(PairPage):
+    """Forced choice among 2 or 3 intervals, one after the other.
+
+    Without a `question` listeners point at the interval that differs: of three, or of two after the open reference.
+    With one ("which decays longer?") they point at the interval that has the pair's second level.
+    """
+
+    type: Literal["afc"]
+    intervals: Literal[2, 3] = 3
+    question: Text = ""
+
+
+class RatingScale(Section):
+    """A scale from `low` to `high` with words at its ends."""
+
+    name: Name
+    label: Text
+    low: float = 0.0
+    high: float = 100.0
+    low_label: Text = ""
+    high_label: Text = ""
+
+    @model_validator(mode="after")
+    def _rises(self) -> Self:
+        if self.low >= self.high:
+            raise PydanticCustomError("scale", "low must be below high")
+        return self
+
+
+class RatingPage(SoundPage):
+    """One sound on one or more scales."""
+
+    type: Literal["rating"]
+    scales: list[RatingScale] = Field(min_length=1, max_length=12)
+    times: int = Field(default=1, ge=1, le=1000, description="trials of each sound")
+    expect: float | None = Field(default=None, gt=0, description="difference of means to be found, points of the scale")
+    expect_sd: float | None = Field(default=None, gt=0)
+
+
+class StaircasePage(Page):
+    """Just noticeable difference of one parameter: the level falls after right answers and rises after a wrong one.
+
+    The parameter `path` of the test sound is given by the level x:
+
+        value: x        add: r + x        percent: r (1 + x / 100)        db: r 10^(x / 20)
+
+    r is the number `reference`, or the parameter's own value. Smaller levels are harder.
+    """
+
+    type: Literal["staircase"]
+    path: ParameterPath
+    of: Levels = Field(default_factory=dict, description="levels of the one condition that is changed")
+    scale: Literal["value", "add", "percent", "db"] = "add"
+    reference: Any = Field(default=None, description="value of the path in the reference sound; its own if left out")
+    unit: Text = ""
+    start: float
+    steps: list[Annotated[float, Field(gt=0)]] = Field(min_length=1, max_length=10)
+    ratio: bool = Field(default=False, description="steps are ratios of levels, not differences")
+    lowest: float
+    highest: float
+    down: Literal[1, 2, 3] = Field(default=2, description="right answers in a row before the level falls")
+    reversals: int = Field(default=8, ge=2, le=50)
+    discard: int = Field(default=2, ge=0, le=20, description="first reversals that do not count")
+    longest: int = Field(default=80, ge=5, le=1000, description="trials of a track")
+    tracks: int = Field(default=1, ge=1, le=8, description="interleaved")
+    intervals: Literal[2, 3] = 3
+    question: Text = ""
+    feedback: bool = True
+    expect_sd: float | None = Field(
+        default=None, gt=0, description="standard deviation of the listeners' thresholds, levels"
+    )
+
+    @model_validator(mode="after")
+    def _levels_fit(self) -> Self:
+        if not self.lowest <= self.start <= self.highest:
+            raise PydanticCustomError("staircase", "lowest <= start <= highest is wanted")
+        if self.ratio and (self.lowest <= 0 or min(self.steps) <= 1):
+            raise PydanticCustomError("staircase", "ratio: true needs levels above 0 and steps above 1")
+        if self.reversals - self.discard < 2:
+            raise PydanticCustomError("staircase", "reversals must be at least discard + 2")
+        return self
+
+    def value(self, level: float, own: Any) -> Any:
+        """The parameter at a level.
+
+        Parameters
+        ----------
+        level : x.
+        own : the parameter's value in the bundle, used where `reference` is not given.
+
+        Raises
+        ------
+        ValueError : the scale needs a number to change and there is none.
+        """
+        if self.scale == "value":
+            return level
+        base = own if self.reference is None else self.reference
+        if isinstance(base, bool) or not isinstance(base, (int, float)):
+            raise ValueError(f"is {base!r}; scale: {self.scale} needs a number")
+        if self.scale == "add":
+            return base + level
+        return base * (1 + level / 100) if self.scale == "percent" else base * 10.0 ** (level / 20)
+
+    def moved(self, level: float, by: int, reversals: int) -> float:
+        """The level one step down (`by` -1) or up (+1), after so many reversals, within its limits."""
+        step = self.steps[min(reversals // 2, len(self.steps) - 1)]
+        moved = level * step**by if self.ratio else level + by * step
+        return min(max(moved, self.lowest), self.highest)
+
+    def mean(self, levels: list[float]) -> float:
+        """Mean of levels, geometric where steps are ratios."""
+        if self.ratio:
+            return math.exp(math.fsum(map(math.log, levels)) / len(levels))
+        return math.fsum(levels) / len(levels)
+
+
+class HtmlPage(SoundPage):
+    """A page only of the audition file; anchors are written as files."""
+
+    type: Literal["html"]
+    reference: Levels | None = None
+    anchors: list[Literal[3500, 7000]] = Field(default_factory=list, max_length=2)
+
+    @model_validator(mode="after")
+    def _anchored(self) -> Self:
+        if self.anchors and self.reference is None:
+            raise PydanticCustomError("html", "anchors are made from a reference: give one")
+        return self
+
+
+AnyPage = Annotated[
+    ConsentPage
+    | InstructionsPage
+    | LevelPage
+    | TrainingPage
+    | QuestionnairePage
+    | MushraPage
+    | Bs1116Page
+    | AbxPage
+    | AbPage
+    | PairedPage
+    | AfcPage
+    | RatingPage
+    | StaircasePage
+    | HtmlPage
+    | FinishPage,
+    Field(discriminator="type"),
+]
+#: pages with trials that listeners answer
+TRIALS = (MushraPage, Bs1116Page, PairPage, RatingPage, StaircasePage)
+
+
+def as_pairs(pairs: Literal["all"] | list[str] | list[list[str]], levels: list[str]) -> list[list[str]]:
+    """One pair ``[a, b]``, a list of pairs, or `all` pairs of the levels, as a list of pairs."""
+    if pairs == "all":
+        return [list(pair) for pair in itertools.combinations(levels, 2)]
+    rows = [p for p in pairs if isinstance(p, list)]
+    return rows if len(rows) == len(pairs) else [[str(p) for p in pairs]]
+
+
+def localised(text: Text, language: str) -> str:
+    """A text in a language, or in its base language, or in the first language it has."""
+    if isinstance(text, str):
+        return text
+    base = language.partition("-")[0]
+    return text.get(language) or text.get(base) or next(iter(text.values()), "")

@@ -1,0 +1,67 @@
+"""``tonewood serve``: a listening test in browsers."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tonewood.cli.common import AllowCode, allow, need
+from tonewood.errors import TonewoodError
+
+
+def serve(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="output folder of `tonewood batch`")],
+    host: Annotated[
+        str, typer.Option(help="address to listen at; 0.0.0.0 lets all computers of the network take part")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="0 for any that is free")] = 8000,
+    allow_code: AllowCode = False,
+) -> None:
+    """Serve the test of DIR to listeners, until Ctrl-C; answers go to DIR/answers, one file a listener.
+
+    Every answer is on the disk before its page goes on. After a crash run the same command again: listeners go on
+    where they were.
+    """
+    need("serve", "starlette", "uvicorn", "soundfile")
+    import uvicorn
+
+    from tonewood.batch.rendering import EngineRenderer
+    from tonewood.listening.definition import load_test
+    from tonewood.listening.on_demand import RenderedPairs
+    from tonewood.listening.server import ListeningServer, has_staircase
+
+    allow("--port", port, 0, 65535, "")
+    test = load_test(folder)
+    pairs = RenderedPairs(test, EngineRenderer(allow_code)) if has_staircase(test) else None
+    application = ListeningServer(test, pairs).application()
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as listening:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listening.bind((host, port))
+            listening.listen(128)  # who comes before the server is ready waits
+        except OSError as fault:
+            raise TonewoodError(f"{host}:{port} cannot be used: {fault.strerror}", key="--host, --port") from None
+        for name in _names(host):
+            print(f"http://{name}:{listening.getsockname()[1]}/", flush=True)
+        config = uvicorn.Config(application, log_level="warning", lifespan="off", timeout_graceful_shutdown=2)
+        try:
+            uvicorn.Server(config).run(sockets=[listening])
+        finally:
+            if pairs is not None:
+                pairs.close()
+
+
+def _names(host: str) -> list[str]:
+    """Addresses to open: of all interfaces, this computer's own and that in its network."""
+    if host not in ("0.0.0.0", "::"):
+        return [f"[{host}]" if ":" in host else host]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # sends nothing: asks which interface would be taken
+            return ["127.0.0.1", str(probe.getsockname()[0])]
+        except OSError:
+            return ["127.0.0.1", socket.gethostname()]
