@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from tonewood.engine.effects.base import EffectReport
+    from tonewood.live.take import Replay
     from tonewood.output.level import LevelName
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer, Summary
@@ -62,6 +63,9 @@ def render(
             help="account of energy every 64 samples: .json, .csv or .png; may be given again; many times slower",
         ),
     ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="play SCORE as it comes, as live: repeats a take of `play --record`")
+    ] = False,
     strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
@@ -69,6 +73,7 @@ def render(
 ) -> None:
     """Render SCORE on an instrument to a sound file."""
     began = time.perf_counter()
+    from tonewood.live.take import Replay
     from tonewood.output.audio import file_format
     from tonewood.output.energy import check_energy_file, save_energy
     from tonewood.output.level import PEAK, level_name, meaning
@@ -91,7 +96,11 @@ def render(
         check_energy_file(path)
     bundle = load(instrument, settings, allow_code, strings)
     with dropped_notes_listed():
-        renderer = Renderer(read_midi(score), bundle, options=options.at(energy=bool(energy)))
+        renderer: Renderer | Replay
+        if live:
+            renderer = Replay(score, bundle, options=options.at(energy=bool(energy)))
+        else:
+            renderer = Renderer(read_midi(score), bundle, options=options.at(energy=bool(energy)))
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
     target = PEAK if normalize is None else normalize
@@ -141,7 +150,7 @@ def render(
 
 
 def _write(
-    renderer: Renderer,
+    renderer: Renderer | Replay,
     output: Path,
     subtype: str,
     block: int,
@@ -244,7 +253,7 @@ def _bounds(reports: Sequence[EffectReport]) -> Iterator[tuple[list[float], str]
 
 
 def _report(
-    renderer: Renderer, output: Path, clipped: int, peak: float, load_s: float, warnings: list[str]
+    renderer: Renderer | Replay, output: Path, clipped: int, peak: float, load_s: float, warnings: list[str]
 ) -> dict[str, Any]:
     s, account = renderer.summary(), renderer.energy
     return {

@@ -68,6 +68,12 @@ class FrettedBases:
             (name, Fretting()): {c: system.compiled[system.slot(c)] for c in string.components}
             for name, string in model.strings.items()
         }
+        #: those that are kept for good
+        self._prepared: dict[tuple[str, Fretting], dict[str, Compiled]] = {}
+
+    def prepare(self, name: str, fretting: Fretting) -> None:
+        """Compile the bases of a way to hold a string, and keep them for good."""
+        self._prepared[name, fretting] = self.bases(name, fretting)
 
     def playable(self, name: str, fretting: Fretting) -> Fretting:
         """Return it without the finger's place where that is the usual one, or not on the string's speaking part."""
@@ -81,6 +87,8 @@ class FrettedBases:
     def bases(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
         """Return component -> compiled basis of a string as it is held."""
         key = (name, fretting)
+        if (kept := self._prepared.get(key)) is not None:
+            return kept
         if key not in self._compiled:
             made = {c: self.model.system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
             if len(self._compiled) >= _CACHE:
