@@ -45,7 +45,7 @@ def play(
     spacing: Annotated[
         int, typer.Option(help="control intervals (64 steps) between beginnings of live notes that come together")
     ] = 2,
-    ahead: Annotated[int, typer.Option(help="blocks computed ahead when played live: part of the latency")] = 2,
+    ahead: Annotated[int, typer.Option(help="blocks computed ahead when played live: part of the latency")] = 3,
     duration: Annotated[float | None, typer.Option(help="end a live session after so many seconds")] = None,
     block: Annotated[int | None, typer.Option(help="frames per block; 1024, live 128")] = None,
     level: LevelOption = None,

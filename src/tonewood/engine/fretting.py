@@ -59,10 +59,10 @@ class Fretting:
 
 
 class FrettedBases:
-    """A model's strings as they can be held: bases are compiled when first wanted, and the last ones are kept."""
+    """A model's strings as they can be held: bases are compiled when first wanted, and the last `room` are kept."""
 
     def __init__(self, model: Model):
-        self.model, system = model, model.system
+        self.model, self.room, system = model, _CACHE, model.system
         # the strings of the model are open and untouched
         self._compiled: dict[tuple[str, Fretting], dict[str, Compiled]] = {
             (name, Fretting()): {c: system.compiled[system.slot(c)] for c in string.components}
@@ -91,7 +91,7 @@ class FrettedBases:
             return kept
         if key not in self._compiled:
             made = {c: self.model.system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
-            if len(self._compiled) >= _CACHE:
+            if len(self._compiled) >= self.room:
                 self._compiled.pop(next(iter(self._compiled)))
             self._compiled[key] = made
         return self._compiled[key]

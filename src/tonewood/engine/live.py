@@ -4,8 +4,9 @@ Every action is entered at the next point of the control grid, GRID samples apar
 the actions and on the samples after which they came:
 
 - A note begins at that point with the preparation of its gesture, shortened to `ramp`; it sounds when this is over.
-- Of notes that come together the first begins at once and the others `spacing` points apart each: a chord is strummed.
-- A bend follows its wheel at no more than the greatest rate, and one string is bent per `spacing` points, in turn.
+- One thing is done at a point, so that none costs more than a block has time for: notes first, `spacing` points apart
+  (twice that after one in an unusual way), then slides and strings let go, ends of notes, bends.
+- A bend follows its wheel at no more than the greatest rate, one string at a time: the farthest from its wheel.
 - A gesture that lasts as long as its note (a bow's stroke) is continued `_CONTINUED` s ahead while the key is down.
 """
 
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from tonewood.engine.engine import GRID, Engine
@@ -34,6 +35,8 @@ from tonewood.validation_messages import did_you_mean
 
 #: s, by which a gesture that lasts as long as its note is known ahead, and the shortest note
 _CONTINUED, _SHORTEST = 0.25, 0.02
+#: compiled ways to hold a string that are kept, besides those of `prepare`
+_ROOM = 256
 #: notes of one key that were struck and not released; more of them release the first
 _STRUCK = 8
 #: dropped notes that are kept with their reasons; all are counted
@@ -41,7 +44,7 @@ _KEPT = 100
 #: points of the grid that are stepped at once while nothing is to be done
 _IDLE = 64
 #: m, to which places that controllers ask for are rounded: bases of strings are made once per place
-_GRAIN = 5e-4
+_GRAIN = 5e-3
 
 
 @dataclass(eq=False)
@@ -121,22 +124,22 @@ class LivePlayer:
         self._assignment = CausalAssignment(
             playable(model), channel_per_string=channel_per_string, tuning=model.instrument.tuning
         )
+        engine.fingerboard.room = _ROOM
         self._keys = {float(note_number(k)): name for k, name in model.playing.keyswitches.items()}
         self._lines = {name: _Line() for name in model.strings}
         self._waiting: deque[Voice] = deque()
         self._held: dict[tuple[int, float], list[Voice]] = {}
         self._pedalled: dict[tuple[int, float], Voice] = {}
         self._ending: list[Voice] = []
+        #: (string, stop, values) of ways to pluck that are compiled while nothing else is to be done
+        self._to_compile: deque[tuple[str, int, Mapping[str, float]]] = deque()
         self._controls: dict[tuple[int, str], float] = {}
         self._techniques: dict[int, str] = {}
         #: technique -> whether its gesture lasts as long as the note
         self._sustained: dict[str, bool] = {}
-        self._turn = 0
         self._free_at = self._bend_at = 0
         self._number = 0
         self._read = frozenset({*model.playing.controls, *model.playing.switches, "cc7", "cc11", "cc64"})
-
-    # what the player does
 
     def note_on(self, note: Note) -> Voice | None:
         """Begin a note at the next point of the grid; None if it is a keyswitch or cannot be played.
@@ -196,6 +199,11 @@ class LivePlayer:
         self._controls[channel, kind] = value
         if kind == "cc64" and value < 0.5:
             self.lift_pedal(channel)
+        moved = self.model.playing.controls.get(kind)
+        if moved is not None and moved.parameter == f"{self.model.default_exciter}.from_bridge":
+            # while nothing else is to be done; the samples do not depend on it
+            place = {"from_bridge": _rounded(moved.value(value))}
+            self._to_compile = deque((name, stop, place) for name, stop in self._places())
 
     def lift_pedal(self, channel: int) -> None:
         """End the notes that only the pedal holds."""
@@ -218,14 +226,13 @@ class LivePlayer:
         for at in [at for at in self._pedalled if pedalled and channel in (None, at[0])]:
             self._end(self._pedalled.pop(at))
 
-    # what comes of it
-
     @property
     def idle_points(self) -> int:
         """Points of the grid that may be stepped at once: 1 where something is to be done at the next."""
         busy = (
             self._waiting
             or self._ending
+            or self._to_compile
             or any(
                 line.later or line.cents != line.wanted or self._is_sustained(line.voice)
                 for line in self._lines.values()
@@ -241,24 +248,37 @@ class LivePlayer:
     def tick(self) -> None:
         """Enter into the engine's schedule what is due at the point of the grid that it has reached."""
         now = self.engine.state.sample
-        ending = [voice for voice in self._ending if not self._may_end(voice, now)]
-        for voice in self._ending:
-            if voice not in ending:
-                self._finish(voice, now)
-        self._ending = ending
-        if self._waiting and now >= self._free_at:
-            self._begin(now)
         for line in self._lines.values():
-            while line.later and line.later[0][0] <= now:
-                _, change = line.later.popleft()
-                line.stop = line.stop if change.stop is None else change.stop
-                if change.cents is not None:
-                    line.cents = line.wanted = change.cents
-                self._change(now, change)
             if self._is_sustained(line.voice):
                 self._continue(line.voice, now)
-        if now >= self._bend_at:
-            self._bend_one(now)
+        if self._waiting and now >= self._free_at:
+            self._begin(now)
+        elif not self._follow(now) and not self._end_one(now) and now >= self._bend_at and not self._bend_one(now):
+            self._compile_one(now)
+
+    def _follow(self, now: int) -> bool:
+        """Make one change that was planned: of a slide, or to let a damped string go; whether there was one."""
+        due = [line for line in self._lines.values() if line.later and line.later[0][0] <= now]
+        if not due:
+            return False
+        line = min(due, key=lambda line: line.later[0][0])
+        _, change = line.later.popleft()
+        line.stop = line.stop if change.stop is None else change.stop
+        if change.cents is not None:
+            line.cents = line.wanted = change.cents
+        self._change(now, change)
+        return True
+
+    def _end_one(self, now: int) -> bool:
+        """End the first of the notes that were let go; whether there was one that sounds."""
+        for voice in list(self._ending):
+            if voice in self._waiting or (voice.string is not None and self._is_young(voice, now)):
+                continue
+            self._ending.remove(voice)
+            if voice.string is not None:
+                self._finish(voice, now)
+                return True
+        return False
 
     def _with_technique(self, note: Note) -> Note:
         """The note with the technique that it names, or that keys and controllers ask for."""
@@ -301,10 +321,19 @@ class LivePlayer:
         for i, drop in dropped:
             self._drop(fresh[i], drop)
         self._waiting = deque(voice for voice in self._waiting if voice.assigned is not None)
-        while self._waiting and not self._started(self._waiting.popleft(), now):
-            pass
-        if self._waiting:
-            self._free_at = now + self.spacing * GRID
+        while self._waiting:
+            voice = self._waiting.popleft()
+            if self._started(voice, now):
+                # a string that is held in an unusual way takes longer to compute
+                wait = self.spacing * GRID * (1 if self._is_plain(voice) else 2)
+                self._free_at = now + wait
+                self._bend_at = max(self._bend_at, self._free_at)
+                break
+
+    def _is_plain(self, voice: Voice) -> bool:
+        """Whether a note has the default technique and place, and a stop's pitch, as `prepare` compiles them."""
+        usual = voice.note.technique in (None, self.model.default_exciter) and "from_bridge" not in voice.event.values
+        return usual and voice.assigned is not None and voice.assigned.cents == 0.0
 
     def _sounding(self, line: _Line) -> Sounding:
         voice = line.voice
@@ -330,7 +359,7 @@ class LivePlayer:
         string, exciter = model.strings[own.string], exciter_of(voice.note, model)
         values = event_values(voice.note, model, lambda kind: self._controls.get((channel, kind)))
         if "from_bridge" in values:
-            values["from_bridge"] = round(values["from_bridge"] / _GRAIN) * _GRAIN
+            values["from_bridge"] = _rounded(values["from_bridge"])
         if (seed := model.playing.variation.seed) is not None:
             drawn = Deviates.of(seed, voice.number)
             values = touched(values, exciter, string.length(own.stop), drawn, model.playing.variation)
@@ -348,7 +377,8 @@ class LivePlayer:
         voice.string, voice.began, voice.play, voice.event = own.string, now, play, event
         self.counters.notes += 1
         line.voice, line.stop = voice, own.stop
-        line.cents = line.wanted = self._cents(voice)
+        # the bend follows while the pluck is prepared
+        line.cents, line.wanted = own.cents, self._cents(voice)
         line.later.clear()
         tick = GRID * self.engine.dt
         course = stop_course(play, own.stop, string.stopping.continuous, tick)
@@ -376,10 +406,8 @@ class LivePlayer:
             self._sustained[name] = again.stop > voice.play.gesture.stop
         return self._sustained[name]
 
-    def _may_end(self, voice: Voice, now: int) -> bool:
-        if voice in self._waiting:
-            return False
-        return voice.string is None or (now - voice.began) * self.engine.dt >= _SHORTEST
+    def _is_young(self, voice: Voice, now: int) -> bool:
+        return (now - voice.began) * self.engine.dt < _SHORTEST
 
     def _finish(self, voice: Voice, now: int) -> None:
         """Damp the string of a note, or end the gesture that lasts as long as the note."""
@@ -414,48 +442,58 @@ class LivePlayer:
         voice.event, voice.play = event, replace(voice.play, gesture=gesture)
         self.engine.schedule.add(plays=[voice.play])
 
-    def _bend_one(self, now: int) -> None:
-        """Take the bend of one string a step further: of the next in turn whose bend is not where it is wanted."""
-        names = list(self._lines)
-        for i in range(len(names)):
-            name = names[(self._turn + i) % len(names)]
-            line = self._lines[name]
-            way = line.wanted - line.cents
-            if line.voice is None or not way:
-                continue
-            step = BEND_RATE * self.spacing * GRID * self.engine.dt
-            line.cents = line.wanted if abs(way) <= step else line.cents + math.copysign(step, way)
-            self._change(now, Change(0.0, name, cents=line.cents))
-            self._turn = (self._turn + i + 1) % len(names)
-            self._bend_at = now + self.spacing * GRID
-            return
+    def _compile_one(self, now: int) -> None:
+        if self._to_compile:
+            self._compile(*self._to_compile.popleft())
+            self._bend_at = now + 2 * self.spacing * GRID
 
-    def prepare(self) -> int:
-        """Compile how strings are held at every stop by the default technique, and damped; returns how many ways.
+    def _bend_one(self, now: int) -> bool:
+        """Take the bend of the string that is farthest from where it is wanted a step on; whether there was one."""
+        bent = {
+            name: line for name, line in self._lines.items() if line.voice is not None and line.cents != line.wanted
+        }
+        if not bent:
+            return False
+        name = max(bent, key=lambda name: abs(bent[name].wanted - bent[name].cents))
+        line, step = bent[name], BEND_RATE * 2 * self.spacing * GRID * self.engine.dt
+        way = line.wanted - line.cents
+        line.cents = line.wanted if abs(way) <= step else line.cents + math.copysign(step, way)
+        self._change(now, Change(0.0, name, cents=line.cents))
+        self._bend_at = now + 2 * self.spacing * GRID
+        return True
 
-        Without this a note is up to 10 ms of computing later the first time its stop is played.
+    def prepare(self) -> None:
+        """Compile how strings are held at every stop by the default technique, and damped.
+
+        Without this a note takes up to 10 ms more the first time that its stop is played.
         """
-        exciter = self.model.exciters[self.model.default_exciter]
-        ways = 0
-        for name, string in self.model.strings.items():
-            for stop in range(string.n_stops + 1):
-                event = Event({}, string.freq(stop), _CONTINUED, stop, 0.0, string.length(0.0))
-                gesture = exciter.gesture(event, self.model.place(name, stop))
-                held = Fretting(stop, place=gesture.from_bridge, width=gesture.width)
-                fretting = self.engine.fingerboard.playable(name, held)
-                damped = math.log(1000.0) / self.model.playing.note_end.t60
-                for way in (fretting, replace(fretting, added_damping=damped)):
-                    self.engine.fingerboard.prepare(name, way)
-                    ways += 1
-        return ways
+        damped = math.log(1000.0) / self.model.playing.note_end.t60
+        for name, stop in self._places():
+            fretting = self._compile(name, stop, {})
+            for way in (fretting, replace(fretting, added_damping=damped)):
+                self.engine.fingerboard.prepare(name, way)
+
+    def _places(self) -> list[tuple[str, int]]:
+        return [(name, stop) for name, string in self.model.strings.items() for stop in range(string.n_stops + 1)]
+
+    def _compile(self, name: str, stop: int, values: Mapping[str, float]) -> Fretting:
+        """Compile how a string is held at a stop when it is plucked with some values of the default technique."""
+        string, fingerboard = self.model.strings[name], self.engine.fingerboard
+        event = Event(values, string.freq(stop), _CONTINUED, stop, 0.0, string.length(0.0))
+        gesture = self.model.exciters[self.model.default_exciter].gesture(event, self.model.place(name, stop))
+        held = Fretting(float(stop), place=gesture.from_bridge, width=gesture.width)
+        fretting = fingerboard.playable(name, held)
+        bases = fingerboard.bases(name, fretting)
+        for component in string.weights(gesture.angle_deg):
+            bases[component].impulses("pluck")
+        return fretting
+
+
+def _rounded(place: float) -> float:
+    return round(place / _GRAIN) * _GRAIN
 
 
 def _gripped(gesture: Gesture) -> Gesture:
     """The same gesture with its finger's whole dashpot from the first touch on: each step of it costs a block time."""
     hold = gesture.hold
     return gesture if hold is None else replace(gesture, hold=replace(hold, grown=hold.start))
-
-
-def reasons(dropped: Mapping[str, int]) -> Sequence[str]:
-    """One line per reason, from the most frequent on."""
-    return [f"{count} not played: {reason}" for reason, count in Counter(dropped).most_common()]

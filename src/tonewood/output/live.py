@@ -87,7 +87,7 @@ class Live:
         need a render with an end.
     ramp : s, longest preparation of a pluck; a shorter one is heard as a thump.
     spacing : control intervals between the beginnings of notes that come together, 0 for none: a chord is strummed.
-        One interval is 64 steps, 1.3 ms at 48 kHz; the default keeps what a block of 128 frames costs even.
+        One interval is 64 steps, 1.3 ms at 48 kHz; the default lets six notes cost no more than their time.
     prepare : compile every stop before the first note, in about a second, so that no note has to wait for it.
 
     Raises

@@ -130,8 +130,10 @@ class AudioStream:
 
     @property
     def latency(self) -> float:
-        """Longest time from a block's computing to its turn, s: the blocks ahead and the one in the making."""
-        return (self.ahead + 1) * self.block_size / self.fs
+        """Longest time from an event to the block that it reaches, s: until the next block is computed, in the making,
+        and until the blocks ahead of it have been given out.
+        """
+        return (self.ahead + 2) * self.block_size / self.fs
 
     def playback(self) -> Playback:
         """Summary so far; an error of the computing thread is raised here.

@@ -186,7 +186,7 @@ def test_a_port_is_played_and_recorded(guitar: tw.Instrument, ports: Any, tmp_pa
     assert np.abs(sound).max() > 1e-3
     assert played.frames == 40 * 256
     assert made.latency["device"] == 0.01
-    assert made.latency["blocks"] == pytest.approx(4 * 256 / 48000)
+    assert made.latency["blocks"] == pytest.approx(5 * 256 / 48000)
     assert "2 sounding" in made.status()
     assert ports.OPEN == {}
     take.save(tmp_path / "take.mid", live, live.frames)
