@@ -31,6 +31,7 @@ class Schedule:
 
     def __init__(self, dt: float, strings: Collection[str]):
         self.dt, self.stop = dt, 0.0
+        self._taken = -math.inf
         self._changes: _Line[Change] = _Line()
         self._plays: _Line[Play] = _Line()
         #: string -> samples at which it is changed or played
@@ -46,8 +47,12 @@ class Schedule:
             self._enter(self._plays.add(samples(play.start, self.dt), play), play.string)
 
     def _enter(self, sample: float, string: str | None) -> None:
-        if string is not None:
-            bisect.insort(self._due[string], sample)
+        if string is None:
+            return
+        due = self._due[string]
+        bisect.insort(due, sample)
+        if len(due) >= 2 * _FORGET:
+            del due[: bisect.bisect_left(due, self._taken)]
 
     @property
     def done(self) -> bool:
@@ -61,21 +66,19 @@ class Schedule:
 
     def take(self, before: int) -> tuple[list[Change], list[Play]]:
         """Take changes and gestures that are due before a sample; they are not given again."""
+        self._taken = before
         return self._changes.take(before), self._plays.take(before)
 
     def next_of(self, string: str, sample: int) -> float:
         """First sample, from `sample` on, at which a string is changed or played; infinite if there is none."""
         due = self._due[string]
         following = bisect.bisect_left(due, sample)
-        if following > _FORGET:
-            del due[:following]
-            following = 0
         return due[following] if following < len(due) else math.inf
 
     def copy(self) -> Schedule:
         """Copy of what is still due."""
         other = Schedule(self.dt, ())
-        other.stop = self.stop
+        other.stop, other._taken = self.stop, self._taken
         other._changes, other._plays = self._changes.copy(), self._plays.copy()
         other._due = {name: list(due) for name, due in self._due.items()}
         return other
