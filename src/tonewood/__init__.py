@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from tonewood.score.note import Control as Control
     from tonewood.score.note import Note as Note
     from tonewood.score.note import Score as Score
+    from tonewood.score.reading import read_score as read_score
 
     #: version of the installed package
     __version__: str
@@ -58,6 +59,7 @@ _HOME = {
     "plan": "output.plan",
     "play": "output.play",
     "read_midi": "score.midi",
+    "read_score": "score.reading",
     "render": "output.render",
     "write_midi": "score.midi",
 }

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
-from tonewood.engine.techniques import stop_course, touch_course, with_techniques
+from tonewood.engine.techniques import stop_course, touch_course, with_marks, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
 from tonewood.engine.variation import Deviates, moved, touched
 from tonewood.errors import NothingPlayedError, ScoreError
@@ -48,27 +48,36 @@ class Performance:
     ignored: Mapping[str, int]
 
 
-def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> Performance:
+def perform(score: Score, model: Model, *, channel_per_string: bool = False, capo: int = 0) -> Performance:
     """Give every note a string, a stop and a gesture.
 
     Notes may ask for `technique` the name of one of the instrument's exciters, or the bundle's keys and controllers
     ask for them; the bundle's first one is the default.
 
+    Parameters
+    ----------
+    channel_per_string : notes of the first channel go to the first string, and so on.
+    capo : stop at which all strings are held that no finger stops, 0 for none. Stops of notes are counted from the nut.
+
     Raises
     ------
-    ScoreError : the score has no notes, none that can be played, or asks for a technique the instrument does not have.
+    ScoreError : there are no stops beyond the capo, the score has no notes, none that can be played, or asks for a technique the instrument does not have.
     """
     score = with_techniques(score, model.playing)
+    score = with_marks(score, [n for n, e in model.exciters.items() if e.at is None], playable(model))
     if not score.notes and not score.dropped:
         raise ScoreError("has no notes to play", file=score.name)
     notes, body_plays = _split_taps(score, model)
     factor = dict(zip(map(id, score.notes), volume_factors(score), strict=True))
     louder = [_with_force(n, model, factor[id(n)]) for n in notes]
-    assignment = assign(louder, playable(model), channel_per_string=channel_per_string, tuning=model.instrument.tuning)
+    if capo:
+        louder = [n if n.stop is None else replace(n, stop=max(n.stop - capo, 0.0)) for n in louder]
+    strings = playable(model, capo)
+    assignment = assign(louder, strings, channel_per_string=channel_per_string, tuning=model.instrument.tuning)
     by_string: dict[str, list[Assigned]] = defaultdict(list)
     drawn: dict[int, Deviates] = {}
     variation = model.playing.variation
-    for i, assigned in enumerate(assignment.notes):
+    for i, assigned in enumerate(replace(a, stop=a.stop + capo) if capo else a for a in assignment.notes):
         if variation.seed is not None:
             deviates = Deviates.of(variation.seed, i)
             assigned = moved(assigned, deviates, variation)
@@ -87,7 +96,8 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
         own: list[Play] = []
         for i, assigned in enumerate(line):
             following = line[i + 1] if i + 1 < len(line) else None
-            event = _event(assigned, line[i - 1] if i else None, following, model, controllers, drawn.get(id(assigned)))
+            held = line[i - 1].stop if i else float(capo)
+            event = _event(assigned, held, following, model, controllers, drawn.get(id(assigned)))
             n_moved += not is_where_asked(event, assigned, model, score.name)
             gesture = exciter_of(assigned.note, model).gesture(event, model.place(name, assigned.stop))
             play = Play(assigned.note.time, gesture, string=name)
@@ -96,7 +106,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
             own.append(play)
             played.append(assigned)
         for assigned, play, following_play in zip(line, own, [*own[1:], None], strict=True):
-            changes += _left_hand(assigned, play, following_play, name, model, bends)
+            changes += _left_hand(assigned, play, following_play, name, model, bends, capo)
         plays += own
     if not plays:
         raise NothingPlayedError(_why_nothing(dropped), file=score.name)
@@ -110,6 +120,9 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
         )
     if assignment.doubled:
         warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")
+    if capo:
+        first = min([0.0, *(play.start for play in plays)])
+        changes += [Change(first, name, stop=capo) for name in model.strings]
     timeline = Timeline(
         sorted(changes, key=lambda c: c.time),
         sorted(plays, key=lambda p: p.start),
@@ -135,14 +148,22 @@ def _why_nothing(dropped: Sequence[Dropped]) -> str:
     return f"{count} be played: {listed}" + ("; and others" if len(reasons) > 3 else "")
 
 
-def playable(model: Model) -> list[PlayableString]:
-    """The strings as the left hand sees them."""
+def playable(model: Model, capo: int = 0) -> list[PlayableString]:
+    """Return the strings as the left hand sees them, beyond a capo.
+
+    Raises
+    ------
+    ScoreError : a string has no stops beyond the capo.
+    """
+    shortest = min((s.n_stops for s in model.strings.values()), default=0)
+    if capo and not 0 < capo < shortest:
+        raise ScoreError(f"is {capo}; 0 to {max(shortest - 1, 0)} are allowed on this instrument", key="capo")
     return [
         PlayableString(
             name,
-            (s.open_note, s.open_note + s.n_stops)
+            (s.open_note + capo, s.open_note + s.n_stops)
             if s.stopping.continuous
-            else tuple(s.open_note + i for i in range(s.n_stops + 1)),
+            else tuple(s.open_note + i for i in range(capo, s.n_stops + 1)),
             s.stopping.continuous,
         )
         for name, s in model.strings.items()
@@ -176,7 +197,7 @@ def _with_force(note: Note, model: Model, factor: float) -> Note:
 
 def _event(
     assigned: Assigned,
-    before: Assigned | None,
+    held: float,
     following: Assigned | None,
     model: Model,
     controllers: Controllers,
@@ -189,7 +210,6 @@ def _event(
     if drawn is not None:
         length = string.length(assigned.stop)
         values = touched(values, model.exciters[name], length, drawn, model.playing.variation)
-    held = before.stop if before is not None else 0.0
     duration = assigned.end - note.time
     if following is not None and (following.note.technique or model.default_exciter) == name:
         free = following.note.time - note.time - model.exciters[name].recovery
@@ -204,6 +224,7 @@ def _left_hand(
     name: str,
     model: Model,
     bends: Mapping[int | None, History],
+    capo: int,
 ) -> list[Change]:
     """Stop the string as the pluck begins, bend it with its channel, damp it at the note's end.
 
@@ -226,7 +247,7 @@ def _left_hand(
         out.append(Change(assigned.end, name, added_damping=math.log(1000.0) / end.t60))
         let_go = assigned.end + LET_GO_AFTER * end.t60
         if let_go < free_again - 0.1:
-            out.append(Change(let_go, name, stop=0, cents=0.0, added_damping=0.0))
+            out.append(Change(let_go, name, stop=capo, cents=0.0, added_damping=0.0))
     return out
 
 

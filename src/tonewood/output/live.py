@@ -28,7 +28,7 @@ from tonewood.score.note import Dropped, Note
 Floats = NDArray[np.float64]
 
 #: options of a render that need its end or its past
-_NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy")
+_NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy", "capo")
 #: frames between two times that lists of the past are emptied
 _FORGET = 1 << 16
 #: s, shortest and longest preparation of a pluck
@@ -83,8 +83,8 @@ class Live:
     ----------
     instrument : a loaded instrument, or its name or folder.
     fs : sampling rate, Hz.
-    options : as for `Renderer`, single ones as keywords too; tail, lead-in, longest duration and the account of energy
-        need a render with an end.
+    options : as for `Renderer`, single ones as keywords too; tail, lead-in, longest duration, capo and the account of
+        energy are for scores.
     ramp : s, longest preparation of a pluck; a shorter one is heard as a thump.
     spacing : control intervals between the beginnings of notes that come together, 0 for none: a chord is strummed.
         One interval is 64 steps, 1.3 ms at 48 kHz; the default lets six notes cost no more than their time.
@@ -110,7 +110,7 @@ class Live:
         self.options = options = RenderOptions.of(options, fs, settings)
         wrong = [name for name in _NOT_LIVE if getattr(options, name) != type(options).model_fields[name].default]
         if wrong:
-            raise TonewoodError("needs a render with an end; played live there is none", key=wrong[0])
+            raise TonewoodError("is for scores that are known before; it is not allowed live", key=wrong[0])
         if not RAMP[0] <= ramp <= RAMP[1]:
             raise TonewoodError(f"is {ramp!r} s; {RAMP[0]:g} to {RAMP[1]:g} s are allowed", key="ramp")
         if spacing not in range(65):

@@ -137,7 +137,9 @@ class Renderer:
         engine_fs = float(steps * self.fs)
         limit = None if options.freq_limit is None else min(options.freq_limit, FREQ_LIMIT * engine_fs)
         self.model = assemble(options.applied_to(instrument), engine_fs, freq_limit=limit, outputs=options.outputs)
-        self.performance: Performance = perform(score, self.model, channel_per_string=options.channel_per_string)
+        self.performance: Performance = perform(
+            score, self.model, channel_per_string=options.channel_per_string, capo=options.capo
+        )
         self.engine = Engine(self.model, self.performance.timeline, energy=options.energy)
         self.engine.tail_level = options.tail_level_db
         groups = self.model.outputs

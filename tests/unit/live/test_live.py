@@ -212,7 +212,7 @@ def test_nothing_grows_with_time(monochord: tw.Instrument) -> None:
     [
         ({"ramp": 1.0}, "ramp: is 1.0 s; 0.001 to 0.1 s"),
         ({"spacing": -1}, "spacing: is -1; 0 to 64"),
-        ({"tail": 3.0}, "tail: needs a render with an end"),
+        ({"tail": 3.0}, "tail: is for scores that are known before"),
     ],
 )
 def test_wrong_options_are_one_line(monochord: tw.Instrument, options: dict[str, Any], line: str) -> None:
