@@ -14,11 +14,17 @@ from tonewood.cli.common import (
     Json,
     LevelOption,
     Overrides,
+    Start,
+    Stop,
     StringSetName,
+    Tempo,
+    Tracks,
+    Transpose,
     allow,
     dropped_notes_listed,
     load,
     print_json,
+    reading,
     warn,
     warn_of_dropped,
 )
@@ -47,6 +53,11 @@ def play(
     ] = 2,
     ahead: Annotated[int, typer.Option(help="blocks computed ahead when played live: part of the latency")] = 3,
     duration: Annotated[float | None, typer.Option(help="end a live session after so many seconds")] = None,
+    start: Start = 0.0,
+    stop: Stop = None,
+    transpose: Transpose = 0.0,
+    tempo: Tempo = 1.0,
+    tracks: Tracks = None,
     block: Annotated[int | None, typer.Option(help="frames per block; 1024, live 128")] = None,
     level: LevelOption = None,
     limiter: Annotated[bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS")] = False,
@@ -61,7 +72,7 @@ def play(
     from tonewood.output.limiter import Limiter
     from tonewood.output.play import play as play_renderer
     from tonewood.output.render import Renderer
-    from tonewood.score.midi import read_midi
+    from tonewood.score.reading import read_score
 
     if block is not None:
         allow("--block", block, 16, 1 << 16, "frames")
@@ -97,7 +108,8 @@ def play(
         raise TonewoodError("there is no SCORE; without one give --midi-in or --keyboard to play live")
     if record is not None:
         raise TonewoodError("records what is played live; with a SCORE there is nothing to record", key="--record")
-    wanted, notes = level_name(level, gain_db=options.gain_db, limiter=limiter), read_midi(score)
+    given = reading(start, stop, transpose, tempo, tracks)
+    wanted, notes = level_name(level, gain_db=options.gain_db, limiter=limiter), read_score(score, **given)
     if wanted == "LUFS":
         raise TonewoodError("the loudness of what is played is not known before; calibrated or peak", key="--level")
     with dropped_notes_listed():

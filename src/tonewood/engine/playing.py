@@ -61,7 +61,8 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
 
     Raises
     ------
-    ScoreError : there are no stops beyond the capo, the score has no notes, none that can be played, or asks for a technique the instrument does not have.
+    ScoreError : there are no stops beyond the capo, the score has no notes, none that can be played, or asks for a
+        technique the instrument does not have.
     """
     score = with_techniques(score, model.playing)
     score = with_marks(score, [n for n, e in model.exciters.items() if e.at is None], playable(model))
