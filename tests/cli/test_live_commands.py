@@ -40,7 +40,7 @@ def duo(tmp_path: Path) -> Path:
     return tmp_path / "duo.mid"
 
 
-def test_parts_are_mixed_and_told(tonewood: Run, duo: Path, tmp_path: Path) -> None:
+def test_parts_are_mixed(tonewood: Run, duo: Path, tmp_path: Path) -> None:
     words = ("render", duo, "--part", "1=classical_guitar@pan-0.5", "--part", "2=monochord@-3dB", "--fs", 16000)
     words += ("--max-duration", 0.3, "-o", tmp_path / "mix.wav", "--stems", tmp_path / "stems")
     code, out, _ = tonewood(*words, "--json")
@@ -78,7 +78,7 @@ def test_what_cannot_be_is_one_line(
     assert len(err.splitlines()) == 1
 
 
-def test_written_scores_are_rendered_and_lacking_techniques_told(tonewood: Run, tmp_path: Path) -> None:
+def test_written_scores_are_rendered_and_lacking_techniques_counted(tonewood: Run, tmp_path: Path) -> None:
     def change(song: Any, beats: list[Any]) -> None:
         for beat in beats:
             beat.notes[0].effect.palmMute = True

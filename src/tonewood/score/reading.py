@@ -29,7 +29,7 @@ def read_score(
     transpose: float = 0.0,
     tempo: float = 1.0,
 ) -> Score:
-    """Read a score: a MIDI file, MusicXML or MXL, Guitar Pro 3, 4, 5, 7 or 8. What it is, its bytes say.
+    """Read a score: a MIDI file, MusicXML or MXL, Guitar Pro 3, 4, 5, 7 or 8; its bytes decide, not its name.
 
     Parameters
     ----------

@@ -106,7 +106,7 @@ class WrittenPart:
 
 @dataclass
 class WrittenMusic:
-    """What a file says."""
+    """Content of a file of written music."""
 
     name: str
     measures: list[Measure]
