@@ -147,7 +147,7 @@ def test_the_example_of_embedding_plays_what_python_plays(tmp_path: Path) -> Non
     assert (fs, sound.shape[1]) == (48000, 2)
     # the first pluck alone sounds for 0.25 s: its injections, stepped by the NumPy stepper on the system of the model
     stepper = NumpyStepper(system)
-    state, n = stepper.start(), 9600
+    state, n = system.start(), 9600
     first = [name for name in arrays if name.startswith("plucks/0/") and name.endswith("/2")]
     injections = []
     for name in first:
