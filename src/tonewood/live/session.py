@@ -76,7 +76,7 @@ class LiveSession:
         """Play until `wait` returns False or Ctrl-C; parameters as of `AudioStream.play`."""
         interval = sys.getswitchinterval()
         gc.collect()
-        gc.freeze()  # a full collection would go through all that was loaded
+        gc.disable()  # playing makes no cycles, and a collection takes as long as a block or two
         sys.setswitchinterval(_SWITCH)
         try:
             return self.stream.play(device, stream, wait, low_latency=True)
@@ -84,6 +84,6 @@ class LiveSession:
             return self.stream.playback()
         finally:
             sys.setswitchinterval(interval)
-            gc.unfreeze()
+            gc.enable()
             for source in self.sources:
                 source.close()

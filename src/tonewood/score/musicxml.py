@@ -185,7 +185,7 @@ class _PartReader:
                 self.velocity = (
                     _DYNAMICS[level] if level and (sound is None or "dynamics" not in sound.attrib) else self.velocity
                 )
-            elif kind.tag in ("wedge", "pedal", "octave-shift", "harp-pedals", "scordatura"):
+            elif kind.tag in ("wedge", "pedal", "harp-pedals", "scordatura"):
                 self.music.ignored[kind.tag] += kind.get("type") != "stop"
 
     def _barline(self, element: Element, measure: Measure) -> None:
