@@ -35,6 +35,7 @@ inline ComponentDescription component(const File& file, const std::string& at) {
     if ((d.has_tension = file.has(at + "a"))) {
         d.tension.a = view(file, at + "a"), d.tension.half = view(file, at + "half");
         d.tension.reading = view(file, at + "reading"), d.tension.kick = view(file, at + "kick");
+        d.tension.velocity = view(file, at + "velocity");
     }
     return d;
 }
@@ -74,7 +75,6 @@ inline CompiledSystem system_of(const File& file) {
         const std::string at = entry("tensions/strings", i);
         s.tensions.strings.push_back({int(file.integer(at + "0")), file[at + "1"].f8[0], file.integers(at + "2")});
     }
-    s.tensions.matrix = view(file, "tensions/matrix"), s.tensions.offset = view(file, "tensions/offset");
     for (std::size_t i = 0; file.has(entry("geometric", i) + "scale"); ++i) {
         GeometricDescription d;
         d.scale = file[entry("geometric", i) + "scale"].f8[0], d.along = file.integer(entry("geometric", i) + "along");

@@ -153,13 +153,9 @@ bool Kernel::load_nonlinear(const NonlinearDescription& d) {
 }
 
 bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed) {
-    const std::size_t m = model_.solve.m;
     Tensions& t = model_.tensions;
-    std::vector<int> before = std::move(t.components);
-    bool changed = components_changed || t.strings.size() != d.strings.size();
-    for (std::size_t s = 0; !changed && s < t.strings.size(); ++s)
-        changed = t.strings[s].index != d.strings[s].index || t.strings[s].kappa != d.strings[s].kappa;
-    t.strings.clear(), t.components.clear();
+    std::vector<Tensions::String> strings;
+    std::vector<int> components;
     for (Component& c : model_.components) c.tension.on = false;
     for (std::size_t s = 0; s < d.strings.size(); ++s) {
         const auto& string = d.strings[s];
@@ -170,16 +166,18 @@ bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed
             Component& c = model_.components[i];
             require(!c.tension.a.empty(), name + ": component " + std::to_string(i) + " was loaded without `tension`");
             c.tension.on = true;
-            t.components.push_back(i);
+            components.push_back(i);
         }
-        t.strings.push_back({string.index, string.kappa, string.slots});
+        strings.emplace_back();
+        strings.back().index = string.index, strings.back().kappa = string.kappa, strings.back().components = string.slots;
     }
-    changed = changed || before != t.components;
-    if (d.strings.empty()) return changed;
-    expect("tensions.matrix", d.matrix, {m, m});
-    expect("tensions.offset", d.offset, {m});
-    changed |= assign(t.matrix, d.matrix);
-    return assign(t.offset, d.offset) || changed;
+    const bool same = std::equal(strings.begin(), strings.end(), t.strings.begin(), t.strings.end(),
+                                 [](const auto& a, const auto& b) {
+                                     return a.index == b.index && a.kappa == b.kappa && a.components == b.components;
+                                 });
+    if (same && !components_changed) return false;
+    t.strings = std::move(strings), t.components = std::move(components);  // `make_tensions` derives the rest
+    return true;
 }
 
 void Kernel::load(const CompiledSystem& system) {
@@ -203,7 +201,7 @@ void Kernel::load(const CompiledSystem& system) {
         make_buffers(model.components, model.nonlinear, capacity_, model.contacts);
     }
     if (changed || linear || contacts || tensions) {
-        make_tensions(model.components, model.solve, model.layout, model.tensions, capacity_, model.nonlinear, model.tension);
+        make_tensions(model.components, model.layout, model.tensions, capacity_, model.nonlinear, model.tension);
         reset_responses(model.nonlinear, model.layout, model.contacts);
     }
     loaded_ = true;
@@ -217,6 +215,9 @@ Fault Kernel::run(const Job& job) {
     for (const Injection& in : job.injections)
         require(in.slot >= 0 && std::size_t(in.slot) < model_.components.size(),
                 "injections: no component " + std::to_string(in.slot));
+    require(model_.tensions.strings.empty() || (job.phase >= 0 && (job.phase == 0 || job.phase + job.n <= kResetSteps)),
+            "phase: with rising tensions a run that begins between two multiples of " + std::to_string(kResetSteps) +
+                " samples ends at the next one");
     return table_.run(model_, job);
 }
 

@@ -7,7 +7,6 @@
 #include <algorithm>
 #include <memory>
 
-#include "connect/coupled.hpp"
 #include "connect/general_step.hpp"
 #include "connect/longitudinal.hpp"
 #include "connect/tension_step.hpp"
@@ -18,8 +17,7 @@ namespace {
 
 inline std::unique_ptr<ConnectionStep> connection_step(Block& block, LawForces& laws) {
     const Model& m = block.model;
-    if (!m.tensions.strings.empty() && laws.any()) return std::make_unique<CoupledStep>(block, laws);
-    if (!m.tensions.strings.empty()) return std::make_unique<TensionStep>(block);
+    if (!m.tensions.strings.empty()) return std::make_unique<TensionStep>(block, laws);
     if (!m.geometric.strings.empty()) return std::make_unique<LongitudinalStep>(block, laws);
     if (m.shortcuts.direct_step && int(m.layout.own_port.size()) == m.solve.m)
         return std::make_unique<DirectStep>(block, laws);

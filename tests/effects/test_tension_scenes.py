@@ -88,3 +88,21 @@ def test_what_a_tension_adds_is_within_the_additive_budget() -> None:
     assert report.bound is not None
     assert np.isfinite(report.bound)
     assert 0.0 < report.seconds_active < SECONDS
+
+
+@pytest.mark.parametrize(("seconds", "watched"), [(0.25, False), (6.0, True)])
+def test_the_score_decides_whether_rises_are_looked_at(
+    monkeypatch: pytest.MonkeyPatch, seconds: float, watched: bool
+) -> None:
+    """All strings struck again at once, or left to ring out: where nothing could be left out, `auto` is `all`."""
+    monkeypatch.undo()
+    guitar = tw.load_instrument("steel_guitar")
+    notes = [tw.Note(i * seconds, seconds, string=s, stop=0, force=6.0) for i in range(8) for s in guitar.spec.strings]
+    models = {
+        mode: tw.Renderer(tw.Score(notes), guitar, 24000, effects=mode, max_duration=0.6) for mode in ("auto", "all")
+    }
+    effect = next(e for e in models["auto"].engine.effects if isinstance(e, TensionEffect))
+    assert effect.watched == watched
+    if not watched:
+        auto, whole = (np.concatenate(list(r.blocks())) for r in models.values())
+        np.testing.assert_array_equal(auto, whole)

@@ -88,6 +88,7 @@ ComponentDescription component(const Reader& in) {
     if ((d.has_tension = in.has("a"))) {
         d.tension.a = in.view("a"), d.tension.half = in.view("half");
         d.tension.reading = in.view("reading"), d.tension.kick = in.view("kick");
+        d.tension.velocity = in.view("velocity");
     }
     return d;
 }
@@ -157,9 +158,8 @@ NonlinearDescription nonlinear(const Reader& in) {
 
 Shortcuts shortcuts(const Reader& in) {
     return {in.get<bool>("fused_pass"), in.get<bool>("direct_step"), in.get<bool>("block_culling"),
-            in.get<bool>("group_bound"), in.get<bool>("fine_bound"), in.get<bool>("tension_lanes"),
-            in.get<bool>("tension_windows"), in.get<bool>("combined_pass"),
-            in.get<bool>("fixed_compliances"), in.get<bool>("folded_laws"), in.get<bool>("kept_inverse")};
+            in.get<bool>("group_bound"), in.get<bool>("fine_bound"), in.get<bool>("combined_pass"),
+            in.get<bool>("kept_inverse")};
 }
 
 void load(Kernel& kernel, nb::handle description) {
@@ -173,7 +173,6 @@ void load(Kernel& kernel, nb::handle description) {
     using String = std::tuple<int, double, std::vector<int>>;
     for (auto& [index, kappa, slots] : tensions.get<std::vector<String>>("strings"))
         system.tensions.strings.push_back({index, kappa, std::move(slots)});
-    system.tensions.matrix = tensions.view("matrix"), system.tensions.offset = tensions.view("offset");
     for (const Reader& string : in.each("geometric")) {
         GeometricDescription d;
         d.scale = string.get<double>("scale"), d.along = string.get<bool>("along");
@@ -195,11 +194,11 @@ void expect_shape(const char* name, const Out& a, std::initializer_list<std::siz
 
 // Advances `modes` (2, capacity) and `series`, `slip`, `last_force` (k) in place; fills out (n, n_channels), forces
 // (n, m) and law_forces (n, k), which must be zero. Injections are (slot, first step, vectors, values), controls
-// (connection, (4, n)). Returns (slot, sample) of the first fault; slot -1 if there is none, -2 if forces were not found.
+// (connection, (4, n)). `phase`: samples since the last multiple of kResetSteps. Returns (slot, sample) of the first fault; slot -1 if there is none, -2 if forces were not found.
 std::pair<int, std::int64_t> run(Kernel& kernel, Out modes, Out out, Out forces,
                                  const std::vector<std::tuple<int, std::int64_t, In, In>>& injections, Out law_forces,
                                  const std::vector<std::pair<int, In>>& controls, Out series, Out slip, Out last_force,
-                                 Out tension) {
+                                 Out tension, int phase) {
     require(kernel.loaded(), "nothing is loaded");
     const std::size_t n = out.ndim() ? out.shape(0) : 0, k = kernel.n_nonlinear(), n_tensions = kernel.n_tensions();
     expect_shape("modes", modes, {2, kernel.capacity()});
@@ -210,12 +209,12 @@ std::pair<int, std::int64_t> run(Kernel& kernel, Out modes, Out out, Out forces,
     expect_shape("slip", slip, {k});
     expect_shape("last_force", last_force, {k});
     if (n_tensions)
-        expect_shape("tension", tension, {std::max(n_tensions, tension.ndim() == 2 ? tension.shape(0) : 0), 3});
+        expect_shape("tension", tension, {std::max(n_tensions, tension.ndim() == 2 ? tension.shape(0) : 0), 4});
     Job job;
     job.modes[0] = modes.data(), job.modes[1] = modes.data() + kernel.capacity();
     job.n = std::int64_t(n), job.out = out.data(), job.forces = forces.data(), job.n_channels = kernel.n_channels();
     job.law_forces = law_forces.data(), job.series = series.data(), job.slip = slip.data();
-    job.last_force = last_force.data(), job.tension = tension.data();
+    job.last_force = last_force.data(), job.tension = tension.data(), job.phase = phase;
     for (const auto& [connection, values] : controls) {
         require(values.ndim() == 2 && values.shape(0) == 4 && values.shape(1) == n, "controls: (4, n) values are needed");
         job.controls.push_back({connection, values.data()});
@@ -260,7 +259,7 @@ NB_MODULE(_kernel, m) {
         // arrays that are written to must be the caller's own, never converted copies
         .def("run", &run, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(),
              nb::arg().noconvert(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(),
-             nb::arg().noconvert())
+             nb::arg().noconvert(), nb::arg())
         .def("acted", &Kernel::acted)
         .def("statistics", [](const Kernel& kernel) {
             const Statistics& s = kernel.statistics();

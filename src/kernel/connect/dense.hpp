@@ -1,4 +1,4 @@
-// Dense solves: Cholesky factors, and inverses by Gauss and Jordan with two choices of the pivot.
+// Dense solves by Cholesky factors.
 #pragma once
 
 #include <algorithm>
@@ -40,52 +40,25 @@ inline void solve_definite(const double* lower, const double* upper, const doubl
     for (int k = n - 1; k >= 0; --k) subtract(lower + k * w, b[k] *= over[k], 0, k);
 }
 
-// Eliminates row and column p of a (n, w) in the exchange form: afterwards a maps with x_p and b_p exchanged.
-inline void exchange(double* a, int n, std::size_t w, int p) {
-    const double pivot = a[p * w + p];
-    a[p * w + p] = 1.0;
-    for (int j = 0; j < n; ++j) a[p * w + j] /= pivot;
-    for (int i = 0; i < n; ++i) {
-        if (i == p) continue;
-        const double ratio = a[i * w + p];
-        a[i * w + p] = 0.0;
-        for (int j = 0; j < n; ++j) a[i * w + j] -= ratio * a[p * w + j];
+// Solves a X = B in place for all columns of B (n, width) at once, width a multiple of kLane.
+inline void solve_columns(const double* lower, const double* over, int n, double* b, std::size_t width) {
+    using S = Simd;
+    const std::size_t w = wide(n);
+    const auto scale = [&](int k) {
+        for (std::size_t i = 0; i < width; i += S::width) S::store(b + k * width + i, S::load(b + k * width + i) * over[k]);
+    };
+    const auto subtract = [&](int from, int to, double x) {
+        for (std::size_t i = 0; i < width; i += S::width)
+            S::store(b + to * width + i, S::load(b + to * width + i) - S::load(b + from * width + i) * x);
+    };
+    for (int k = 0; k < n; ++k) {
+        scale(k);
+        for (int i = k + 1; i < n; ++i) subtract(k, i, lower[i * w + k]);
     }
-}
-
-// Inverts a (n, w) in place, with the largest pivot of each column.
-inline void invert(double* a, int n, std::size_t w, int* pivots) {
-    for (int p = 0; p < n; ++p) {
-        int best = p;
-        for (int i = p + 1; i < n; ++i)
-            if (std::abs(a[i * w + p]) > std::abs(a[best * w + p])) best = i;
-        pivots[p] = best;
-        for (int j = 0; j < n; ++j) std::swap(a[p * w + j], a[best * w + j]);
-        exchange(a, n, w, p);
+    for (int k = n - 1; k >= 0; --k) {
+        scale(k);
+        for (int i = 0; i < k; ++i) subtract(k, i, lower[k * w + i]);
     }
-    for (int p = n - 1; p >= 0; --p)
-        for (int i = 0; i < n; ++i) std::swap(a[i * w + p], a[i * w + pivots[p]]);
-}
-
-// Inverse a (m, m) of a symmetric matrix scaled to ones on its diagonal, with pivots on the diagonal. A redundant
-// connection, whose pivot vanishes, has zeros. `d` takes the roots of the diagonal, `done` which pivots were used.
-inline void invert_symmetric(const double* matrix, int m, double* a, double* d, char* done) {
-    for (int j = 0; j < m; ++j) {
-        d[j] = matrix[j * m + j] > 0.0 ? std::sqrt(matrix[j * m + j]) : 0.0;
-        done[j] = 0;
-    }
-    for (int i = 0; i < m; ++i)
-        for (int j = 0; j < m; ++j) a[i * m + j] = d[i] * d[j] > 0.0 ? matrix[i * m + j] / (d[i] * d[j]) : 0.0;
-    for (int count = 0; count < m; ++count) {
-        int p = -1;
-        for (int j = 0; j < m; ++j)
-            if (!done[j] && (p < 0 || std::abs(a[j * m + j]) > std::abs(a[p * m + p]))) p = j;
-        if (!(std::abs(a[p * m + p]) > 1e-12)) break;
-        done[p] = 1;
-        exchange(a, m, m, p);
-    }
-    for (int i = 0; i < m; ++i)
-        for (int j = 0; j < m; ++j) a[i * m + j] = done[i] && done[j] ? a[i * m + j] / (d[i] * d[j]) : 0.0;
 }
 
 }  // namespace

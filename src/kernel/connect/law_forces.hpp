@@ -4,11 +4,10 @@
 // active set grows from the candidates that are closed before the step to those that the motion found closes.
 #pragma once
 
-#include <functional>
-
 #include "../cull/broad_phase.hpp"
 #include "newton.hpp"
 #include "series.hpp"
+#include "tension.hpp"
 
 namespace tonewood {
 namespace {
@@ -20,9 +19,9 @@ public:
     explicit LawForces(Block& block)
         : rows(block), cull(block, rows), series(block.model.nonlinear, block.model.contacts), block_(block),
           components_(block.model.components), layout_(block.model.layout), solve_(block.model.solve),
-          nl_(block.model.nonlinear), ws_(block.model.contacts), statistics_(block.model.statistics), job_(block.job) {
+          nl_(block.model.nonlinear), ws_(block.model.contacts), ts_(block.model.tension),
+          reach_(block.model.nonlinear.n_contact), statistics_(block.model.statistics), job_(block.job) {
         if (!nl_.k) return;
-        for (const Component& c : components_) any_modulated_ = any_modulated_ || c.tension.on;
         std::copy_n(job_.series, nl_.k, ws_.series.data());
         std::copy_n(job_.slip, nl_.k, ws_.slip.data());
         std::copy_n(job_.last_force, nl_.k, ws_.last_force.data());
@@ -129,25 +128,25 @@ public:
         }
     }
 
-    // Compressions of a connection before the step, and after it without nonlinear forces. Of tension-modulated strings,
-    // the row before the step counts alone: CoupledStep subtracts the rest from rest_p.
+    // Compressions of a connection before the step, and after it without nonlinear forces.
     void compress(int j, int b) {
         double gap = 0.0, free = 0.0;
         for (const Term& t : nl_.terms[j]) {
-            if (block_.modulated(t.component)) {
-                gap += t.factor * (t.contact ? displacement(t) : rows.line_of(t)[std::size_t(b) * layout_.width]);
-                continue;
-            }
-            const double* at =
+            double* const at =
                 t.contact ? rows.value(t.component, t.port) + b : rows.line_of(t) + std::size_t(b) * layout_.width;
+            if (t.contact && block_.modulated(t.component)) {
+                const ContactSums sums = tensions->contact(t.component, t.port);
+                at[0] = sums.now, at[1] = sums.free, reach_[std::size_t(nl_.first[t.component] + t.port)] = sums.reach;
+            }
             gap += t.factor * at[0], free += t.factor * at[t.contact ? 1 : layout_.width];
         }
-        if (!any_modulated_) free += dot(nl_.from_linear.data() + std::size_t(j) * solve_.m, ws_.f0.data(), solve_.m);
+        free += dot(nl_.from_linear.data() + std::size_t(j) * solve_.m, ws_.f0.data(), solve_.m);
+        if (tensions) free -= moved_by_tensions(j);
         if (nl_.series[j] >= 0) {
             gap += ws_.series[j];
             free -= (1 - nl_.theta) / nl_.theta * ws_.series[j];
         }
-        ws_.old_p[j] = ws_.offset[j] - gap, ws_.free_p[j] = ws_.rest_p[j] = ws_.offset_after[j] - free;
+        ws_.old_p[j] = ws_.offset[j] - gap, ws_.free_p[j] = ws_.offset_after[j] - free;
         ws_.size[j] = std::max({std::abs(gap), std::abs(free), std::abs(ws_.offset_after[j])});
     }
 
@@ -193,22 +192,30 @@ public:
         }
     }
 
-    // Displacement of a contact port of a tension-modulated string now. Its state must be that of the sample.
-    double displacement(const Term& t) const {
-        using S = Simd;
-        const Component& c = components_[t.component];
-        const double* row = c.contact.rows.data() + 2 * std::size_t(t.port) * c.n;
-        to_state(t.component);
-        const double *sx = block_.x(t.component), *sy = block_.y(t.component);
-        S::V sum{}, more{};
-        for (int k = 0; k < c.n; k += S::width) {
-            sum += S::load(row + k) * S::load(sx + k);
-            more += S::load(row + c.n + k) * S::load(sy + k);
-        }
-        return S::sum(sum + more);
+    // Forces on contact ports of component i in sample b.
+    std::vector<std::pair<int, double>> loads(int i, int b) const {
+        std::vector<std::pair<int, double>> out;
+        if (!nl_.k || !rows.loads()) return out;
+        for (const int p : ws_.loaded[i])
+            if (const double force = rows.force(i, p)[b]; force != 0.0) out.emplace_back(p, force);
+        return out;
     }
-    std::function<void(int)> to_state;  // writes the modes of a tension-modulated component to the state
 
+    // Whether no law can act in sample b: no candidate, and none added by the port forces that `set` writes.
+    template <class Set>
+    bool idle(int b, const Set& set) {
+        if (!cull.candidates().empty()) return false;
+        open_sample(b);
+        rows.clear_forces(b);
+        set();
+        bound_excursions(b);
+        cull.add_candidates(b, series.find(), [](int) {});
+        if (!cull.candidates().empty()) return false;
+        commit(b);
+        return true;
+    }
+
+    RisingTensions* tensions = nullptr;
     ContactRows rows;
     BroadPhase cull;
     Series series;
@@ -235,9 +242,11 @@ private:
     }
 
     bool solve() {
+        if (tensions) yield_to_tensions();
+        const double* const z = tensions ? ts_.z.data() : ws_.z.data();
         const auto find = [&] {
             int iterations = 0;
-            const bool done = find_forces(nl_, block_.model.shortcuts, ws_, ws_.z.data(), iterations);
+            const bool done = find_forces(nl_, block_.model.shortcuts, ws_, z, iterations);
             return count(done, iterations);
         };
         const bool done = branches_kept_ ? find() : converge_branches(nl_, ws_, find);
@@ -249,8 +258,66 @@ private:
     double compression_after(int j) const {
         double p = ws_.free_p[j];
         for (std::size_t q = 0; q < n_before_; ++q)
-            p -= ws_.z[std::size_t(j) * nl_.k + ws_.active[q]] * ws_.law_force[ws_.active[q]];
+            p -= (ws_.z[std::size_t(j) * nl_.k + ws_.active[q]] - yielded(j, q)) * ws_.law_force[ws_.active[q]];
         return p;
+    }
+
+    // What the tensions' own motion takes off the gap of connection i per force of active law number a: d_i M^-1 d_a / 2.
+    double yielded(int i, std::size_t a) const {
+        if (!tensions) return 0.0;
+        const std::size_t w = wide(tensions->n_strings()), laws = wide(int(ws_.active.size()));
+        double sum = 0.0;
+        for (int s = 0; s < tensions->n_strings(); ++s) sum += ts_.gap[i * w + s] * ts_.solved[s * laws + a];
+        return 0.5 * sum;
+    }
+
+    // Gap j per psi_m of each string, d_j in ts.gap; returns what the means without nonlinear connections make of it.
+    double moved_by_tensions(int j) {
+        const Tensions& t = block_.model.tensions;
+        const std::size_t strings = t.strings.size(), w = wide(int(strings)), n = t.ports.size();
+        double *const gap = ts_.gap.data() + j * w, *const meets = ts_.meets.data() + std::size_t(j) * t.width;
+        if (!ts_.has_meets[j]) find_meets(j);
+        std::fill_n(gap, w, 0.0);
+        for (std::size_t p = 0; p < n; ++p) gap[t.ports[p].string] += meets[p] * ts_.reach[p];
+        for (const Term& term : nl_.terms[j])
+            if (term.contact && block_.modulated(term.component))
+                gap[tensions->string_of(term.component)] += term.factor * reach_[std::size_t(nl_.first[term.component] + term.port)];
+        return dot(gap, ts_.alone.data(), int(strings));
+    }
+
+    // Displacement of gap j per displacement of each fixed port of the strings, the linear connections answering.
+    void find_meets(int j) {
+        const Tensions& t = block_.model.tensions;
+        double* const meets = ts_.meets.data() + std::size_t(j) * t.width;
+        for (std::size_t p = 0; p < t.ports.size(); ++p)
+            meets[p] = dot(nl_.from_linear.data() + std::size_t(j) * solve_.m, t.onto_linear.data() + p * layout_.f_width, solve_.m);
+        for (const Term& term : nl_.terms[j])
+            for (const Tensions::Part& part : t.parts)
+                if (!term.contact && part.component == term.component) meets[part.first_port + term.port] += term.factor;
+        ts_.has_meets[j] = 1;
+    }
+
+    // Gaps of the active laws per force, the tensions answering: z - d M^-1 d^T / 2.
+    void yield_to_tensions() {
+        const std::size_t w = wide(tensions->n_strings()), k = nl_.k, n = ws_.active.size(), laws = wide(int(n));
+        double* const solved = ts_.solved.data();  // (strings, laws)
+        for (int s = 0; s < tensions->n_strings(); ++s) {
+            std::fill_n(solved + s * laws, laws, 0.0);
+            for (std::size_t a = 0; a < n; ++a) solved[s * laws + a] = ts_.gap[ws_.active[a] * w + s];
+        }
+        tensions->solve(solved, laws);
+        for (const std::size_t i : ws_.active) {
+            double* const row = ts_.row.data();
+            std::fill_n(row, laws, 0.0);
+            add_product(solved, int(laws), ts_.gap.data() + i * w, tensions->n_strings(), row);
+            for (std::size_t a = 0; a < n; ++a)
+                ts_.z[i * k + ws_.active[a]] = ws_.z[i * k + ws_.active[a]] - 0.5 * row[a];
+        }
+    }
+
+    void bound_excursions(int b) {
+        for (const int i : block_.model.tensions.components)
+            ws_.tension_excursion[std::size_t(i) * kBlock + b] = tensions->excursion(i);
     }
 
     // Forces of the linear connections and of the ports under the nonlinear forces tried.
@@ -259,6 +326,16 @@ private:
         for (const int j : ws_.active) {
             const double force = ws_.law_force[j], *answer = ws_.answer.data() + std::size_t(j) * layout_.f_width;
             for (int k = 0; k < layout_.f_width; ++k) f[k] -= answer[k] * force;
+        }
+        if (tensions) {
+            const std::size_t n = ws_.active.size(), laws = wide(int(n));
+            for (int s = 0; s < tensions->n_strings(); ++s) {
+                double sum = 0.0;
+                for (std::size_t a = 0; a < n; ++a) sum += ts_.solved[s * laws + a] * ws_.law_force[ws_.active[a]];
+                ts_.mean[s] = ts_.alone[s] + 0.5 * sum;
+            }
+            tensions->add_to_linear(f);
+            bound_excursions(b);
         }
         distribute(b, f, now);
     }
@@ -269,9 +346,11 @@ private:
     const Solve& solve_;
     const Nonlinear& nl_;
     ContactState& ws_;
+    TensionState& ts_;
+    Array<double> reach_;  // by contact port of strings under rising tension: displacement per psi_m
     Statistics& statistics_;
     const Job& job_;
-    bool any_modulated_ = false, branches_kept_ = false;
+    bool branches_kept_ = false;
     std::size_t n_before_ = 0;
 };
 

@@ -38,8 +38,8 @@ inline void invert_laws(ContactState& ws, const double* z, const double* slope, 
 }
 
 // The forces f (n) of linear laws, in one step from where they stand: with force = slope p + f_0 it is
-// r - s (I + s Z s)^-1 s Z r, s^2 = slope and r the residual. The inverse is kept until a slope changes.
-inline bool solve_linear_laws(const Nonlinear& nl, ContactState& ws, const double* free, double* f) {
+// r - s (I + s Z s)^-1 s Z r, s^2 = slope and r the residual. With `keep` the inverse is kept until a slope changes.
+inline bool solve_linear_laws(const Nonlinear& nl, ContactState& ws, const double* free, double* f, bool keep) {
     const int n = int(ws.stored.size());
     const std::size_t w = wide(n);
     const double* z = ws.matrix.data();
@@ -55,12 +55,24 @@ inline bool solve_linear_laws(const Nonlinear& nl, ContactState& ws, const doubl
         ws.factored = ws.factored && slope[i] == now;
         slope[i] = now;
     }
-    if (!ws.factored) invert_laws(ws, z, slope, n);
-    ws.factored = true;
     std::fill_n(zr, w, 0.0);
     add_product(z, int(w), r, n, zr);
-    std::copy_n(r, n, step);
-    add_product(ws.inverse.data(), int(w), zr, n, step);
+    if (keep) {
+        if (!ws.factored) invert_laws(ws, z, slope, n);
+        ws.factored = true;
+        std::copy_n(r, n, step);
+        add_product(ws.inverse.data(), int(w), zr, n, step);
+    } else {
+        double *root = ws.x[4].data(), *lower = ws.lower.data();
+        for (int i = 0; i < n; ++i) root[i] = std::sqrt(slope[i]);
+        for (int i = 0; i < n; ++i)
+            for (int j = 0; j <= i; ++j) lower[i * w + j] = root[i] * z[i * w + j] * root[j] + (i == j ? 1.0 : 0.0);
+        factorize(lower, n, ws.upper.data(), ws.over.data());
+        std::fill_n(step, w, 0.0);
+        for (int i = 0; i < n; ++i) step[i] = root[i] * zr[i];
+        solve_definite(lower, ws.upper.data(), ws.over.data(), n, step);
+        for (int i = 0; i < n; ++i) step[i] = r[i] - root[i] * step[i];
+    }
     double check = 0.0;
     for (int i = 0; i < n; ++i) check += f[i] += step[i];
     return std::isfinite(check);
@@ -195,7 +207,7 @@ inline bool find_forces(const Nonlinear& nl, const Shortcuts& on, ContactState& 
             }
             if (linear) {
                 ++iterations;
-                if (!solve_linear_laws(nl, ws, free, g)) return false;
+                if (!solve_linear_laws(nl, ws, free, g, at_rest)) return false;
             } else if (!newton(nl, ws, free, g, noise, iterations)) {
                 return false;
             }

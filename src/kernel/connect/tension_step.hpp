@@ -1,59 +1,75 @@
-// Samples in which tensions rise and only linear connections act.
+// Samples in which tensions rise: with linear connections alone, or with laws too.
 #pragma once
 
 #include "connection_step.hpp"
-#include "tension_search.hpp"
+#include "law_forces.hpp"
 
 namespace tonewood {
 namespace {
 
 class TensionStep : public ConnectionStep {
 public:
-    explicit TensionStep(Block& block)
-        : passes(block), search(block, passes), layout_(block.model.layout), solve_(block.model.solve),
-          ports_(block.model.tension.ports), statistics_(block.model.statistics) {}
+    TensionStep(Block& block, LawForces& laws)
+        : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws), tensions_(block),
+          direct_(layout_), y_(2 * layout_.port_rows.size()) {
+        laws_.tensions = &tensions_;
+    }
 
-    void begin_block() override { passes.begin_block(); }
-    void finish_block() override { passes.finish_block(); }
+    void begin_block() override { tensions_.begin_block(); }
+    void finish_block() override { tensions_.finish_block(); }
 
     bool sample(int b, double* now, double* f_out) override {
-        passes.begin_sample(b);
-        if (!forces(now, f_out)) return false;
-        passes.finish_sample(now);
+        tensions_.begin_sample(b);
+        direct_(block_.line(b), now);
+        tensions_.couple(now);
+        if (laws_.any() && !laws_.idle(b, [&] { tensions_.add_to_ports(now); })) {
+            linear_forces(b);
+            if (!laws_.forces(b, block_.f.data(), now)) return false;
+            if (laws_.commit(b)) {
+                std::copy_n(block_.f.begin(), m_, f_out);
+                finish(b, now);
+                return true;
+            }
+            direct_(block_.line(b), now);  // no law acts: the same forces as without laws
+            tensions_.add_to_ports(now);
+        } else if (!laws_.any()) {
+            tensions_.add_to_ports(now);
+        }
+        if (layout_.own_port.empty()) {
+            linear_forces(b);
+            tensions_.add_to_linear(block_.f.data());
+            std::copy_n(block_.f.begin(), m_, f_out);
+        } else {
+            own_forces(layout_, now, m_, f_out);
+        }
+        finish(b, now);
         return true;
     }
 
-    // Finds the tensions and all forces: port forces `now`, forces f of the linear connections.
-    bool forces(double* now, double* f) {
-        const bool done = search.find_linear();
-        statistics_.failures += !done;
-        search.add_moved();
-        add_product(ports_.onto_forces.data(), layout_.force_width, ports_.alone.data(), int(ports_.ports.size()),
-                    ports_.fixed_part.data(), now);
-        if (layout_.own_port.empty()) {
-            linear_forces(all_.data());
-            std::copy_n(all_.data(), solve_.m, f);
-        } else {
-            own_forces(layout_, now, solve_.m, f);
-        }
-        return done;
-    }
-
-    // Forces f (f_width) of the linear connections, after search.add_moved.
-    void linear_forces(double* f) {
-        add_product(ports_.onto_linear.data(), layout_.f_width, ports_.alone.data(), int(ports_.ports.size()),
-                    passes.linear_part(), f);
-    }
-
-    TensionPasses passes;
-    TensionSearch search;
-
 private:
+    void finish(int b, const double* now) {
+        tensions_.finish_sample(now, [&](int i) { return laws_.loads(i, b); });
+    }
+
+    // Forces of the linear connections without tensions in block.f.
+    __attribute__((flatten)) void linear_forces(int b) {
+        const int n = int(layout_.port_rows.size());
+        const double* line = block_.line(b);
+        for (int p = 0; p < n; ++p) {
+            y_[p] = line[layout_.port_rows[p]];
+            y_[n + p] = line[layout_.width + layout_.port_rows[p]];
+        }
+        std::copy(layout_.constant.begin(), layout_.constant.end(), block_.f.begin());
+        add_product(layout_.gather.data(), layout_.f_width, y_.data(), 2 * n, block_.f.data());
+    }
+
+    Block& block_;
     const Layout& layout_;
-    const Solve& solve_;
-    TensionPorts& ports_;
-    Statistics& statistics_;
-    Array<double> all_ = Array<double>(layout_.f_width);
+    const int m_;
+    LawForces& laws_;
+    RisingTensions tensions_;
+    DirectForces direct_;
+    Array<double> y_;  // port displacements before the step, then free ones after it
 };
 
 }  // namespace

@@ -10,6 +10,7 @@ namespace tonewood {
 
 constexpr int kBlock = 16;    // samples between two modal passes
 constexpr int kWindow = 4;    // blocks after which every mode stands in its own two numbers again
+constexpr int kResetSteps = 64;  // samples after which psi of a rising tension is put back (connect/tension.hpp)
 constexpr int kPadding = 16;  // modes per component are a multiple of this
 constexpr int kGranule = 32;  // modes that use the same recurrence
 constexpr int kLane = 8;      // rows and ports in `Layout` are padded to this
@@ -45,7 +46,7 @@ struct ContactPorts {
     Array<double> middle;        // (n, 2, n_modes): rows in the middle of the block
     Array<double> spread;        // (n, n_modes): largest change of a row from there, per amplitude of a mode
     std::vector<double> peak;    // (n): |row| <= peak sqrt(norm)
-    std::vector<double> tension_reach;  // (n): |row| moves by <= tension_reach * T/2 sqrt(sum a (y+ + y)^2)
+    std::vector<double> tension_reach;  // (n): |row| moves by <= tension_reach * psi_m sqrt(sum g^2 / a)
     Array<double> reach;         // (all ports, all ports), fixed ones first: |row| per sum of |force| over a block
 };
 
@@ -68,7 +69,7 @@ struct PortRecurrence {
 
 // A string's polarization under rising tension, in mass-normalised coordinates y (coupling/tension.py).
 constexpr int kMaxTensionPorts = 32;
-constexpr int kScaledNumbers = 4, kScaledState = 3;  // numbers per mode in `numbers` (one more per port) and in the state
+constexpr int kScaledNumbers = 4, kScaledState = 2;  // numbers per mode in `numbers` (one more per port) and in the state
 
 struct TensionModulation {
     bool on = false;
@@ -78,8 +79,7 @@ struct TensionModulation {
     Array<double> kick;           // (2, n): state per modal force held over a step
     Array<double> gain;           // (2, n): state per sum of row * port force, row that of the port's displacement
     Array<double> numbers, basis; // modal/scaled_modes.hpp: tables of the pass; changes of basis
-    Array<double> phi, c;         // (n_ports, n): port displacement per y, y per port force
-    Array<double> contact_phi, contact_c;  // the same of contact ports
+    Array<double> velocity;       // (3, n): y' per first and second number, second number per y'
 };
 
 // A port's share in a gap: port force += factor * force[connection], gap += factor * port displacement.

@@ -33,11 +33,7 @@ struct Shortcuts {
     bool block_culling = true;     // contacts are stepped only where a bound cannot exclude them
     bool group_bound = true;       // one bound for all contacts of a group first
     bool fine_bound = true;        // a second bound about the middle of the block
-    bool tension_lanes = true;     // strings under rising tension side by side in a vector
-    bool tension_windows = true;   // scaled modes and predictions are kept over four blocks
     bool combined_pass = true;     // one modal pass finishes a tension-modulated step and begins the next
-    bool fixed_compliances = true; // laws on fixed ports of tension-modulated strings keep their compliances at rest
-    bool folded_laws = true;       // linear laws are folded into the matrix of the linear connections
     bool kept_inverse = true;      // the inverse for linear laws is kept until a slope changes
     bool operator==(const Shortcuts&) const = default;
 };

@@ -16,7 +16,7 @@ enum class Branch : char { open, stuck, ahead, behind, held };
 struct ContactState {
     // by connection (k): compressions before the step, and after it without laws; forces; displacements of the residual
     // compliances; velocities of friction; drives; size of the gap; highest offset in the block; clearance
-    Array<double> old_p, free_p, rest_p, law_force, last_force, series, series_after, slip, slip_after, offset,
+    Array<double> old_p, free_p, law_force, last_force, series, series_after, slip, slip_after, offset,
         offset_after, velocity, scale, size, highest_offset, clearance;
     // of friction (k): its branch; velocity it is held at; velocity without it; velocity that a coefficient of 1 takes
     std::vector<Branch> branch;
@@ -28,7 +28,7 @@ struct ContactState {
     Array<double> least_clearance;   // by group: of contacts culled when the block began
     // by component: norm of the state when the block began; what known forces add to it
     Array<double> norm, added;
-    Array<double> tension_excursion, tension_sensitivity;  // (., kBlock) T/2 sqrt(sum a (y+ + y)^2) at most; share per it
+    Array<double> tension_excursion, tension_sensitivity;  // (., kBlock) psi_m sqrt(sum g^2 / a) at most; share per it
     std::vector<char> has_amplitudes;
     Array<double> amplitudes;        // of modes
     std::vector<std::vector<int>> rows_read, loaded;  // contact ports read, and loaded, in this block
@@ -95,7 +95,8 @@ struct Job {
     double* law_forces;  // (n, k), zero beforehand
     double *series, *slip, *last_force;  // (k), moved
     std::vector<Control> controls;
-    double* tension;     // (n_tensions, 3), moved
+    double* tension;     // (n_tensions, 4), moved
+    int phase = 0;       // samples since the last multiple of kResetSteps; with tensions and above 0, n ends at the next one
 };
 
 // Where a run had to stop: a component that is no longer finite, or connections whose forces were not found.

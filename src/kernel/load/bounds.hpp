@@ -48,7 +48,7 @@ inline void derive_bounds(Component& c) {
 }
 
 // Derives the largest displacement of contact rows in the rest of a block by the forces of a rising tension, per
-// T/2 sqrt(sum a (y+ + y)^2): these forces are -T/2 a (y+ + y) on each mode.
+// psi_m sqrt(sum g^2 / a): these forces are -psi_m g on each mode.
 inline void derive_tension_reach(Component& c) {
     ContactPorts& g = c.contact;
     const TensionModulation& s = c.tension;

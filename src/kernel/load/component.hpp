@@ -165,7 +165,7 @@ inline void derive_scaled(Component& c, const std::string& name) {
         for (std::size_t q = 0; q < p; ++q) to[(kScaledNumbers + q) * kPadding] = c.rows[2 * q * n + k] * root;
         const double basis[8] = {1 / root, (e00 - 1) / root, e01 / root,                 // in
                                  root, (1 - e00) * root / e01, root / e01,               // out
-                                 (det - e11) / root, e01 / root};                        // of known inputs to v
+                                 -e11 / root, e01 / root};                                 // of known inputs to v, at the end
         for (int i = 0; i < 8; ++i) s.basis[i * n + k] = basis[i];
     }
 }
@@ -176,27 +176,16 @@ inline void load_tension(Component& c, const TensionDescription& d, const std::s
     expect(name + "half", d.half, {n});
     expect(name + "reading", d.reading, {n});
     expect(name + "kick", d.kick, {2, n});
+    expect(name + "velocity", d.velocity, {3, n});
     require(!c.driven && n > 0 && p <= kMaxTensionPorts, name + "a: a driven component, or one of more than " +
                                                               std::to_string(kMaxTensionPorts) + " ports, has no tension");
     TensionModulation& s = c.tension;
-    s.a = d.a.copy(), s.half = d.half.copy(), s.reading = d.reading.copy(), s.kick = d.kick.copy();
+    s.a = d.a.copy(), s.half = d.half.copy(), s.reading = d.reading.copy(), s.kick = d.kick.copy(), s.velocity = d.velocity.copy();
     s.largest_half = *std::max_element(s.half.begin(), s.half.end());
     s.gain.assign(2 * n, 0.0);
     for (std::size_t k = 0; k < 2 * n; ++k)
         if (const double r = s.reading[k % n]; r != 0.0) s.gain[k] = s.kick[k] / r;
     derive_scaled(c, name);
-    const auto per_coordinate = [&](const Array<double>& rows, const Array<double>& w, std::size_t count,
-                                    Array<double>& phi, Array<double>& compliance) {
-        phi.assign(count * n, 0.0), compliance.assign(count * n, 0.0);
-        for (std::size_t q = 0; q < count; ++q)
-            for (std::size_t k = 0; k < n; ++k) {
-                if (s.reading[k] == 0.0) continue;
-                phi[q * n + k] = rows[2 * q * n + k] / s.reading[k];
-                compliance[q * n + k] = s.reading[k] * w[2 * q * n + k];
-            }
-    };
-    per_coordinate(c.rows, c.w, p, s.phi, s.c);
-    per_coordinate(c.contact.rows, c.contact.w, c.contact.n, s.contact_phi, s.contact_c);
     derive_tension_reach(c);
 }
 

@@ -127,7 +127,7 @@ inline void make_buffers(const std::vector<Component>& components, const Nonline
     const std::size_t k = nl.k, n = components.size(), n_contact = nl.n_contact;
     for (Array<double>* a :
          {&ws.old_p, &ws.free_p, &ws.law_force, &ws.last_force, &ws.series, &ws.series_after, &ws.slip, &ws.slip_after,
-          &ws.offset, &ws.offset_after, &ws.velocity, &ws.scale, &ws.size, &ws.highest_offset, &ws.clearance, &ws.rest_p,
+          &ws.offset, &ws.offset_after, &ws.velocity, &ws.scale, &ws.size, &ws.highest_offset, &ws.clearance,
           &ws.held, &ws.without, &ws.load})
         a->assign(k, 0.0);
     ws.branch.assign(k, Branch::open);

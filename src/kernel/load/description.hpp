@@ -47,6 +47,7 @@ struct ContactPortsDescription {
 struct TensionDescription {
     View a, half, reading;  // (modes)
     View kick;              // (2, modes)
+    View velocity;          // (3, modes)
 };
 
 struct ComponentDescription {
@@ -90,8 +91,6 @@ struct TensionsDescription {
         std::vector<int> slots;
     };
     std::vector<String> strings;
-    View matrix;               // (m, m)
-    View offset;               // (m)
 };
 
 struct GeometricDescription {

@@ -2,10 +2,10 @@
 //
 // A mode's first number x and its value u after a step without forces determine both of its numbers. The state is
 //     xi = x / sqrt(g),     v = (u - x) / sqrt(g),
-// g the mode's gain: a tension T then enters through one number, half = a g / 2. A modal force p moves the mode by
+// g the mode's gain: a tension T then enters through one number, half = w a / 2. A modal force p moves the mode by
 //     xi+ = xi + v + p,     v+ = det v - kappa xi+ + kick p,
 // det and kappa = det(I - E) those of its matrix E. Sixteen modes lie side by side in two streams: half, det, kappa, kick
-// and a row for each port (derive_scaled in load/component.hpp); xi, v, and s = 1 / (1 + half T).
+// and a row for each port (derive_scaled in load/component.hpp); xi and v.
 #pragma once
 
 #include "../data/state.hpp"
@@ -19,7 +19,7 @@ public:
     ScaledModes(const std::vector<Component>& components, TensionState& space, const Job& job)
         : components_(components), ws_(space), job_(job), in_state_(components.size(), 0) {}
 
-    // (n / 16, 3, 16)
+    // (n / 16, 2, 16)
     double* state(int i) const { return ws_.scaled.data() + kScaledState * components_[i].offset; }
 
     // Reads the modes from the state of the run.
@@ -53,15 +53,6 @@ public:
                 S::store(x + k + j, S::load(basis + k + j) * xi);
                 S::store(y + k + j, S::load(basis + n + k + j) * xi + S::load(basis + 2 * n + k + j) * v);
             }
-    }
-
-    // Evaluates s at a tension by division.
-    void rescale(int i, double tension) {
-        const std::size_t step = std::size_t(kScaledNumbers + components_[i].n_ports) * kPadding;
-        const double *half = components_[i].tension.numbers.data(), one = 1;
-        double* to = state(i) + (kScaledState - 1) * kPadding;
-        for (int k = 0; k < components_[i].n; k += kPadding, half += step, to += kScaledState * kPadding)
-            for (int j = 0; j < kPadding; j += S::width) S::store(to + j, one / (one + S::load(half + j) * tension));
     }
 
     void invalidate(int i) { in_state_[i] = 0; }

@@ -1,17 +1,11 @@
-// Modal passes over a component under rising tension, one for each sample: a pass finishes the step before and sums what
-// the next one needs.
+// Modal passes over a polarization under rising tension, one for each sample: a pass finishes the step before and sums
+// what the next one needs.
 //
-// In the coordinates xi, v of scaled_modes.hpp, r the rows of the ports: with h = half and s = 1 / (1 + h T),
-//     U = (2 xi + v) s,     D = (2 xi + v + r f) s,     modal force p = r f - h T D,
-// U is xi + xi+ without port forces, D with them. About the tension T of a pass, with after = U - xi and m = h s,
-//     port displacement       sum r after - tau sum r m U + tau^2 sum r m^2 U,
-//     S+                      2 sum h after^2 - 4 tau sum h m U after + 2 tau^2 sum h m^2 (U^2 + 2 U after)
-//                             + 4 f (sum r m after - tau sum r m^2 (U + after)) + f^2 R,   R = -2 dZ/dT,
-// Z(T) = sum r^2 s the port's compliance: tensions near T need no other pass.
+// In the coordinates xi, v of scaled_modes.hpp, r the rows of the ports: with h = half, b = 2 xi + v + r f, f the forces
+// of the linear connections without tensions, and q = h (1 - h T) at the tension T counted on,
+//     g = 2 sqrt(kappa) q b,      modal force p = r f+ - psi_m g,      f+ the forces found.
+// g is a sum of a part without f and one for each force, so that all sums are known before the forces are.
 #pragma once
-
-#include <algorithm>
-#include <cmath>
 
 #include "pass.hpp"
 #include "scaled_modes.hpp"
@@ -19,98 +13,50 @@
 namespace tonewood {
 namespace {
 
-// A force on modes for a sample: on a port, by its row.
-struct Load {
-    const double* row;
-    double force;
+// Numbers that finish a step: its tension counted on, 2 sqrt(kappa) psi_m, and forces on the ports, alone and found.
+struct TensionMade {
+    double ahead = 0, pull = 0;
+    const double *alone = nullptr, *found = nullptr;
 };
 
-struct PassInput {
-    double made = 0;      // tension of the step to finish
-    const double* forces = nullptr;       // on the ports in it
-    const Load* loads = nullptr;          // on other ports
-    int n_loads = 0;
-    double tried = 0;     // tension of the sums
-    const Input* inputs = nullptr;        // known inputs in the samples `made_in` and `begun`
-    int n_inputs = 0, made_in = 0, begun = 0;
-    // destinations of the sums, a vector each, and strides of the same string or port; `first`: the shared sums are set
-    double *shared = nullptr, *own = nullptr;
-    std::size_t next_shared = 0, next_own = 0, next_port = 0;
-    bool first = false;
-};
-
-// s is known at a tension within kExpansion of that of the step to finish, and within kNear of that of the sums.
-constexpr int kNewtons = 2;  // Newton corrections of a reciprocal; each squares its error
-constexpr double kNear = 2e-4;
-
-// relative change of a mode's stiffness up to which three terms of an expansion describe a step
-constexpr double kExpansion = 3e-5;
-
-// `state` (ScaledModes) holds s of the tension of the last pass.
-// Sums as vectors: h xi^2, h after^2, h m U after, h m^2 U^2, h m^2 U after, and for each port r xi, r after, r m U,
-// r m after, r m^2 U, r m^2 after.
-template <int P, bool Make, bool Begin, bool Plain>
-void tension_pass(const Component& c, double* state, const PassInput& v) {
+// Sums as vectors, over b = 2 xi + v: q b v, (q b)^2, q b^2, and for each port r xi, r (xi + v), q r v, q r b, q^2 r b.
+// `ahead` is the tension counted on.
+template <int P, bool Make, bool Begin>
+void tension_pass(const Component& c, double* state, const TensionMade& made, double ahead, double* to) {
     using V = Pack<2>;  // two vectors at a time: their latencies overlap
     using S = Simd;
     constexpr int kMost = P < 0 ? kMaxTensionPorts : (P > 0 ? P : 1);
     const int n_ports = P < 0 ? c.n_ports : P;
     const std::size_t n = c.n, step = std::size_t(kScaledNumbers + n_ports) * kPadding;
-    const double *const numbers = c.tension.numbers.data(), *const basis = c.tension.basis.data();
-    const double made = v.made, tried = v.tried;
-    double force[kMost] = {};
+    const double* const numbers = c.tension.numbers.data();
+    double alone[kMost] = {}, found[kMost] = {};
     if constexpr (Make)
-        for (int p = 0; p < n_ports; ++p) force[p] = v.forces[p];
+        for (int p = 0; p < n_ports; ++p) alone[p] = made.alone[p], found[p] = made.found[p];
     S::V all[kSharedSums] = {}, each[kMost][kPortSums] = {};
-    // adds known inputs (x, y) of a sample to xi, and to v what does not follow from that
-    const auto input = [&](std::size_t k, int sample, V& to_xi, V& to_v) {
-        for (int j = 0; j < v.n_inputs; ++j) {
-            const double value = v.inputs[j].values[sample * v.inputs[j].stride];
-            const V x = V::load(v.inputs[j].vector + k) * value, y = V::load(v.inputs[j].vector + n + k) * value;
-            to_xi = to_xi + V::load(basis + k) * x;
-            to_v = to_v + V::load(basis + 6 * n + k) * x + V::load(basis + 7 * n + k) * y;
-        }
-    };
-    const auto make_step = [&](std::size_t k, const double* at, double* to) {
-        const V h = V::load(at);
-        V xi = V::load(to), up = V::load(to + kPadding), s = V::load(to + 2 * kPadding);
-        V u = xi + up, modal{}, given{};
-        for (int p = 0; p < n_ports; ++p) modal = modal + V::load(at + (kScaledNumbers + p) * kPadding) * force[p];
-        if constexpr (!Plain) {
-            input(k, v.made_in, u, given);
-            V loaded{};
-            for (int l = 0; l < v.n_loads; ++l) loaded = loaded + V::load(v.loads[l].row + k) * v.loads[l].force;
-            modal = modal + V::load(basis + 3 * n + k) * loaded;
-        }
-        const V rise = h * made, off = (1.0 - s) - rise * s;
-        s = s + s * (off + off * off);
-        modal = modal - rise * ((xi + u + modal) * s);
-        xi = u + modal;
-        up = V::load(at + kPadding) * up + V::load(at + 3 * kPadding) * modal - V::load(at + 2 * kPadding) * xi;
-        if constexpr (!Plain) up = up + given;
-        xi.store(to), up.store(to + kPadding), s.store(to + 2 * kPadding);
-    };
-    const auto begin_step = [&](std::size_t k, const double* at, double* to) {
-        const V h = V::load(at), xi = V::load(to);
-        V both = xi * 2.0 + V::load(to + kPadding), s = V::load(to + 2 * kPadding);
-        if constexpr (!Plain) {
-            V unused{};
-            input(k, v.begun, both, unused);
-        }
-        const V stiff = h * tried + 1.0;
-        for (int i = 0; i < kNewtons; ++i) s = s + s * (1.0 - stiff * s);
-        s.store(to + 2 * kPadding);
-        const V U = both * s, after = U - xi, m = h * s, mU = m * U, mz = m * after, hq = h * mU;
-        add_products(all[0], h * xi, xi);
-        add_products(all[1], h * after, after);
-        add_products(all[2], hq, after);
-        add_products(all[3], hq, mU);
-        add_products(all[4], hq, mz);
+    const auto make_step = [&](const double* at, double* x) {
+        const V h = V::load(at), xi = V::load(x), v = V::load(x + kPadding), free = xi + v;
+        V b = xi + free, modal{};
         for (int p = 0; p < n_ports; ++p) {
-            const V r = V::load(at + (kScaledNumbers + p) * kPadding), rm = r * m;
-            add_products(each[p][0], r, xi), add_products(each[p][1], r, after);
-            add_products(each[p][2], r, mU), add_products(each[p][3], r, mz);
-            add_products(each[p][4], rm, mU), add_products(each[p][5], rm, mz);
+            const V r = V::load(at + (kScaledNumbers + p) * kPadding);
+            b = mul_add(r, alone[p], b), modal = mul_add(r, found[p], modal);
+        }
+        modal = mul_add(neg_mul_add(h, h * made.ahead, h) * b, -made.pull, modal);
+        const V next = free + modal;
+        next.store(x);
+        neg_mul_add(V::load(at + 2 * kPadding), next,
+                    mul_add(V::load(at + 3 * kPadding), modal, V::load(at + kPadding) * v)).store(x + kPadding);
+    };
+    const auto begin_step = [&](const double* at, const double* x) {
+        const V h = V::load(at), xi = V::load(x), v = V::load(x + kPadding), free = xi + v, b = xi + free;
+        const V q = neg_mul_add(h, h * ahead, h), qb = q * b, qv = q * v, qqb = q * qb;
+        add_products(all[0], b, qv);
+        add_products(all[1], qb, qb);
+        add_products(all[2], qb, b);
+        for (int p = 0; p < n_ports; ++p) {
+            const V r = V::load(at + (kScaledNumbers + p) * kPadding);
+            add_products(each[p][0], r, xi), add_products(each[p][1], r, free);
+            add_products(each[p][2], r, qv), add_products(each[p][3], r, qb);
+            add_products(each[p][4], r, qqb);
         }
     };
     // the sums of a pack follow one pack behind its step, so that neither waits for the other
@@ -118,7 +64,7 @@ void tension_pass(const Component& c, double* state, const PassInput& v) {
     const std::size_t count = n / V::size;
     const auto place = [&](std::size_t i, const auto& use) {
         const std::size_t group = i / paces, j = i % paces * V::size;
-        use(i * V::size, numbers + group * step + j, state + group * kScaledState * kPadding + j);
+        use(numbers + group * step + j, state + group * kScaledState * kPadding + j);
     };
     if constexpr (Make && Begin) {
         place(0, make_step);
@@ -131,38 +77,43 @@ void tension_pass(const Component& c, double* state, const PassInput& v) {
         }
     }
     if constexpr (Begin) {
-        for (int i = 0; i < kSharedSums; ++i) {
-            double* const to = v.shared + i * v.next_shared;
-            S::store(to, v.first ? all[i] : S::load(to) + all[i]);
-        }
+        for (int i = 0; i < kSharedSums; ++i, to += S::width) S::store(to, all[i]);
         for (int p = 0; p < n_ports; ++p)
-            for (int i = 0; i < kPortSums; ++i) S::store(v.own + p * v.next_port + i * v.next_own, each[p][i]);
+            for (int i = 0; i < kPortSums; ++i, to += S::width) S::store(to, each[p][i]);
     }
 }
 
-template <bool Make, bool Begin, bool Plain>
-void tension_pass(const Component& c, double* state, const PassInput& v) {
+template <bool Make, bool Begin>
+void tension_pass(const Component& c, double* state, const TensionMade& made, double ahead, double* to) {
     switch (c.n_ports) {
-        case 0: return tension_pass<0, Make, Begin, Plain>(c, state, v);
-        case 1: return tension_pass<1, Make, Begin, Plain>(c, state, v);
-        case 2: return tension_pass<2, Make, Begin, Plain>(c, state, v);
-        default: return tension_pass<-1, Make, Begin, Plain>(c, state, v);
+        case 0: return tension_pass<0, Make, Begin>(c, state, made, ahead, to);
+        case 1: return tension_pass<1, Make, Begin>(c, state, made, ahead, to);
+        case 2: return tension_pass<2, Make, Begin>(c, state, made, ahead, to);
+        default: return tension_pass<-1, Make, Begin>(c, state, made, ahead, to);
     }
 }
 
-// Taylor coefficients of the compliance between two ports of a component about the tension `at`, the first one less the
-// compliance at rest.
-void compliances(const Component& c, double at, int p, int q, double* out) {
-    const std::size_t n = c.n;
-    const double *to = c.rows.data() + 2 * std::size_t(p) * n, *from = c.rows.data() + 2 * std::size_t(q) * n;
-    std::fill_n(out, kTaylor, 0.0);
-    for (std::size_t k = 0; k < n; ++k) {
-        const double gain = c.tension.gain[k], half = c.tension.half[k];
-        const double s = 1.0 / (1.0 + half * at);
-        double term = to[k] * from[k] * gain * s;
-        out[0] -= term * half * at;
-        for (int j = 1; j < kTaylor; ++j) out[j] += term *= -half * s;
-    }
+// Displacements of a contact port now and free of forces, and its displacement per mean psi over 2 sqrt(kappa), of the
+// step that `begun` describes.
+struct ContactSums {
+    double now, free, reach;
+};
+inline ContactSums contact_sums(const Component& c, const double* state, int port, const TensionMade& begun) {
+    using S = Simd;
+    using V = S::V;
+    const std::size_t n = c.n, step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
+    const double *numbers = c.tension.numbers.data(), *row = c.contact.rows.data() + 2 * std::size_t(port) * n;
+    const double* const root = c.tension.basis.data() + 3 * n;
+    V here{}, later{}, moved{};
+    for (std::size_t k = 0; k < n; k += kPadding, numbers += step, state += kScaledState * kPadding)
+        for (int j = 0; j < kPadding; j += S::width) {
+            const V h = S::load(numbers + j), xi = S::load(state + j), v = S::load(state + kPadding + j);
+            const V r = S::load(row + k + j) * S::load(root + k + j);
+            V b = xi + xi + v;
+            for (int p = 0; p < c.n_ports; ++p) b += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * begun.alone[p];
+            here += r * xi, later += r * (xi + v), moved += r * (h - h * (h * begun.ahead)) * b;
+        }
+    return {S::sum(here), S::sum(later), S::sum(moved)};
 }
 
 }  // namespace

@@ -99,7 +99,8 @@ class State:
     sample : steps taken since time 0.
     series : (m,) m, displacement of the residual compliance in series with nonlinear connections; empty is rest.
     slip : (m,) m/s, relative velocity of friction connections over the step before, 0 when sticking; empty is rest.
-    tension : (n_tensions, 3) N, mean additional tension of the last three steps, latest first; empty is rest.
+    tension : (n_tensions, 4) mean additional tension of the last three steps, latest first, N, and psi - sqrt(kappa) S,
+        sqrt(J) (`tension`); empty is rest.
     """
 
     modes: Floats
@@ -107,7 +108,7 @@ class State:
     sample: int = 0
     series: Floats = field(default_factory=lambda: np.zeros(0))
     slip: Floats = field(default_factory=lambda: np.zeros(0))
-    tension: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    tension: Floats = field(default_factory=lambda: np.zeros((0, 4)))
 
     def copy(self) -> State:
         """Return an independent copy."""

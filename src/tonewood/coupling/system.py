@@ -228,6 +228,14 @@ class System:
             self.is_on,
         )  # fmt: skip
 
+    def gaps(self, states: Sequence[Floats]) -> Floats:
+        """(m,) m, gaps of all connections at states (n_modes, 2) by component slot, residual compliance at rest."""
+        total = np.zeros(len(self.connections))
+        for i, c in enumerate(self.compiled):
+            if not self.driven[i]:
+                total += self.incidence(i) @ np.einsum("pmx,mx->p", c.rows[: len(c.ports)], states[i])
+        return total
+
     def with_tensions(self, names: Collection[str]) -> System:
         """Switch on the tensions of these names, and off all others.
 
@@ -284,7 +292,7 @@ class System:
         """Return the state of rest."""
         m = len(self.connections)
         modes = np.zeros((2, sum(self.capacities)))
-        return State(modes, np.zeros(m), 0, np.zeros(m), np.zeros(m), np.zeros((len(self.tensions), 3)))
+        return State(modes, np.zeros(m), 0, np.zeros(m), np.zeros(m), np.zeros((len(self.tensions), 4)))
 
     def controlled(self, controls: Sequence[PrescribedMotion], start: int, n: int) -> dict[int, Floats]:
         """(4, n) offset at the beginning and the end of each step, velocity and scale, of controlled connections.

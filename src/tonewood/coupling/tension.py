@@ -1,23 +1,32 @@
 """Tension that rises with amplitude: the Kirchhoff-Carrier string, in modal coordinates.
 
 A string of mass-normalised coordinates y and shape weights a (omega^2 = T0 a + EI b) stretches by S = sum a y^2, the
-integral of u_x^2, and stores V = EA/(8 L) S^2 besides. All its polarizations share the tension. Over a step
+integral of u_x^2, and stores V = kappa S^2 / 2 besides, kappa = EA/(4 L). All its polarizations share the tension. With
+psi = sqrt(kappa) S the potential is the square V = psi^2 / 2, and psi is stepped as a variable of its own, as in the
+scalar auxiliary variable methods (Shen, Xu, Yang, J. Comput. Phys. 353 (2018) 407; for mechanical systems Bilbao,
+Ducceschi, Zama, J. Comput. Phys. 472 (2023) 111697): over a step
 
-    T = EA/(4 L) (S+ + S),      force on coordinate k:  -T a_k (y_k+ + y_k) / 2,
+    psi+ - psi = g . (y+ - y),      modal forces  -g psi_m,      psi_m = (psi+ + psi) / 2,
 
-the exact discrete gradient: its work is -[V(S+) - V(S)], so energy cannot rise whatever the step and the amplitude.
-For given T the step is linear: with w the displacement over one step per modal force and alpha = w a T / 2,
+whose work is -[V+ - V] for any direction g that is known beforehand. So energy cannot rise whatever the step and the
+amplitude, and the step is linear: the tension is one more connection of the string, along g. Here
 
-    y+ = (y_u + w phi f - alpha y) / (1 + alpha),
+    g = 2 sqrt(kappa) a (y_f + y) / 2 (1 - alpha),      alpha = w a T / 2,
 
-and T is the root of T - EA/(4 L) (S+(T) + S), which only rises: the part is strongly monotone, so that one solution
-exists together with all contacts. T is the mean over the step; its time is the middle of it.
+y_f the coordinates after the step under all forces but the tension's and those of nonlinear connections, w the
+displacement over one step per modal force: the gradient of psi in the middle of the step, what the tension itself moves
+included to first order by its value T extrapolated from the last three steps. T = 2 sqrt(kappa) psi_m is the mean over
+the step; its time is the middle of it.
+
+psi and sqrt(kappa) S part by the error of the steps. Every 64 samples psi is put back and the kinetic energy of the
+string pays for it (`reset_psi`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -49,9 +58,9 @@ class TensionModulation:
     length : L, m; None takes ``length`` of the first component's `metadata` (the speaking length).
     weights : component -> (n_modes,) a, 1 / (kg m); None takes ``stretch_part`` of the components' `metadata`, or
         else ``tension_part``, and follows them when a basis is exchanged.
-    correction : with c > 0 each weight is multiplied by x / sin x, x = min(omega h, c). The discrete gradient tunes
-        partials by sin x / x of what the tension should; this undoes it for weak partials on strong low ones, at the
-        price of a larger error of S in bright tones. A higher rate is the exact cure.
+    correction : with c > 0 each weight is multiplied by x / sin x, x = min(omega h, c). The average over the
+        step tunes partials by sin x / x of what the tension should; this undoes it for weak partials on strong low
+        ones, at the price of a larger error of S in bright tones. A higher rate is the exact cure.
     """
 
     name: str
@@ -94,7 +103,12 @@ class TensionModulation:
         length = self.length if self.length is not None else cast(float, basis.metadata.get("length", 0.0))
         if not length > 0.0:
             raise ValueError(f"{self.name}: {component} does not tell its length")
-        return TensionShare(weights, np.where(pair, 2.0, 1.0), apply(held, kick), self.axial_stiffness / (4 * length))
+        reading = np.where(pair, 2.0, 1.0)
+        _, on_first, on_second, *_, per_velocity = basis.motion
+        return TensionShare(
+            weights, reading, apply(held, kick), np.stack([on_first, on_second, per_velocity]),
+            self.axial_stiffness / (4 * length),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,36 +120,56 @@ class TensionShare:
     weights : (n_modes,) a.
     reading : (n_modes,) y = reading times the first number of the mode.
     kick : (n_modes, 2) state added by a unit modal force held over one step.
+    velocity : (3, n_modes) y' per first and per second number, and second number per y'.
     kappa : EA/(4 L), N/m.
     """
 
     weights: Floats
     reading: Floats
     kick: Floats
+    velocity: Floats
     kappa: float
+
+    @cached_property
+    def half(self) -> Floats:
+        """(n_modes,) alpha per newton of tension."""
+        return np.asarray(0.5 * self.reading * self.kick[:, 0] * self.weights)
 
     def stretch(self, x: Floats) -> float:
         """S of a state (n_modes, 2), m."""
         return float(self.weights @ (self.reading * x[:, 0]) ** 2)
 
-    def step(self, x: Floats, free: Floats, W: Floats, tension: float) -> tuple[Floats, Floats]:
-        """Motion without port forces, and response to them, while the tension is higher by `tension`.
+    def direction(self, x: Floats, free: Floats, tension: float) -> Floats:
+        """(n_modes,) g over a step from x to `free` under all forces but the tension's, which is about `tension`."""
+        alpha = self.half * tension
+        middle = 0.5 * self.reading * (free[:, 0] + x[:, 0])
+        return np.asarray(2 * np.sqrt(self.kappa) * self.weights * middle * (1 - alpha))
 
-        Parameters
-        ----------
-        x, free : (n_modes, 2) state before, and after a step without forces.
-        W : (n_ports, n_modes, 2) state added by unit port forces.
-        """
-        half = 0.5 * self.weights * tension
-        yields = 1.0 / (1.0 + self.reading * self.kick[:, 0] * half)
-        y, y_free = self.reading * x[:, 0], self.reading * free[:, 0]
-        of_motion = half * yields * (y_free + y)
-        of_ports = half * yields * self.reading * W[..., 0]
-        return free - self.kick * of_motion[:, None], W - self.kick * of_ports[..., None]
 
-    def slope(self, x: Floats, after: Floats, tension: float) -> float:
-        """dS+/dT at constant port forces, m/N."""
-        w = self.reading * self.kick[:, 0]
-        yields = 1.0 / (1.0 + 0.5 * w * self.weights * tension)
-        y, y_after = self.reading * x[:, 0], self.reading * after[:, 0]
-        return float(-np.sum(self.weights**2 * w * yields * y_after * (y + y_after)))
+def reset_psi(parts: Sequence[TensionShare], states: Sequence[Floats], excess: float) -> float:
+    """Put a string's psi back to sqrt(kappa) S, its kinetic energy paying or receiving the difference of potential.
+
+    Velocities are scaled, displacements stay. No more than a quarter of the kinetic energy is taken or given at once.
+
+    Parameters
+    ----------
+    states : (n_modes, 2) of each part; changed in place.
+    excess : psi - sqrt(kappa) S, sqrt(J).
+
+    Returns
+    -------
+    float
+        The excess that is left, sqrt(J).
+    """
+    moving = [part.velocity[0] * x[:, 0] + part.velocity[1] * x[:, 1] for part, x in zip(parts, states, strict=True)]
+    kinetic = 0.5 * sum(float(v @ v) for v in moving)
+    root = np.sqrt(parts[0].kappa) * sum(part.stretch(x) for part, x in zip(parts, states, strict=True))
+    before = root + excess
+    cost = 0.5 * (root - before) * (root + before)
+    paid = min(max(cost, -0.25 * kinetic), 0.25 * kinetic)
+    if not (kinetic > 0.0 and paid != 0.0):
+        return excess
+    factor = np.sqrt(1 - paid / kinetic) - 1
+    for part, x, v in zip(parts, states, moving, strict=True):
+        x[:, 1] += factor * part.velocity[2] * v
+    return 0.0 if paid == cost else float(np.sqrt(before * before + 2 * paid) - root)

@@ -24,7 +24,7 @@ from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.energy.forms import ComponentEnergy
 from tonewood.energy.laws import LawEnergies
-from tonewood.energy.path import step_again
+from tonewood.energy.path import Path, step_again
 from tonewood.energy.steps import KnownForce, over_steps
 from tonewood.energy.trace import EnergyTrace
 from tonewood.passivity.storage import Storage, storage_matrix
@@ -82,7 +82,7 @@ class EnergyAccount:
     def stored(self, state: State) -> dict[str, float]:
         """Stored energy of a state, J, by component, connection and tension."""
         x = {name: modes[None] for name, modes in self._states(state).items()}
-        out = {name: float(values[0]) for name, values in self._of_components(x).items()}
+        out = {name: float(values[0]) for name, values in self._of_components(x, state.tension[None]).items()}
         return out | self._laws.at(self._gaps(x)[0], state.series)
 
     def exchange(self, system: System) -> None:
@@ -117,19 +117,26 @@ class EnergyAccount:
         forces : (n, m) N, connection forces, as a stepper returned them.
         injections, controls : what the stepper was given: the motion between the two ends is found from them anew.
         known : the forces behind the injections: their work is found from these.
+
+        The motion is made again from the forces. Where tensions rise far, what rounding adds to it grows within some
+        hundred steps: follow pieces of 64 there.
         """
-        x, series = self._states(before), before.series
+        x, series, tension = self._states(before), before.series, before.tension
         chunk = max(_CHUNK // self.interval, 1) * self.interval
         for start in range(0, len(forces), chunk):
             part, sample = forces[start : start + chunk], before.sample + start
-            path, modal_forces = step_again(self.system, x, sample, part, injections)
+            again = step_again(self.system, x, tension, sample, part, injections)
+            path = again.states
             if start + chunk >= len(forces):
                 for name, end in self._states(after).items():
                     path[name][-1] = end
+                if after.tension.size:
+                    again.tension[-1] = after.tension
             within = self._laws.series(series, part)
             moving = self.system.controlled(controls, sample, len(part)) if controls else {}
-            self._enter(sample, path, modal_forces, within, part, known, moving)
+            self._enter(sample, again, within, part, known, moving)
             x, series = {name: states[-1] for name, states in path.items()}, self._laws.spread(within[-1])
+            tension = again.tension[-1]
 
     def trace(self) -> EnergyTrace:
         """The account so far."""
@@ -169,14 +176,15 @@ class EnergyAccount:
             self._energies[name] = (compiled, energy)
         return self._energies[name][1]
 
-    def _of_components(self, path: Mapping[str, Floats]) -> dict[str, Floats]:
-        """Stored energy (T,) of components and of the tensions that are on."""
+    def _of_components(self, path: Mapping[str, Floats], tension: Floats) -> dict[str, Floats]:
+        """Stored energy (T,) of components and of the tensions that are on; `tension` (T, n_tensions, 4)."""
         out = {name: self._energy_of(name).stored(x) for name, x in path.items()}
-        for law, on in zip(self.system.tensions, self.system.tension_on, strict=True):
+        for t, (law, on) in enumerate(zip(self.system.tensions, self.system.tension_on, strict=True)):
             parts = [(self.system.compiled[self.system.slot(name)].tension, path[name]) for name in law.components]
             stretch = [(part.reading * x[..., 0]) ** 2 @ part.weights for part, x in parts if on and part is not None]
             if stretch and parts[0][0] is not None:
-                out[f"{law.name}.tension"] = 0.5 * parts[0][0].kappa * np.sum(stretch, axis=0) ** 2
+                psi = np.sqrt(parts[0][0].kappa) * np.sum(stretch, axis=0)
+                out[f"{law.name}.tension"] = 0.5 * (psi + (tension[:, t, 3] if tension.size else 0.0)) ** 2
         if self.system.geometric:
             solve, steps = GeometricSolve(self.system), len(next(iter(path.values())))
             none = np.zeros((steps, 0, 2))
@@ -198,16 +206,18 @@ class EnergyAccount:
     def _enter(
         self,
         sample: int,
-        path: Mapping[str, Floats],
-        modal_forces: Mapping[str, Floats],
+        again: Path,
         series: Floats,
         forces: Floats,
         known: Sequence[KnownForce],
         moving: Mapping[int, Floats],
     ) -> None:
         """Entries for the steps of one path."""
-        T, dt = len(forces), self.system.dt
-        stored, flows = self._of_components(path), self._laws.over(self._gaps(path), series, forces, moving)
+        T, dt, path, modal_forces = len(forces), self.system.dt, again.states, again.modal_forces
+        stored, flows = (
+            self._of_components(path, again.tension),
+            self._laws.over(self._gaps(path), series, forces, moving),
+        )
         lost, supplied = dict(flows.lost), dict(flows.supplied)
         for name, x in path.items():
             energy = self._energy_of(name)

@@ -11,6 +11,7 @@ from tonewood.coupling.connections import Rigid, SpringDashpot, scaled_pinv
 from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.laws import Friction
 from tonewood.coupling.system import State, System
+from tonewood.coupling.tension_solve import TensionSolve
 from tonewood.stepping.motion import to_motion
 
 Floats = NDArray[np.float64]
@@ -23,8 +24,8 @@ class Energy:
     Attributes
     ----------
     modes : kinetic and potential energy of all two-way components.
-    tension : EA/(8 L) S^2 of the strings whose tension modulation is on; of strings with longitudinal motion, what
-        they store beside their modes, which may be negative.
+    tension : psi^2 / 2 of the strings whose rising tension is on: EA/(8 L) S^2 but for the error of the steps; of
+        strings with longitudinal motion, what they store beside their modes, which may be negative.
     connections : of springs and nonlinear potentials.
     residual : of residual compliance, of rigid joints and in series with nonlinear laws.
     """
@@ -42,13 +43,7 @@ class Energy:
 
 def gaps(system: System, state: State) -> Floats:
     """(m,) m, gaps of all connections, without the residual compliance in series with nonlinear ones."""
-    total = np.zeros(len(system.connections))
-    for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True)):
-        if not system.driven[slot]:
-            rows = compiled.rows[: len(compiled.ports)]
-            x = np.asarray(system.modes_of(state, name), dtype=np.float64).T
-            total += system.incidence(slot) @ np.einsum("pmx,mx->p", rows, x)
-    return total
+    return system.gaps(_states(system, state))
 
 
 def stored_energy(system: System, state: State) -> Energy:
@@ -59,8 +54,6 @@ def stored_energy(system: System, state: State) -> Energy:
     ValueError : a two-way component's modes are not real: their energy is not theirs alone to tell.
     """
     modes = tension = springs = 0.0
-    stretch = np.zeros(len(system.tensions))
-    kappa = np.zeros(len(system.tensions))
     for slot, (name, compiled) in enumerate(zip(system.names, system.compiled, strict=True)):
         if system.driven[slot]:
             continue
@@ -69,15 +62,12 @@ def stored_energy(system: System, state: State) -> Energy:
         x = np.asarray(system.modes_of(state, name), dtype=np.float64)
         q, velocity = to_motion(compiled.basis, x)
         modes += 0.5 * float(np.sum(velocity**2 + compiled.basis.stiffness * q**2))
-        for t, string in enumerate(system.tensions):
-            if name in string.components and compiled.tension is not None:
-                stretch[t] += compiled.tension.stretch(x.T)
-                kappa[t] = compiled.tension.kappa
-    tension = float(np.sum(0.5 * kappa * stretch**2 * np.array(system.tension_on, dtype=np.float64)))
+    states = _states(system, state)
+    if any(system.tension_on):
+        tension += float(np.sum(TensionSolve(system).energies(states, state.tension)))
     if system.geometric:
-        states = [np.asarray(system.modes_of(state, name), dtype=np.float64).T for name in system.names]
         tension += float(np.sum(GeometricSolve(system).energy(states)))
-    gap = gaps(system, state)
+    gap = system.gaps(states)
     laws = [c.law for c in system.connections]
     rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)
     offset = np.array([0.0 if isinstance(law, Friction) else law.offset for law in laws])
@@ -95,3 +85,7 @@ def stored_energy(system: System, state: State) -> Energy:
                 springs += nonlinear.energy(float(nonlinear.offset - g))
         residual += 0.5 * float(series @ scaled_pinv(system.nonlinear.residual) @ series)
     return Energy(modes, tension, springs, residual)
+
+
+def _states(system: System, state: State) -> list[Floats]:
+    return [np.asarray(system.modes_of(state, name), dtype=np.float64).T for name in system.names]

@@ -98,6 +98,8 @@ class Engine:
         self.model, self.timeline = model, timeline
         self.effects = runtime_effects(model)
         switched = [effect for effect in self.effects if isinstance(effect, SwitchedEffect)]
+        for effect in switched:
+            effect.prepare(timeline)
         self.switchings = {effect.name: effect.start() for effect in switched}
         self._switched = [effect for effect in switched if effect.chosen]
         self._watched = [effect for effect in switched if effect.watched]
@@ -167,6 +169,8 @@ class Engine:
             self._control()
             start = self.state.sample
             steps = min(self._next_event(), end) - start
+            if self.energy_budget:  # it makes the motion again from the forces: what rounding adds must not grow long
+                steps = min(steps, GRID)
             before = self.state.copy() if self.energy_budget else None
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)

@@ -69,10 +69,10 @@ def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded:
             "on_rows": np.ascontiguousarray(response[:, contact][:, :, rows]),
         }
     if (part := compiled.tension) is not None and not one_way:
-        half = 0.5 * part.reading * part.kick[:, 0] * part.weights
-        names = ("a", part.weights), ("half", half), ("reading", part.reading)
+        names = ("a", part.weights), ("half", part.half), ("reading", part.reading)
         out |= {name: packed(a[None, :, None])[0, 0] for name, a in names}
         out["kick"] = packed(part.kick[None])[0]
+        out["velocity"] = packed(part.velocity.T[None])[0]
     return out
 
 

@@ -76,16 +76,8 @@ class Shortcuts:
     group_bound: bool = True
     #: a second bound about the middle of the block
     fine_bound: bool = True
-    #: strings under rising tension side by side in a vector
-    tension_lanes: bool = True
-    #: scaled modes and predictions of a rising tension are kept over four blocks
-    tension_windows: bool = True
     #: one modal pass finishes a tension-modulated step and begins the next
     combined_pass: bool = True
-    #: laws on fixed ports of tension-modulated strings keep their compliances at rest
-    fixed_compliances: bool = True
-    #: linear laws are folded into the matrix of the linear connections
-    folded_laws: bool = True
     #: the inverse for linear laws is kept until a slope changes
     kept_inverse: bool = True
 
@@ -176,11 +168,7 @@ class KernelStepper:
                 "weights": np.ascontiguousarray(weights[:, on]),
             },
             "nonlinear": self._laws_and_gaps(system, terms, np.ascontiguousarray(weights[:, self._nonlinear])),
-            "tensions": {
-                "strings": tensions,
-                "matrix": np.ascontiguousarray(solve.matrix) if tensions else _NO_MATRIX,
-                "offset": solve.offset[on] if tensions else np.zeros(0),
-            },
+            "tensions": {"strings": tensions},
             "geometric": self._geometric[1],
             "shortcuts": self._shortcuts,
         }
@@ -290,13 +278,23 @@ class KernelStepper:
         if state.modes.dtype != np.float64:
             raise ValueError(f"a state of {state.modes.dtype}; float64 is needed")
         s, on = self.system, self._nonlinear
-        may_fail = s.nonlinear is not None or s.tensions or s.geometric
+        to_cut = -state.sample % _CUT
+        if 0 < to_cut < n and any(s.tension_on):  # the kernel puts psi back at the ends of its windows
+            first = self._step(state, to_cut, injections, controls)
+            kept, acted = first[2].copy(), set(self._acted)
+            first[2][:, self._acted] = 0.0
+            rest = self._step(state, n - to_cut, injections, controls)
+            laws = np.concatenate([kept, rest[2]])
+            rest[2][:, self._acted] = 0.0
+            self._acted = sorted(acted | set(self._acted))
+            return np.concatenate([first[0], rest[0]]), np.concatenate([first[1], rest[1]]), laws
+        may_fail = s.nonlinear is not None or s.geometric
         before = state.copy() if may_fail else state
         found = self._run(state, n, injections, controls)
         if not isinstance(found, int):
             return found
         out, active_forces = np.empty((n, len(s.readouts))), np.empty((n, len(self._active)))
-        law_forces, acted = np.zeros((n, len(on))), set[int]()
+        law_forces, acted = np.zeros((n, len(on))), set()
         done, end = 0, n
         while True:
             if isinstance(found, int):
@@ -355,7 +353,8 @@ class KernelStepper:
         series, slip, last = state.series.take(on), state.slip.take(on), state.forces.take(on)
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
         if len(state.tension) != len(self.system.tensions):
-            state.tension = np.zeros((len(self.system.tensions), 3))
+            state.tension = np.zeros((len(self.system.tensions), 4))
+        state.tension[[not is_on for is_on in self.system.tension_on]] = 0.0
         slot, sample = self._kernel.run(
             state.modes,
             out,
@@ -367,6 +366,7 @@ class KernelStepper:
             slip,
             last,
             state.tension,
+            state.sample % _CUT,
         )
         if slot != -1:
             self._law_forces = np.zeros(0)

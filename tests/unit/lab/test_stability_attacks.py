@@ -36,10 +36,8 @@ def test_short_attacks() -> None:
         hold(attack)
 
 
-def test_the_attack_of_the_stop_searches_for_tensions() -> None:
-    attack = attacks.stop_at_the_peak(8000)
-    assert attack.iterations > 1
-    hold(attack)
+def test_the_attack_of_the_stop() -> None:
+    hold(attacks.stop_at_the_peak(8000))
 
 
 @pytest.mark.validate

@@ -13,10 +13,8 @@ from tonewood.coupling.connections import Connection, Term
 from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.law_solve import FrictionBranch, Partners, find_forces, stiffness
 from tonewood.coupling.laws import Contact, Friction
-from tonewood.coupling.tension import TensionShare
 from tonewood.energy.stored import stored_energy
 from tonewood.errors import NumericalError
-from tonewood.stepping import stepper
 from tonewood.stepping.kernel import KernelStepper
 from tonewood.stepping.stepper import NumpyStepper
 
@@ -58,20 +56,6 @@ def test_steps_that_the_kernel_loses_are_made_again(monkeypatch):
     close(found, forces, 1e-9)
     again, state = KernelStepper(system), drawn(system, 5.0)
     np.testing.assert_array_equal(np.concatenate([again.run(state, 64)[0] for _ in range(3)]), out)
-
-
-def test_tensions_by_brackets_are_those_of_newton(monkeypatch):
-    """Slopes that are far off let Newton's method run to and fro for ever."""
-    system = modulated_guitar(frets=SOFT)
-    expected, forces, before = run(system, drawn(system, 50.0), 20)
-    kappa = system.compiled[system.slot("s0a")].tension.kappa
-    monkeypatch.setattr(stepper, "MAX_TENSION_ITERATIONS", 12)
-    monkeypatch.setattr(TensionShare, "slope", lambda *_: 0.45 / kappa)
-    out, found, statistics = run(system, drawn(system, 50.0), 20)
-    assert before.redone == 0
-    assert statistics.redone > 10
-    close(out, expected, 1e-9)
-    close(found, forces, 1e-9)
 
 
 def test_friction_by_newton_is_that_of_going_from_law_to_law(monkeypatch):

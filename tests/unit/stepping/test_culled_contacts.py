@@ -304,7 +304,8 @@ def test_a_modulated_string_has_what_its_ports_give_it():
             energy += 0.5 * np.sum(velocity**2 + basis.stiffness * q**2)
             stretch += system.compiled[system.slot(name)].tension.stretch(x.T)
             ports.append(float(basis.right[basis.index("bridge")].real @ q))
-        return energy, 0.5 * system.compiled[system.slot("s0a")].tension.kappa * stretch**2, np.array(ports)
+        kappa = system.compiled[system.slot("s0a")].tension.kappa
+        return energy, 0.5 * (kappa**0.5 * stretch + state.tension[0, 3]) ** 2, np.array(ports)
 
     number = [[c.name for c in system.connections].index(name) for name in ("joint0", "stay0")]
     before, gained, shares = reported(), [], []

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from tonewood.coupling.system import State, System
 from tonewood.engine.effect_usage import Bound, EffectUsage
 from tonewood.engine.fretting import Fretting
-from tonewood.engine.timeline import GRID, Play
+from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
 from tonewood.instrument.effects import Effect
@@ -262,6 +262,9 @@ class SwitchedEffect(RuntimeEffect, ABC):
     def watched(self) -> bool:
         """Whether there is anything to switch."""
         return self.model.choice.mode == "auto" and self.chosen and bool(self.components)
+
+    def prepare(self, timeline: Timeline) -> None:
+        """Learn what will be played, before the first step; nothing of it by default."""
 
     def start(self) -> Switching:
         """State before anything has moved."""

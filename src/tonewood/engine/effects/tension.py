@@ -34,7 +34,7 @@ from tonewood.engine.effects.phantoms import Phantoms
 from tonewood.engine.effects.sidebands import Sidebands
 from tonewood.engine.fretting import Fretting
 from tonewood.engine.gestures import places
-from tonewood.engine.timeline import GRID, Play
+from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
 from tonewood.instrument.effects import Effect, Norms
@@ -49,6 +49,9 @@ LOOK, SELDOM = 16, 64
 #: s, shortest time for which a rise is left out: two switches and the bounds before them cost some 5 ms, a rise saves
 #: some 20 ms/s (a steel guitar's string at 48 kHz)
 SHORTEST = 0.3
+#: least share of the time of all strings, by their modes, for which rises must be likely to be left out: below it,
+#: looking costs what leaving out saves (some 5 % of a render; strings whose tension rises cost some 50 %)
+WORTH = 0.1
 #: s, longest time for which a rise goes on without another look at its bound
 _LONGEST_UNWATCHED = 0.5
 #: share of the budget below which a rise is left out; above the whole of it, it comes back
@@ -123,6 +126,46 @@ class TensionEffect(SwitchedEffect):
         # the system that they describe, and what its strings rise per joule, cents: `Effect.bound` is proportional
         self._system: System | None = None
         self._per_joule = np.zeros(len(self.components))
+        self._worth = True
+
+    @property
+    def watched(self) -> bool:
+        """Whether any rise may be left out, and the score gives time for it."""
+        return super().watched and self._worth
+
+    def prepare(self, timeline: Timeline) -> None:
+        """Decide from the score whether looking for rises to leave out pays; if not, all rise all the time.
+
+        Nothing is known beforehand of what is played live: then it is looked for.
+        """
+        if super().watched and timeline.plays:
+            self._worth = self.idle_share(timeline) >= WORTH
+
+    def idle_share(self, timeline: Timeline) -> float:
+        """Estimate the share of time, by modes of strings, in which the rise will be within the budget of cents.
+
+        A pluck makes a rise of what its force stores on the open string, and that falls as the least damped mode's
+        energy. Other gestures are taken to need no rise, and the level of sidebands is left out.
+        """
+        system, end = self.model.system, max(timeline.stop, _TINY)
+        self._follow(system)
+        whole = idle = 0.0
+        plays: dict[str | None, list[Play]] = {}
+        for play in timeline.plays:
+            plays.setdefault(play.string, []).append(play)
+        for name, per_joule in zip(self.components, self._per_joule, strict=True):
+            load = self.load(name)
+            whole += load * end
+            rate = min(float(system.compiled[slot].basis.damping_rate.min()) for slot in self._planes[name])
+            per_force = _DRAWN * per_joule * 0.5 * self.compliance(name, system, Fretting())
+            free = 0.0  # time from which on the rise is within the budget
+            for play in plays.get(name, []):
+                idle += load * max(min(play.start, end) - free - SHORTEST, 0.0)
+                force = max((abs(piece.c0) for piece in play.gesture.segments), default=0.0)
+                over = per_force * force**2 / max(_LEAVE * self.budget, _TINY)
+                free = max(free, play.stop) + (math.log(over) / (2 * max(rate, _TINY)) if over > 1.0 else 0.0)
+            idle += load * max(end - free - SHORTEST, 0.0)
+        return idle / whole if whole else 0.0
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -165,13 +208,16 @@ class TensionEffect(SwitchedEffect):
         seen: list[tuple[str, Bound, bool]] = []
         if look or moved:
             others = {name: value for name, value in cents.items() if name not in staying}
-            bounds = self.bounds(moment, others, [name for name in others if whole or name in moved])
-            wanted = self.wanted(bounds, wanted) | staying
+            asked = [name for name in others if whole or (name in moved and name not in wanted)]
+            bounds = self.bounds(moment, others, asked)
+            unasked = (on | switching.pending) - set(asked)
+            wanted = self.wanted(bounds, wanted) | staying | unasked
             until |= {name: self.next_bound(name, moment, bound) for name, bound in bounds.items() if name in wanted}
             seen += [(name, bound, name not in wanted) for name, bound in bounds.items()]
         for play in fresh:
             name = play.string or ""
-            bound = self.foreseen(play, moment, float(energies[self.components.index(name)]))
+            # a string that rises goes on: how loud it would be without is not asked for
+            bound = self.foreseen(play, moment, float(energies[self.components.index(name)]), name not in wanted)
             if bound.cents > self.budget or bound.level > self.budget_level:
                 wanted |= {name}
             seen.append((name, bound, name not in wanted))
@@ -204,6 +250,8 @@ class TensionEffect(SwitchedEffect):
         """By how much the tension rises, against the budget."""
         if self.model.choice.mode != "auto":
             return super().why(usage, component)
+        if not self._worth:
+            return "the score leaves hardly any time in which it could be left out"
         bound = usage.largest.get((self.name, component), Bound())
         rises = f"its tension rises by up to {bound.cents:.2g} cents" if bound.cents < 1e9 else "a gesture moves it"
         return f"{rises}; the budget is {self.model.choice.budget_cents:g}"
@@ -339,8 +387,8 @@ class TensionEffect(SwitchedEffect):
         seconds = min(math.log(over) / (4.0 * max(rate, _TINY)), _LONGEST_UNWATCHED)
         return moment.sample + int(seconds / moment.system.dt)
 
-    def foreseen(self, play: Play, moment: Moment, energy: float) -> Bound:
-        """Bound after a gesture on a string of `energy` (J); infinite if unknown."""
+    def foreseen(self, play: Play, moment: Moment, energy: float, levels: bool = True) -> Bound:
+        """Bound after a gesture on a string of `energy` (J); infinite if unknown, or its level if not asked for."""
         gesture, name, system = play.gesture, play.string or "", moment.system
         if gesture.motions or gesture.on is not None or not gesture.segments or name in self.longitudinal:
             return Bound(math.inf, math.inf)  # the phantom partials that a pluck will drive are not known beforehand
@@ -349,7 +397,7 @@ class TensionEffect(SwitchedEffect):
         compliance = self.compliance(name, system, fretting)
         foreseen = (math.sqrt(max(energy, 0.0)) + force * math.sqrt(0.5 * compliance)) ** 2
         cents = _DRAWN * self.rise(name, system, foreseen)
-        if cents > self.budget:
+        if cents > self.budget or not levels:
             return Bound(cents, math.inf)
         components = self._laws[name].components
         plucked = dict.fromkeys(components, np.zeros(0))
@@ -378,9 +426,10 @@ def _partners(system: System, law: TensionModulation | GeometricStretch) -> list
 def potential(system: System, state: State, name: str) -> float:
     """Energy that a string's rising tension stores besides its modes when it is on, J.
 
-    Without longitudinal motion EA/(8 L) S^2; with it, the energy of the coupling, which may be negative.
+    Without longitudinal motion psi^2 / 2, which is EA/(8 L) S^2 where it was off; with it, the energy of the coupling,
+    which may be negative.
     """
-    law = next(t for t in system.rising if t.name == name)
+    index, law = next((i, t) for i, t in enumerate(system.rising) if t.name == name)
     parts = law.parts if isinstance(law, GeometricStretch) else law.components
     stretch = kappa = 0.0
     shares, coordinates = [], []
@@ -395,7 +444,8 @@ def potential(system: System, state: State, name: str) -> float:
             coordinates.append(compiled.geometric.coordinates(x.T))
     if shares:
         return _coupled(tuple(shares)).energy(np.concatenate(coordinates))
-    return 0.5 * kappa * stretch**2
+    excess = state.tension[index, 3] if state.tension.size else 0.0
+    return float(0.5 * (np.sqrt(kappa) * stretch + excess) ** 2)
 
 
 #: forms of strings as they are held: large, and needed again

@@ -20,6 +20,7 @@ from tonewood.coupling.connections import Connection, scaled_pinv
 from tonewood.coupling.laws import Contact, HardeningSpring
 from tonewood.coupling.system import Probe, Readout, System
 from tonewood.coupling.tension import TensionModulation
+from tonewood.energy.stored import stored_energy
 from tonewood.errors import NumericalError
 from tonewood.lab.accuracy.flat import Flat, RealModes
 from tonewood.lab.accuracy.measures import energy_drift, wave_errors
@@ -324,19 +325,7 @@ class OwnRun:
 
     def energy(self) -> float:
         """Stored, J, also in the residual compliance of a contact."""
-        a = self.case.arrays
-        q, v = apply(a.modes.read, self.case.flat.x_of(self.state.modes, self.system)).T
-        solve = self.system.nonlinear
-        if solve is None or not solve.residual.any():
-            return a.energy(q, v)
-        give = self.state.series[solve.index]
-        held = 0.5 * float(give @ scaled_pinv(solve.residual) @ give)
-        # what the residual compliance gives takes part in the gap
-        gaps = a.law @ q + give
-        total = a.energy(q, v)
-        for law, phi, gap in zip(a.laws, a.law, gaps, strict=True):
-            total += law.energy(law.offset - float(gap)) - law.energy(law.offset - float(phi @ q))
-        return total + held
+        return stored_energy(self.system, self.state).total
 
 
 def measured_period(y: Floats, fs: float, freq: float, cycles: int) -> float:

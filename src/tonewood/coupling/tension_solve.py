@@ -1,0 +1,134 @@
+"""Rising tensions over one step: one linear force for each string, beside all connections (`tension`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import NDArray
+
+from tonewood.coupling.system import System
+from tonewood.coupling.tension import TensionShare, reset_psi
+
+Floats = NDArray[np.float64]
+
+#: steps after which psi is put back to sqrt(kappa) S
+RESET_STEPS = 64
+#: largest alpha, of the highest mode, at which the direction is corrected for what the tension moves
+LARGEST_ALPHA = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class TensionsOverStep:
+    """Action of s rising tensions over one step.
+
+    Attributes
+    ----------
+    reach : (m, s) gaps per psi_m.
+    own : (s,) g . w g, what g . y+ loses per psi_m.
+    start : (s,) psi + g . (y_free - y) / 2, sqrt(J).
+    linear : (m, m) N/m, forces of the linear connections against gaps.
+    modal : component slot -> the string's place, its direction g (n_modes,), and (n_modes, 2) state per psi_m.
+    """
+
+    reach: Floats
+    own: Floats
+    start: Floats
+    linear: Floats
+    modal: dict[int, tuple[int, Floats, Floats]]
+
+    @cached_property
+    def matrix(self) -> Floats:
+        """(s, s) of the equations of psi_m, the linear connections answering; symmetric, positive definite."""
+        return np.asarray(np.diag(1 + 0.5 * self.own) - 0.5 * self.reach.T @ self.linear @ self.reach)
+
+    def mean(self, forces: Floats) -> Floats:
+        """(s,) psi_m, sqrt(J), if `forces` (m,) are those of the linear connections without tensions."""
+        right = self.start - 0.5 * self.reach.T @ forces
+        return np.asarray(sla.solve(self.matrix, right, assume_a="pos"))
+
+    def mean_under(self, forces: Floats) -> Floats:
+        """(s,) psi_m, sqrt(J), if `forces` (m,) are those of all connections."""
+        return np.asarray((self.start - 0.5 * self.reach.T @ forces) / (1 + 0.5 * self.own))
+
+    def answer(self, moved: Floats) -> Floats:
+        """(s, k) psi_m per force of nonlinear connections, of whose gaps `moved` (k, s) are reached by psi_m."""
+        return np.asarray(-0.5 * sla.solve(self.matrix, moved.T, assume_a="pos")) if moved.size else moved.T
+
+    def after(self, x: Sequence[Floats], mean: Floats) -> list[Floats]:
+        """States x with what psi_m adds."""
+        return [xi + self.modal[i][2] * mean[self.modal[i][0]] if i in self.modal else xi for i, xi in enumerate(x)]
+
+
+class TensionSolve:
+    """Steps the tensions of a system that are on.
+
+    A row of a state's ``tension`` is the mean additional tension of the last three steps, latest first, and
+    psi - sqrt(kappa) S.
+    """
+
+    def __init__(self, system: System):
+        self.system = system
+        self.index = [t for t, on in enumerate(system.tension_on) if on]
+        self.strings: list[list[tuple[int, TensionShare]]] = []
+        for t in self.index:
+            slots = [system.slot(name) for name in system.tensions[t].components]
+            parts = [(slot, part) for slot in slots if (part := system.compiled[slot].tension) is not None]
+            self.strings.append(parts)
+        self.roots = np.sqrt([string[0][1].kappa for string in self.strings])
+
+    def over(self, x: Sequence[Floats], free: Sequence[Floats], forces: Floats, tension: Floats) -> TensionsOverStep:
+        """Prepare a step.
+
+        Parameters
+        ----------
+        x, free : states before, and after a step without connection forces.
+        forces : (m,) N, of the linear connections without tensions.
+        tension : (n_tensions, 4) of the state.
+        """
+        s, count = self.system, len(self.strings)
+        reach, own, power = np.zeros((len(s.connections), count)), np.zeros(count), np.zeros(count)
+        modal: dict[int, tuple[int, Floats, Floats]] = {}
+        for q, (t, string) in enumerate(zip(self.index, self.strings, strict=True)):
+            highest = max(float(part.half.max(initial=0.0)) for _, part in string)
+            ahead = 3 * (tension[t, 0] - tension[t, 1]) + tension[t, 2]
+            ahead = min(max(ahead, 0.0), LARGEST_ALPHA / highest if highest > 0.0 else np.inf)
+            for i, part in string:
+                compiled, incidence = s.compiled[i], s.incidence(i)
+                after = free[i] + np.einsum("p,pmx->mx", incidence.T @ forces, compiled.W)
+                g = part.direction(x[i], after, ahead)
+                power[q] += g @ (part.reading * (free[i][:, 0] - x[i][:, 0]))
+                own[q] += g @ (part.reading * part.kick[:, 0] * g)
+                modal[i] = q, g, -part.kick * g[:, None]
+                reach[:, q] += incidence @ np.einsum("pmx,mx->p", compiled.rows[: len(compiled.ports)], modal[i][2])
+        psi = self.roots * self._stretches(x) + tension[self.index, 3]
+        return TensionsOverStep(reach, own, psi + 0.5 * power, s.solve.G, modal)
+
+    def carried(self, x: Sequence[Floats], after: Sequence[Floats], mean: Floats, tension: Floats, step: int) -> Floats:
+        """Rows of the state after a step, made by psi_m; resets `after` in place where the step calls for it.
+
+        Parameters
+        ----------
+        step : number of the step's end since time 0.
+        """
+        out = np.zeros_like(tension)
+        psi = self.roots * self._stretches(x) + tension[self.index, 3]
+        excess = 2 * mean - psi - self.roots * self._stretches(after)
+        for q, (t, string) in enumerate(zip(self.index, self.strings, strict=True)):
+            if step % RESET_STEPS == 0:
+                excess[q] = reset_psi([part for _, part in string], [after[i] for i, _ in string], float(excess[q]))
+            out[t] = 2 * self.roots[q] * mean[q], tension[t, 0], tension[t, 1], excess[q]
+        return out
+
+    def energies(self, x: Sequence[Floats], tension: Floats) -> Floats:
+        """(n_tensions,) V, J, of states by component slot; 0 of tensions that are off."""
+        out = np.zeros(len(self.system.tensions))
+        excess = tension[self.index, 3] if tension.size else 0.0
+        out[self.index] = 0.5 * (self.roots * self._stretches(x) + excess) ** 2
+        return out
+
+    def _stretches(self, x: Sequence[Floats]) -> Floats:
+        return np.array([sum(part.stretch(x[i]) for i, part in string) for string in self.strings])
