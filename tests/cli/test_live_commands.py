@@ -41,20 +41,19 @@ def duo(tmp_path: Path) -> Path:
 
 
 def test_parts_are_mixed(tonewood: Run, duo: Path, tmp_path: Path) -> None:
-    words = ("render", duo, "--part", "1=classical_guitar@pan-0.5", "--part", "2=monochord@-3dB", "--fs", 16000)
+    words = ("render", duo, "--part", "2=monochord@-3dB@pan-0.5", "--fs", 16000)
     words += ("--max-duration", 0.3, "-o", tmp_path / "mix.wav", "--stems", tmp_path / "stems")
     code, out, _ = tonewood(*words, "--json")
     found = json.loads(out)
     assert (code, found["schema"]) == (0, "tonewood-render-parts/1")
     assert found["true_peak_dbtp"] == pytest.approx(-1.0)
-    assert len(found["parts"]) == 2
+    assert [(p["part"], p["gain_db"], p["notes"]) for p in found["parts"]] == [(2, -3.0, 2)]
     mix, _ = sf.read(tmp_path / "mix.wav")
     stems = [sf.read(file)[0] for file in found["stems"]]
     assert np.abs(mix - sum(stems)).max() < 3 * 2**-23
-    one = ("render", duo, "--part", "2=monochord@-3dB", "--fs", 16000, "--max-duration", 0.3, "-o", tmp_path / "a.wav")
-    _, out, _ = tonewood(*one, "--level", "calibrated")
+    _, out, _ = tonewood(*words, "--level", "calibrated")
     assert "1 part at 16000 Hz, true peak" in out
-    assert "part 2 on monochord, -3.0 dB, pan +0.00" in out
+    assert "part 2 on monochord, -3.0 dB, pan -0.50: 2 notes, 0 dropped" in out
 
 
 @pytest.mark.parametrize(
