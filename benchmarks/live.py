@@ -1,6 +1,6 @@
 """Ten minutes of random playing on an instrument played live, against the clock of a sound card that is not there.
 
-python benchmarks/live.py [INSTRUMENT] [--minutes 10] [--block 128] [--ahead 3] [--runs 1]
+python benchmarks/live.py [INSTRUMENT] [--minutes 10] [--block 128] [--ahead 4] [--runs 1]
 
 Keys of a random player come singly and in chords of up to six notes, with bends, the pedal and controller 74. Every
 block is computed at once and timed by the processor's clock of the thread; on a shared machine other programs still
@@ -96,7 +96,7 @@ def main() -> None:
     parser.add_argument("instrument", nargs="?", default="classical_guitar")
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--block", type=int, default=128)
-    parser.add_argument("--ahead", type=int, default=3)
+    parser.add_argument("--ahead", type=int, default=4)
     parser.add_argument("--runs", type=int, default=1, help="the same blocks again; of each the least cost counts")
     given = parser.parse_args()
     gc.disable()  # as a session does: playing makes no cycles

@@ -58,7 +58,7 @@ def main() -> None:
     from pythonosc.osc_server import ThreadingOSCUDPServer
 
     live = tw.Live(sys.argv[1] if len(sys.argv) > 1 else "classical_guitar", gain_db=12.0)
-    stream = tw.AudioStream(live, block_size=128, ahead=3)
+    stream = tw.AudioStream(live, block_size=128, ahead=4)
     instrument, dispatcher = OscInstrument(live, stream), Dispatcher()
     dispatcher.set_default_handler(instrument.receive)
     server = ThreadingOSCUDPServer(("127.0.0.1", int(sys.argv[2]) if len(sys.argv) > 2 else 9000), dispatcher)

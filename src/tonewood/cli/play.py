@@ -51,7 +51,7 @@ def play(
     spacing: Annotated[
         int, typer.Option(help="control intervals (64 steps) between beginnings of live notes that come together")
     ] = 2,
-    ahead: Annotated[int, typer.Option(help="blocks computed ahead when played live: part of the latency")] = 3,
+    ahead: Annotated[int, typer.Option(help="blocks computed ahead when played live: part of the latency")] = 4,
     duration: Annotated[float | None, typer.Option(help="end a live session after so many seconds")] = None,
     start: Start = 0.0,
     stop: Stop = None,

@@ -40,7 +40,7 @@ class LiveSession:
         sources: Sequence[EventSource],
         *,
         block_size: int = 128,
-        ahead: int = 3,
+        ahead: int = 4,
         take: Take | None = None,
     ):
         self.live, self.sources, self.take = live, sources, take
