@@ -24,6 +24,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from tonewood.authoring import (
     Body,
@@ -35,6 +36,7 @@ from tonewood.authoring import (
     PassivityError,
     check_basis,
     described,
+    plate,
     quantity,
     repair_basis,
     unit_vector,
@@ -67,11 +69,21 @@ class Point(Parameters):
         doc="heave_rock, instead of u: height above the soundboard re half the distance of the feet, moved along y",
     )
     column: str | None = described("name of the point in the table; the point's own where left out", default=None)
+    place: tuple[Number, Number] | None = described("[x, y] on the body, m; with `area`", default=None)
+    area: float | None = quantity(
+        "m^2", low=1e-8, high=1.0, default=None, doc="of the surface that moves as this point: body_microphones hear it"
+    )
     driven: bool = described(
         "whether forces act here; false for a point that is only heard, which the test of passivity leaves out",
         default=True,
         strict=True,
     )
+
+    @model_validator(mode="after")
+    def _both(self) -> Point:
+        if (self.place is None) != (self.area is None):
+            raise ValueError("place and area are wanted together, or neither")
+        return self
 
 
 class Truncation(Parameters):
@@ -153,6 +165,22 @@ class ModalTable(Body[ModalTableParameters]):
         # some modes of a passive set of complex modes need not be passive: the test is of those that are stepped
         basis = basis.select(np.flatnonzero(basis.natural_freq < freq_upper))
         return basis if basis.is_real else self._passive(basis)
+
+    def sources(self, freq_upper: float) -> plate.Sources | None:
+        """Points along z that have an area, each a piston of it; None where there are none or modes are complex."""
+        basis = self.basis(freq_upper)
+        heard = {
+            name: p
+            for name, p in self.parameters.points.items()
+            if p.area is not None and abs(unit_vector(p.direction)[2]) > 0.999
+        }
+        if not heard or not basis.is_real:
+            return None
+        areas = np.array([p.area for p in heard.values()], dtype=np.float64)
+        signs = np.array([np.sign(unit_vector(p.direction)[2]) for p in heard.values()])
+        shapes = np.array([basis.right[basis.index(name)].real for name in heard])
+        places = np.array([p.place for p in heard.values()], dtype=np.float64)
+        return plate.Sources(places, (areas * signs)[:, None] * shapes, baffled=False)
 
     def _column(self, table: Mapping[str, Floats], name: str) -> Floats:
         if name not in table:

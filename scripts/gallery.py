@@ -31,6 +31,8 @@ LARGEST = 60_000
 PIECES: dict[str, str | list[tuple[int, int, float]]] = {
     "classical_guitar": "greensleeves",
     "flamenco_guitar": "romance",
+    "drawn_guitar": "greensleeves",
+    "drawn_guitar_x": "chords",
     "steel_guitar": "chords",
     "african_harp": "pentatonic",
     "monochord": [(45, 80, 0.8), (52, 80, 0.8), (57, 90, 0.8), (61, 100, 1.6)],

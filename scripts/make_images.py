@@ -1,4 +1,4 @@
-"""Draws the picture of the README: a measured body, and strings on it.
+"""Draws the picture of the README, a measured body and strings on it, and the modes of a drawn one.
 
 python scripts/make_images.py
 """
@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 
 import tonewood as tw
+from tonewood.cli.app import application
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.inspection import bridge_mobility
 from tonewood.output.spectrum import spectrogram
@@ -45,5 +46,15 @@ def main(path: Path = ROOT / "docs" / "images" / "guitar.png") -> None:
     few_colours.save(path, optimize=True)
 
 
+def drawn(path: Path = ROOT / "docs" / "images" / "drawn_guitar.png") -> None:
+    """First modes of `drawn_guitar`, as `tonewood modes --plot` draws them."""
+    arguments = ["modes", "drawn_guitar", "--string", "E4", "--count", "1", "--plot", str(path)]
+    application("modes")(arguments, standalone_mode=False)
+    with Image.open(path) as picture:
+        smaller = picture.convert("RGB").resize((picture.width * 3 // 5, picture.height * 3 // 5)).quantize(128)
+    smaller.save(path, optimize=True)
+
+
 if __name__ == "__main__":
     main()
+    drawn()

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+
+#: modes of drawn bodies are kept between runs
+os.environ.setdefault("TONEWOOD_CACHE", str(Path(__file__).parents[1] / "build" / "cache"))
 
 settings.register_profile(
     "ci", max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]

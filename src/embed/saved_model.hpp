@@ -77,7 +77,7 @@ inline CompiledSystem system_of(const File& file) {
     }
     for (std::size_t i = 0; file.has(entry("geometric", i) + "scale"); ++i) {
         GeometricDescription d;
-        d.scale = file[entry("geometric", i) + "scale"].f8[0], d.along = file.integer(entry("geometric", i) + "along");
+        d.scale = file[entry("geometric", i) + "scale"].f8[0], d.longitudinal = file.integer(entry("geometric", i) + "longitudinal");
         for (std::size_t p = 0; file.has(entry(entry("geometric", i) + "parts", p) + "slot"); ++p) {
             const std::string at = entry(entry("geometric", i) + "parts", p);
             d.parts.push_back({int(file.integer(at + "slot")), view(file, at + "slopes"), view(file, at + "reading"),

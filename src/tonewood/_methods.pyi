@@ -21,7 +21,7 @@ class Method:
         self,
         offset: int,
         coef: NDArray[np.float64],
-        push: NDArray[np.float64],
+        excite: NDArray[np.float64],
         reads: NDArray[np.float64],
         outs: NDArray[np.float64],
         links: Sequence[int],

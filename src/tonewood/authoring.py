@@ -16,6 +16,7 @@ Kinds of plugins and what they return, declared parameters, modal bases, connect
 and what shows the part at work in an instrument: `assemble`, `partials`, `pitches`.
 """
 
+from tonewood import plate as plate
 from tonewood.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.coupling.layout import Drive, Probe, Readout
@@ -23,6 +24,7 @@ from tonewood.engine.effect_usage import Bound
 from tonewood.engine.effects.base import Moment, RuntimeEffect, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.engine.effects.connections import SwitchedConnections
 from tonewood.errors import BundleError, PassivityError, PluginError, TonewoodError
+from tonewood.instrument.array_cache import cached_arrays
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
 from tonewood.instrument.contract import (
@@ -55,6 +57,7 @@ from tonewood.instrument.effects import (
 from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
 from tonewood.instrument.inspection import partials, pitch, pitches
 from tonewood.instrument.losses import LossLaw
+from tonewood.instrument.svg_path import svg_ring
 from tonewood.modal.damping import with_damping_case
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.string_modes import string_basis, wavenumber
@@ -121,6 +124,7 @@ __all__ = [
     "Vector",
     "Watched",
     "assemble",
+    "cached_arrays",
     "check_basis",
     "contact_effect",
     "described",
@@ -131,6 +135,7 @@ __all__ = [
     "partials",
     "pitch",
     "pitches",
+    "plate",
     "quantity",
     "repair_basis",
     "retuned",
@@ -138,6 +143,7 @@ __all__ = [
     "string_basis",
     "string_carry",
     "string_transfer",
+    "svg_ring",
     "unit_vector",
     "wavenumber",
     "with_damping_case",

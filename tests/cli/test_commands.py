@@ -499,3 +499,30 @@ def test_check_warns_of_microphones_that_hear_nothing(tonewood: Run, tmp_path: P
     code, out, _ = tonewood("check", folder, "--fs", 16000, *few)
     assert code == 0
     assert "warning: microphones.bass hears nothing of the strings" in out
+
+
+def test_modes_of_a_drawn_body_are_listed_and_drawn(tonewood: Run, tmp_path: Path) -> None:
+    picture = tmp_path / "modes.png"
+    code, text, _ = tonewood("modes", "drawn_guitar", "--string", "E4", "--count", 1, "--plot", picture)
+    assert code == 0
+    assert "A0 10" in text
+    assert "hinged" in text
+    assert "(T1, Q" in text
+    assert picture.stat().st_size > 50_000
+
+
+def test_a_room_adds_its_tail_and_says_that_it_is_not_measured(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    response = np.zeros(4800)
+    response[[0, 2400]] = 1.0, 0.5
+    sf.write(tmp_path / "room.wav", response, 48000, subtype="DOUBLE")
+    short = ["render", score, "-i", "monochord", "--max-duration", 0.2, "--subtype", "DOUBLE", "--level", "calibrated"]
+    assert tonewood(*short, "-o", tmp_path / "dry.wav")[0] == 0
+    code, out, _ = tonewood(*short, "-o", tmp_path / "wet.wav", "--room", tmp_path / "room.wav")
+    assert code == 0
+    assert "not measured" in out
+    dry, wet = (sf.read(tmp_path / f"{name}.wav")[0] for name in ("dry", "wet"))
+    assert len(wet) == len(dry) + 4799
+    expected = dry.copy()
+    expected[2400:] += 0.5 * dry[:-2400]
+    assert wet[: len(dry)] == pytest.approx(expected, abs=1e-12)
+    refused(tonewood(*short, "-o", tmp_path / "x.wav", "--room", "cellar"), "--room", "small, hall")

@@ -98,7 +98,7 @@ def longitudinal() -> dict[str, Any]:
         }
         for slot in (0, 1)
     ]  # fmt: skip
-    made["geometric"] = [{"scale": 1.0, "along": True, "parts": parts}]
+    made["geometric"] = [{"scale": 1.0, "longitudinal": True, "parts": parts}]
     return made
 
 
@@ -128,7 +128,7 @@ MADE = {
     "contact": lambda: described(1),
     "ports": contact_ports,
     "tension": stretched,
-    "along": longitudinal,
+    "longitudinal": longitudinal,
 }
 
 
@@ -245,7 +245,7 @@ def test_what_is_written_to_is_never_a_converted_copy(argument: int, dtype: type
         (("nonlinear", "terms"), np.array([[0, 0, 0, 1]])), (("nonlinear", "terms"), np.array([[2**40, 0, 0, 0]])),
         (("tensions", "strings"), [(0, 1.0, [3])]), (("tensions", "strings"), [(0, 1.0, [-1])]),
         (("tensions", "strings"), [(-1, 1.0, [0])]), (("tensions", "strings"), [(0, 1.0, [0])]),
-        (("geometric",), [{"scale": 1.0, "along": True, "parts": []}]),
+        (("geometric",), [{"scale": 1.0, "longitudinal": True, "parts": []}]),
     ],
 )  # fmt: skip
 def test_numbers_out_of_range_are_refused(path: Path, wrong: Any) -> None:

@@ -175,7 +175,7 @@ void load(Kernel& kernel, nb::handle description) {
         system.tensions.strings.push_back({index, kappa, std::move(slots)});
     for (const Reader& string : in.each("geometric")) {
         GeometricDescription d;
-        d.scale = string.get<double>("scale"), d.along = string.get<bool>("along");
+        d.scale = string.get<double>("scale"), d.longitudinal = string.get<bool>("longitudinal");
         for (const Reader& part : string.each("parts"))
             d.parts.push_back({part.get<int>("slot"), part.view("slopes"), part.view("reading"), part.view("compliances"),
                                part.view("kick"), part.view("to_port"), part.view("from_port")});

@@ -43,7 +43,7 @@ public:
             }
             string.given = &given, string.n = at;
             const std::size_t order = given.order + 1;
-            for (Array<double>* a : {&string.old_sums, &string.sums, &string.old_strain, &string.strain, &string.pull})
+            for (Array<double>* a : {&string.old_sums, &string.sums, &string.old_strain, &string.strain, &string.mean_tension})
                 a->assign((order + kLane) / kLane * kLane, 0.0);
             for (Array<double>* a : {&string.F, &string.answer, &string.residual, &string.last_answer, &string.last_residual,
                                      &string.preconditioner, &string.weight})
@@ -88,7 +88,7 @@ private:
         bool fresh = true, has_last = false, converged = false;
         double left = 0, motion = 0;
         std::vector<Part> parts;                              // the longitudinal one last
-        Array<double> old_sums, sums, old_strain, strain, pull;  // s_n and l_n before and after, tension by n
+        Array<double> old_sums, sums, old_strain, strain, mean_tension;  // s_n and l_n before and after, tension by n
         Array<double> F, answer, residual, last_answer, last_residual;  // forces, those of the motion under them, the difference
         Array<double> preconditioner, weight;                          // displacement per force
         Array<double> q, p;                                   // (kGeometricMemory, n) differences of residual, of answer
@@ -186,7 +186,7 @@ private:
             part.after = part.free;
         }
         std::fill(s.old_sums.begin(), s.old_sums.end(), 0.0);
-        if (s.given->along) {
+        if (s.given->longitudinal) {
             for (std::size_t q = 0; q + 1 < s.parts.size(); ++q) {
                 spread(s, s.parts[q], s.parts[q].before, 0);
                 add_sums(s, s.parts[q], 0, s.old_sums.data());
@@ -229,7 +229,7 @@ private:
         for (int k = 0; k < s.n; ++k) s.residual[k] = s.answer[k] - s.F[k];
         if (!s.fresh) return;
         s.fresh = false;
-        const double tension = std::max(s.pull[0], 0.0);
+        const double tension = std::max(s.mean_tension[0], 0.0);
         for (const Part& part : s.parts)
             for (int k = 0; k < part.given->width; ++k)
                 s.preconditioner[part.at + k] = 1 / (1 + 0.5 * tension * part.given->compliances[k] * part.given->stretch[k]);
@@ -237,7 +237,7 @@ private:
 
     // Evaluates the forces s.answer at the coordinates `before` and `after`.
     void respond(String& s) {
-        if (!s.given->along) return rise(s);
+        if (!s.given->longitudinal) return rise(s);
         const int order = s.given->order;
         std::fill(s.sums.begin(), s.sums.end(), 0.0);
         for (std::size_t q = 0; q + 1 < s.parts.size(); ++q) {
@@ -245,25 +245,25 @@ private:
             add_sums(s, s.parts[q], 1, s.sums.data());
         }
         strain(s, s.parts.back().after, s.strain);
-        Part& along = s.parts.back();
+        Part& axial = s.parts.back();
         for (int n = 0; n <= order; ++n) {
             const double weight = s.given->scale * (n == 0 ? 1.0 : 0.5), sum = 0.5 * (s.old_sums[n] + s.sums[n]);
-            s.pull[n] = weight * (sum + 0.5 * (s.old_strain[n] + s.strain[n]));
-            along.force[n] = -weight * sum;
+            s.mean_tension[n] = weight * (sum + 0.5 * (s.old_strain[n] + s.strain[n]));
+            axial.force[n] = -weight * sum;
         }
         std::fill(s.answer.begin(), s.answer.end(), 0.0);
-        const auto& g = *along.given;
-        add_product(g.back.data(), g.width, along.force.data(), order + 1, s.answer.data() + along.at);
+        const auto& g = *axial.given;
+        add_product(g.back.data(), g.width, axial.force.data(), order + 1, s.answer.data() + axial.at);
         for (std::size_t q = 0; q + 1 < s.parts.size(); ++q) {
             Part& part = s.parts[q];
             const auto& h = *part.given;
             const double *old = middle(s, part, 0), *now = middle(s, part, 1);
-            const double first = -0.5 * s.pull[0];
+            const double first = -0.5 * s.mean_tension[0];
             for (int i = 0; i < h.cosines_width; i += S::width) {
                 S::V sum = (S::load(old + i) + S::load(now + i)) * first;
                 for (int n = 1; n <= order; ++n)
                     sum -= (S::load(old + i - n) + S::load(old + i + n) + S::load(now + i - n) + S::load(now + i + n)) *
-                           (0.5 * s.pull[n]);
+                           (0.5 * s.mean_tension[n]);
                 S::store(part.force.data() + i, sum);
             }
             add_product(h.back.data(), h.width, part.force.data(), h.cosines, s.answer.data() + part.at);
@@ -274,11 +274,11 @@ private:
     static void rise(String& s) {
         s.sums[0] = 0.0;
         for (const Part& part : s.parts) s.sums[0] += stretch_of(part, part.after);
-        s.pull[0] = 0.5 * s.given->scale * (s.old_sums[0] + s.sums[0]);
+        s.mean_tension[0] = 0.5 * s.given->scale * (s.old_sums[0] + s.sums[0]);
         for (const Part& part : s.parts)
             for (int k = 0; k < part.given->width; k += S::width)
                 S::store(s.answer.data() + part.at + k, (S::load(part.before.data() + k) + S::load(part.after.data() + k)) *
-                                                   S::load(part.given->stretch.data() + k) * (-0.5 * s.pull[0]));
+                                                   S::load(part.given->stretch.data() + k) * (-0.5 * s.mean_tension[0]));
     }
 
     // Its s_0.

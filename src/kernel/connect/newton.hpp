@@ -138,11 +138,11 @@ inline bool newton(const Nonlinear& nl, ContactState& ws, const double* free, do
         for (int i = 0; i < n; ++i) start -= moved[i] * r[i];
         // the slope of the convex function along the step must have shrunk, or kept its sign
         for (int halved = 0;; ++halved) {
-            double along = 0.0;
+            double descent = 0.0;
             for (int i = 0; i < n; ++i) tried[i] = p[i] - t * moved[i];
             evaluate(tried);
-            for (int i = 0; i < n; ++i) along += moved[i] * (f[i] + t * step[i] - law_force[i]);
-            if (along < 0.0 || std::abs(along) <= 0.9 * std::abs(start) || halved == 60) break;
+            for (int i = 0; i < n; ++i) descent += moved[i] * (f[i] + t * step[i] - law_force[i]);
+            if (descent < 0.0 || std::abs(descent) <= 0.9 * std::abs(start) || halved == 60) break;
             t *= 0.5;
         }
         for (int i = 0; i < n; ++i) f[i] += t * step[i], p[i] = tried[i];

@@ -100,19 +100,19 @@ private:
     void near(const double* __restrict force, int n, double* __restrict history) const {
         static_assert(kSpan == 8);
         switch (n) {
-            case 8: return near_lines<8>(force, history);
-            case 7: return near_lines<7>(force, history);
-            case 6: return near_lines<6>(force, history);
-            case 5: return near_lines<5>(force, history);
-            case 4: return near_lines<4>(force, history);
-            case 3: return near_lines<3>(force, history);
-            case 2: return near_lines<2>(force, history);
-            case 1: return near_lines<1>(force, history);
+            case 8: return add_span<8>(force, history);
+            case 7: return add_span<7>(force, history);
+            case 6: return add_span<6>(force, history);
+            case 5: return add_span<5>(force, history);
+            case 4: return add_span<4>(force, history);
+            case 3: return add_span<3>(force, history);
+            case 2: return add_span<2>(force, history);
+            case 1: return add_span<1>(force, history);
         }
     }
 
     template <int N>
-    void near_lines(const double* __restrict force, double* __restrict history) const {
+    void add_span(const double* __restrict force, double* __restrict history) const {
         for (int i = 0; i < l_.single_width; i += S::width) {
             const S::V f = S::load(force + i);
             const double* h = l_.single_response.data() + i;
@@ -167,15 +167,15 @@ private:
                 const double* h = c.response.data() + kSpan * step + i;
                 double* line = history + c.row + i;
                 int k = 0;
-                for (; k + 4 <= n; k += 4, h += 4 * step, line += 4 * l_.width) far_lines<4>(c, force, h, line);
-                for (; k < n; ++k, h += step, line += l_.width) far_lines<1>(c, force, h, line);
+                for (; k + 4 <= n; k += 4, h += 4 * step, line += 4 * l_.width) add_later<4>(c, force, h, line);
+                for (; k < n; ++k, h += step, line += l_.width) add_later<1>(c, force, h, line);
             }
         }
     }
 
     // N lines at a time, so that each force is loaded once for all of them
     template <int N>
-    void far_lines(const Layout::Several& c, const double* __restrict force, const double* h,
+    void add_later(const Layout::Several& c, const double* __restrict force, const double* h,
                    double* __restrict history) const {
         const std::ptrdiff_t step = std::ptrdiff_t(c.n_ports) * c.width;
         S::V sum[N];

@@ -124,7 +124,7 @@ public:
     void finish_sample(const double* now, const Loads& loads) {
         std::swap(ws_.past[2], ws_.past[1]), std::swap(ws_.past[1], ws_.past[0]);
         for (int s = 0; s < n_strings(); ++s) {
-            now_[s].pull = ws_.past[0][s] = t_.strings[s].root * ws_.mean[s];
+            now_[s].tension = ws_.past[0][s] = t_.strings[s].root * ws_.mean[s];
             ws_.psi[s] = 2 * ws_.mean[s] - ws_.psi[s];
         }
         for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.forces[p] = now[t_.ports[p].force];

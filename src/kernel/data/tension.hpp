@@ -71,7 +71,7 @@ struct Geometric {
     struct String {
         int order = 0;            // P
         double scale = 0;         // EA L
-        bool along = true;        // false: no longitudinal part, s_0 is the sum of stretch times squares
+        bool longitudinal = true;        // false: no longitudinal part, s_0 is the sum of stretch times squares
         std::vector<Part> parts;  // the longitudinal one last
     };
     std::vector<String> strings;

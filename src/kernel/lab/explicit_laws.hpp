@@ -48,7 +48,7 @@ struct ExplicitSums {
 };
 
 template <bool Move>
-void visit_explicit(const ExplicitPart& p, double* const* state, double h, double pull, const double* rigid_force,
+void visit_explicit(const ExplicitPart& p, double* const* state, double h, double tension, const double* rigid_force,
                     const double* law_force, const ExplicitSums& to, MPack* acc) {
     const std::size_t n = p.n;
     double *const sq = state[0] + p.offset, *const sw = state[1] + p.offset, *const sg = state[2] + p.offset;
@@ -59,7 +59,7 @@ void visit_explicit(const ExplicitPart& p, double* const* state, double h, doubl
         MPack q = MPack::load(sq + k), w = MPack::load(sw + k), a = MPack::load(sg + k), v = w, g = a;
         const MPack weight = MPack::load(k2 + k);
         if constexpr (Move) {
-            a = mul_add(weight * q, -pull, a);
+            a = mul_add(weight * q, -tension, a);
             for (int i = 0; i < p.n_rigid; ++i) a = mul_add(MPack::load(p.rigid.data() + i * n + k), rigid_force[i], a);
             for (int i = 0; i < p.n_laws; ++i) a = mul_add(MPack::load(p.law.data() + i * n + k), law_force[i], a);
             w = mul_add(a, h, w);
@@ -128,18 +128,18 @@ inline std::int64_t run_explicit(const ExplicitPlan& plan, double* const* state,
         for (int i = 0; i < n_parts; ++i) {
             const ExplicitPart& p = plan.parts[i];
             const ExplicitSums s = sums_of(i);
-            const double pull = p.tension < 0 ? 0.0 : plan.stiffness[p.tension] * S[p.tension];
-            for (int j = 0; j < p.n_rigid; ++j) acceleration[p.rigid_links[j]] += s.acceleration[j] - pull * s.stretch[j];
+            const double tension = p.tension < 0 ? 0.0 : plan.stiffness[p.tension] * S[p.tension];
+            for (int j = 0; j < p.n_rigid; ++j) acceleration[p.rigid_links[j]] += s.acceleration[j] - tension * s.stretch[j];
         }
         std::fill(f_rigid.begin(), f_rigid.end(), 0.0);
         subtract_product(plan.g_t.data(), acceleration.data(), r, f_rigid.data());
         double check = 0.0;
         for (int i = 0; i < n_parts; ++i) {
             const ExplicitPart& p = plan.parts[i];
-            const double pull = p.tension < 0 ? 0.0 : plan.stiffness[p.tension] * S[p.tension];
+            const double tension = p.tension < 0 ? 0.0 : plan.stiffness[p.tension] * S[p.tension];
             for (int j = 0; j < p.n_rigid; ++j) here_rigid[j] = f_rigid[p.rigid_links[j]];
             for (int j = 0; j < p.n_laws; ++j) here_law[j] = f_law[p.law_links[j]];
-            visit_explicit<true>(p, state, plan.h, pull, here_rigid.data(), here_law.data(), sums_of(i), acc.data());
+            visit_explicit<true>(p, state, plan.h, tension, here_rigid.data(), here_law.data(), sums_of(i), acc.data());
             check += *sums_of(i).S;
             for (int j = 0; j < p.n_rigid; ++j) check += sums_of(i).acceleration[j];
             for (int j = 0; j < p.n_laws; ++j) check += sums_of(i).gap[j];

@@ -27,7 +27,7 @@ struct MethodPart {
     int n = 0, n_links = 0, n_outs = 0;
     std::size_t offset = 0;
     Array<double> coef;   // (n_coef, n)
-    Array<double> push;   // (phases, n_links, lags, n_in, n)
+    Array<double> excite;   // (phases, n_links, lags, n_in, n)
     Array<double> reads;  // (n_links, n_row, n)
     Array<double> outs;   // (n_outs, n_out, n)
     std::vector<int> links, channels;
@@ -78,7 +78,7 @@ struct Flow {
         x = mul_add(MPack::load(c + k), a, MPack::load(c + n + k) * b);
         y = mul_add(MPack::load(c + 3 * n + k), b, MPack::load(c + 2 * n + k) * a);
     }
-    void push(const double* v, std::size_t n, std::size_t k, double f) {
+    void excite(const double* v, std::size_t n, std::size_t k, double f) {
         x = mul_add(MPack::load(v + k), f, x);
         y = mul_add(MPack::load(v + n + k), f, y);
     }
@@ -99,7 +99,7 @@ struct AdamsBashforth {
         dx = mul_add(MPack::load(c + k), x, MPack::load(c + n + k) * y);
         dy = mul_add(MPack::load(c + 3 * n + k), y, MPack::load(c + 2 * n + k) * x);
     }
-    void push(const double* v, std::size_t n, std::size_t k, double f) {
+    void excite(const double* v, std::size_t n, std::size_t k, double f) {
         dx = mul_add(MPack::load(v + k), f, dx);
         dy = mul_add(MPack::load(v + n + k), f, dy);
     }
@@ -124,7 +124,7 @@ struct Verlet {
         q = MPack::load(s[0] + k), w = MPack::load(s[1] + k), a = MPack::load(s[2] + k);
         stiffness = MPack::load(c + k), damping = MPack::load(c + n + k);
     }
-    void push(const double* v, std::size_t, std::size_t k, double f) { a = mul_add(MPack::load(v + k), f, a); }
+    void excite(const double* v, std::size_t, std::size_t k, double f) { a = mul_add(MPack::load(v + k), f, a); }
     void finish(double* const* s, std::size_t k, const double* c) {
         w = mul_add(a, c[0], w);
         q = mul_add(w, c[0], q);
@@ -146,7 +146,7 @@ struct Newmark {
         cu = MPack::load(c + k), cv = MPack::load(c + n + k), ca = MPack::load(c + 2 * n + k);
         next = mul_add(cu, u, mul_add(cv, v, ca * a));
     }
-    void push(const double* p, std::size_t, std::size_t k, double f) { next = mul_add(MPack::load(p + k), f, next); }
+    void excite(const double* p, std::size_t, std::size_t k, double f) { next = mul_add(MPack::load(p + k), f, next); }
     void finish(double* const* s, std::size_t k, const double* c) {
         u = mul_add(next, c[1], mul_add(a, c[0], u + v));
         v = mul_add(next, c[3], mul_add(a, c[2], v));
@@ -172,13 +172,13 @@ void visit(const MethodPart& p, double* const* s, const double* f, int lags, int
     MPack* const acc = Links < 0 ? memory : fixed;
     if constexpr (Links < 0)
         for (int i = 0; i < links + outs; ++i) acc[i] = MPack{};
-    const double* const push = p.push.data() + std::size_t(phase) * links * lags * Rule::n_in * n;
+    const double* const excite = p.excite.data() + std::size_t(phase) * links * lags * Rule::n_in * n;
     double* state[kStateNumbers];
     for (int i = 0; i < Rule::n_state; ++i) state[i] = s[i] + p.offset;
     for (std::size_t k = 0; k < n; k += MPack::size) {
         Rule rule(state, p.coef.data(), n, k, c);
-        const double* v = push;
-        for (int i = 0; i < links * lags; ++i, v += Rule::n_in * n) rule.push(v, n, k, f[i]);
+        const double* v = excite;
+        for (int i = 0; i < links * lags; ++i, v += Rule::n_in * n) rule.excite(v, n, k, f[i]);
         rule.finish(state, k, c);
         for (int i = 0; i < links; ++i) acc[i] = acc[i] + rule.read(p.reads.data() + (i * Rule::n_row * n), n, k);
         for (int i = 0; i < outs; ++i) acc[links + i] = acc[links + i] + rule.out(p.outs.data() + (i * Rule::n_out * n), n, k);

@@ -79,13 +79,13 @@ public:
         plan_.g_t.assign(std::size_t(phases) * n_connections * n_connections, 0.0);
     }
 
-    void add_part(std::size_t offset, In coef, In push, In reads, In outs, const std::vector<int>& links,
+    void add_part(std::size_t offset, In coef, In excite, In reads, In outs, const std::vector<int>& links,
                   const std::vector<int>& channels) {
         const Shape& s = kShapes[kind_];
         if (coef.ndim() != 2) throw std::invalid_argument("array has the wrong shape: coef");
         const std::size_t n = coef.shape(1), l = links.size(), o = channels.size();
         expect("coef", coef, {std::size_t(s.n_coef), n});
-        expect("push", push, {std::size_t(plan_.phases), l, std::size_t(plan_.lags), std::size_t(s.n_in), n});
+        expect("excite", excite, {std::size_t(plan_.phases), l, std::size_t(plan_.lags), std::size_t(s.n_in), n});
         expect("reads", reads, {l, std::size_t(s.n_row), n});
         expect("outs", outs, {o, std::size_t(s.n_out), n});
         if (n == 0 || n % kPadding != 0 || offset % kPadding != 0 || offset + n > capacity_)
@@ -96,7 +96,7 @@ public:
             if (channel < 0 || channel >= plan_.n_channels) throw std::invalid_argument("no such channel");
         MethodPart p;
         p.n = int(n), p.n_links = int(l), p.n_outs = int(o), p.offset = offset;
-        p.coef = copied(coef), p.push = copied(push), p.reads = copied(reads), p.outs = copied(outs);
+        p.coef = copied(coef), p.excite = copied(excite), p.reads = copied(reads), p.outs = copied(outs);
         p.links = links, p.channels = channels;
         plan_.parts.push_back(std::move(p));
     }

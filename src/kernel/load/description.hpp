@@ -102,7 +102,7 @@ struct GeometricDescription {
         View to_port, from_port;  // (ports, n)
     };
     double scale = 0;
-    bool along = false;
+    bool longitudinal = false;
     std::vector<Part> parts;      // the longitudinal one last
 };
 

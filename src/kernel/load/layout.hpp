@@ -53,18 +53,18 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
     Array<double> of_free;
     for (std::size_t i = 0; i < components.size(); ++i)
         for (int p = 0; p < components[i].n_ports; ++p) {
-            Array<double> pull(l.f_width, 0.0), pull_old(l.f_width, 0.0);
+            Array<double> of_new(l.f_width, 0.0), of_old(l.f_width, 0.0);
             for (const Share& s : components[i].shares[p]) {
                 l.scatter[std::size_t(s.connection) * l.force_width + l.port[i] + p] += s.factor;
                 for (int k = 0; k < m; ++k) {
                     const double g = solve.g[std::size_t(k) * m + s.connection] * s.factor;
-                    pull[k] -= g, pull_old[k] -= g * solve.gamma[s.connection];
+                    of_new[k] -= g, of_old[k] -= g * solve.gamma[s.connection];
                 }
             }
             if (components[i].driven) continue;
             l.port_rows.push_back(l.row[i] + p);
-            l.gather.insert(l.gather.end(), pull_old.begin(), pull_old.end());
-            of_free.insert(of_free.end(), pull.begin(), pull.end());
+            l.gather.insert(l.gather.end(), of_old.begin(), of_old.end());
+            of_free.insert(of_free.end(), of_new.begin(), of_new.end());
         }
     l.gather.insert(l.gather.end(), of_free.begin(), of_free.end());
     const auto scatter_to_ports = [&](const double* f, double* to) {

@@ -81,7 +81,7 @@ inline void make_tensions(const std::vector<Component>& components, const Layout
 }
 
 // Part of a string with longitudinal motion; `c` is its component.
-inline Geometric::Part load_part(const GeometricDescription::Part& d, const Component& c, bool along,
+inline Geometric::Part load_part(const GeometricDescription::Part& d, const Component& c, bool longitudinal,
                                  const std::string& name) {
     require(d.slopes.ndim == 2, name + "slopes has 2 dimensions");
     const std::size_t n = d.slopes.shape[1], cosines = d.slopes.shape[0], p = c.n_ports, w = padded(n);
@@ -90,14 +90,14 @@ inline Geometric::Part load_part(const GeometricDescription::Part& d, const Comp
     expect(name + "kick", d.kick, {2, n});
     expect(name + "to_port", d.to_port, {p, n});
     expect(name + "from_port", d.from_port, {p, n});
-    require(!c.driven && !c.contact.n && n <= std::size_t(c.n) && cosines > 0 && (along || cosines == 1),
+    require(!c.driven && !c.contact.n && n <= std::size_t(c.n) && cosines > 0 && (longitudinal || cosines == 1),
             name + "slopes: they do not fit the component");
     Geometric::Part part;
     part.component = d.slot, part.n = int(n), part.width = int(w), part.cosines = int(cosines);
     part.cosines_width = int(padded(cosines));
     part.slopes.assign(n * part.cosines_width, 0.0), part.back.assign(cosines * w, 0.0), part.stretch.assign(w, 0.0);
-    if (!along) std::copy_n(d.slopes.data, n, part.stretch.begin());
-    for (std::size_t i = 0; along && i < cosines; ++i)
+    if (!longitudinal) std::copy_n(d.slopes.data, n, part.stretch.begin());
+    for (std::size_t i = 0; longitudinal && i < cosines; ++i)
         for (std::size_t k = 0; k < n; ++k) {
             const double slope = d.slopes[i * n + k];
             part.slopes[k * part.cosines_width + i] = part.back[i * w + k] = slope;
@@ -119,18 +119,18 @@ inline Geometric load_geometric(const std::vector<GeometricDescription>& strings
     for (std::size_t s = 0; s < strings.size(); ++s) {
         const GeometricDescription& d = strings[s];
         const std::string name = "geometric[" + std::to_string(s) + "].";
-        require(d.parts.size() >= (d.along ? 2u : 1u), name + "parts: too few");
+        require(d.parts.size() >= (d.longitudinal ? 2u : 1u), name + "parts: too few");
         Geometric::String string;
-        string.scale = d.scale, string.along = d.along;
+        string.scale = d.scale, string.longitudinal = d.longitudinal;
         for (std::size_t q = 0; q < d.parts.size(); ++q) {
             const auto& part = d.parts[q];
             require(part.slot >= 0 && std::size_t(part.slot) < components.size(), name + "slot: no such component");
             Component& c = components[part.slot];
-            string.parts.push_back(load_part(part, c, d.along, name + "parts[" + std::to_string(q) + "]."));
+            string.parts.push_back(load_part(part, c, d.longitudinal, name + "parts[" + std::to_string(q) + "]."));
             c.geometric = true;
         }
         string.order = string.parts.back().cosines - 1;
-        if (d.along) std::fill(string.parts.back().stretch.begin(), string.parts.back().stretch.end(), 0.0);
+        if (d.longitudinal) std::fill(string.parts.back().stretch.begin(), string.parts.back().stretch.end(), 0.0);
         out.strings.push_back(std::move(string));
     }
     return out;

@@ -15,7 +15,7 @@ namespace {
 
 // Numbers that finish a step: its tension counted on, 2 sqrt(kappa) psi_m, and forces on the ports, alone and found.
 struct TensionMade {
-    double ahead = 0, pull = 0;
+    double ahead = 0, tension = 0;
     const double *alone = nullptr, *found = nullptr;
 };
 
@@ -40,7 +40,7 @@ void tension_pass(const Component& c, double* state, const TensionMade& made, do
             const V r = V::load(at + (kScaledNumbers + p) * kPadding);
             b = mul_add(r, alone[p], b), modal = mul_add(r, found[p], modal);
         }
-        modal = mul_add(neg_mul_add(h, h * made.ahead, h) * b, -made.pull, modal);
+        modal = mul_add(neg_mul_add(h, h * made.ahead, h) * b, -made.tension, modal);
         const V next = free + modal;
         next.store(x);
         neg_mul_add(V::load(at + 2 * kPadding), next,

@@ -10,12 +10,17 @@ import typer
 from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, StringSetName, load, need, print_json
 from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
+from tonewood.modal.views import SHOWN_TO
 from tonewood.plotting import PICTURES
 from tonewood.units import decibel
 from tonewood.validation_messages import did_you_mean
 
 if TYPE_CHECKING:
     from tonewood.instrument.assembly import Model
+    from tonewood.instrument.bundle import Instrument
+
+#: modes of a drawn body that are listed and drawn
+_LISTED = 12
 
 
 def modes(
@@ -25,7 +30,14 @@ def modes(
     count: Annotated[int, typer.Option(help="partials listed of each string")] = 12,
     fs: Annotated[int, typer.Option(help="sampling rate to assemble it at, Hz")] = 48000,
     plot: Annotated[
-        Path | None, typer.Option(help="write the bridge mobility to this picture (.png, .pdf, .svg)")
+        Path | None,
+        typer.Option(
+            help="write the bridge mobility to this picture (.png, .pdf, .svg); of a drawn body its modes, too, with "
+            "their nodal lines"
+        ),
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option(help="write the body's modes to this table (.csv), which modal_table reads")
     ] = None,
     strings: StringSetName = None,
     settings: Overrides = None,
@@ -36,6 +48,8 @@ def modes(
     from tonewood.cli.check import pitch_row, wolf_line
     from tonewood.instrument.assembly import assemble
     from tonewood.instrument.inspection import mobility_peaks, partials, pitches
+    from tonewood.instrument.modal_export import modal_table_text
+    from tonewood.whole_files import write_whole
 
     render_options({"fs": fs})
     bundle = load(instrument, settings, allow_code, strings)
@@ -57,9 +71,12 @@ def modes(
             raise TonewoodError(f"is {stop}; string {name} has 0 to {model.strings[name].n_stops}", key="--stop")
     listed = {name: partials(model, name, stop, count=count) for name in names}
     wolves = [pitch_row(p) for p in pitches(model, names) if p.wolf is not None]
+    facts = bundle.body.facts()
     peaks = {name: mobility_peaks(model, name) for name in names}
     if plot is not None:
         _plot(model, names, plot)
+    if table is not None:
+        write_whole(table, modal_table_text(bundle.body, table.name, SHOWN_TO))
     if as_json:
         report: dict[str, Any] = {
             "instrument": bundle.name,
@@ -77,8 +94,10 @@ def modes(
                 }
                 for name, rows in listed.items()
             },
+            "body": {"facts": list(facts), "modes": _body_modes(bundle)},
             "wolf_notes": wolves,
             "plot": None if plot is None else str(plot),
+            "table": None if table is None else str(table),
         }  # fmt: skip
         print_json("modes", report)
         return
@@ -92,10 +111,27 @@ def modes(
         if peaks[name]:
             shown = ", ".join(f"{f:.0f} Hz {decibel(y):.0f} dB" for f, y in peaks[name])
             print(f"  bridge mobility peaks, re 1 (m/s)/N: {shown}")
+    for line in facts:
+        print(f"body: {line}")
+    if named := _body_modes(bundle):
+        listing = "  ".join(f"{m['freq']:.0f} ({m['kind']}, Q {m['q']:.0f})" for m in named)
+        print(f"body: modes in Hz {listing}")
     for row in wolves:
         print(f"wolf note: {wolf_line(row)}")
     if plot is not None:
         print(f"bridge mobility: {plot}")
+    if table is not None:
+        print(f"modes of the body: {table}; its first lines are the keys for a bundle")
+
+
+def _body_modes(bundle: Instrument) -> list[dict[str, Any]]:
+    """First modes of a body that knows its whole surface, each with the part that moves most."""
+    sources = bundle.body.sources(SHOWN_TO)
+    if sources is None:
+        return []
+    basis = bundle.body.basis(SHOWN_TO)
+    rows = zip(basis.natural_freq, basis.damping_ratio, sources.labels, strict=False)
+    return [{"freq": float(f), "q": float(0.5 / z), "kind": kind} for f, z, kind in list(rows)[:_LISTED]]
 
 
 def _plot(model: Model, names: list[str], path: Path) -> None:
@@ -103,11 +139,29 @@ def _plot(model: Model, names: list[str], path: Path) -> None:
     import numpy as np
 
     from tonewood.instrument.inspection import bridge_mobility
-    from tonewood.plotting import mobility_figure, save
+    from tonewood.plate.figures import COLUMNS, draw_shapes
+    from tonewood.plotting import SMALL, TEXT, draw_mobility, figure, legend, mobility_figure, save, title
 
     freq = np.geomspace(40.0, min(10000.0, 0.45 * model.fs), 4000)
     found = {name: y for name, y in bridge_mobility(model, freq).items() if name in names}
     if not found:
         raise OutputError("no string of this instrument ends on a body that moves: there is no mobility", file=path)
     marks = [model.strings[name].freq() for name in found]
-    save(mobility_figure(freq, found, heading=model.instrument.spec.title, marks=marks, of="bridge at"), path)
+    heading, sources = model.instrument.spec.title, model.instrument.body.sources(SHOWN_TO)
+    if sources is None or not len(sources.areas):
+        save(mobility_figure(freq, found, heading=heading, marks=marks, of="bridge at"), path)
+        return
+    basis = model.instrument.body.basis(SHOWN_TO)
+    made, axes = figure(1 + _LISTED // COLUMNS, COLUMNS, heights=[5.0, *[3.6] * (_LISTED // COLUMNS)])
+    for ax in axes[0]:
+        ax.remove()
+    whole = made.add_subplot(axes[0, 0].get_gridspec()[0, :])
+    whole.tick_params(which="both", labelsize=SMALL)
+    whole.xaxis.label.set_fontsize(TEXT)
+    whole.yaxis.label.set_fontsize(TEXT)
+    whole.grid(which="both", color="0.9", lw=0.8)
+    draw_mobility(whole, freq, found)
+    title(whole, heading)
+    legend(whole, title="bridge at", ncols=2)
+    draw_shapes(axes[1:].ravel(), sources, basis.natural_freq, 0.5 / basis.damping_ratio)
+    save(made, path)

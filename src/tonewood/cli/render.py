@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from tonewood.output.level import LevelName
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer, Summary
+    from tonewood.output.room import Room
 
 
 @takes_render_options(without=["energy"])
@@ -79,6 +80,12 @@ def render(
     limiter: Annotated[
         bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS by a look-ahead limiter")
     ] = False,
+    room: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROOM", help="small, hall, or a sound file with an impulse response: a room, not measured"
+        ),
+    ] = None,
     energy: Annotated[
         list[Path] | None,
         typer.Option(
@@ -127,7 +134,7 @@ def render(
             "--set": settings,
             "--strings": strings,
         }
-        used |= {"--limiter": limiter, "--live": live, "--tracks": tracks, "--allow-code": allow_code}
+        used |= {"--room": room, "--limiter": limiter, "--live": live, "--tracks": tracks, "--allow-code": allow_code}
         for option, value in used.items():
             if value:
                 raise TonewoodError("is for one instrument; with --part or --ensemble it is not allowed", key=option)
@@ -141,6 +148,8 @@ def render(
         return
     if instrument is None:
         raise TonewoodError("Missing option '--instrument' / '-i', or --part or --ensemble for several")
+    if stems is not None and room is not None:
+        raise TonewoodError("a room mixes the outputs; with --room it is not allowed", key="--stems")
     if stems is not None and not stems.parent.is_dir():
         raise TonewoodError(f"there is no folder {stems.parent}", key="--stems")
     bundle = load(instrument, settings, allow_code, strings)
@@ -152,9 +161,14 @@ def render(
             renderer = Replay(score, bundle, options=options.at(energy=bool(energy)))
         else:
             renderer = Renderer(read_score(score, **given), bundle, options=options.at(energy=bool(energy)))
+    about = None
+    if room is not None:
+        from tonewood.output.room import Room, room_response
+
+        about = Room(room_response(room, fs, len(renderer.channels)))
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
-    clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold)
+    clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold, about)
     stem_files = [] if stems is None else _write_stems(output, stems, subtype, renderer)
     gain += options.gain_db
     account = renderer.energy
@@ -171,7 +185,7 @@ def render(
         warnings.append(f"the limiter took away up to {hold.reduction_db:.1f} dB")
     if as_json:
         report = _report(renderer, output, clipped, peak, loaded - began, warnings)
-        print_json("render", report | {"level": wanted, "gain_db": gain})
+        print_json("render", report | {"level": wanted, "gain_db": gain, "room": room})
         return
     warn(warnings)
     warn_of_dropped(summary.notes_dropped)
@@ -182,6 +196,8 @@ def render(
         f"{summary.realtime_factor:.1f} x real time; ended: {summary.end}"
     )
     print(f"  level {wanted}: {meaning(renderer.model.outputs, gain)}")
+    if room is not None:
+        print(f"  room {room}: not measured")
     if summary.ignored:
         print(f"  ignored MIDI: {', '.join(f'{n} {kind}' for kind, n in summary.ignored.items())}")
     for tension in summary.tensions:
@@ -240,6 +256,7 @@ def _write(
     level: LevelName,
     target: float,
     limiter: Limiter | None,
+    room: Room | None,
 ) -> tuple[int, float, float]:
     """Stream to the file; unless calibrated, through a scratch file of full precision beside it.
 
@@ -253,11 +270,11 @@ def _write(
 
     channels, fs = len(renderer.channels), renderer.fs
     frames = math.ceil(renderer.expected_duration * fs)
+    sound = renderer.blocks(block) if room is None else room.process(renderer.blocks(block))
     with progress("rendering", renderer.expected_duration) as advance:
         if level == "calibrated":
             with SoundWriter(output, fs, channels, subtype, frames=frames) as writer:
-                blocks = renderer.blocks(block)
-                for samples in blocks if limiter is None else limiter.process(blocks):
+                for samples in sound if limiter is None else limiter.process(sound):
                     writer.write(samples)
                     advance(renderer.time)
             return writer.clipped, writer.peak, 0.0
@@ -269,7 +286,7 @@ def _write(
             raise OutputError(error.reason, file=output) from None
         try:
             with SoundWriter(scratch.path, fs, channels, "DOUBLE", frames=frames) as writer:
-                for samples in renderer.blocks(block):
+                for samples in sound:
                     writer.write(samples)
                     advance(renderer.time)
             gain = target - decibel(writer.peak) if writer.peak > 0 else 0.0

@@ -133,7 +133,7 @@ def assemble(
     attached = [a for string in strings.values() for a in string.attached()]
     resting = {c.name: c for a in attached for c in a.connections if c.name in a.resting}
     tensions, geometric = _stretches(strings.values(), choice)
-    made = make_outputs(instrument, outputs, make_scene(strings, body_points, limit, added.forces))
+    made = make_outputs(instrument, outputs, make_scene(strings, body_points, limit, added.forces, instrument.body))
     system = System.build(
         {"body": body, **added.components, **_string_components(strings.values()), **made.components},
         [*_end_connections(strings.values()), *added.connections, *_attached_connections(attached, resting)],

@@ -40,6 +40,7 @@ from tonewood.instrument.files import Files
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.views import SHOWN_TO, ModalViews
 from tonewood.params import Parameters, Vector, validated
+from tonewood.plate.radiation import Sources
 from tonewood.stepping.forcing import SampledForce
 from tonewood.stepping.forcing import Segment as Segment
 from tonewood.tables import properties_html
@@ -217,6 +218,14 @@ class Body(Plugin[P], ModalViews):
     @abstractmethod
     def points(self) -> Mapping[str, BodyPoint]:
         """Every point of the basis with its direction."""
+
+    def sources(self, freq_upper: float) -> Sources | None:
+        """Volume sources of the modes of ``basis(freq_upper)``, in its order; None where they are not known."""
+        return None
+
+    def facts(self) -> Sequence[str]:
+        """Lines about the body for `tonewood modes`; none by default."""
+        return ()
 
     def _viewed(self) -> tuple[ModalBasis, Mapping[str, str]]:
         basis = self.basis(SHOWN_TO)
@@ -418,6 +427,7 @@ class Scene:
     string_points : ``string.point`` -> (component, point, unit vector of that polarization), for each polarization.
     end_forces : string -> (connection, unit vector): force of the string on its bridge is minus the connection's.
     freq_upper : Hz, highest frequency that will be stepped.
+    body : plugin of the body, for pickups that hear its whole surface.
     """
 
     body_points: Mapping[str, BodyPoint]
@@ -425,6 +435,7 @@ class Scene:
     string_points: Mapping[str, tuple[tuple[str, str, Vector], ...]]
     end_forces: Mapping[str, tuple[tuple[str, Vector], ...]]
     freq_upper: float
+    body: Body[Any] | None = None
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from tonewood.coupling.layout import Drive, Readout
 from tonewood.errors import BundleError
 from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.contract import BodyPoint, BridgeForce, PickupRows, Scene
+from tonewood.instrument.contract import Body, BodyPoint, BridgeForce, PickupRows, Scene
 from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import OutputPart
 from tonewood.instrument.strings import StringModel
@@ -116,6 +117,7 @@ def make_scene(
     body_points: Mapping[str, BodyPoint],
     limit: float,
     added: Sequence[BridgeForce] = (),
+    body: Body[Any] | None = None,
 ) -> Scene:
     """Describe to pickups what they can read, up to the frequency `limit` (Hz); `added` are forces beside strings'."""
     bridge_forces, string_points, end_forces = list(added), {}, {}
@@ -126,4 +128,4 @@ def make_scene(
         for p in string.ends:
             # the connection pulls the string's end by +f, and the body by -f along the polarization
             bridge_forces += [BridgeForce(f"{p.component}.bridge", pt, -factor) for pt, factor in p.ends.items()]
-    return Scene(body_points, tuple(bridge_forces), string_points, end_forces, limit)
+    return Scene(body_points, tuple(bridge_forces), string_points, end_forces, limit, body)

@@ -16,6 +16,7 @@ passive. The modes are complex where damping couples them.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -96,10 +97,10 @@ def _with_residual_modes(basis: ModalBasis) -> tuple[ModalBasis, float]:
     n = shapes.shape[1]
     residual_modes = ModalBasis.real(np.full(n, omega), np.zeros(n), dict(zip(basis.points, shapes, strict=True)))
 
-    def both(name: str) -> NDArray[np.generic]:
+    def both(name: str) -> NDArray[Any]:
         return np.concatenate([getattr(basis, name), getattr(residual_modes, name)], axis=-1)
 
-    names = ("poles", "kind", "stiffness", "damping_rate", "right", "left")
-    more = {name: both(name) for name in names}
-    whole = replace(basis, **more, residual=np.zeros_like(basis.residual), shape=None, residual_at=None, places={})  # type: ignore[arg-type]
+    more: dict[str, Any] = {n: both(n) for n in ("poles", "kind", "stiffness", "damping_rate", "right", "left")}
+    more |= {"residual": np.zeros_like(basis.residual), "shape": None, "residual_at": None, "places": {}}
+    whole = replace(basis, **more)
     return whole, omega / (2 * np.pi)

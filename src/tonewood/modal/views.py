@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -48,12 +49,12 @@ class Modal(Protocol):
         """(n,) (m/s)/N."""
 
 
-class ModalViews:
+class ModalViews(ABC):
     """Tables and figures of modes, for classes that have some."""
 
+    @abstractmethod
     def _viewed(self) -> tuple[Modal, Mapping[str, str]]:
         """Modes, and label -> point at which mobility is of interest."""
-        raise NotImplementedError
 
     def _view_title(self) -> str:
         """Title of figures."""

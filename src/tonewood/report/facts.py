@@ -26,6 +26,7 @@ from tonewood.instrument.mounted import Mounted
 from tonewood.instrument.schema import Provenance, Source
 from tonewood.instrument.wolf import WolfNote, wolf_notes
 from tonewood.modal.modes import ModalBasis
+from tonewood.plate.radiation import Sources
 from tonewood.report.parameters import ParameterValue, parameters
 from tonewood.report.tones import Tone
 from tonewood.score.scales import note_name
@@ -137,6 +138,8 @@ class InstrumentFacts:
     table_doubts, warnings : one line each.
     fs : Hz, at which it was assembled.
     body_modes : by frequency.
+    surface : how the whole surface of the body moves in each of its own modes, where that is known.
+    surface_modes : basis of these modes.
     freq, mobility : Hz; string -> mobility of the body at its end, (m/s)/N, without strings.
     strings, notes : from bass to treble.
     wolves : the most severe first.
@@ -161,6 +164,8 @@ class InstrumentFacts:
     warnings: tuple[str, ...]
     fs: float
     body_modes: tuple[BodyMode, ...]
+    surface: Sources | None
+    surface_modes: ModalBasis
     freq: Floats
     mobility: Mapping[str, Complexes]
     strings: tuple[StringRow, ...]
@@ -211,6 +216,8 @@ def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = ()) -> 
         warnings=model.warnings,
         fs=model.fs,
         body_modes=body_modes(model),
+        surface=instrument.body.sources(model.fs / 2),
+        surface_modes=instrument.body.basis(model.fs / 2),
         freq=freq,
         mobility=bridge_mobility(model, freq),
         strings=_strings(instrument, model),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tonewood.output.spectrum import spectrogram
+from tonewood.plate.figures import shapes_figure
 from tonewood.plotting import (
     COLOURS,
     DASHES,
@@ -23,6 +24,7 @@ from tonewood.plotting import (
     legend_above,
     log_axis,
     plain,
+    png,
     svg,
     title,
 )
@@ -79,6 +81,18 @@ def mobility_picture(found: Comparison) -> Picture | None:
         title(ax, f"at the end of {name}")
     legend_above(made, axes[0, 0])
     return Picture(_svg(made), f"Mobility of the bodies at the ends of {' and '.join(shown)}, overlaid")
+
+
+def shapes_pictures(found: Comparison) -> list[Picture]:
+    """First modes of every body whose whole surface is known, with their nodal lines."""
+    made = []
+    for facts in found.instruments:
+        if facts.surface is None or not len(facts.surface.areas):
+            continue
+        basis, heading = facts.surface_modes, facts.heading if len(found.instruments) > 1 else ""
+        drawn = shapes_figure(facts.surface, basis.natural_freq, 0.5 / basis.damping_ratio, heading=heading)
+        made.append(Picture(data_uri(png(drawn, 60), "image/png"), f"First modes of the body of {facts.name}"))
+    return made
 
 
 def notes_picture(found: Comparison, quantity: str) -> Picture:

@@ -22,6 +22,7 @@ from tonewood.report.figures import (
     decay_picture,
     mobility_picture,
     notes_picture,
+    shapes_pictures,
     spectrogram_picture,
     wolf_picture,
 )
@@ -62,6 +63,7 @@ def page(found: Comparison) -> str:
         script_hash=f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}",
         tones=[_tone(found, note) for note in found.tones],
         mobility=mobility_picture(found),
+        shapes=shapes_pictures(found),
         t60_picture=notes_picture(found, "t60"),
         cents_picture=notes_picture(found, "cents_mounted"),
         wolf_picture=wolf_picture(found),

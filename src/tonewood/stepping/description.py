@@ -93,7 +93,7 @@ def describe_geometric(system: System, slots: Sequence[int], wiring: Sequence[Wi
                 "from_port": part.reading * compiled.W[ports][:, : part.n, 0],
             }
             parts.append({"slot": slot, **{name: np.ascontiguousarray(a) for name, a in arrays.items()}})
-    return {"scale": scale, "along": longitudinal, "parts": parts}
+    return {"scale": scale, "longitudinal": longitudinal, "parts": parts}
 
 
 def independent_ports(

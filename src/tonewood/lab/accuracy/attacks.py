@@ -37,7 +37,7 @@ TEXT = """\
 Growth: the largest rise of the stored energy above its lowest value before, while nothing acts from outside, relative
 to the largest energy, per million steps; 0: it never rises. Residual: the largest part of the energy that the account
 of forces, losses and switches leaves unexplained, relative to the largest energy, over the whole run; where a loss has
-no account (a repaired body) it is left out. Iterations: Newton's method for forces and tensions, mean per step and
+no account (a repaired body) it is left out. Iterations: Newton's method for the forces of laws, mean per step and
 largest; *redone*: steps found by the search of last resort; *lost*: steps refused."""
 
 #: Hz

@@ -1,0 +1,104 @@
+"""Figures of a body from its drawing: time, convergence, a bar that moves, and measured guitars beside it.
+
+    python benchmarks/drawn_body.py            # about two minutes on one core
+
+Prints the figures of docs/a_body_from_a_drawing.md. Nothing is taken from the cache.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import replace
+from itertools import pairwise
+
+os.environ["TONEWOOD_CACHE"] = "off"
+
+import numpy as np
+
+import tonewood as tw
+from tonewood.blas import one_blas_thread
+from tonewood.instrument.assembly import assemble
+from tonewood.plate import body_modes
+
+#: m, cells of the refinement, and Hz
+SIZES, FMAX = (0.010, 0.0075, 0.0055), 5000.0
+
+
+@one_blas_thread
+def convergence(drawing, name: str) -> None:
+    """Frequencies on finer grids."""
+    found = []
+    for size in SIZES:
+        began = time.perf_counter()
+        modes = body_modes(replace(drawing, fmax=FMAX, top=replace(drawing.top, size=size)))
+        found.append(modes.freq)
+        print(f"  {name}, cells of {1e3 * size:.1f} mm: {len(modes.freq)} modes to {FMAX:.0f} Hz in "
+              f"{time.perf_counter() - began:.1f} s")  # fmt: skip
+    count = min(100, *map(len, found))
+    for size, freq in zip(SIZES, found, strict=True):
+        apart = np.abs(freq[:count] / found[-1][:count] - 1)
+        errors = f"worst {100 * apart.max():.2f} %, {np.count_nonzero(apart > 0.01)} above 1 %"
+        errors += f", median {100 * np.median(apart):.2f} %"
+        print(f"  {1e3 * size:.1f} mm against {1e3 * SIZES[-1]:.1f} mm, first {count} modes: {errors}")
+
+
+@one_blas_thread
+def moved(guitar) -> None:
+    """The lower bar in steps of 1 mm."""
+    places = np.arange(0.207, 0.2201, 0.001)
+    rows = []
+    for x in places:
+        body = guitar.replace({"body.braces.bar_low.start.0": float(x), "body.braces.bar_low.stop.0": float(x)}).body
+        rows.append(body_modes(replace(body.drawing, fmax=1200.0, top=replace(body.drawing.top, size=0.012))).freq[:10])
+    cents = 1200 * np.log2(np.array(rows) / rows[0])
+    t = (places - places.mean()) / np.ptp(places)
+    scatter = [np.abs(c - np.polyval(np.polyfit(t, c, 3), t)).max() for c in cents.T]
+    print(f"  T1 from {rows[0][1]:.1f} to {rows[-1][1]:.1f} Hz; scatter about a cubic, cents: "
+          + " ".join(f"{s:.2f}" for s in scatter))  # fmt: skip
+
+
+def bands(basis, points: list[str], edges: np.ndarray) -> np.ndarray:
+    """(bands,) dB, mean of ln |Y| over points and ln f."""
+    levels = []
+    for low, high in pairwise(edges):
+        f = np.geomspace(low, high, 400)
+        levels.append(np.mean([20 * np.log10(np.abs(basis.frf(f, p, p))) for p in points]))
+    return np.array(levels)
+
+
+def mobility() -> None:
+    """Bands of the bridge's mobility, mean of the places of six strings."""
+    octaves, thirds = 150.0 * 2.0 ** np.arange(6), 150.0 * 2.0 ** (np.arange(16) / 3)
+    found = {}
+    for name in ("classical_guitar", "flamenco_guitar", "drawn_guitar", "drawn_guitar_x"):
+        basis = assemble(tw.load_instrument(name), 48000).body
+        points = [p for p in basis.points if p[:7] in ("bridge_", "saddle_") and not p.endswith(("_y", "middle"))]
+        found[name] = bands(basis, points, octaves), bands(basis, points, thirds)
+        print(f"  {name:17} " + " ".join(f"{level:6.1f}" for level in found[name][0]))
+    here, there, other = (found[n] for n in ("drawn_guitar", "classical_guitar", "flamenco_guitar"))
+    print(f"  octaves from 150 Hz, drawn - classical, dB: {np.round(here[0] - there[0], 1)}; measured pair: "
+          f"{np.round(other[0] - there[0], 1)}")  # fmt: skip
+    for label, pair in (("drawn - classical", here[1] - there[1]), ("measured pair", other[1] - there[1])):
+        print(f"  thirds, {label}, dB: worst {np.abs(pair).max():.1f}, rms {np.sqrt(np.mean(pair**2)):.1f}")
+
+
+def main() -> None:
+    """Print all."""
+    for name in ("drawn_guitar", "drawn_guitar_x"):
+        body = tw.load_instrument(name).body
+        print(name)
+        began = time.perf_counter()
+        body.basis(2e4)
+        print(f"  whole body to {body.parameters.fmax:.0f} Hz: {time.perf_counter() - began:.1f} s")
+        for line in body.facts():
+            print(f"  {line}")
+        convergence(body.drawing, name)
+    print("the lower bar of drawn_guitar, moved by 13 mm in steps of 1 mm")
+    moved(tw.load_instrument("drawn_guitar"))
+    print("bridge mobility, dB re 1 (m/s)/N, octaves from 150 Hz")
+    mobility()
+
+
+if __name__ == "__main__":
+    main()

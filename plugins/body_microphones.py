@@ -1,0 +1,110 @@
+"""Microphones anywhere in front of a body whose moving surface is known: a one-way bank of modes per microphone.
+
+The pressure is the Rayleigh sum over the whole surface and the soundhole, near field and delays included. For each
+driven point of the body the bank has residues on the body's own poles, fitted by least squares to that sum
+(`tonewood.plate.microphones`). Nothing acts back on the body; the power radiated is part of the body's own damping.
+Time counts from when the microphone that is nearest hears the nearest point of the body; delays between microphones,
+up to 5 ms, are kept.
+
+In free air (`baffle: none` of the body) a first-order shelf of 1/2 at low frequencies stands for diffraction about the
+box. There is no room, no player, no neck and no sound of the strings themselves.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.authoring import (
+    Drive,
+    ModalBasis,
+    Parameters,
+    Pickup,
+    PickupRows,
+    Probe,
+    Readout,
+    Scene,
+    Vector,
+    cached_arrays,
+    described,
+    plate,
+)
+
+#: m, least distance of a microphone from the surface; its squares are 10 mm wide
+NEAREST = 0.03
+#: m, by which distances of microphones of one output may differ; their delays cost some 15 modes per 0.34 m
+FARTHEST = 1.7
+
+
+class BodyMicrophonesParameters(Parameters):
+    """Parameters of the microphones."""
+
+    at: dict[str, Vector] = described(
+        "name -> [x, y, z] in m: of the body's drawing, z out of the top", min_length=1, max_length=16
+    )
+
+
+class BodyMicrophones(Pickup[BodyMicrophonesParameters]):
+    """The microphones; see the module."""
+
+    api = 1
+    Parameters = BodyMicrophonesParameters
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The microphones."""
+        return tuple(self.parameters.at)
+
+    @property
+    def unit(self) -> str:
+        """Sound pressure."""
+        return "Pa"
+
+    def rows(self, name: str, scene: Scene) -> PickupRows:
+        """A component `name` with an input per driven point of the body and an output per channel."""
+        sources = None if scene.body is None else scene.body.sources(scene.freq_upper)
+        if scene.body is None or sources is None:
+            raise self.fault("hears bodies that say how their whole surface moves, such as drawn_body; not this one")
+        driven = [point for point, place in scene.body_points.items() if place.driven]
+        basis = self._basis(scene.body.basis(scene.freq_upper), sources, driven, scene.freq_upper)
+        return PickupRows(
+            readouts=tuple(Readout(f"{name}.{c}", "displacement", (Probe(name, c),)) for c in self.channels),
+            components={name: basis},
+            drives=tuple(Drive(name, f"at_{f.point}", f.connection, f.factor) for f in scene.bridge_forces if f.factor),
+            body_inputs={point: ((name, f"at_{point}", 1.0),) for point in driven},
+        )
+
+    def _basis(self, body: ModalBasis, sources: plate.Sources, driven: Sequence[str], highest: float) -> ModalBasis:
+        """Bank of all microphones; each has modes of its own, so that those that are not recorded are not stepped."""
+        shapes = np.array([body.right[body.index(point)].real for point in driven])
+        place = self.parameters.at
+        nearest = {name: float(sources.distances(at).min()) for name, at in place.items()}
+        far = max(nearest, key=lambda name: nearest[name])
+        if nearest[far] - min(nearest.values()) > FARTHEST:
+            raise self.fault(f"is more than {FARTHEST:g} m farther from the body than the nearest one", f"at.{far}")
+        delay = min(nearest.values()) / plate.SOUND_SPEED
+        digest = hashlib.sha256(f"{highest!r} {sources.baffled} {delay!r}".encode())
+        for array in (body.poles, shapes, sources.points, sources.volumes):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        poles, residues, index = [], [], []
+        for k, (name, at) in enumerate(place.items()):
+            if nearest[name] < NEAREST:
+                raise self.fault(f"is nearer than {NEAREST:g} m to the body", f"at.{name}")
+
+            def fitted(at: Vector = at) -> dict[str, NDArray[np.complex128]]:
+                bank = plate.microphone(sources, at, body.poles, shapes, highest, delay)
+                return {"poles": bank.poles, "residues": bank.residues}
+
+            bank = cached_arrays({"sources": digest.hexdigest(), "at": list(at)}, fitted)
+            poles.append(bank["poles"])
+            residues.append(bank["residues"])
+            index.append(np.full(len(bank["poles"]), k))
+        owner = np.concatenate(index)
+        left = {f"at_{point}": np.concatenate([r[:, i] for r in residues]) for i, point in enumerate(driven)}
+        right = {name: (owner == k).astype(np.complex128) for k, name in enumerate(place)}
+        none = np.zeros(len(owner), dtype=np.complex128)
+        inputs, outputs = dict.fromkeys(left, none), dict.fromkeys(right, none)
+        return ModalBasis.complex(np.concatenate(poles), inputs | right, left | outputs)

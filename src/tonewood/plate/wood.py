@@ -1,0 +1,102 @@
+"""Woods: elastic constants, density and loss factors, each with its source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Wood:
+    """An orthotropic material in plane stress.
+
+    Attributes
+    ----------
+    E_L, E_R : Pa, Young's moduli along and across the grain.
+    G_LR : Pa, shear modulus in the plate's plane.
+    nu_LR : Poisson's ratio, contraction across the grain under tension along it.
+    density : kg/m^3.
+    loss_L, loss_R, loss_shear : loss factors of E_L, E_R and G_LR.
+    """
+
+    E_L: float
+    E_R: float
+    G_LR: float
+    nu_LR: float
+    density: float
+    loss_L: float = 0.0
+    loss_R: float = 0.0
+    loss_shear: float = 0.0
+
+    def stiffness(self, grain: float = 0.0) -> Floats:
+        """(3, 3) Pa, of the strains (e_xx, e_yy, 2 e_xy), the grain at an angle `grain` (rad) from x.
+
+        In the wood's own axes Q11 = E_L/k, Q22 = E_R/k, Q12 = nu E_R/k, Q66 = G with k = 1 - nu^2 E_R/E_L; rotated as
+        R. M. Jones, Mechanics of Composite Materials, 2nd ed. (1999), Eq. 2.80.
+        """
+        k = 1.0 - self.nu_LR**2 * self.E_R / self.E_L
+        q12 = self.nu_LR * self.E_R / k
+        return _rotated(np.array([[self.E_L / k, q12, 0.0], [q12, self.E_R / k, 0.0], [0.0, 0.0, self.G_LR]]), grain)
+
+    def losses(self, grain: float = 0.0) -> Floats:
+        """(3, 3) Pa, imaginary part of the stiffness; positive semidefinite.
+
+        The coupling Q12 takes the geometric mean of both loss factors, which nobody has measured.
+        """
+        factors = np.sqrt(np.array([self.loss_L, self.loss_R, self.loss_shear]))
+        return _rotated(self.stiffness() * np.outer(factors, factors), grain)
+
+
+def _rotated(matrix: Floats, grain: float) -> Floats:
+    """Matrix of strains in axes turned by `grain`: T^T Q T with T from the drawing's strains to the wood's."""
+    c, s = np.cos(grain), np.sin(grain)
+    turn = np.array([[c * c, s * s, c * s], [s * s, c * c, -c * s], [-2 * c * s, 2 * c * s, c * c - s * s]])
+    return np.asarray(turn.T @ matrix @ turn)
+
+
+@dataclass(frozen=True, slots=True)
+class Species:
+    """A wood of a species, and where its figures come from.
+
+    Attributes
+    ----------
+    wood : typical figures; a single board differs by up to a factor of two.
+    source : of elastic constants and density.
+    assumed : constants that the source does not give, and what stands for them.
+    """
+
+    wood: Wood
+    source: str
+    assumed: str = ""
+
+
+_HANDBOOK = "a guitar's finite-element database quoted without its source; Engelmann as in the Wood Handbook's ratios"
+_PRESETS = "presets of a luthiers' calculator, quoted without their source; the range of boards is 20 % either way"
+#: loss factors along, across and in shear: typical spruce, after values of the kind of Haines (1979), not read
+_SPRUCE, _HARD = (0.0075, 0.020, 0.018), (0.010, 0.022, 0.020)
+_LOSS = "loss factors are typical ones"
+
+SPECIES: dict[str, Species] = {
+    "sitka_spruce": Species(Wood(13.0e9, 0.90e9, 1.50e9, 0.372, 440.0, *_SPRUCE), _HANDBOOK, _LOSS),
+    "engelmann_spruce": Species(Wood(9.79e9, 1.25e9, 1.21e9, 0.422, 350.0, *_SPRUCE), _HANDBOOK, _LOSS),
+    "european_spruce": Species(
+        Wood(11.5e9, 0.85e9, 0.78e9, 0.37, 430.0, *_SPRUCE),
+        _PRESETS,
+        f"E_L at the lower end of the range 12 to 17 GPa, G_LR 0.068 E_L, nu_LR of Sitka spruce; {_LOSS}",
+    ),
+    "western_red_cedar": Species(
+        Wood(8.5e9, 0.70e9, 0.74e9, 0.378, 350.0, *_SPRUCE), _PRESETS, f"G_LR 0.087 E_L, nu_LR of softwoods; {_LOSS}"
+    ),
+    "maple": Species(Wood(12.6e9, 2.2e9, 1.63e9, 0.424, 600.0, *_HARD), _HANDBOOK, _LOSS),
+    "mahogany": Species(Wood(10.1e9, 1.5e9, 1.32e9, 0.300, 545.0, *_HARD), _HANDBOOK, _LOSS),
+    "indian_rosewood": Species(
+        Wood(12.8e9, 0.90e9, 1.0e9, 0.36, 830.0, *_HARD), _PRESETS, f"G_LR 0.08 E_L, nu_LR of hardwoods; {_LOSS}"
+    ),
+    "brazilian_rosewood": Species(
+        Wood(14.0e9, 1.0e9, 1.1e9, 0.36, 880.0, *_HARD), _PRESETS, f"G_LR 0.08 E_L, nu_LR of hardwoods; {_LOSS}"
+    ),
+}
