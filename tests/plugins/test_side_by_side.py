@@ -238,4 +238,4 @@ def test_quiet_strings_beside_a_loud_one() -> None:
     while engine.state.sample < 0.13 * 48000:
         engine.advance(1)
     assert engine.stepper.statistics.failures == 0
-    assert engine.stepper.statistics.most_tension_iterations < 40
+    assert engine.stepper.statistics.most_longitudinal_iterations < 40

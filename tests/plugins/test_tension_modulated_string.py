@@ -90,7 +90,7 @@ def test_one_mode_at_an_amplitude(tmp_path: Path, amplitude: float, freq: float,
     moved, stepper = fundamental(model, bent(model, amplitude), 4600)
     assert abs(1200 * np.log2(frequency(moved, 1 / 48000) / freq)) < 0.01
     assert stepper.statistics.failures == 0
-    assert stepper.statistics.most_tension_iterations <= 8
+    assert stepper.statistics.most_longitudinal_iterations <= 8
 
 
 def test_the_fundamental_stretches_as_much_as_it_should(tmp_path: Path) -> None:

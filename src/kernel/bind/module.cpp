@@ -263,8 +263,8 @@ NB_MODULE(_kernel, m) {
         .def("acted", &Kernel::acted)
         .def("statistics", [](const Kernel& kernel) {
             const Statistics& s = kernel.statistics();
-            return std::vector<std::int64_t>{s.solves, s.iterations, s.most_iterations, s.failures, s.tension_iterations,
-                                             s.most_tension_iterations, s.blocks, s.rows_read, s.added};
+            return std::vector<std::int64_t>{s.solves, s.iterations, s.most_iterations, s.failures, s.longitudinal_iterations,
+                                             s.most_longitudinal_iterations, s.blocks, s.rows_read, s.added};
         });
 }
 

@@ -98,8 +98,8 @@ private:
     double* y(const Part& p) const { return block_.y(p.given->component); }
 
     bool count(int iterations, bool done) {
-        statistics_.tension_iterations += iterations;
-        statistics_.most_tension_iterations = std::max<std::int64_t>(statistics_.most_tension_iterations, iterations);
+        statistics_.longitudinal_iterations += iterations;
+        statistics_.most_longitudinal_iterations = std::max<std::int64_t>(statistics_.most_longitudinal_iterations, iterations);
         statistics_.failures += !done;
         return done;
     }

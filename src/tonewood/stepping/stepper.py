@@ -38,7 +38,7 @@ class Statistics:
     steps : samples stepped.
     solves : nonlinear solves of a step's forces.
     iterations, most_iterations : of Newton's method on the forces, in all, and in one step at most.
-    tension_iterations, most_tension_iterations : of the solve for the longitudinal motion.
+    longitudinal_iterations, most_longitudinal_iterations : of the solve for the longitudinal motion.
     failures : steps whose forces were not found; each of them raised a `NumericalError`.
     redone : steps whose forces the ordinary iteration did not find, so that the search of last resort was asked.
     """
@@ -47,8 +47,8 @@ class Statistics:
     solves: int = 0
     iterations: int = 0
     most_iterations: int = 0
-    tension_iterations: int = 0
-    most_tension_iterations: int = 0
+    longitudinal_iterations: int = 0
+    most_longitudinal_iterations: int = 0
     failures: int = 0
     redone: int = 0
 
@@ -216,8 +216,8 @@ class NumpyStepper:
         if not found:
             names = ", ".join(g.name for g in self.system.geometric)
             raise ValueError(f"the forces of {names} were not found")
-        self.statistics.tension_iterations += iterations
-        self.statistics.most_tension_iterations = max(self.statistics.most_tension_iterations, iterations)
+        self.statistics.longitudinal_iterations += iterations
+        self.statistics.most_longitudinal_iterations = max(self.statistics.most_longitudinal_iterations, iterations)
         return done[0]
 
     def _attempt(
