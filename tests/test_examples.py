@@ -138,3 +138,21 @@ def test_pages_of_a_measurement_in_a_browser(tmp_path: Path) -> None:
     assert compared.count("<img") == 6
     assert "10 g on the bridge" in compared
     assert "0.01 kg at middle" in dom(tmp_path / "heavier.html", tmp_path / "profile")
+
+
+def test_osc_server() -> None:
+    """Messages reach the thread that computes; those that cannot be followed are counted."""
+    module = example("osc_server")
+    live = tw.Live("monochord", 16000, prepare=False)
+    stream = tw.AudioStream(live, 128)
+    instrument = module.OscInstrument(live, stream)
+    instrument.receive("/note_on", "A2", 100)
+    instrument.receive("/note_on", "H2")
+    instrument.receive("/volume", 3)
+    instrument.receive("/bend")
+    while stream._calls:
+        stream._calls.popleft()()
+    assert np.abs(live.process(4000)).max() > 1e-4
+    assert live.summary().notes == 1
+    assert len(instrument.refused) == 3
+    assert "no address /volume" in instrument.refused

@@ -26,7 +26,7 @@ LAYERS = (
     {"engine"},
     {"authoring"},
     {"output"},
-    {"lab", "batch", "fit", "report"},
+    {"lab", "batch", "fit", "live", "report"},
     {"listening"},
     {"cli"},
     {"__init__", "__main__"},

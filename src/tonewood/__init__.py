@@ -24,25 +24,30 @@ if TYPE_CHECKING:
     from tonewood.instrument.registry import list_instruments as list_instruments
     from tonewood.instrument.registry import list_plugins as list_plugins
     from tonewood.output.audio import Audio as Audio
+    from tonewood.output.live import Live as Live
     from tonewood.output.options import RenderOptions as RenderOptions
     from tonewood.output.plan import plan as plan
     from tonewood.output.play import play as play
     from tonewood.output.render import Renderer as Renderer
     from tonewood.output.render import render as render
+    from tonewood.output.stream import AudioStream as AudioStream
     from tonewood.score.midi import read_midi as read_midi
     from tonewood.score.midi import write_midi as write_midi
     from tonewood.score.note import Control as Control
     from tonewood.score.note import Note as Note
     from tonewood.score.note import Score as Score
+    from tonewood.score.reading import read_score as read_score
 
     #: version of the installed package
     __version__: str
 
 _HOME = {
     "Audio": "output.audio",
+    "AudioStream": "output.stream",
     "Control": "score.note",
     "DroppedNotesWarning": "errors",
     "Instrument": "instrument.bundle",
+    "Live": "output.live",
     "Note": "score.note",
     "RenderOptions": "output.options",
     "Renderer": "output.render",
@@ -54,6 +59,7 @@ _HOME = {
     "plan": "output.plan",
     "play": "output.play",
     "read_midi": "score.midi",
+    "read_score": "score.reading",
     "render": "output.render",
     "write_midi": "score.midi",
 }
@@ -76,7 +82,7 @@ _MOVED = {
     "tonewood.engine.effects.base": ("EffectReport",),
     "tonewood.output.options": ("Tail",),
     "tonewood.output.plan": ("Plan",),
-    "tonewood.output.play": ("Playback",),
+    "tonewood.output.stream": ("Playback",),
     "tonewood.output.render": ("Summary",),
     "tonewood.score.note": ("Dropped",),
 }  # fmt: skip

@@ -387,8 +387,8 @@ def test_plan_and_play_have_the_options_of_render(tonewood: Run, score: Path, mo
         def __exit__(self, *error: object) -> None:
             pass
 
-    monkeypatch.setattr("tonewood.output.play._output_stream", lambda: Stream)
-    monkeypatch.setattr("tonewood.output.play._stop", StopIteration)
+    monkeypatch.setattr("tonewood.output.stream._output_stream", lambda: Stream)
+    monkeypatch.setattr("tonewood.output.stream._stop", StopIteration)
     play = ("play", score, "-i", "monochord", "--fs", 16000, "--max-duration", 0.2, "--lead-in", 0.1)
     code, out, _ = tonewood(*play)
     assert code == 0

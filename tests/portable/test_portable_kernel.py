@@ -13,10 +13,14 @@ import saved
 
 import tonewood as tw
 from tonewood.coupling.system import Injection, System
+from tonewood.errors import OutputError, TonewoodError
 from tonewood.instrument.assembly import assemble
+from tonewood.output.model_file import save_model, write_arrays
 from tonewood.stepping.forcing import compile_force
+from tonewood.stepping.stepper import NumpyStepper
 
-HERE, KERNEL = Path(__file__).parent, Path(__file__).parents[2] / "src" / "kernel"
+ROOT = Path(__file__).parents[2]
+HERE, KERNEL, EMBED = Path(__file__).parent, ROOT / "src" / "kernel", ROOT / "src" / "embed"
 FLAGS = ["-std=c++20", "-O2", "-fno-math-errno", "-fno-trapping-math"]
 LOW = {"connections.frets.action_first": 2.5e-4, "connections.frets.action_twelfth": 1.2e-3}
 #: instrument, changes, samples; contacts enlarge a rounding with every touch, so those scenes are short
@@ -49,7 +53,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name in SCENES:
         system, injections, n = scene(name)
         out[name] = folder / f"{name}.arrays"
-        saved.write(out[name], saved.record(system, n, injections))
+        write_arrays(out[name], saved.record(system, n, injections))
     return out
 
 
@@ -68,12 +72,12 @@ def test_files_hold_what_was_saved(files: dict[str, Path], name: str) -> None:
     assert np.all(np.max(np.abs(samples), axis=0) > 0.0)
 
 
-def program(compiler: str, contract: str, folder: Path) -> Path:
-    """The C++ program, built without Python; `contract`: fast lets products and sums fuse, as the kernel is built."""
-    out = folder / "step"
+def program(compiler: str, contract: str, folder: Path, source: Path = HERE / "compare.cpp") -> Path:
+    """A C++ program, built without Python; `contract`: fast lets products and sums fuse, as the kernel is built."""
+    out = folder / source.stem
     table = ['-DTONEWOOD_ISA_NAME="baseline"', "-DTONEWOOD_ISA_TABLE=table_baseline"]
-    includes = [f"-I{path}" for path in (HERE, KERNEL)]
-    sources = [KERNEL / "isa.cpp", KERNEL / "kernel.cpp", HERE / "step.cpp"]
+    includes = [f"-I{path}" for path in (EMBED, KERNEL)]
+    sources = [KERNEL / "isa.cpp", KERNEL / "kernel.cpp", source]
     command = [compiler, *FLAGS, f"-ffp-contract={contract}", *table, *includes, *sources, "-static", "-o", out]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -97,9 +101,59 @@ def test_the_kernel_alone_gives_the_same_samples(
 ) -> None:
     if missing := [tool for tool in (compiler, *emulator) if shutil.which(tool) is None]:
         pytest.skip(f"needs {missing[0]}")
-    step = program(compiler, contract, tmp_path)
+    compare = program(compiler, contract, tmp_path)
     for allowed, names in ((1e-12, ["linear"]), (tolerance, [name for name in SCENES if name != "linear"])):
-        command = [*emulator, step, str(allowed), *(files[name] for name in names)]
+        command = [*emulator, compare, str(allowed), *(files[name] for name in names)]
         done = subprocess.run(command, capture_output=True, text=True)
         print(done.stdout)
         assert done.returncode == 0, f"{names}: samples, peak, largest difference / peak\n{done.stdout}{done.stderr}"
+
+
+def test_a_saved_instrument_has_its_plucks_and_scales(tmp_path: Path) -> None:
+    guitar = tw.load_instrument("classical_guitar")
+    save_model(tmp_path / "guitar.tonewood", guitar, 24000, stops={"A2": 3})
+    arrays = saved.read(tmp_path / "guitar.tonewood")
+    assert (arrays["fs"], arrays["n_channels"]) == (pytest.approx(24000.0), 2)
+    assert np.allclose(arrays["scale"], 1 / 40)
+    assert {name.split("/")[1] for name in arrays if name.startswith("plucks/")} == set("012345")
+    with pytest.raises(TonewoodError, match="stops: there is no string H2; there are E2, A2"):
+        save_model(tmp_path / "a.tonewood", guitar, stops={"H2": 3})
+    with pytest.raises(TonewoodError, match="moves a partner"):
+        save_model(tmp_path / "a.tonewood", "bowed_monochord")
+    with pytest.raises(OutputError, match="there is no folder"):
+        save_model(tmp_path / "none" / "a.tonewood", "monochord")
+    assert not (tmp_path / "a.tonewood").exists()
+
+
+@pytest.mark.validate
+def test_the_example_of_embedding_plays_what_python_plays(tmp_path: Path) -> None:
+    """Both channels of the WAV file, to a unit of its 16 bits; strings are plucked every 0.25 s, in whole blocks."""
+    import soundfile as sf
+
+    if shutil.which("c++") is None:
+        pytest.skip("needs c++")
+    save_model(tmp_path / "guitar.tonewood", "classical_guitar")
+    pluck = program("c++", "fast", tmp_path, ROOT / "examples" / "embedding" / "pluck.cpp")
+    done = subprocess.run(
+        [pluck, tmp_path / "guitar.tonewood", tmp_path / "a.wav", "1"], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "6 strings" in done.stdout
+    arrays, system = (
+        saved.read(tmp_path / "guitar.tonewood"),
+        assemble(tw.load_instrument("classical_guitar"), 48000).system,
+    )
+    sound, fs = sf.read(tmp_path / "a.wav")
+    assert (fs, sound.shape[1]) == (48000, 2)
+    # the first pluck alone sounds for 0.25 s: its injections, stepped by the NumPy stepper on the system of the model
+    stepper = NumpyStepper(system)
+    state, n = system.start(), 9600
+    first = [name for name in arrays if name.startswith("plucks/0/") and name.endswith("/2")]
+    injections = []
+    for name in first:
+        slot, start, vectors, values = (arrays[name[:-1] + key] for key in "0123")
+        modes = vectors[:, :, : system.compiled[int(slot)].basis.n_modes]  # without the padding
+        injections.append(Injection(system.names[int(slot)], int(start), modes.swapaxes(1, 2), values))
+    wanted = stepper.run(state, n, injections)[0] * arrays["scale"]
+    scale = np.vdot(wanted, sound[:n]) / np.vdot(wanted, wanted)
+    assert np.abs(sound[:n] - scale * wanted).max() < 2 / 32768

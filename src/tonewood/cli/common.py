@@ -19,7 +19,28 @@ if TYPE_CHECKING:
     from tonewood.instrument.bundle import Instrument
     from tonewood.score.note import Dropped
 
-ScorePath = Annotated[Path, typer.Argument(help="MIDI file", metavar="SCORE")]
+ScorePath = Annotated[Path, typer.Argument(help="score: MIDI, MusicXML or Guitar Pro file", metavar="SCORE")]
+Start = Annotated[float, typer.Option("--start", help="begin of the excerpt of SCORE, s at its own tempo")]
+Stop = Annotated[float | None, typer.Option("--stop", help="end of the excerpt of SCORE, s at its own tempo")]
+Transpose = Annotated[float, typer.Option("--transpose", help="semitones added to every note")]
+Tempo = Annotated[float, typer.Option("--tempo", help="factor on the speed of SCORE")]
+Tracks = Annotated[
+    str | None, typer.Option("--tracks", metavar="NUMBERS", help="parts or MIDI channels to read, e.g. 1,3")
+]
+
+
+def reading(start: float, stop: float | None, transpose: float, tempo: float, tracks: str | None) -> dict[str, Any]:
+    """Settings of `read_score` from options of a command line.
+
+    Raises
+    ------
+    TonewoodError : the tracks are no numbers.
+    """
+    numbers = None if tracks is None else [word.strip() for word in tracks.split(",") if word.strip()]
+    if numbers is not None and not (numbers and all(word.isdecimal() for word in numbers)):
+        raise TonewoodError(f"is {tracks!r}; numbers from 1, with commas between them, are allowed", key="--tracks")
+    chosen = None if numbers is None else [int(word) for word in numbers]
+    return {"start": start, "stop": stop, "transpose": transpose, "tempo": tempo, "tracks": chosen}
 
 
 def installed() -> list[str]:
@@ -38,6 +59,10 @@ def _string_sets() -> list[str]:
 
 InstrumentName = Annotated[
     str,
+    typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder", autocompletion=installed),
+]
+OneInstrument = Annotated[
+    str | None,
     typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder", autocompletion=installed),
 ]
 Bundle = Annotated[

@@ -29,7 +29,7 @@ def run(arguments: list[str] | None = None) -> None:
 
         try:
             app = application(given[0] if given else None)
-            code = app(args=given or ["--help"], prog_name="tonewood", standalone_mode=False)
+            code = app(args=_with_values(given) or ["--help"], prog_name="tonewood", standalone_mode=False)
         except ClickError as error:
             usage = TonewoodError(_usage(error, given))
             _print_error(given, "UsageError", usage, 2)
@@ -58,6 +58,16 @@ def run(arguments: list[str] | None = None) -> None:
         _no_more_output()
         _fail(f"standard output: cannot be written: {error.strerror}", 2)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _with_values(given: list[str]) -> list[str]:
+    """Give an option whose value may be left out its value: ``--midi-in`` alone is the first input."""
+    out = []
+    for word, following in pairwise([*given, "-"]):
+        out.append(word)
+        if word == "--midi-in" and following.startswith("-"):
+            out.append("first")
+    return out
 
 
 def _print_error(given: list[str], kind: str, fault: TonewoodError, code: int) -> None:

@@ -15,12 +15,18 @@ from tonewood.cli.common import (
     Json,
     Overrides,
     ScorePath,
+    Start,
+    Stop,
     StringSetName,
     Subtype,
+    Tempo,
+    Tracks,
+    Transpose,
     dropped_notes_listed,
     load,
     print_json,
     progress,
+    reading,
     warn_of_dropped,
 )
 from tonewood.cli.options import takes_render_options
@@ -48,6 +54,11 @@ def plan(
         ),
     ] = None,
     subtype: Subtype = "PCM_24",
+    start: Start = 0.0,
+    stop: Stop = None,
+    transpose: Transpose = 0.0,
+    tempo: Tempo = 1.0,
+    tracks: Tracks = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
     as_json: Json = False,
@@ -58,13 +69,14 @@ def plan(
     """Predict the render of SCORE: effects that will run, when and why, and the time of computing."""
     from tonewood.output.audio import file_format
     from tonewood.output.plan import plan as foresee
-    from tonewood.score.midi import read_midi
+    from tonewood.score.reading import read_score
 
     if output is not None:
         file_format(output, subtype)
         if not output.absolute().parent.is_dir():
             raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
-    bundle, notes = load(instrument, settings, allow_code, strings), read_midi(score)
+    given = reading(start, stop, transpose, tempo, tracks)
+    bundle, notes = load(instrument, settings, allow_code, strings), read_score(score, **given)
     longest = max((n.time + n.duration for n in notes.notes), default=0.0) + options.tail
     bar = progress("sketching", longest if options.max_duration is None else min(longest, options.max_duration))
     with dropped_notes_listed(), bar as advance:

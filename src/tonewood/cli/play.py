@@ -1,8 +1,9 @@
-"""``tonewood play``: a MIDI file to the sound card."""
+"""``tonewood play``: a score to the sound card, or an instrument played live."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,12 +14,17 @@ from tonewood.cli.common import (
     Json,
     LevelOption,
     Overrides,
-    ScorePath,
+    Start,
+    Stop,
     StringSetName,
+    Tempo,
+    Tracks,
+    Transpose,
     allow,
     dropped_notes_listed,
     load,
     print_json,
+    reading,
     warn,
     warn_of_dropped,
 )
@@ -30,10 +36,29 @@ from tonewood.units import counted
 
 @takes_render_options(without=["energy"])
 def play(
-    score: ScorePath,
     instrument: InstrumentName,
     options: RenderOptions,
-    block: Annotated[int, typer.Option(help="frames per block")] = 1024,
+    score: Annotated[Path | None, typer.Argument(help="score to play; none where it is played live")] = None,
+    midi_in: Annotated[
+        str | None,
+        typer.Option("--midi-in", metavar="[PORT]", help="play live from a MIDI input; the first one, or PORT"),
+    ] = None,
+    keyboard: Annotated[bool, typer.Option("--keyboard", help="play live with the computer's keys")] = False,
+    record: Annotated[
+        Path | None, typer.Option(help="MIDI file of what was played live; `render --live` repeats it")
+    ] = None,
+    ramp: Annotated[float, typer.Option(help="longest preparation of a live pluck, ms: part of the latency")] = 5.0,
+    spacing: Annotated[
+        int, typer.Option(help="control intervals (64 steps) between beginnings of live notes that come together")
+    ] = 2,
+    ahead: Annotated[int, typer.Option(help="blocks computed ahead when played live: part of the latency")] = 4,
+    duration: Annotated[float | None, typer.Option(help="end a live session after so many seconds")] = None,
+    start: Start = 0.0,
+    stop: Stop = None,
+    transpose: Transpose = 0.0,
+    tempo: Tempo = 1.0,
+    tracks: Tracks = None,
+    block: Annotated[int | None, typer.Option(help="frames per block; 1024, live 128")] = None,
     level: LevelOption = None,
     limiter: Annotated[bool, typer.Option("--limiter", help="hold peaks below -0.1 dBFS")] = False,
     device: Annotated[str | None, typer.Option(help="sound device, by name or number")] = None,
@@ -42,15 +67,49 @@ def play(
     allow_code: AllowCode = False,
     as_json: Json = False,
 ) -> None:
-    """Play SCORE on an instrument."""
+    """Play SCORE on an instrument, or the instrument live from a MIDI input or the computer's keys."""
     from tonewood.output.level import level_name, meaning, preview_gain
     from tonewood.output.limiter import Limiter
     from tonewood.output.play import play as play_renderer
     from tonewood.output.render import Renderer
-    from tonewood.score.midi import read_midi
+    from tonewood.score.reading import read_score
 
-    allow("--block", block, 16, 1 << 16, "frames")
-    wanted, notes = level_name(level, gain_db=options.gain_db, limiter=limiter), read_midi(score)
+    if block is not None:
+        allow("--block", block, 16, 1 << 16, "frames")
+    chosen = int(device) if device and device.isdecimal() else device
+    if midi_in is not None or keyboard:
+        if score is not None:
+            raise TonewoodError(f"{score} is not played where the instrument is played live; one of both is allowed")
+        if limiter or level not in (None, "calibrated", "peak"):
+            raise TonewoodError(
+                "a look-ahead limiter or a loudness needs the future; --gain is allowed live", key="--level"
+            )
+        allow("--ahead", ahead, 1, 64, "blocks")
+        allow("--ramp", ramp, 1.0, 100.0, "ms")
+        from tonewood.cli.live import play_live
+
+        play_live(
+            load(instrument, settings, allow_code, strings),
+            options,
+            port=midi_in,
+            keyboard=keyboard,
+            record=record,
+            block_size=block or 128,
+            ahead=ahead,
+            ramp=1e-3 * ramp,
+            spacing=spacing,
+            duration=duration,
+            device=chosen,
+            calibrated=level == "calibrated" or bool(options.gain_db),
+            as_json=as_json,
+        )
+        return
+    if score is None:
+        raise TonewoodError("there is no SCORE; without one give --midi-in or --keyboard to play live")
+    if record is not None:
+        raise TonewoodError("records what is played live; with a SCORE there is nothing to record", key="--record")
+    given = reading(start, stop, transpose, tempo, tracks)
+    wanted, notes = level_name(level, gain_db=options.gain_db, limiter=limiter), read_score(score, **given)
     if wanted == "LUFS":
         raise TonewoodError("the loudness of what is played is not known before; calibrated or peak", key="--level")
     with dropped_notes_listed():
@@ -58,9 +117,8 @@ def play(
         if wanted == "peak":
             options = options.at(gain_db=preview_gain(notes, bundle, options))
         renderer = Renderer(notes, bundle, options=options)
-    chosen = int(device) if device and device.isdecimal() else device
     hold = Limiter(options.fs) if limiter or wanted == "peak" else None
-    played = play_renderer(renderer, block_size=block, device=chosen, limiter=hold)
+    played = play_renderer(renderer, block_size=block or 1024, device=chosen, limiter=hold)
     summary = renderer.summary()
     seconds, warnings = played.frames / options.fs, list(summary.warnings)
     if played.clipped:

@@ -12,19 +12,25 @@ import typer
 
 from tonewood.cli.common import (
     AllowCode,
-    InstrumentName,
     Json,
     LevelOption,
+    OneInstrument,
     Overrides,
     ScorePath,
+    Start,
+    Stop,
     StringSetName,
     Subtype,
+    Tempo,
+    Tracks,
+    Transpose,
     allow,
     dropped_notes_listed,
     load,
     need,
     print_json,
     progress,
+    reading,
     warn,
     warn_of_dropped,
 )
@@ -37,6 +43,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from tonewood.engine.effects.base import EffectReport
+    from tonewood.live.take import Replay
+    from tonewood.output.ensemble import EnsemblePart
     from tonewood.output.level import LevelName
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer, Summary
@@ -46,9 +54,25 @@ if TYPE_CHECKING:
 @takes_render_options(without=["energy"])
 def render(
     score: ScorePath,
-    instrument: InstrumentName,
     output: Annotated[Path, typer.Option("-o", "--output", help="sound file: .wav, .flac or .rf64")],
     options: RenderOptions,
+    instrument: OneInstrument = None,
+    part: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NUMBER=INSTRUMENT[@GAINdB][@panPAN]",
+            help="render a part on an instrument and mix; may be given again, e.g. 2=electric_bass@-3dB@pan-0.3",
+        ),
+    ] = None,
+    ensemble: Annotated[Path | None, typer.Option(help="YAML file of parts, in place of --part")] = None,
+    stems: Annotated[
+        Path | None, typer.Option(help="folder for one file a part, or of one instrument one an output group")
+    ] = None,
+    start: Start = 0.0,
+    stop: Stop = None,
+    transpose: Transpose = 0.0,
+    tempo: Tempo = 1.0,
+    tracks: Tracks = None,
     block: Annotated[int, typer.Option(help="frames written at a time; does not change the samples")] = 4096,
     subtype: Subtype = "PCM_24",
     level: LevelOption = None,
@@ -69,6 +93,9 @@ def render(
             help="account of energy every 64 samples: .json, .csv or .png; may be given again; many times slower",
         ),
     ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="play SCORE as it comes, as live: repeats a take of `play --record`")
+    ] = False,
     strings: StringSetName = None,
     settings: Overrides = None,
     allow_code: AllowCode = False,
@@ -76,12 +103,13 @@ def render(
 ) -> None:
     """Render SCORE on an instrument to a sound file."""
     began = time.perf_counter()
+    from tonewood.live.take import Replay
     from tonewood.output.audio import file_format
     from tonewood.output.energy import check_energy_file, save_energy
     from tonewood.output.level import PEAK, level_name, meaning
     from tonewood.output.limiter import Limiter
     from tonewood.output.render import Renderer
-    from tonewood.score.midi import read_midi
+    from tonewood.score.reading import read_score
 
     fs = options.fs
     file_format(output, subtype)
@@ -96,9 +124,43 @@ def render(
         need("batch", "pyloudnorm")
     for path in energy or ():
         check_energy_file(path)
+    given = reading(start, stop, transpose, tempo, tracks)
+    target = PEAK if normalize is None else normalize
+    if part or ensemble is not None:
+        players = _players(part or (), ensemble)
+        used: dict[str, object] = {
+            "--instrument": instrument,
+            "--energy": energy,
+            "--set": settings,
+            "--strings": strings,
+        }
+        used |= {"--room": room, "--limiter": limiter, "--live": live, "--tracks": tracks, "--allow-code": allow_code}
+        for option, value in used.items():
+            if value:
+                raise TonewoodError("is for one instrument; with --part or --ensemble it is not allowed", key=option)
+        del given["tracks"]
+        from tonewood.cli.ensemble import render_parts
+
+        render_parts(
+            score, players, output, options, reading=given, subtype=subtype, level=wanted, target=target,
+            stems=stems, as_json=as_json,
+        )  # fmt: skip
+        return
+    if instrument is None:
+        raise TonewoodError("Missing option '--instrument' / '-i', or --part or --ensemble for several")
+    if stems is not None and room is not None:
+        raise TonewoodError("a room mixes the outputs; with --room it is not allowed", key="--stems")
+    if stems is not None and not stems.parent.is_dir():
+        raise TonewoodError(f"there is no folder {stems.parent}", key="--stems")
     bundle = load(instrument, settings, allow_code, strings)
     with dropped_notes_listed():
-        renderer = Renderer(read_midi(score), bundle, options=options.at(energy=bool(energy)))
+        renderer: Renderer | Replay
+        if live:
+            if given != reading(0.0, None, 0.0, 1.0, None):
+                raise TonewoodError("repeats a take as it was: no excerpt, tracks, tempo", key="--live")
+            renderer = Replay(score, bundle, options=options.at(energy=bool(energy)))
+        else:
+            renderer = Renderer(read_score(score, **given), bundle, options=options.at(energy=bool(energy)))
     about = None
     if room is not None:
         from tonewood.output.room import Room, room_response
@@ -106,8 +168,8 @@ def render(
         about = Room(room_response(room, fs, len(renderer.channels)))
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
-    target = PEAK if normalize is None else normalize
     clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold, about)
+    stem_files = [] if stems is None else _write_stems(output, stems, subtype, renderer)
     gain += options.gain_db
     account = renderer.energy
     for path in energy or ():
@@ -147,6 +209,8 @@ def render(
         print(f"  a step of {step} at the first frame was smoothed: sound before it was cut off (see --lead-in)")
     for line in _left_out(summary):
         print(line)
+    for file in stem_files:
+        print(f"  {file}")
     if account is not None:
         print(
             f"  energy: peak {account.peak:.3g} J, balance open by {account.worst_residual:.1e} of it in an interval, "
@@ -154,8 +218,38 @@ def render(
         )
 
 
+def _players(parts: Sequence[str], ensemble: Path | None) -> list[EnsemblePart]:
+    """Parts and their instruments, from the command line or a file."""
+    from tonewood.output.ensemble import parse_part, read_ensemble
+
+    if parts and ensemble is not None:
+        raise TonewoodError("one of --part and --ensemble is allowed", key="--ensemble")
+    return [parse_part(text) for text in parts] if ensemble is None else read_ensemble(ensemble)
+
+
+def _write_stems(output: Path, folder: Path, subtype: str, renderer: Renderer | Replay) -> list[Path]:
+    """Cut the channels of a written file into one file per output group."""
+    import soundfile as sf
+
+    from tonewood.output.audio import SoundWriter
+
+    folder.mkdir(exist_ok=True)
+    files, first = [], 0
+    for group in renderer.model.outputs:
+        n = len(group.channels)
+        files.append(folder / f"{group.name}{output.suffix}")
+        with (
+            sf.SoundFile(output) as source,
+            SoundWriter(files[-1], renderer.fs, n, subtype, frames=source.frames) as writer,
+        ):
+            for block in source.blocks(65536, dtype="float64", always_2d=True):
+                writer.write(block[:, first : first + n])
+        first += n
+    return files
+
+
 def _write(
-    renderer: Renderer,
+    renderer: Renderer | Replay,
     output: Path,
     subtype: str,
     block: int,
@@ -259,7 +353,7 @@ def _bounds(reports: Sequence[EffectReport]) -> Iterator[tuple[list[float], str]
 
 
 def _report(
-    renderer: Renderer, output: Path, clipped: int, peak: float, load_s: float, warnings: list[str]
+    renderer: Renderer | Replay, output: Path, clipped: int, peak: float, load_s: float, warnings: list[str]
 ) -> dict[str, Any]:
     s, account = renderer.summary(), renderer.energy
     return {

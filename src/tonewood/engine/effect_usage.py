@@ -98,6 +98,11 @@ class EffectUsage:
             if left_out:
                 self.left_out[key] = bound.larger(self.left_out.get(key, Bound()))
 
+    def forget_times(self) -> None:
+        """Keep how long effects ran, and of when only the last interval: for a stream without end."""
+        for spans in self.spans.values():
+            del spans.all[:-1]
+
     def seconds(self, samples: int) -> float:
         """Length of some samples, s."""
         return samples / self.fs

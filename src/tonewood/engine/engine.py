@@ -7,7 +7,6 @@ the engine stops depend only on what is played, so its samples are the same howe
 
 from __future__ import annotations
 
-import bisect
 import math
 import time
 from collections.abc import Collection, Mapping, Sequence
@@ -26,6 +25,7 @@ from tonewood.engine.energy_budget import EnergyBudget
 from tonewood.engine.fretting import FrettedBases, Fretting, bridge_forces
 from tonewood.engine.gesture_connections import GestureConnections, holds_at
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, quasi_static, samples
+from tonewood.engine.schedule import Schedule
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.stepping.kernel import KernelStepper
@@ -53,8 +53,7 @@ class Snapshot:
     switchings: dict[str, Switching]
     peak: Floats
     recent: Floats
-    next_change: int
-    next_play: int
+    schedule: Schedule
 
 
 @dataclass(eq=False)
@@ -126,15 +125,8 @@ class Engine:
         )
         self._compiled: tuple[Compiled, ...] = ()
         self._modes = 0
-        self._next_change = self._next_play = 0
-        self._change_samples = [samples(change.time, self.dt) for change in timeline.changes]
-        self._play_samples = [samples(play.start, self.dt) for play in timeline.plays]
-        #: string -> samples at which it is changed or played
-        self._due_samples: dict[str, list[float]] = {name: [] for name in model.strings}
-        strings = [*(change.string for change in timeline.changes), *(play.string for play in timeline.plays)]
-        for string, sample in zip(strings, self._change_samples + self._play_samples, strict=True):
-            if string is not None:
-                bisect.insort(self._due_samples[string], sample)
+        self.schedule = Schedule(self.dt, model.strings)
+        self.schedule.add(timeline.changes, timeline.plays)
         self._dampers = all(model.choice.keeps(e, "dampers") for e in model.exciters.values())
         self.state.sample = int(np.floor(timeline.start / self.dt / GRID)) * GRID
         self.energy_budget = EnergyBudget(self.system, self.state, model) if energy else None
@@ -142,11 +134,7 @@ class Engine:
     @property
     def done(self) -> bool:
         """Whether every change and gesture is over: the instrument only rings."""
-        return (
-            self._next_change >= len(self._change_samples)
-            and self._next_play >= len(self._play_samples)
-            and not self.active
-        )
+        return self.schedule.done and not self.active
 
     def running(self, effect: str) -> frozenset[str]:
         """Components on which a switched effect runs now."""
@@ -156,8 +144,7 @@ class Engine:
         """Copy all that moves; an energy budget begins anew where the copy is restored."""
         return Snapshot(
             self.state.copy(), dict(self.frettings), list(self.active), list(self.injections), list(self.controls),
-            dict(self.holds), dict(self.switchings), self.peak.copy(), self.recent.copy(),
-            self._next_change, self._next_play,
+            dict(self.holds), dict(self.switchings), self.peak.copy(), self.recent.copy(), self.schedule.copy(),
         )  # fmt: skip
 
     @one_blas_thread
@@ -167,7 +154,7 @@ class Engine:
         self.state, self.frettings, self.holds = s.state.copy(), dict(s.frettings), dict(s.holds)
         self.active, self.injections, self.controls = list(s.active), list(s.injections), list(s.controls)
         self.switchings, self.peak, self.recent = dict(s.switchings), s.peak.copy(), s.recent.copy()
-        self._next_change, self._next_play = s.next_change, s.next_play
+        self.schedule = s.schedule.copy()
         system = self._with_effects(self._fretted(self.system, self.frettings, self.frettings))
         self.system = self.connections.with_holds(self.connections.with_moved(system, self.active), self.holds)
         if self.energy_budget:
@@ -221,26 +208,19 @@ class Engine:
             self._modes = sum(compiled.basis.n_modes for compiled in self._compiled)
         self.usage.count(start, n, running, self._modes, seconds)
 
-    @property
-    def _next_due(self) -> float:
-        """Sample at which the next change or gesture is due; infinite if none is."""
-        changes, plays = self._change_samples, self._play_samples
-        change = changes[self._next_change] if self._next_change < len(changes) else math.inf
-        return min(change, plays[self._next_play]) if self._next_play < len(plays) else change
-
     def _next_event(self) -> int:
         """First sample after now at which the engine has to stop: a grid point, or the next step of a finger's hold."""
         now = self.state.sample
         grid = now // GRID * GRID + GRID
         times = [grid + (_LONGEST - 1) * GRID, *(active.stop for active in self.active)]
-        if self._next_due < math.inf:
+        if (due := self.schedule.next_due) < math.inf:
             # what is due is done at the last grid point before its time, which need not be a whole sample
-            times.append(self._next_due // GRID * GRID)
+            times.append(due // GRID * GRID)
         times += [effect.next_watch(now, self.switchings[effect.name]) for effect in self._watched]
-        due = math.ceil(min(times) / GRID) * GRID
+        until = math.ceil(min(times) / GRID) * GRID
         steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
         # back to the grid first: the kernel counts from where a run begins
-        return min([max(due, grid) if now % GRID == 0 else grid, *steps])
+        return min([max(until, grid) if now % GRID == 0 else grid, *steps])
 
     def _control(self) -> None:
         """Do what is due: at a grid point bases, injections and effects, between them fingers' dashpots only."""
@@ -279,11 +259,10 @@ class Engine:
 
         After the last event the sound is taken to have fallen from its peak by so many dB per second, and to go on so.
         """
-        due, now = self._due_samples[string], self.state.sample
-        following = bisect.bisect_left(due, now + GRID)
-        if following < len(due):
-            return (due[following] - now) * self.dt
-        since = now * self.dt - self.timeline.stop
+        now = self.state.sample
+        if (following := self.schedule.next_of(string, now + GRID)) < math.inf:
+            return (following - now) * self.dt
+        since = now * self.dt - self.schedule.stop
         heard = self.peak > 0.0
         level = decibel(float((self.recent[heard] / self.peak[heard]).max(initial=0.0)))
         if since <= 0.0 or level >= 0.0 or self.tail_level == -math.inf:
@@ -328,17 +307,11 @@ class Engine:
     def _due(self, now: int) -> tuple[dict[str, Fretting], list[Play]]:
         """Changes of strings and gestures that are due before the next point of the grid."""
         wanted: dict[str, Fretting] = {}
-        changes, plays = self.timeline.changes, self.timeline.plays
-        while self._next_change < len(changes) and self._change_samples[self._next_change] < now + GRID:
-            change = changes[self._next_change]
+        changes, fresh = self.schedule.take(now + GRID)
+        for change in changes:
             before = wanted.get(change.string, self.frettings[change.string])
             wanted[change.string] = before.changed(change)
-            self._next_change += 1
-        fresh: list[Play] = []
-        while self._next_play < len(plays) and self._play_samples[self._next_play] < now + GRID:
-            play = plays[self._next_play]
-            self._next_play += 1
-            fresh.append(play)
+        for play in fresh:
             if play.string is not None:
                 before = wanted.get(play.string, self.frettings[play.string])
                 wanted[play.string] = replace(before, place=play.gesture.from_bridge, width=play.gesture.width)

@@ -59,15 +59,21 @@ class Fretting:
 
 
 class FrettedBases:
-    """A model's strings as they can be held: bases are compiled when first wanted, and the last ones are kept."""
+    """A model's strings as they can be held: bases are compiled when first wanted, and the last `room` are kept."""
 
     def __init__(self, model: Model):
-        self.model, system = model, model.system
+        self.model, self.room, system = model, _CACHE, model.system
         # the strings of the model are open and untouched
         self._compiled: dict[tuple[str, Fretting], dict[str, Compiled]] = {
             (name, Fretting()): {c: system.compiled[system.slot(c)] for c in string.components}
             for name, string in model.strings.items()
         }
+        #: those that are kept for good
+        self._prepared: dict[tuple[str, Fretting], dict[str, Compiled]] = {}
+
+    def prepare(self, name: str, fretting: Fretting) -> None:
+        """Compile the bases of a way to hold a string, and keep them for good."""
+        self._prepared[name, fretting] = self.bases(name, fretting)
 
     def playable(self, name: str, fretting: Fretting) -> Fretting:
         """Return it without the finger's place where that is the usual one, or not on the string's speaking part."""
@@ -81,9 +87,11 @@ class FrettedBases:
     def bases(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
         """Return component -> compiled basis of a string as it is held."""
         key = (name, fretting)
+        if (kept := self._prepared.get(key)) is not None:
+            return kept
         if key not in self._compiled:
             made = {c: self.model.system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
-            if len(self._compiled) >= _CACHE:
+            if len(self._compiled) >= self.room:
                 self._compiled.pop(next(iter(self._compiled)))
             self._compiled[key] = made
         return self._compiled[key]

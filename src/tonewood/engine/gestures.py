@@ -53,15 +53,25 @@ def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
 
 def forces(play: Play, model: Model, system: System, first: int) -> list[Injection]:
     """Compile a gesture's known forces from sample `first` on."""
-    known = [Course.of(play.gesture.segments, system.dt, time=play.time, first=first)]
+    known = Course.of(play.gesture.segments, system.dt, time=play.time, first=first)
     if play.gesture.noise is not None:
-        known.append(play.gesture.noise.course(system.dt, time=play.time, first=first))
+        known = _sum(known, play.gesture.noise.course(system.dt, time=play.time, first=first))
     out: list[Injection] = []
     for component, point, factor in places(play, model):
-        impulses = system.compiled[system.slot(component)].impulses(point)
-        for force in known:
-            out += force.injections(component, impulses, factor)
+        out += known.injections(component, system.compiled[system.slot(component)].impulses(point), factor)
     return out
+
+
+def _sum(a: Course, b: Course) -> Course:
+    """Sum of two known forces."""
+    courses = [c for c in (a, b) if c.values.shape[1]]
+    if not courses:
+        return Course(a.dt, a.parts + b.parts, a.start, a.values)
+    start = min(c.start for c in courses)
+    values = np.zeros((3, max(c.start + c.values.shape[1] for c in courses) - start))
+    for c in courses:
+        values[:, c.start - start : c.start - start + c.values.shape[1]] += c.values
+    return Course(a.dt, a.parts + b.parts, start, values)
 
 
 def quasi_static(active: Sequence[Active], model: Model, system: System, start: int, n: int) -> Floats | None:

@@ -6,30 +6,26 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
-from tonewood.engine.techniques import stop_course, touch_course, with_techniques
+from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
+from tonewood.engine.techniques import stop_course, touch_course, with_marks, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
 from tonewood.engine.variation import Deviates, moved, touched
 from tonewood.errors import NothingPlayedError, ScoreError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place
-from tonewood.instrument.gestures import is_played, places
+from tonewood.instrument.contract import Event, Place
 from tonewood.instrument.schema import Playing
 from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.controllers import Controllers, History
 from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
-from tonewood.stepping.forcing import Segment
 from tonewood.validation_messages import did_you_mean
 
 #: a damped string is released after this many times its T60; then it rings with the others
-_LET_GO_AFTER = 1.5
-#: s, for the preparation of a pluck that follows another at once
-_SHORTEST_PREPARATION = 1e-3
+LET_GO_AFTER = 1.5
 #: volume, expression, sustain pedal
 _READ_CONTROLLERS = ("cc7", "cc11", "cc64")
 #: cents/s, how fast a bend follows its wheel: a string whose tension jumped would gain as much energy as tension
-_BEND_RATE = 40e3
+BEND_RATE = 40e3
 
 
 @dataclass(frozen=True)
@@ -52,27 +48,37 @@ class Performance:
     ignored: Mapping[str, int]
 
 
-def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> Performance:
+def perform(score: Score, model: Model, *, channel_per_string: bool = False, capo: int = 0) -> Performance:
     """Give every note a string, a stop and a gesture.
 
     Notes may ask for `technique` the name of one of the instrument's exciters, or the bundle's keys and controllers
     ask for them; the bundle's first one is the default.
 
+    Parameters
+    ----------
+    channel_per_string : notes of the first channel go to the first string, and so on.
+    capo : stop at which all strings are held that no finger stops, 0 for none. Stops of notes are counted from the nut.
+
     Raises
     ------
-    ScoreError : the score has no notes, none that can be played, or asks for a technique the instrument does not have.
+    ScoreError : there are no stops beyond the capo, the score has no notes, none that can be played, or asks for a
+        technique the instrument does not have.
     """
     score = with_techniques(score, model.playing)
+    score = with_marks(score, [n for n, e in model.exciters.items() if e.at is None], playable(model))
     if not score.notes and not score.dropped:
         raise ScoreError("has no notes to play", file=score.name)
     notes, body_plays = _split_taps(score, model)
     factor = dict(zip(map(id, score.notes), volume_factors(score), strict=True))
     louder = [_with_force(n, model, factor[id(n)]) for n in notes]
-    assignment = assign(louder, playable(model), channel_per_string=channel_per_string, tuning=model.instrument.tuning)
+    if capo:
+        louder = [n if n.stop is None else replace(n, stop=max(n.stop - capo, 0.0)) for n in louder]
+    strings = playable(model, capo)
+    assignment = assign(louder, strings, channel_per_string=channel_per_string, tuning=model.instrument.tuning)
     by_string: dict[str, list[Assigned]] = defaultdict(list)
     drawn: dict[int, Deviates] = {}
     variation = model.playing.variation
-    for i, assigned in enumerate(assignment.notes):
+    for i, assigned in enumerate(replace(a, stop=a.stop + capo) if capo else a for a in assignment.notes):
         if variation.seed is not None:
             deviates = Deviates.of(variation.seed, i)
             assigned = moved(assigned, deviates, variation)
@@ -91,16 +97,17 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
         own: list[Play] = []
         for i, assigned in enumerate(line):
             following = line[i + 1] if i + 1 < len(line) else None
-            event = _event(assigned, line[i - 1] if i else None, following, model, controllers, drawn.get(id(assigned)))
-            n_moved += not _is_where_asked(event, assigned, model, score.name)
-            gesture = _exciter(assigned.note, model).gesture(event, model.place(name, assigned.stop))
+            held = line[i - 1].stop if i else float(capo)
+            event = _event(assigned, held, following, model, controllers, drawn.get(id(assigned)))
+            n_moved += not is_where_asked(event, assigned, model, score.name)
+            gesture = exciter_of(assigned.note, model).gesture(event, model.place(name, assigned.stop))
             play = Play(assigned.note.time, gesture, string=name)
             if i:
-                play = replace(play, gesture=_hurried(play.gesture, play.time - own[-1].stop))
+                play = replace(play, gesture=hurried(play.gesture, play.time - own[-1].stop))
             own.append(play)
             played.append(assigned)
         for assigned, play, following_play in zip(line, own, [*own[1:], None], strict=True):
-            changes += _left_hand(assigned, play, following_play, name, model, bends)
+            changes += _left_hand(assigned, play, following_play, name, model, bends, capo)
         plays += own
     if not plays:
         raise NothingPlayedError(_why_nothing(dropped), file=score.name)
@@ -114,6 +121,9 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False) -> 
         )
     if assignment.doubled:
         warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")
+    if capo:
+        first = min([0.0, *(play.start for play in plays)])
+        changes += [Change(first, name, stop=capo) for name in model.strings]
     timeline = Timeline(
         sorted(changes, key=lambda c: c.time),
         sorted(plays, key=lambda p: p.start),
@@ -139,14 +149,22 @@ def _why_nothing(dropped: Sequence[Dropped]) -> str:
     return f"{count} be played: {listed}" + ("; and others" if len(reasons) > 3 else "")
 
 
-def playable(model: Model) -> list[PlayableString]:
-    """The strings as the left hand sees them."""
+def playable(model: Model, capo: int = 0) -> list[PlayableString]:
+    """Return the strings as the left hand sees them, beyond a capo.
+
+    Raises
+    ------
+    ScoreError : a string has no stops beyond the capo.
+    """
+    shortest = min((s.n_stops for s in model.strings.values()), default=0)
+    if capo and not 0 < capo < shortest:
+        raise ScoreError(f"is {capo}; 0 to {max(shortest - 1, 0)} are allowed on this instrument", key="capo")
     return [
         PlayableString(
             name,
-            (s.open_note, s.open_note + s.n_stops)
+            (s.open_note + capo, s.open_note + s.n_stops)
             if s.stopping.continuous
-            else tuple(s.open_note + i for i in range(s.n_stops + 1)),
+            else tuple(s.open_note + i for i in range(capo, s.n_stops + 1)),
             s.stopping.continuous,
         )
         for name, s in model.strings.items()
@@ -167,45 +185,20 @@ def _split_taps(score: Score, model: Model) -> tuple[list[Note], list[Play]]:
         if exciter.at is None:
             strings.append(note)
             continue
-        force = _force(note, model, 1.0)
+        force = force_of(note, model, 1.0)
         values = {} if force is None else {"force": force}
         taps.append(Play(note.time, exciter.gesture(Event(values), Place(exciter.at)), at=exciter.at))
     return strings, taps
 
 
-def _force(note: Note, model: Model, factor: float) -> float | None:
-    """Force of a note in N; None leaves it to the exciter."""
-    if note.force is not None:
-        return note.force * factor
-    if note.velocity_midi is not None:
-        return model.playing.velocity.value(note.velocity_midi) * factor
-    return None
-
-
 def _with_force(note: Note, model: Model, factor: float) -> Note:
-    force = _force(note, model, factor)
+    force = force_of(note, model, factor)
     return note if force is None else replace(note, force=force, velocity_midi=None)
-
-
-def _exciter(note: Note, model: Model) -> Exciter[Any]:
-    return model.exciters[note.technique or model.default_exciter]
-
-
-def _is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) -> bool:
-    """Whether a note is played where it is asked for; a place beyond the string is refused by a `ScoreError`."""
-    string, exciter = model.strings[assigned.string], _exciter(assigned.note, model)
-    length = string.length(assigned.stop)
-    try:
-        asked = places(exciter.adjusted(event.values), string.length(), length)
-    except ValueError as fault:
-        reason = f"the note at {assigned.note.time:g} s on string {string.name}: {fault}"
-        raise ScoreError(reason, file=file, key=exciter.key) from None
-    return all(is_played(x, length) for x in asked.values())
 
 
 def _event(
     assigned: Assigned,
-    before: Assigned | None,
+    held: float,
     following: Assigned | None,
     model: Model,
     controllers: Controllers,
@@ -214,54 +207,15 @@ def _event(
     """Return the values that the exciter is given: the note's own values, and what controllers are at."""
     note, string = assigned.note, model.strings[assigned.string]
     name = note.technique or model.default_exciter
-    values: dict[str, float] = {}
-    for kind, control in model.playing.controls.items():
-        exciter, _, parameter = control.parameter.partition(".")
-        latest = controllers.at(kind, note.channel, note.time)
-        if latest is not None and exciter == name:
-            values[parameter] = control.value(latest)
-    given = {
-        model.playing.velocity.parameter.partition(".")[2]: note.force,
-        "from_bridge": note.from_bridge,
-        "angle_deg": note.angle_deg,
-    }
-    # a hammer has no force for a velocity that means one, a bow's stroke no angle
-    known = type(model.exciters[name].parameters).model_fields
-    values |= {k: v for k, v in given.items() if v is not None and k in known}
+    values = event_values(note, model, lambda kind: controllers.at(kind, note.channel, note.time))
     if drawn is not None:
         length = string.length(assigned.stop)
         values = touched(values, model.exciters[name], length, drawn, model.playing.variation)
-    held = before.stop if before is not None else 0.0
     duration = assigned.end - note.time
     if following is not None and (following.note.technique or model.default_exciter) == name:
         free = following.note.time - note.time - model.exciters[name].recovery
         duration = min(duration, max(free, 0.5 * duration))
     return Event(values, string.freq(assigned.stop), duration, assigned.stop, held, string.length(held))
-
-
-def _hurried(gesture: Gesture, available: float) -> Gesture:
-    """The same gesture prepared within `available` s: the string's last pluck has to be over before it begins.
-
-    A gesture that moves a mass or a bow is not hurried: its impulse would change. It takes over from what went before.
-    """
-    if gesture.on is not None or gesture.motions:
-        return gesture
-    shorter = max(available, _SHORTEST_PREPARATION) / -gesture.start if gesture.start < 0 else 1.0
-    if shorter >= 1.0:
-        return gesture
-
-    def time(t: float) -> float:
-        return t * shorter if t < 0 else t
-
-    segments = tuple(
-        Segment(time(s.start), time(s.stop), s.c0, s.c1 / shorter, s.c2 / shorter**2) if s.stop <= 0 else s
-        for s in gesture.segments
-    )
-    hold = gesture.hold
-    if hold is not None:
-        hold = replace(hold, start=time(hold.start), grown=time(hold.grown), stop=time(hold.stop))
-    noise = gesture.noise and gesture.noise.after(time(gesture.start))
-    return replace(gesture, segments=segments, hold=hold, noise=noise)
 
 
 def _left_hand(
@@ -271,6 +225,7 @@ def _left_hand(
     name: str,
     model: Model,
     bends: Mapping[int | None, History],
+    capo: int,
 ) -> list[Change]:
     """Stop the string as the pluck begins, bend it with its channel, damp it at the note's end.
 
@@ -291,16 +246,16 @@ def _left_hand(
     free_again = following.start if following else math.inf
     if assigned.end < free_again - 1e-3:
         out.append(Change(assigned.end, name, added_damping=math.log(1000.0) / end.t60))
-        let_go = assigned.end + _LET_GO_AFTER * end.t60
+        let_go = assigned.end + LET_GO_AFTER * end.t60
         if let_go < free_again - 0.1:
-            out.append(Change(let_go, name, stop=0, cents=0.0, added_damping=0.0))
+            out.append(Change(let_go, name, stop=capo, cents=0.0, added_damping=0.0))
     return out
 
 
 def _glided(line: Sequence[Control], tick: float) -> list[Control]:
     """The same bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate."""
     out: list[Control] = []
-    value, step = 0.0, _BEND_RATE * tick
+    value, step = 0.0, BEND_RATE * tick
     for i, control in enumerate(line):
         time = control.time
         until = line[i + 1].time if i + 1 < len(line) else math.inf

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +12,7 @@ import numpy as np
 from tonewood.engine.timeline import Play
 from tonewood.instrument.attached import Motion
 from tonewood.instrument.schema import Playing
+from tonewood.score.assignment import PlayableString
 from tonewood.score.controllers import Controllers
 from tonewood.score.note import Score
 from tonewood.score.scales import note_number
@@ -40,6 +43,55 @@ def with_techniques(score: Score, playing: Playing) -> Score:
                 technique = name
         notes.append(replace(note, technique=technique))
     return replace(score, notes=notes)
+
+
+#: sign -> techniques that play it, the first that the instrument has
+_SIGNS = {
+    "palm_mute": ("palm",),
+    "hammer_on": ("hammer_on",),
+    "pull_off": ("pull_off",),
+    "slide": ("slide",),
+    "harmonic": ("harmonic",),
+    "slap": ("slap",),
+    "pop": ("pop",),
+    "tapping": ("hammer_on",),
+    "dead_note": ("palm",),
+    "rest_stroke": ("rest",),
+}
+
+
+def with_marks(score: Score, names: Collection[str], strings: Sequence[PlayableString]) -> Score:
+    """Give notes the techniques that their signs ask for, and let go of frets that no string has.
+
+    Parameters
+    ----------
+    names : techniques of the instrument.
+    strings : of the instrument.
+
+    Returns
+    -------
+    The score; `Score.ignored` counts signs that the instrument has no technique for, and notes of a tablature that are
+    fingered elsewhere.
+    """
+    if not any(note.marks for note in score.notes):
+        return score
+    lacking: Counter[str] = Counter()
+    places = {(string.pitch_at(stop), stop) for string in strings for stop in map(float, range(len(string.pitches)))}
+    notes = []
+    for note in score.notes:
+        technique = note.technique
+        for mark in note.marks:
+            found = next((name for name in _SIGNS.get(mark, ()) if name in names), None)
+            if mark == "tablature":
+                if (note.note, note.stop) not in places and not any(string.continuous for string in strings):
+                    lacking["note of the tablature, fingered elsewhere"] += 1
+                    note = replace(note, stop=None)
+            elif found is None:
+                lacking[f"{mark.replace('_', ' ')}, plucked as any note"] += 1
+            else:
+                technique = technique or found
+        notes.append(replace(note, technique=technique))
+    return replace(score, notes=notes, ignored=dict(Counter(score.ignored) + lacking))
 
 
 def stop_course(play: Play, stop: float, continuous: bool, tick: float) -> list[tuple[float, float]]:

@@ -6,15 +6,15 @@ import os
 
 from tonewood.errors import BundleError, ScoreError, kind_of
 from tonewood.instrument.bundle import Instrument
-from tonewood.score.midi import read_midi
 from tonewood.score.note import Score
+from tonewood.score.reading import read_score
 
 ScoreLike = Score | str | os.PathLike[str]
 InstrumentLike = Instrument | str | os.PathLike[str]
 
 
 def as_score(score: ScoreLike) -> Score:
-    """Return a score, read from a MIDI file where a path is given.
+    """Return a score, read from a file where a path is given.
 
     Raises
     ------
@@ -23,8 +23,8 @@ def as_score(score: ScoreLike) -> Score:
     if isinstance(score, Score):
         return score
     if isinstance(score, str | os.PathLike):
-        return read_midi(score)
-    raise ScoreError(f"is {kind_of(score)}; a Score or the path of a MIDI file is allowed", key="score")
+        return read_score(score)
+    raise ScoreError(f"is {kind_of(score)}; a Score or the path of a score's file is allowed", key="score")
 
 
 def as_instrument(instrument: InstrumentLike) -> Instrument:

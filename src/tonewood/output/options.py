@@ -70,6 +70,7 @@ class RenderOptions(Parameters):
     )
     gain_db: float = quantity("dB", low=-200.0, high=200.0, default=0.0, doc="gain of all channels")
     channel_per_string: bool = described("MIDI channel 1 plays the first string, and so on", default=False)
+    capo: int = described("stop at which a capo holds all strings; 0 for none", default=0, ge=0, le=200)
     lead_in: Literal["auto"] | Annotated[Number, Field(ge=0.0, le=LONGEST_LEAD_IN)] = described(
         "seconds of sound kept from before score time 0, at most 60; auto: from the first gesture on", default=0.0
     )

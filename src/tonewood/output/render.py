@@ -150,7 +150,9 @@ class Renderer:
         self.fs = options.fs
         steps = _steps(instrument, options)
         self.model = assembled(instrument, options) if model is None else model
-        self.performance: Performance = perform(score, self.model, channel_per_string=options.channel_per_string)
+        self.performance: Performance = perform(
+            score, self.model, channel_per_string=options.channel_per_string, capo=options.capo
+        )
         self.engine = Engine(self.model, self.performance.timeline, energy=options.energy)
         self.engine.tail_level = options.tail_level_db
         groups = self.model.outputs

@@ -126,7 +126,7 @@ def assign(
     assignment : every note is in `notes`, in `doubled` or in `dropped`.
     """
     tuning = tuning or Tuning()
-    resolver = _Resolver(strings, tuning, channel_per_string)
+    resolver = PlaceResolver(strings, tuning, channel_per_string)
     dropped: list[Dropped] = []
     playable: list[tuple[Note, list[Option]]] = []
     plucks = sorted(notes, key=lambda n: n.time)
@@ -149,7 +149,7 @@ def assign(
     return Assignment(assigned, tuple(doubled), tuple(sorted(dropped, key=lambda d: d.time)), n_cut, cost)
 
 
-class _Resolver:
+class PlaceResolver:
     """Finds the places where a note can be played."""
 
     def __init__(self, strings: Sequence[PlayableString], tuning: Tuning, channel_per_string: bool):
@@ -266,7 +266,7 @@ def _chords(playable: _Voices, n_strings: int, dropped: list[Dropped]) -> list[_
     chord if there are strings for all of them, else they follow.
     """
     chords: list[_Voices] = []
-    matching = _Matching(n_strings)
+    matching = StringMatching(n_strings)
     first = 0
     while first < len(playable):
         begin = playable[first][0].time
@@ -281,8 +281,8 @@ def _chords(playable: _Voices, n_strings: int, dropped: list[Dropped]) -> list[_
                 matching = joined
                 chords[-1].extend(unit)
                 continue
-        matching = _Matching(n_strings)
-        kept = {i for i in _by_importance(unit) if matching.add(unit[i][1])}
+        matching = StringMatching(n_strings)
+        kept = {i for i in by_importance(unit) if matching.add(unit[i][1])}
         sounding = {unit[i][0].note for i in kept if unit[i][0].note is not None}
         for i, (note, _) in enumerate(unit):
             if i not in kept:
@@ -294,7 +294,7 @@ def _chords(playable: _Voices, n_strings: int, dropped: list[Dropped]) -> list[_
     return chords
 
 
-def _by_importance(unit: _Voices) -> list[int]:
+def by_importance(unit: _Voices) -> list[int]:
     """Named strings first, then the loudest, then the outer voices: order in which notes get a string."""
     by_pitch = sorted(range(len(unit)), key=lambda i: unit[i][0].note or 0.0)
     depth = {i: min(rank, len(unit) - 1 - rank) for rank, i in enumerate(by_pitch)}
@@ -304,7 +304,7 @@ def _by_importance(unit: _Voices) -> list[int]:
     )
 
 
-class _Matching:
+class StringMatching:
     """Notes matched to strings, one each; adding a note moves earlier ones aside where that helps.
 
     The sets of notes that can be matched are the independent sets of a (transversal) matroid: taking notes greedily
@@ -314,9 +314,9 @@ class _Matching:
     def __init__(self, n_strings: int):
         self._taken: list[list[Option] | None] = [None] * n_strings
 
-    def copy(self) -> _Matching:
+    def copy(self) -> StringMatching:
         """A matching to try on."""
-        other = _Matching(0)
+        other = StringMatching(0)
         other._taken = list(self._taken)
         return other
 
@@ -345,7 +345,7 @@ def _chord(voices: _Voices) -> Chord:
 
 
 def _ends(
-    pairs: Sequence[tuple[Note, Option]], strings: Sequence[PlayableString], resolver: _Resolver
+    pairs: Sequence[tuple[Note, Option]], strings: Sequence[PlayableString], resolver: PlaceResolver
 ) -> tuple[tuple[Assigned, ...], int]:
     """End each note at the next one on its string, if that comes first; count those ended by another pitch."""
     following: dict[int, tuple[float, float]] = {}  # string: time and stop of the note after

@@ -87,7 +87,7 @@ class _Partial(NamedTuple):
         return _Partial(cost, self.taken | 1 << string, (*self.places, option), low, high, total)
 
 
-class _Fingerings(NamedTuple):
+class Fingerings(NamedTuple):
     """Ways to play one chord, as arrays over (way, string); `choice` is over (way, note)."""
 
     choice: list[tuple[Option, ...]]
@@ -123,7 +123,7 @@ def finger(chords: Sequence[Chord], n_strings: int, costs: FingeringCosts) -> tu
     states = _States(np.zeros(1), np.ones(1), silent - math.inf, silent + 1.0, silent, silent)
     steps: list[tuple[list[tuple[Option, ...]], NDArray[np.int16], NDArray[np.int16]]] = []
     for i, chord in enumerate(chords):
-        ways = _fingerings(chord, n_strings, costs)
+        ways = ways_to_play(chord, n_strings, costs)
         until = chords[i + 1].time if i + 1 < len(chords) else math.inf
         states, parent, way = _advance(states, ways, chord.time, until, costs)
         steps.append((ways.choice, parent, way))
@@ -136,7 +136,7 @@ def finger(chords: Sequence[Chord], n_strings: int, costs: FingeringCosts) -> tu
     return chosen[::-1], cost
 
 
-def _fingerings(chord: Chord, n_strings: int, costs: FingeringCosts) -> _Fingerings:
+def ways_to_play(chord: Chord, n_strings: int, costs: FingeringCosts) -> Fingerings:
     """Ways to play a chord: all of them, or the cheapest by themselves if there are many."""
     order = sorted(range(len(chord.options)), key=lambda i: len(chord.options[i]))
     partial = [_Partial(0.0, 0, (), math.inf, 0.0, 0.0)]
@@ -165,9 +165,7 @@ def _fingerings(chord: Chord, n_strings: int, costs: FingeringCosts) -> _Fingeri
         end[rows, string] = chord.ends[note]
         duration[rows, string] = chord.durations[note]
     low = np.where(stop > 0, stop, math.inf).min(axis=1)
-    return _Fingerings(
-        choice, used, stop, end, duration, np.array([way.cost for way in partial]), low, stop.max(axis=1)
-    )
+    return Fingerings(choice, used, stop, end, duration, np.array([way.cost for way in partial]), low, stop.max(axis=1))
 
 
 def _cheapest_completable(ways: list[_Partial], rest: list[tuple[Option, ...]]) -> list[_Partial]:
@@ -200,7 +198,7 @@ def _completable(taken: int, rest: list[tuple[Option, ...]]) -> bool:
 
 
 def _advance(
-    states: _States, ways: _Fingerings, time: float, until: float, costs: FingeringCosts
+    states: _States, ways: Fingerings, time: float, until: float, costs: FingeringCosts
 ) -> tuple[_States, NDArray[np.int16], NDArray[np.int16]]:
     """Play every way from every state; keep the cheapest, and where each came from."""
     # arrays below are over (state, way) or (state, way, string)

@@ -17,7 +17,7 @@ import math
 import os
 import stat
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from operator import itemgetter
@@ -63,13 +63,9 @@ def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float |
     findings = Findings()
     midi = parse_smf(_read_bytes(path), findings, file=os.fspath(path))
     performance = ChannelReader(findings)
-    began = 0.0
-    for pattern in _patterns(midi, findings):
-        seconds = _clock(midi, pattern)
-        messages = sorted(chain.from_iterable(t.messages for t in pattern), key=itemgetter(0))
-        performance.play((began + seconds(tick), status, a, b) for tick, status, a, b in messages)
-        began += seconds(max(t.end for t in pattern))
-        performance.finish(began)
+    for messages, end in _played(midi, findings):
+        performance.play(messages)
+        performance.finish(end)
         if len(performance.notes) > MAX_NOTES:
             raise ScoreError(f"{len(performance.notes)} notes: {MAX_NOTES} are allowed", file=path)
     notes, controls = _excerpt(performance, start, stop, findings)
@@ -77,12 +73,52 @@ def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float |
     warnings = findings.lines()
     if not performance.notes and warnings:
         raise ScoreError(f"no notes in the file ({'; '.join(warnings)})", file=path)
+    until = math.inf if stop is None else stop
+    ignored = Counter(kind for time, kind in performance.ignored if start <= time < until)
+    return Score(notes, controls, warnings=warnings, name=path.stem, metadata=_texts(midi), ignored=ignored)
+
+
+def read_messages(path: str | os.PathLike[str]) -> tuple[list[tuple[float, int, int, int]], float, dict[str, str]]:
+    """Read the channel messages of a Standard MIDI File, as an instrument that is played live receives them.
+
+    Returns
+    -------
+    messages : (time in s, status, data 1, data 2), in time order.
+    end : s, of the last track.
+    texts : as `Score.metadata`.
+
+    Raises
+    ------
+    ScoreError : one line, if the file cannot be read.
+    """
+    path, findings = Path(path), Findings()
+    midi = parse_smf(_read_bytes(path), findings, file=os.fspath(path))
+    messages: list[tuple[float, int, int, int]] = []
+    end = 0.0
+    for pattern, until in _played(midi, findings):
+        messages += pattern
+        end = until
+    if end > MAX_TIME:
+        raise ScoreError(f"{end:.0f} s of music: {MAX_TIME:.0f} s are allowed", file=path)
+    return messages, end, _texts(midi)
+
+
+def _played(midi: MidiFile, findings: Findings) -> Iterator[tuple[list[tuple[float, int, int, int]], float]]:
+    """Yield the messages of each pattern, (time in s, status, data 1, data 2), and the time of its end."""
+    began = 0.0
+    for pattern in _patterns(midi, findings):
+        seconds = _clock(midi, pattern)
+        messages = sorted(chain.from_iterable(t.messages for t in pattern), key=itemgetter(0))
+        timed = [(began + seconds(tick), status, a, b) for tick, status, a, b in messages]
+        began += seconds(max(t.end for t in pattern))
+        yield timed, began
+
+
+def _texts(midi: MidiFile) -> dict[str, str]:
     texts: dict[str, str] = {}
     for track in midi.tracks:
         texts = {**track.texts, **texts}
-    until = math.inf if stop is None else stop
-    ignored = Counter(kind for time, kind in performance.ignored if start <= time < until)
-    return Score(notes, controls, warnings=warnings, name=path.stem, metadata=texts, ignored=ignored)
+    return texts
 
 
 def _read_bytes(path: Path) -> bytes:

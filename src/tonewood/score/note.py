@@ -45,6 +45,8 @@ class Note:
     angle_deg : degrees, between the first polarization and the force.
     technique : name of a playing technique the instrument declares, e.g. ``palm``.
     channel : MIDI channel 0..15 the note came from, or None.
+    marks : signs written at it, e.g. ``palm_mute``; an instrument that has a technique for one plays it so, and
+        ``tablature`` lets the assignment choose where no string has the note at its `stop`.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class Note:
     angle_deg: float | None = None
     technique: str | None = None
     channel: int | None = None
+    marks: tuple[str, ...] = ()
 
     if TYPE_CHECKING:  # names are numbers once it is made
 
@@ -80,6 +83,7 @@ class Note:
             angle_deg: float | None = None,
             technique: str | None = None,
             channel: int | None = None,
+            marks: tuple[str, ...] = (),
         ) -> None: ...
 
     def __post_init__(self) -> None:

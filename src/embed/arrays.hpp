@@ -1,4 +1,4 @@
-// Reads the files of named arrays that saved.py writes: for each array a line "name type n0 n1 ..." (type f8 or i8, sizes
+// Reads files of named arrays, as tonewood.output.model_file writes them: for each array a line "name type n0 n1 ..." (type f8 or i8, sizes
 // in decimal, none for one number) and, after its newline, the numbers: little-endian, 8 bytes each, the last index fastest.
 #pragma once
 
@@ -12,7 +12,7 @@
 #include <string>
 #include <vector>
 
-namespace saved {
+namespace tonewood::saved {
 
 static_assert(std::endian::native == std::endian::little, "numbers are read as they lie in the file");
 
@@ -57,6 +57,6 @@ private:
 };
 
 // "what/i/"
-inline std::string at(const std::string& what, std::size_t i) { return what + "/" + std::to_string(i) + "/"; }
+inline std::string entry(const std::string& what, std::size_t i) { return what + "/" + std::to_string(i) + "/"; }
 
-}  // namespace saved
+}  // namespace tonewood::saved

@@ -1,0 +1,158 @@
+// A model that Python has assembled and saved (tonewood.output.model_file), stepped by the kernel without Python.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "../kernel/kernel.hpp"
+#include "arrays.hpp"
+
+namespace tonewood::saved {
+
+inline View view(const File& file, const std::string& name) {
+    const saved::Array& array = file[name];
+    View out;
+    out.data = array.f8.data(), out.ndim = int(array.shape.size());
+    std::copy(array.shape.begin(), array.shape.end(), out.shape.begin());
+    return out;
+}
+
+inline ComponentDescription component(const File& file, const std::string& at) {
+    ComponentDescription d;
+    d.key = file.integer(at + "key"), d.offset = std::size_t(file.integer(at + "offset")), d.driven = file.integer(at + "driven");
+    d.e = view(file, at + "e"), d.rows = view(file, at + "rows"), d.w = view(file, at + "w");
+    d.response = view(file, at + "response"), d.incidence = view(file, at + "incidence");
+    d.channels = file.integers(at + "channels"), d.difference = file.integers(at + "difference");
+    if ((d.has_contact_ports = file.has(at + "contact_rows"))) {
+        d.contact.rows = view(file, at + "contact_rows"), d.contact.w = view(file, at + "contact_w");
+        d.contact.from_fixed = view(file, at + "from_fixed"), d.contact.from_contact = view(file, at + "from_contact");
+        d.contact.on_rows = view(file, at + "on_rows");
+    }
+    if ((d.has_tension = file.has(at + "a"))) {
+        d.tension.a = view(file, at + "a"), d.tension.half = view(file, at + "half");
+        d.tension.reading = view(file, at + "reading"), d.tension.kick = view(file, at + "kick");
+        d.tension.velocity = view(file, at + "velocity");
+    }
+    return d;
+}
+
+inline NonlinearDescription nonlinear(const File& file, const std::string& at) {
+    NonlinearDescription d;
+    d.dt = file[at + "dt"].f8[0], d.theta = file[at + "theta"].f8[0];
+    const std::vector<int> terms = file.integers(at + "terms"), kinds = file.integers(at + "kinds");
+    const auto &factors = file[at + "factors"].f8, &numbers = file[at + "numbers"].f8;
+    for (std::size_t i = 0; i < factors.size(); ++i)
+        d.terms.push_back({terms[4 * i], terms[4 * i + 1], terms[4 * i + 2], terms[4 * i + 3] != 0, factors[i]});
+    d.laws.resize(kinds.size());
+    for (std::size_t j = 0; j < kinds.size(); ++j) {
+        Law& law = d.laws[j];
+        const double* n = numbers.data() + 8 * j;
+        law.kind = Law::Kind(kinds[j]);
+        std::copy_n(n, 4, law.a);
+        law.loss = n[4], law.damping = n[5], law.offset = n[6], law.velocity = n[7];
+    }
+    for (std::size_t i = 0; file.has(at + entry("samples", i) + "0"); ++i) {
+        Law& law = d.laws[std::size_t(file.integer(at + entry("samples", i) + "0"))];
+        law.knots = file[at + entry("samples", i) + "1"].f8, law.coefficients = file[at + entry("samples", i) + "2"].f8;
+    }
+    d.weights = view(file, at + "weights"), d.compliance = view(file, at + "compliance");
+    d.from_linear = view(file, at + "from_linear"), d.to_linear = view(file, at + "to_linear");
+    d.residual = view(file, at + "residual");
+    return d;
+}
+
+inline CompiledSystem system_of(const File& file) {
+    CompiledSystem s;
+    for (std::size_t i = 0; file.has(entry("components", i) + "key"); ++i)
+        s.components.push_back(component(file, entry("components", i)));
+    s.linear = {view(file, "linear/inverse"), view(file, "linear/gamma"), view(file, "linear/constant"), view(file, "linear/weights")};
+    s.nonlinear = nonlinear(file, "nonlinear/");
+    for (std::size_t i = 0; file.has(entry("tensions/strings", i) + "0"); ++i) {
+        const std::string at = entry("tensions/strings", i);
+        s.tensions.strings.push_back({int(file.integer(at + "0")), file[at + "1"].f8[0], file.integers(at + "2")});
+    }
+    for (std::size_t i = 0; file.has(entry("geometric", i) + "scale"); ++i) {
+        GeometricDescription d;
+        d.scale = file[entry("geometric", i) + "scale"].f8[0], d.longitudinal = file.integer(entry("geometric", i) + "longitudinal");
+        for (std::size_t p = 0; file.has(entry(entry("geometric", i) + "parts", p) + "slot"); ++p) {
+            const std::string at = entry(entry("geometric", i) + "parts", p);
+            d.parts.push_back({int(file.integer(at + "slot")), view(file, at + "slopes"), view(file, at + "reading"),
+                               view(file, at + "compliances"), view(file, at + "kick"), view(file, at + "to_port"),
+                               view(file, at + "from_port")});
+        }
+        s.geometric.push_back(std::move(d));
+    }
+    return s;  // all shortcuts on
+}
+
+// The model at rest; pluck and process move it. Nothing is allocated in process once it has run with its largest block.
+class SavedModel {
+public:
+    explicit SavedModel(const std::string& path, const std::string& isa = "")
+        : file_(path), system_(system_of(file_)), capacity_(std::size_t(file_.integer("capacity"))),
+          n_channels_(int(file_.integer("n_channels"))),
+          kernel_(isa.empty() ? *instruction_sets().front() : instruction_set(isa), system_.components.size(), capacity_, n_channels_) {
+        kernel_.load(system_);
+        const std::size_t k = system_.nonlinear.laws.size();
+        modes_.resize(2 * capacity_), series_.resize(k), slip_.resize(k), last_.resize(k);
+        tension_.resize(8 * kernel_.n_tensions());
+        for (std::size_t i = 0; file_.has("plucks/" + std::to_string(i) + "/0/0"); ++i) ++n_plucks_;
+    }
+    SavedModel(const SavedModel&) = delete;
+
+    int n_channels() const { return n_channels_; }
+    std::size_t n_plucks() const { return n_plucks_; }
+    const File& file() const { return file_; }
+
+    // Begin gesture i of the file now, its force times gain.
+    void pluck(std::size_t i, double gain = 1.0) { add("plucks/" + std::to_string(i), gain); }
+
+    // Begin known forces of the file now: "NAME/0/0" to "3", "NAME/1/0" and so on: slot, first step, vectors, values.
+    void add(const std::string& name, double gain = 1.0) {
+        for (std::size_t i = 0; file_.has(entry(name, i) + "0"); ++i) {
+            const Array &vectors = file_[entry(name, i) + "2"], &values = file_[entry(name, i) + "3"];
+            Force force{int(file_.integer(entry(name, i) + "0")), file_.integer(entry(name, i) + "1"), &vectors, values};
+            for (double& value : force.values.f8) value *= gain;
+            forces_.push_back(std::move(force));
+        }
+    }
+
+    // Write the next n samples of all channels, (n, n_channels). Throws where the state is no longer finite.
+    void process(double* out, std::size_t n) {
+        const std::size_t m = system_.linear.gamma.size(), k = system_.nonlinear.laws.size();
+        linear_.resize(std::max(linear_.size(), n * m));
+        laws_.assign(std::max(laws_.size(), n * k), 0.0);
+        Job job;
+        job.modes[0] = modes_.data(), job.modes[1] = modes_.data() + capacity_;
+        job.n = std::int64_t(n), job.out = out, job.forces = linear_.data(), job.n_channels = n_channels_;
+        job.law_forces = laws_.data(), job.series = series_.data(), job.slip = slip_.data();
+        job.last_force = last_.data(), job.tension = tension_.data();
+        for (const Force& f : forces_)
+            job.injections.push_back({f.slot, f.start, std::int64_t(f.values.shape[1]), int(f.values.shape[0]),
+                                      f.vectors->f8.data(), f.values.f8.data()});
+        if (kernel_.run(job).slot != Fault::kNone) throw std::runtime_error("the state is no longer finite");
+        for (Force& f : forces_) f.start -= std::int64_t(n);
+        std::erase_if(forces_, [](const Force& f) { return f.start + std::int64_t(f.values.shape[1]) <= 0; });
+    }
+
+private:
+    struct Force {
+        int slot;
+        std::int64_t start;  // from the next sample on
+        const Array* vectors;
+        Array values;
+    };
+    File file_;
+    CompiledSystem system_;
+    std::size_t capacity_, n_plucks_ = 0;
+    int n_channels_;
+    Kernel kernel_;
+    std::vector<double> modes_, series_, slip_, last_, tension_, linear_, laws_;
+    std::vector<Force> forces_;
+};
+
+}  // namespace tonewood::saved

@@ -1,0 +1,110 @@
+"""``tonewood render --part`` and ``--ensemble``: the parts of a score on several instruments, mixed."""
+
+from __future__ import annotations
+
+import re
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tonewood.cli.common import print_json, progress, warn
+from tonewood.units import counted, decibel
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from tonewood.output.ensemble import EnsemblePart
+    from tonewood.output.level import LevelName
+    from tonewood.output.options import RenderOptions
+
+
+def render_parts(
+    score: Path,
+    parts: Sequence[EnsemblePart],
+    output: Path,
+    options: RenderOptions,
+    *,
+    reading: Mapping[str, Any],
+    subtype: str,
+    level: LevelName,
+    target: float,
+    stems: Path | None,
+    as_json: bool,
+) -> None:
+    """Render and mix; the mix is brought to its level by its true peak."""
+    from tonewood.output.audio import Audio
+    from tonewood.output.ensemble import render_ensemble
+    from tonewood.output.level import LOUDNESS
+    from tonewood.output.loudness import loudness, matching_gain_db, true_peak
+
+    began = time.perf_counter()
+    with progress("rendering", len(parts)) as advance:
+        done = [0]
+
+        def one_more(_: str) -> None:
+            done[0] += 1
+            advance(done[0])
+
+        rendered = render_ensemble(score, parts, options=options, progress=one_more, reading=dict(reading))
+    fs = options.fs
+    mix = np.sum([stem.samples for stem in rendered], axis=0)
+    peak = true_peak(mix)
+    gain = 0.0
+    if level != "calibrated" and peak > 0:
+        gain = target - decibel(peak)
+        if level == "LUFS":
+            gain = min(gain, matching_gain_db(mix, fs, LOUDNESS))
+    factor = 10 ** (gain / 20)
+    clipped = Audio(mix * factor, fs, ("left", "right")).save(output, subtype)
+    files = []
+    if stems is not None:
+        stems.mkdir(parents=True, exist_ok=True)
+        for stem in rendered:
+            name = re.sub(r"\W+", "_", Path(stem.part.instrument).name)
+            files.append(stems / f"{stem.part.part:02d}_{name}{output.suffix}")
+            Audio(stem.samples * factor, fs, ("left", "right")).save(files[-1], subtype)
+    lufs = loudness(mix * factor, fs)[0] if find_spec("pyloudnorm") and peak > 0 else None
+    if lufs is not None and not np.isfinite(lufs):
+        lufs = None
+    said = {
+        "output": str(output), "fs": fs, "frames": len(mix), "duration_s": len(mix) / fs, "level": level,
+        "gain_db": gain, "true_peak_dbtp": decibel(peak) + gain if peak > 0 else None, "loudness_lufs": lufs,
+        "clipped": clipped, "render_s": time.perf_counter() - began, "stems": [str(file) for file in files],
+        "parts": [
+            {
+                **stem.part.model_dump(), "notes": stem.summary.notes, "midi_ignored": dict(stem.summary.ignored),
+                "notes_dropped": [
+                    {"time_s": d.time, "note": d.note, "channel": d.channel, "reason": d.reason}
+                    for d in stem.summary.notes_dropped
+                ],
+                "warnings": list(stem.summary.warnings), "peak_dbfs": decibel(float(np.abs(stem.samples).max())) + gain
+                if stem.samples.any() else None,
+            }
+            for stem in rendered
+        ],
+    }  # fmt: skip
+    if as_json:
+        print_json("render-parts", said)
+        return
+    for stem in rendered:
+        where = f"part {stem.part.part}: "
+        warn([where + line for line in stem.summary.warnings])
+        warn([f"{where}not played at {d.time:.2f} s: {d.reason}" for d in stem.summary.notes_dropped])
+    if clipped:
+        warn([f"{counted(clipped, 'sample')} clipped; lower --gain, or use --level peak"])
+    peak_text = f"true peak {decibel(peak) + gain:.1f} dBTP" if peak > 0 else "silent"
+    loud = f", {lufs:.1f} LUFS" if lufs is not None else ""
+    print(f"{output}: {len(mix) / fs:.2f} s, {counted(len(rendered), 'part')} at {fs} Hz, {peak_text}{loud}")
+    print(f"  level {level}: gain {gain:+.1f} dB")
+    for stem in rendered:
+        s, p = stem.summary, stem.part
+        ignored = "; without effect: " + ", ".join(f"{n} {kind}" for kind, n in s.ignored.items()) if s.ignored else ""
+        print(
+            f"  part {p.part} on {p.instrument}, {p.gain_db:+.1f} dB, pan {p.pan:+.2f}: {counted(s.notes, 'note')}, "
+            f"{len(s.notes_dropped)} dropped{ignored}"
+        )
+    for file in files:
+        print(f"  {file}")

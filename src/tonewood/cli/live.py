@@ -1,0 +1,157 @@
+"""``tonewood play --midi-in`` and ``--keyboard``: an instrument played live."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tonewood.cli.common import print_json, warn
+from tonewood.errors import TonewoodError
+from tonewood.units import counted
+
+if TYPE_CHECKING:
+    from tonewood.instrument.bundle import Instrument
+    from tonewood.live.ports import EventSource
+    from tonewood.live.session import LiveSession
+    from tonewood.output.options import RenderOptions
+    from tonewood.output.stream import Playback
+
+#: velocity of the chord of all open strings whose peak is brought near full scale
+_LOUD = 110
+
+
+def play_live(
+    instrument: Instrument,
+    options: RenderOptions,
+    *,
+    port: str | None,
+    keyboard: bool,
+    record: Path | None,
+    block_size: int,
+    ahead: int,
+    ramp: float,
+    spacing: int,
+    duration: float | None,
+    device: Any,
+    calibrated: bool,
+    as_json: bool,
+    stream: Any = None,
+) -> None:
+    """Play until Ctrl-C, Esc on the computer's keys, or `duration` s; then print what was played and what was not."""
+    from tonewood.live.keyboard import HELP, ComputerKeyboard
+    from tonewood.live.ports import MidiInput
+    from tonewood.live.session import LiveSession
+    from tonewood.live.take import Take
+    from tonewood.output.level import meaning
+    from tonewood.output.live import Live
+
+    take = Take(options.fs) if record is not None else None
+    if record is not None and not record.parent.is_dir():
+        raise TonewoodError(f"there is no folder {record.parent}", key="--record")
+    sources: list[EventSource] = []
+    try:
+        if port is not None:
+            sources.append(MidiInput("" if port == "first" else port))
+        if not calibrated:
+            options = options.at(gain_db=round(_gain(instrument, options), 1))
+        live = Live(instrument, options=options, ramp=ramp, spacing=spacing)
+        keys = None
+        if keyboard:
+            keys = ComputerKeyboard(min(s.open_note for s in live.model.strings.values()))
+            sources.append(keys)
+        session = LiveSession(live, sources, block_size=block_size, ahead=ahead, take=take)
+        if not as_json:
+            print(f"{live.instrument.spec.name} played by {' and '.join(s.name for s in sources)}; Ctrl-C ends")
+            print(f"  {meaning(live.model.outputs, live.options.gain_db)}")
+            if keys is not None:
+                print(f"  {HELP}")
+        played = session.run(device, stream, _meter(session, duration, lambda: keys is not None and keys.ended))
+    finally:
+        for source in sources:
+            source.close()
+    if record is not None and take is not None:
+        take.save(record, live, live.frames)
+    _tell(session, played, record, as_json=as_json)
+
+
+def _gain(instrument: Instrument, options: RenderOptions) -> float:
+    """Gain (dB) that brings a chord of all open strings near full scale."""
+    from tonewood.instrument.assembly import assemble
+    from tonewood.output.level import preview_gain
+    from tonewood.score.note import Note, Score
+
+    strings = assemble(instrument, 48000.0).strings
+    chord = [Note(0.01 * i, 1.0, string=name, stop=0, velocity_midi=_LOUD) for i, name in enumerate(strings)]
+    return preview_gain(Score(chord), instrument, options)
+
+
+def _meter(session: LiveSession, duration: float | None, ended: Callable[[], bool]) -> Callable[[], bool]:
+    """Show the meter on a terminal; returns whether to go on."""
+    began, shown = time.monotonic(), [False]
+
+    def wait() -> bool:
+        if not shown[0]:
+            shown[0] = True
+            parts = session.latency
+            listed = ", ".join(f"{name} {1e3 * value:.1f}" for name, value in parts.items())
+            print(f"  latency {1e3 * sum(parts.values()):.1f} ms: {listed}", file=sys.stderr)
+        if sys.stderr.isatty():
+            print(f"\r\x1b[K{session.status()[:110]}", end="", file=sys.stderr, flush=True)
+        return not ended() and (duration is None or time.monotonic() - began < duration)
+
+    return wait
+
+
+def _tell(session: LiveSession, played: Playback, record: Path | None, *, as_json: bool) -> None:
+    """Print the summary of a session."""
+    live = session.live
+    summary = live.summary()
+    ignored = {**summary.ignored, **session.receiver.ignored}
+    dropped = sum(summary.dropped.values())
+    if as_json:
+        report = {
+            "duration_s": played.frames / live.fs,
+            "fs": live.fs,
+            "block": session.stream.block_size,
+            "latency_s": session.latency,
+            "underruns": played.underruns,
+            "load": played.load,
+            "worst_block_s": played.worst_block_s,
+            "clipped": summary.clipped,
+            "peak_dbfs": summary.peak_dbfs,
+            "gain_db": live.options.gain_db,
+            "messages": session.receiver.messages,
+            "notes": summary.notes,
+            "notes_cut": summary.cut,
+            "notes_dropped": dict(summary.dropped),
+            "midi_ignored": ignored,
+            "record": None if record is None else str(record),
+            "effects": [asdict(effect) for effect in summary.effects],
+        }
+        print_json("play", report)
+        return
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
+    if summary.clipped:
+        warn([f"{counted(summary.clipped, 'sample')} clipped; lower --gain"])
+    warn([f"{count} not played: {reason}" for reason, count in summary.dropped.items()])
+    print(
+        f"played {played.frames / live.fs:.2f} s, {counted(summary.notes, 'note')}, {dropped} dropped, "
+        f"{summary.cut} ended by another on their string; {counted(played.underruns, 'underrun')}"
+    )
+    length = session.stream.block_size / live.fs
+    print(
+        f"  load {100 * played.load:.0f} %, worst block {1e3 * played.worst_block_s:.2f} ms of {1e3 * length:.2f} ms; "
+        f"peak {summary.peak_dbfs:.1f} dBFS"
+    )
+    left_out = sorted({e.title for e in summary.effects if e.bound and e.seconds_active < summary.frames / live.fs})
+    if left_out:
+        print(f"  left out at times within the budget: {', '.join(left_out)}")
+    if ignored:
+        print(f"  without effect: {', '.join(f'{n} {kind}' for kind, n in ignored.items())}")
+    if record is not None:
+        print(f"  {record}: {len(session.take.messages) if session.take else 0} messages")

@@ -1,0 +1,499 @@
+"""Notes as they come to actions of hands: the causal counterpart of `playing`.
+
+Every action is entered at the next point of the control grid, GRID samples apart, so that the samples depend only on
+the actions and on the samples after which they came:
+
+- A note begins at that point with the preparation of its gesture, shortened to `ramp`; it sounds when this is over.
+- One thing is done at a point, so that none costs more than a block has time for: notes first, `spacing` points apart
+  (twice that after one in an unusual way), then slides and strings let go, ends of notes, bends.
+- A bend follows its wheel at no more than the greatest rate, one string at a time: the farthest from its wheel.
+- A gesture that lasts as long as its note (a bow's stroke) is continued `_CONTINUED` s ahead while the key is down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from tonewood.engine.engine import GRID, Engine
+from tonewood.engine.fretting import Fretting
+from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
+from tonewood.engine.playing import BEND_RATE, LET_GO_AFTER, playable
+from tonewood.engine.techniques import stop_course, touch_course
+from tonewood.engine.timeline import Change, Play
+from tonewood.engine.variation import Deviates, touched
+from tonewood.errors import ScoreError, TonewoodError
+from tonewood.instrument.assembly import Model
+from tonewood.instrument.contract import Event, Gesture, Place
+from tonewood.score.assignment import Assigned
+from tonewood.score.causal import PEDALLED, CausalAssignment, Sounding
+from tonewood.score.note import Dropped, Note
+from tonewood.score.scales import note_number
+from tonewood.validation_messages import did_you_mean
+
+#: s, by which a gesture that lasts as long as its note is known ahead, and the shortest note
+_CONTINUED, _SHORTEST = 0.25, 0.02
+#: compiled ways to hold a string that are kept, besides those of `prepare`
+_ROOM = 256
+#: notes of one key that were struck and not released; more of them release the first
+_STRUCK = 8
+#: dropped notes that are kept with their reasons; all are counted
+_KEPT = 100
+#: points of the grid that are stepped at once while nothing is to be done
+_IDLE = 64
+#: m, to which places that controllers ask for are rounded: bases of strings are made once per place
+_GRAIN = 5e-3
+
+
+@dataclass(eq=False)
+class Voice:
+    """One note, from its key to the end of its sound.
+
+    Attributes
+    ----------
+    number : counted from 0.
+    note : as it was asked for.
+    key_down, pedalled : whether its key is held, or the pedal holds it.
+    string : on which it sounds; None before it begins, after it was ended by another one, and on the body.
+    began : sample of its beginning.
+    """
+
+    number: int
+    note: Note
+    key_down: bool = True
+    pedalled: bool = False
+    string: str | None = None
+    began: int = 0
+    assigned: Assigned | None = None
+    play: Play | None = None
+    event: Event = field(default_factory=Event)
+
+
+@dataclass(eq=False)
+class _Line:
+    """One string: its voice, stop, bend, and what is still to come of them."""
+
+    voice: Voice | None = None
+    stop: float = 0.0
+    #: cents of the stop's pitch, bent and as asked for
+    cents: float = 0.0
+    wanted: float = 0.0
+    #: (sample, change), in order
+    later: deque[tuple[int, Change]] = field(default_factory=deque)
+
+
+@dataclass(eq=False)
+class LiveCounters:
+    """Counts of what was played.
+
+    Attributes
+    ----------
+    notes : that began.
+    cut : notes that ended because another one needed their string.
+    dropped : reason -> notes that could not be played.
+    latest : the last of these, at most 100.
+    ignored : kind of controller -> changes of it that have no effect.
+    """
+
+    notes: int = 0
+    cut: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+    latest: deque[Dropped] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    ignored: Counter[str] = field(default_factory=Counter)
+
+
+class LivePlayer:
+    """Plays an engine's instrument from notes and controllers as they come.
+
+    Parameters
+    ----------
+    model, engine : to play; the engine's timeline is empty.
+    ramp : s, longest preparation of a pluck.
+    spacing : points of the control grid between beginnings of notes that come together.
+    channel_per_string : notes of the first channel go to the first string, and so on.
+    """
+
+    def __init__(
+        self, model: Model, engine: Engine, *, ramp: float, spacing: int = 2, channel_per_string: bool = False
+    ):
+        self.model, self.engine = model, engine
+        self.ramp, self.spacing = ramp, spacing
+        self.counters = LiveCounters()
+        self._assignment = CausalAssignment(
+            playable(model), channel_per_string=channel_per_string, tuning=model.instrument.tuning
+        )
+        engine.fingerboard.room = _ROOM
+        self._keys = {float(note_number(k)): name for k, name in model.playing.keyswitches.items()}
+        self._lines = {name: _Line() for name in model.strings}
+        self._waiting: deque[Voice] = deque()
+        self._held: dict[tuple[int, float], list[Voice]] = {}
+        self._pedalled: dict[tuple[int, float], Voice] = {}
+        self._ending: list[Voice] = []
+        #: (string, stop, values) of ways to pluck that are compiled while nothing else is to be done
+        self._to_compile: deque[tuple[str, int, Mapping[str, float]]] = deque()
+        self._controls: dict[tuple[int, str], float] = {}
+        self._techniques: dict[int, str] = {}
+        #: technique -> whether its gesture lasts as long as the note
+        self._sustained: dict[str, bool] = {}
+        self._free_at = self._bend_at = 0
+        self._number = 0
+        self._read = frozenset({*model.playing.controls, *model.playing.switches, "cc7", "cc11", "cc64"})
+
+    def note_on(self, note: Note) -> Voice | None:
+        """Begin a note at the next point of the grid; None if it is a keyswitch or cannot be played.
+
+        Raises
+        ------
+        ScoreError : the instrument has no such technique.
+        """
+        channel = note.channel or 0
+        if note.note in self._keys and note.string is None:
+            self._techniques[channel] = self._keys[note.note]
+            return None
+        voice = Voice(self._number, self._with_technique(note))
+        self._number += 1
+        if note.note is not None:
+            if (before := self._pedalled.pop((channel, note.note), None)) is not None:
+                self._end(before)
+            held = self._held.setdefault((channel, note.note), [])
+            held.append(voice)
+            if len(held) > _STRUCK:
+                self.release(held[0])
+        self._waiting.append(voice)
+        return voice
+
+    def note_off(self, note: float, channel: int = 0) -> bool:
+        """Release the key that was struck first of those of this pitch on the channel; whether there was one."""
+        held = self._held.get((channel, note))
+        if not held:
+            return False
+        self.release(held[0])
+        return True
+
+    def release(self, voice: Voice) -> None:
+        """Release the key of a note; the pedal may hold it on."""
+        if not voice.key_down:
+            return
+        voice.key_down = False
+        channel, key = voice.note.channel or 0, voice.note.note
+        if key is not None:
+            held = self._held[channel, key]
+            held.remove(voice)
+            if not held:
+                del self._held[channel, key]
+        if self._controls.get((channel, "cc64"), 0.0) >= 0.5 and key is not None:
+            if (before := self._pedalled.get((channel, key))) is not None:
+                self._end(before)
+            voice.pedalled = True
+            self._pedalled[channel, key] = voice
+        else:
+            self._ending.append(voice)
+
+    def control(self, kind: str, value: float, channel: int = 0) -> None:
+        """Move a controller, ``ccN`` or ``pressure``, to a value from 0 to 1."""
+        if kind not in self._read:
+            self.counters.ignored[f"controller {kind[2:]}" if kind.startswith("cc") else kind] += 1
+            return
+        self._controls[channel, kind] = value
+        if kind == "cc64" and value < 0.5:
+            self.lift_pedal(channel)
+        moved = self.model.playing.controls.get(kind)
+        if moved is not None and moved.parameter == f"{self.model.default_exciter}.from_bridge":
+            # while nothing else is to be done; the samples do not depend on it
+            place = {"from_bridge": _rounded(moved.value(value))}
+            self._to_compile = deque((name, stop, place) for name, stop in self._places())
+
+    def lift_pedal(self, channel: int) -> None:
+        """End the notes that only the pedal holds."""
+        for at in [at for at in self._pedalled if at[0] == channel]:
+            self._end(self._pedalled.pop(at))
+
+    def bend(self, cents: float, channel: int | None = None) -> None:
+        """Bend the notes of a channel, or all, to so many cents above their pitches; rounded to a whole one."""
+        for at in range(16) if channel is None else (channel,):
+            self._controls[at, "bend"] = round(cents)
+        for line in self._lines.values():
+            if line.voice is not None and channel in (None, line.voice.note.channel or 0):
+                line.wanted = self._cents(line.voice)
+
+    def all_off(self, channel: int | None = None, *, pedalled: bool = False) -> None:
+        """Release all keys of a channel, or of all; with `pedalled` also what the pedal holds."""
+        for at in [at for at in self._held if channel in (None, at[0])]:
+            for voice in list(self._held.get(at, ())):
+                self.release(voice)
+        for at in [at for at in self._pedalled if pedalled and channel in (None, at[0])]:
+            self._end(self._pedalled.pop(at))
+
+    @property
+    def idle_points(self) -> int:
+        """Points of the grid that may be stepped at once: 1 where something is to be done at the next."""
+        busy = (
+            self._waiting
+            or self._ending
+            or self._to_compile
+            or any(
+                line.later or line.cents != line.wanted or self._is_sustained(line.voice)
+                for line in self._lines.values()
+            )
+        )
+        return 1 if busy else _IDLE
+
+    @property
+    def n_sounding(self) -> int:
+        """Strings with a note whose key or pedal is held."""
+        return sum(line.voice is not None for line in self._lines.values())
+
+    def tick(self) -> None:
+        """Enter into the engine's schedule what is due at the point of the grid that it has reached."""
+        now = self.engine.state.sample
+        for line in self._lines.values():
+            if self._is_sustained(line.voice):
+                self._continue(line.voice, now)
+        if self._waiting and now >= self._free_at:
+            self._begin(now)
+        elif not self._follow(now) and not self._end_one(now) and now >= self._bend_at and not self._bend_one(now):
+            self._compile_one(now)
+
+    def _follow(self, now: int) -> bool:
+        """Make one change that was planned: of a slide, or to let a damped string go; whether there was one."""
+        due = [line for line in self._lines.values() if line.later and line.later[0][0] <= now]
+        if not due:
+            return False
+        line = min(due, key=lambda line: line.later[0][0])
+        _, change = line.later.popleft()
+        line.stop = line.stop if change.stop is None else change.stop
+        if change.cents is not None:
+            line.cents = line.wanted = change.cents
+        self._change(now, change)
+        return True
+
+    def _end_one(self, now: int) -> bool:
+        """End the first of the notes that were let go; whether there was one that sounds."""
+        for voice in list(self._ending):
+            if voice in self._waiting or (voice.string is not None and self._is_young(voice, now)):
+                continue
+            self._ending.remove(voice)
+            if voice.string is not None:
+                self._finish(voice, now)
+                return True
+        return False
+
+    def _with_technique(self, note: Note) -> Note:
+        """The note with the technique that it names, or that keys and controllers ask for."""
+        channel = note.channel or 0
+        technique = note.technique or self._techniques.get(channel)
+        for kind, name in self.model.playing.switches.items():
+            if note.technique is None and self._controls.get((channel, kind), 0.0) >= 0.5:
+                technique = name
+        if technique is not None and technique not in self.model.exciters:
+            names = f"{did_you_mean(technique, self.model.exciters)}there are {', '.join(self.model.exciters)}"
+            raise ScoreError(f"there is no technique {technique!r}; {names}")
+        volume = self._controls.get((channel, "cc7"), 1.0) * self._controls.get((channel, "cc11"), 1.0)
+        force = force_of(note, self.model, volume**2)
+        return replace(note, technique=technique, force=force, velocity_midi=None if force else note.velocity_midi)
+
+    def _cents(self, voice: Voice) -> float:
+        own = voice.assigned.cents if voice.assigned is not None else 0.0
+        return own + self._controls.get((voice.note.channel or 0, "bend"), 0.0)
+
+    def _end(self, voice: Voice) -> None:
+        voice.key_down = voice.pedalled = False
+        self._ending.append(voice)
+
+    def _drop(self, voice: Voice, drop: Dropped) -> None:
+        self.counters.dropped[drop.reason] += 1
+        self.counters.latest.append(replace(drop, time=self.engine.state.sample * self.engine.dt))
+        if voice.note.note is not None and voice.key_down:
+            self.release(voice)
+
+    def _begin(self, now: int) -> None:
+        """Begin the first of the notes that wait; those that came with it already have their strings."""
+        fresh = [voice for voice in self._waiting if voice.assigned is None and not self._tapped(voice, now)]
+        sounding = {name: self._sounding(line) for name, line in self._lines.items() if line.voice is not None}
+        taken = {v.assigned.string: Sounding(v.assigned.stop, 1.0) for v in self._waiting if v.assigned is not None}
+        assigned, dropped = self._assignment.assign([v.note for v in fresh], sounding | taken)
+        lost = {i for i, _ in dropped}
+        kept = [voice for i, voice in enumerate(fresh) if i not in lost]
+        for voice, own in zip(kept, assigned, strict=True):
+            voice.assigned = own
+        for i, drop in dropped:
+            self._drop(fresh[i], drop)
+        self._waiting = deque(voice for voice in self._waiting if voice.assigned is not None)
+        while self._waiting:
+            voice = self._waiting.popleft()
+            if self._started(voice, now):
+                # a string that is held in an unusual way takes longer to compute
+                wait = self.spacing * GRID * (1 if self._is_plain(voice) else 2)
+                self._free_at = now + wait
+                self._bend_at = max(self._bend_at, self._free_at)
+                break
+
+    def _is_plain(self, voice: Voice) -> bool:
+        """Whether a note has the default technique and place, and a stop's pitch, as `prepare` compiles them."""
+        usual = voice.note.technique in (None, self.model.default_exciter) and "from_bridge" not in voice.event.values
+        return usual and voice.assigned is not None and voice.assigned.cents == 0.0
+
+    def _sounding(self, line: _Line) -> Sounding:
+        voice = line.voice
+        worth = 0.0 if voice is None else 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
+        return Sounding(line.stop, worth)
+
+    def _tapped(self, voice: Voice, now: int) -> bool:
+        """Play a gesture on a point of the body."""
+        exciter = exciter_of(voice.note, self.model)
+        if exciter.at is None:
+            return False
+        values = {} if voice.note.force is None else {"force": voice.note.force}
+        gesture = exciter.gesture(Event(values), Place(exciter.at))
+        self.engine.schedule.add(plays=[Play(now * self.engine.dt - gesture.start, gesture, at=exciter.at)])
+        self.counters.notes += 1
+        return True
+
+    def _started(self, voice: Voice, now: int) -> bool:
+        """Begin a note on its string; whether it can be played there."""
+        own, model = voice.assigned, self.model
+        assert own is not None
+        line, channel = self._lines[own.string], voice.note.channel or 0
+        string, exciter = model.strings[own.string], exciter_of(voice.note, model)
+        values = event_values(voice.note, model, lambda kind: self._controls.get((channel, kind)))
+        if "from_bridge" in values:
+            values["from_bridge"] = _rounded(values["from_bridge"])
+        if (seed := model.playing.variation.seed) is not None:
+            drawn = Deviates.of(seed, voice.number)
+            values = touched(values, exciter, string.length(own.stop), drawn, model.playing.variation)
+        event = Event(values, string.freq(own.stop), _CONTINUED, own.stop, line.stop, string.length(line.stop))
+        try:
+            is_where_asked(event, own, model, "live")
+            gesture = _gripped(hurried(exciter.gesture(event, model.place(own.string, own.stop)), self.ramp))
+        except TonewoodError as fault:
+            self._drop(voice, Dropped(0.0, voice.note.note, voice.note.channel, fault.reason))
+            return False
+        if line.voice is not None:
+            self.counters.cut += line.voice.key_down or line.voice.pedalled
+            line.voice.string = None
+        play = Play(now * self.engine.dt - gesture.start, gesture, string=own.string)
+        voice.string, voice.began, voice.play, voice.event = own.string, now, play, event
+        self.counters.notes += 1
+        line.voice, line.stop = voice, own.stop
+        # the bend follows while the pluck is prepared
+        line.cents, line.wanted = own.cents, self._cents(voice)
+        line.later.clear()
+        tick = GRID * self.engine.dt
+        course = stop_course(play, own.stop, string.stopping.continuous, tick)
+        stops = course or [(play.start, own.stop)]
+        changes = [Change(play.start, own.string, stop=stops[0][1], cents=line.cents, added_damping=0.0, touches=())]
+        later = [Change(time, own.string, touches=t) for time, t in touch_course(play, tick)]
+        later += [Change(time, own.string, stop=stop) for time, stop in stops[1:]]
+        for change in sorted(later, key=lambda c: c.time):
+            line.later.append((math.floor(change.time / tick + 1e-6) * GRID, change))
+        self.engine.schedule.add(changes, [play])
+        return True
+
+    def _change(self, now: int, change: Change) -> None:
+        self.engine.schedule.add([replace(change, time=now * self.engine.dt)])
+
+    def _is_sustained(self, voice: Voice | None) -> bool:
+        """Whether a note's gesture lasts until its key is released."""
+        if voice is None or voice.play is None or voice.assigned is None:
+            return False
+        name = voice.note.technique or self.model.default_exciter
+        if name not in self._sustained:
+            place = self.model.place(voice.assigned.string, voice.assigned.stop)
+            longer = replace(voice.event, duration=2 * _CONTINUED)
+            again = self.model.exciters[name].gesture(longer, place)
+            self._sustained[name] = again.stop > voice.play.gesture.stop
+        return self._sustained[name]
+
+    def _is_young(self, voice: Voice, now: int) -> bool:
+        return (now - voice.began) * self.engine.dt < _SHORTEST
+
+    def _finish(self, voice: Voice, now: int) -> None:
+        """Damp the string of a note, or end the gesture that lasts as long as the note."""
+        if voice.string is None:
+            return
+        line, end, time = self._lines[voice.string], self.model.playing.note_end, now * self.engine.dt
+        if self._is_sustained(voice):
+            self._continue(voice, now, until=now)
+            voice.play = None
+        if end.kind == "ring":
+            line.voice = None
+        else:
+            self._change(now, Change(time, voice.string, added_damping=math.log(1000.0) / end.t60))
+            let_go = now + math.ceil(LET_GO_AFTER * end.t60 / (GRID * self.engine.dt)) * GRID
+            line.later.append((let_go, Change(time, voice.string, stop=0, cents=0.0, added_damping=0.0)))
+            line.voice, line.wanted = None, line.cents
+
+    def _continue(self, voice: Voice | None, now: int, until: int | None = None) -> None:
+        """Give a gesture that lasts as long as its note another `_CONTINUED` s, or end it."""
+        assert voice is not None
+        assert voice.play is not None
+        dt = self.engine.dt
+        ahead = voice.play.time + voice.event.duration - now * dt
+        if until is None and ahead > _CONTINUED / 2:
+            return
+        last = now if until is not None else now + _CONTINUED / dt
+        event = replace(voice.event, duration=max(last * dt - voice.play.time, _SHORTEST))
+        assigned = voice.assigned
+        assert assigned is not None
+        place = self.model.place(assigned.string, assigned.stop)
+        gesture = exciter_of(voice.note, self.model).gesture(event, place)
+        voice.event, voice.play = event, replace(voice.play, gesture=gesture)
+        self.engine.schedule.add(plays=[voice.play])
+
+    def _compile_one(self, now: int) -> None:
+        if self._to_compile:
+            self._compile(*self._to_compile.popleft())
+            self._bend_at = now + 2 * self.spacing * GRID
+
+    def _bend_one(self, now: int) -> bool:
+        """Take the bend of the string that is farthest from where it is wanted a step on; whether there was one."""
+        bent = {
+            name: line for name, line in self._lines.items() if line.voice is not None and line.cents != line.wanted
+        }
+        if not bent:
+            return False
+        name = max(bent, key=lambda name: abs(bent[name].wanted - bent[name].cents))
+        line, step = bent[name], BEND_RATE * 2 * self.spacing * GRID * self.engine.dt
+        way = line.wanted - line.cents
+        line.cents = line.wanted if abs(way) <= step else line.cents + math.copysign(step, way)
+        self._change(now, Change(0.0, name, cents=line.cents))
+        self._bend_at = now + 2 * self.spacing * GRID
+        return True
+
+    def prepare(self) -> None:
+        """Compile how strings are held at every stop by the default technique, and damped.
+
+        Without this a note takes up to 10 ms more the first time that its stop is played.
+        """
+        damped = math.log(1000.0) / self.model.playing.note_end.t60
+        for name, stop in self._places():
+            fretting = self._compile(name, stop, {})
+            for way in (fretting, replace(fretting, added_damping=damped)):
+                self.engine.fingerboard.prepare(name, way)
+
+    def _places(self) -> list[tuple[str, int]]:
+        return [(name, stop) for name, string in self.model.strings.items() for stop in range(string.n_stops + 1)]
+
+    def _compile(self, name: str, stop: int, values: Mapping[str, float]) -> Fretting:
+        """Compile how a string is held at a stop when it is plucked with some values of the default technique."""
+        string, fingerboard = self.model.strings[name], self.engine.fingerboard
+        event = Event(values, string.freq(stop), _CONTINUED, stop, 0.0, string.length(0.0))
+        gesture = self.model.exciters[self.model.default_exciter].gesture(event, self.model.place(name, stop))
+        held = Fretting(float(stop), place=gesture.from_bridge, width=gesture.width)
+        fretting = fingerboard.playable(name, held)
+        bases = fingerboard.bases(name, fretting)
+        for component in string.weights(gesture.angle_deg):
+            bases[component].impulses("pluck")
+        return fretting
+
+
+def _rounded(place: float) -> float:
+    return round(place / _GRAIN) * _GRAIN
+
+
+def _gripped(gesture: Gesture) -> Gesture:
+    """The same gesture with its finger's whole dashpot from the first touch on: each step of it costs a block time."""
+    hold = gesture.hold
+    return gesture if hold is None else replace(gesture, hold=replace(hold, grown=hold.start))
