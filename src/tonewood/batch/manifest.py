@@ -62,6 +62,7 @@ class NoteFields(Section):
     angle_deg: float | None = None
     technique: str | None = None
     channel: int | None = Field(default=None, ge=0, le=15)
+    marks: tuple[str, ...] = ()
 
     def to_note(self) -> Note:
         """Convert to the score's own type."""
