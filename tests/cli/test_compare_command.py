@@ -8,22 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tonewood.cli.main import run
-
 Run = Callable[..., tuple[int, str, str]]
 QUICK = ("--fs", 16000, "--duration", 0.2)
-
-
-@pytest.fixture
-def tonewood(capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*arguments: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as ended:
-            run([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        assert isinstance(ended.value.code, int)
-        return ended.value.code, out, err
-
-    return call
 
 
 def test_variants_are_compared_with_the_first(tonewood: Run) -> None:

@@ -14,22 +14,8 @@ import pytest
 import tonewood as tw
 from midi_bytes import note, write
 from tonewood.cli.commands import COMMANDS
-from tonewood.cli.main import run
 
 Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def tonewood(capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run a command; returns exit code, stdout and stderr."""
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as exit_:
-            run([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return exit_.value.code, out, err
-
-    return call
 
 
 @pytest.fixture

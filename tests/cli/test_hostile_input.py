@@ -12,23 +12,9 @@ import pytest
 import soundfile as sf
 
 from midi_bytes import midi_file, note, write
-from tonewood.cli.main import run
 from tonewood.instrument.registry import instrument_folder
 
 Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def tonewood(capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run a command; returns exit code, stdout and stderr."""
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as exit_:
-            run([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return exit_.value.code, out, err
-
-    return call
 
 
 @pytest.fixture
