@@ -67,7 +67,7 @@ class Added(Parameters):
 
     at: str = described("point of the body")
     direction: Direction | None = described("in which it acts; the point's own where left out", default=None)
-    mass: float = quantity("kg", low=0.0, high=1e3, default=0.0, doc="that moves with the point")
+    mass: float = quantity("kg", low=0.0, high=5.0, default=0.0, doc="that moves with the point")
     stiffness: float = quantity("N/m", low=0.0, high=1e9, default=0.0, doc="of a spring to the ground")
     damping: float = quantity("N s/m", low=0.0, high=1e6, default=0.0, doc="of a dashpot to the ground")
 

@@ -125,6 +125,7 @@ def test_bounds_know_of_it(guitar):
         ({"at": "bridge_E2", "mass": 0.01, "direction": "x"}, r"body\.added\.0\.direction: the body does not move"),
         ({"at": "bridge_E2"}, r"body\.added\.0: .*a mass, a stiffness or a damping above 0 is wanted"),
         ({"at": "bridge_E2", "mass": -0.01}, r"body\.added\.0\.mass"),
+        ({"at": "bridge_E2", "mass": 10}, r"body\.added\.0\.mass: is 10 kg; at most 5 kg: did you mean 10 g"),
     ],
 )
 def test_what_is_wrong_is_reported_in_one_line(guitar, entry, shown):
