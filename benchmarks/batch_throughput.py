@@ -21,6 +21,8 @@ import tempfile
 import time
 from pathlib import Path
 
+import psutil
+
 from tonewood.batch.rendering import EngineRenderer
 from tonewood.batch.runner import run_batch
 from tonewood.batch.workers import Workers
@@ -44,6 +46,13 @@ def manifest(notes: int, formats: list[str]) -> dict:
     }
 
 
+def resident(process: psutil.Process) -> float:
+    """Resident memory, MB; 0 of a process that has ended."""
+    with contextlib.suppress(psutil.Error):
+        return float(process.memory_info().rss) / 2**20
+    return 0.0
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--notes", type=int, default=1000)
@@ -57,10 +66,14 @@ def main() -> None:
         path.write_text(json.dumps(manifest(given.notes, given.formats)))
         stages: dict[str, list[float]] = {}
         times: list[float] = []
+        peaks = [0.0, 0.0]  # MB: of a worker, and the time at which it was looked at last
         began = time.perf_counter()
 
         def mark(stage: str, done: int, total: int) -> None:
             now = time.perf_counter() - began
+            if now > peaks[1] + 1.0:  # a forked child's own peak would begin with its parent's
+                workers_now = psutil.Process().children(recursive=True)
+                peaks[:] = max([peaks[0], *(resident(p) for p in workers_now)]), now
             stages.setdefault(stage, [now, now])[1] = now
             if stage == "renders":
                 times.append(now)
@@ -87,8 +100,8 @@ def main() -> None:
     tenths = [times[i * (len(times) - 1) // 10] for i in range(11)]
     rates = [(len(times) - 1) / 10 / (b - a) for a, b in itertools.pairwise(tenths)]
     print("renders per second, by tenths: " + ", ".join(f"{rate:.1f}" for rate in rates))
-    own, most = (resource.getrusage(who).ru_maxrss / 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    print(f"peak memory: this process {own:.0f} MB, largest worker {most:.0f} MB")
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"peak memory: this process {own:.0f} MB, largest worker {peaks[0]:.0f} MB")
     print("until the end of each stage, s: " + ", ".join(f"{k} {v[1]:.1f}" for k, v in stages.items()))
     print(f"core efficiency {used / wall / given.jobs:.3f} (processor time {used:.1f} s)")
 
