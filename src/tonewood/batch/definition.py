@@ -15,6 +15,7 @@ from tonewood.batch.conditions import Condition, expand
 from tonewood.batch.layout import Group
 from tonewood.batch.manifest import Manifest, ManifestError
 from tonewood.batch.pages import StaircasePage
+from tonewood.errors import TonewoodError
 
 SCHEMA = "tonewood-test/1"
 FILE = "test.json"
@@ -103,5 +104,5 @@ def check_staircases(manifest: Manifest, folder: Path, own: Any) -> None:
                 raise ManifestError(str(fault), key=f"pages.{index}.reference") from None
             except ManifestError:
                 raise
-            except Exception as fault:
+            except TonewoodError as fault:
                 raise ManifestError(str(fault), key=f"pages.{index}.path") from None

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -335,13 +335,15 @@ def integrals(
     """
     from scipy.sparse import csr_matrix
 
-    rows, columns, data = [], [], [[] for _ in matrices]  # type: ignore[var-annotated]
+    rows: list[NDArray[np.intp]] = []
+    columns: list[NDArray[np.intp]] = []
+    data: list[list[Floats]] = [[] for _ in matrices]
     count = grid.count
     for cells, points, weights in quad.groups:
         for first in range(0, len(cells), _CHUNK):
             some = slice(first, first + _CHUNK)
             cell, x, w = cells[some], points[some], weights[some]
-            b = operator(lambda order, cell=cell, x=x: grid.values(cell[:, None, :], x, order))  # type: ignore[misc]
+            b = operator(partial(grid.values, cell[:, None, :], x))
             n = b.shape[-1] // grid.alive
             index = np.concatenate([grid.index(cell) + i * count for i in range(n)], axis=-1)
             count_all = n * count
