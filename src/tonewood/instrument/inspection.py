@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.strings import held_freq
@@ -218,6 +219,21 @@ def mobility_peaks(model: Model, string: str, *, count: int = 6) -> list[tuple[f
     peaks = 1 + np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]))
     strongest = peaks[np.argsort(-size[peaks])[:count]]
     return [(float(freq[i]), float(size[i])) for i in np.sort(strongest)]
+
+
+def mobility_bands(basis: ModalBasis, points: Sequence[str], edges: ArrayLike) -> Floats:
+    """(bands,) dB re 1 (m/s)/N: mean of 20 lg |Y| over points and 400 frequencies, even in logarithm, of each band.
+
+    Parameters
+    ----------
+    points : of the body, each driven and read in its own direction.
+    edges : (bands + 1,) Hz.
+    """
+    levels = []
+    for low, high in pairwise(np.asarray(edges, dtype=np.float64)):
+        freq = np.geomspace(low, high, 400)
+        levels.append(np.mean([20 * np.log10(np.abs(basis.frf(freq, point, point))) for point in points]))
+    return np.array(levels)
 
 
 def microphone_responses(model: Model) -> list[MicrophoneResponse]:
