@@ -333,6 +333,15 @@ class OutputPart(PluginPart):
 
     name: Name = described("of the group")
     full_scale: float = quantity("1", low=1e-12, high=1e12, doc="value at 0 dBFS, in the pickup's unit")
+    gain_db: float = quantity("dB", low=-120.0, high=60.0, default=0.0, doc="of its channels")
+    pan: float | None = quantity(
+        "1",
+        low=-1.0,
+        high=1.0,
+        default=None,
+        doc="-1 left to 1 right, at constant power: one channel becomes two, two are balanced",
+    )
+    delay: float = quantity("s", low=0.0, high=0.1, default=0.0, doc="of its channels, to the nearest frame")
     note: str | None = described("what this output is, and is not", default=None)
 
 

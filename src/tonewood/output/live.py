@@ -23,6 +23,7 @@ from tonewood.output.audio import decibels
 from tonewood.output.inputs import InstrumentLike, as_instrument
 from tonewood.output.options import RenderOptions
 from tonewood.output.resampling import Resampler
+from tonewood.output.routing import Routing
 from tonewood.score.note import Dropped, Note
 
 Floats = NDArray[np.float64]
@@ -128,14 +129,11 @@ class Live:
         self.player = LivePlayer(
             self.model, self.engine, ramp=ramp, spacing=spacing, channel_per_string=options.channel_per_string
         )
-        groups = self.model.outputs
-        self._columns = [i for group in groups for i in group.readouts]
-        scales = [group.full_scale for group in groups for _ in group.channels]
-        self._scale = 10 ** (options.gain_db / 20) / np.array(scales)
-        self._resampler = Resampler(steps, len(self._columns))
+        self._routing = Routing(self.model, self.fs, options.gain_db)
+        self._resampler = Resampler(steps, len(self.channels))
         # frames that come out of the resampler before frame 0
         self._early = -self._resampler.frame(0)
-        self._pending = np.zeros((0, len(self._columns)))
+        self._pending = np.zeros((0, len(self.channels)))
         self._forget_at = _FORGET
         #: frames that were given out
         self.frames = 0
@@ -146,9 +144,7 @@ class Live:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the output channels."""
-        groups = self.model.outputs
-        alone = len(groups) == 1
-        return tuple(name if alone else f"{group.name}.{name}" for group in groups for name in group.channels)
+        return self._routing.channels
 
     @property
     def time(self) -> float:
@@ -277,7 +273,7 @@ class Live:
             sample = self.engine.state.sample
             points = int(-(-self._resampler.samples(frames - n + self._early) // GRID))
             sound = self.engine.advance(max(1, min(points, self.player.idle_points)))
-            sound = self._resampler(sound[:, self._columns] * self._scale, sample)
+            sound = self._routing.delayed(self._resampler(self._routing.scaled(sound), sample))
             if self._early:
                 early = min(self._early, len(sound))
                 sound, self._early = sound[early:], self._early - early

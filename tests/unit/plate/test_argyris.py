@@ -133,7 +133,7 @@ def braced_argyris(size: int, count: int) -> np.ndarray:
 def test_a_plate_with_a_brace(monkeypatch: pytest.MonkeyPatch) -> None:
     """First 15 modes of a clamped plate whose brace does not shear: median within 0.2 %, all within 0.8 %.
 
-    The worst are those in which the brace twists: here its strip, as wide as the brace, has to stay plane along it as well.
+    The worst are those in which the brace twists: here its whole strip stays plane, and not its mean only.
     """
     monkeypatch.setattr(beams, "_SHEAR", 1e6)
     ring = np.array([[0.0, 0.0], [0.36, 0.0], [0.36, 0.24], [0.0, 0.24]])
