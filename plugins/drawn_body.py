@@ -260,7 +260,10 @@ class DrawnBody(Body[DrawnBodyParameters]):
         modes = self.modes_below(freq_upper)
         omega = 2 * np.pi * modes.freq
         shapes = dict(zip(self.parameters.points, modes.shapes, strict=True))
-        return ModalBasis.real(omega, modes.loss * omega / 2, shapes, residual=modes.residual)
+        heard = np.divide(modes.radiation_loss, modes.loss, out=np.zeros(len(omega)), where=modes.loss > 0)
+        return ModalBasis.real(
+            omega, modes.loss * omega / 2, shapes, residual=modes.residual, metadata={"radiated": heard}
+        )
 
     def sources(self, freq_upper: float) -> plate.Sources:
         """Squares of 10 mm of the top, and the hole."""

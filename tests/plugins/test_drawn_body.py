@@ -12,6 +12,8 @@ import pytest
 import scipy.linalg as sla
 
 import tonewood as tw
+from tonewood.coupling.system import System
+from tonewood.energy.account import EnergyAccount
 from tonewood.errors import BundleError
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.files import Files
@@ -22,6 +24,8 @@ from tonewood.plate import body_modes
 from tonewood.plate.microphones import pressure
 from tonewood.plate.plate import cell_size
 from tonewood.plate.tracking import followed
+from tonewood.stepping.motion import from_motion
+from tonewood.stepping.stepper import NumpyStepper
 
 SMALL: dict[str, Any] = {
     "outline": {"points": [[0, 0], [0.3, 0], [0.3, 0.2], [0, 0.2]]},
@@ -251,6 +255,40 @@ def test_a_tapped_guitar_is_heard() -> None:
     audio = tw.render(score, guitar(), 48000, max_duration=0.5)
     peak = np.abs(audio.samples).max() * 4.0
     assert 0.03 < peak < 3.0
+
+
+def test_sound_has_its_own_entry_in_the_account_of_energy() -> None:
+    """Modes of a plate that ring freely radiate sum_k int R_k v_k^2 dt, R_k of the Rayleigh sums; the account closes."""
+    body = small(fmax=800.0, baffle="infinite")
+    basis, sources = body.basis(2e4), body.sources(2e4)
+    assert sources is not None
+    system = System.build({"body": basis}, [], [], dt=1 / 24000)
+    stepper, state = NumpyStepper(system), system.start()
+    q = np.linspace(1.0, 2.0, basis.n_modes) * 1e-6
+    system.modes_of(state, "body")[:] = from_motion(basis, q, np.zeros(basis.n_modes))
+    account = EnergyAccount(system, state.copy(), interval=64)
+    for _ in range(20):
+        before = state.copy()
+        _, forces = stepper.run(state, 480)
+        account.follow(before, state, forces)
+    trace = account.trace()
+    assert np.abs(trace.residual).max() < 1e-12 * trace.initial["body"]
+    sigma, omega = basis.damping_rate, np.sqrt(basis.stiffness)
+    left = np.exp(-2 * sigma * 0.4)  # of each mode's energy but for 2 sigma / omega
+    expected = sources.resistance(basis.natural_freq) @ (0.5 * (omega * q) ** 2 * (1 - left) / (2 * sigma))
+    assert trace.lost["body.sound"].sum() == pytest.approx(expected, rel=5e-3)
+    assert 0 < expected < 0.5 * trace.lost["body"].sum()
+
+
+def test_a_tapped_guitars_account_has_its_sound() -> None:
+    coarse = guitar().replace({"body.fmax": 400.0, "body.cell": 0.04})
+    score = tw.Score([tw.Note(0.0, 0.05, technique="tap", force=5.0, string="E2", stop=0)])
+    trace = tw.render(score, coarse, 48000, max_duration=0.06, energy=True, outputs=("bridge",), effects="none").energy
+    assert trace is not None
+    assert trace.lost["body.sound"].min() >= -1e-15
+    supplied = sum(values.sum() for values in trace.supplied.values())
+    assert 0.1 < trace.lost["body.sound"].sum() / trace.lost["body"].sum() < 2.0
+    assert np.abs(trace.residual).max() < 1e-9 * supplied
 
 
 def test_microphones_need_a_body_that_says_how_it_moves() -> None:
