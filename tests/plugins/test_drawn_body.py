@@ -258,7 +258,7 @@ def test_a_tapped_guitar_is_heard() -> None:
 
 
 def test_sound_has_its_own_entry_in_the_account_of_energy() -> None:
-    """Modes of a plate that ring freely radiate sum_k int R_k v_k^2 dt, R_k of the Rayleigh sums; the account closes."""
+    """Modes that ring freely radiate sum_k int R_k v_k^2 dt, R_k of the Rayleigh sums; the account closes."""
     body = small(fmax=800.0, baffle="infinite")
     basis, sources = body.basis(2e4), body.sources(2e4)
     assert sources is not None

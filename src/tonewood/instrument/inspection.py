@@ -251,9 +251,10 @@ def microphone_responses(model: Model) -> list[MicrophoneResponse]:
             resonances = np.concatenate([basis.natural_freq for basis in own])
             freq = np.unique(np.concatenate([np.geomspace(20.0, 0.45 * model.fs, 500), resonances[resonances >= 20.0]]))
             by_connection: dict[str, Complexes] = {}
+            form = "accelerance" if readout.quantity == "acceleration" else "receptance"
             for drive in model.system.drives:
                 for probe in (probe for probe in probes if probe.component == drive.component):
-                    frf = compiled[probe.component].basis.frf(freq, probe.point, drive.point, "receptance")
+                    frf = compiled[probe.component].basis.frf(freq, probe.point, drive.point, form)
                     heard = by_connection.setdefault(drive.connection, np.zeros(freq.shape, dtype=np.complex128))
                     heard += probe.factor * drive.factor * frf
             size = np.max([np.abs(h) for h in by_connection.values()], axis=0, initial=0.0) * np.ones(freq.shape)

@@ -10,6 +10,7 @@ from tonewood.plate.microphones import microphone
 from tonewood.plate.outline import area, circle, crossing, guitar_outline, inside, refined, smooth_ring
 from tonewood.plate.plate import Edge
 from tonewood.plate.radiation import Sources
+from tonewood.plate.two_oscillators import displaced_volumes, pressure_shapes
 from tonewood.plate.wood import SPECIES, Wood
 
 __all__ = [
@@ -26,10 +27,12 @@ __all__ = [
     "body_modes",
     "circle",
     "crossing",
+    "displaced_volumes",
     "first_modes",
     "guitar_outline",
     "inside",
     "microphone",
+    "pressure_shapes",
     "refined",
     "smooth_ring",
 ]
