@@ -9,8 +9,8 @@ state a step begins with and the forces over it (`energy_forms`), losses of conn
 (`energy_laws`). Whoever changes the energy between two steps (a string stopped, bent or joined anew) books
 the change. So the residual is rounding, or a mistake.
 
-Components that are driven one way (microphones) carry no energy of the instrument and are left out. What a component
-radiates, where its basis says which share of each mode's loss that is, has an entry ``COMPONENT.sound`` of its own.
+Components that are driven one way (microphones) carry no energy of the instrument and are left out. Sound has
+an entry ``COMPONENT.sound`` of its own where a basis says which share of each mode's loss is radiated.
 """
 
 from __future__ import annotations

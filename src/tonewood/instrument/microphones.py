@@ -1,4 +1,4 @@
-"""What pickups with a one-way bank of modes have in common: sound pressure, one readout per channel."""
+"""Base class of pickups with a one-way bank of modes: sound pressure, one readout per channel."""
 
 from __future__ import annotations
 
