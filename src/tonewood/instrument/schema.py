@@ -23,6 +23,7 @@ SCHEMA = "tonewood-instrument/2"
 MOST_STRINGS, MOST_PARTS = 256, 100
 
 _CC = r"^cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7])$"
+_MOVED = r"^(channel_pressure|cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7]))$"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
@@ -316,7 +317,9 @@ class Playing(Parameters):
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
     variation: HumanVariation = described("from note to note", default=HumanVariation())
-    controls: dict[Annotated[str, Field(pattern=_CC)], ControllerMap] = described("ccN -> parameter", default={})
+    controls: dict[Annotated[str, Field(pattern=_MOVED)], ControllerMap] = described(
+        "ccN or channel_pressure -> parameter", default={}
+    )
     keyswitches: dict[str, Name] = described("key -> exciter that notes after it ask for, on its channel", default={})
     switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(
         "ccN -> exciter that notes ask for while it is at 64 or more", default={}

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from tonewood.blas import one_blas_thread
 from tonewood.engine.effects.base import EffectReport
 from tonewood.engine.engine import GRID, Engine
-from tonewood.engine.live import LivePlayer, Voice
+from tonewood.engine.live import LivePlayer
+from tonewood.engine.live_state import Voice
 from tonewood.engine.timeline import Timeline
 from tonewood.errors import TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
@@ -29,7 +30,7 @@ from tonewood.score.note import Dropped, Note
 Floats = NDArray[np.float64]
 
 #: options of a render that need its end or its past
-_NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy", "capo")
+_NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy")
 #: frames between two times that lists of the past are emptied
 _FORGET = 1 << 16
 #: s, shortest and longest preparation of a pluck
@@ -84,8 +85,8 @@ class Live:
     ----------
     instrument : a loaded instrument, or its name or folder.
     fs : sampling rate, Hz.
-    options : as for `Renderer`, single ones as keywords too; tail, lead-in, longest duration, capo and the account of
-        energy are for scores.
+    options : as for `Renderer`, single ones as keywords too; tail, lead-in, longest duration and the account of energy
+        are for scores.
     ramp : s, longest preparation of a pluck; a shorter one is heard as a thump.
     spacing : control intervals between the beginnings of notes that come together, 0 for none: a chord is strummed.
         One interval is 64 steps, 1.3 ms at 48 kHz; the default lets six notes cost no more than their time.
@@ -127,7 +128,12 @@ class Live:
         self.model = assemble(applied, engine_fs, freq_limit=limit, outputs=options.outputs)
         self.engine = Engine(self.model, Timeline((), ()))
         self.player = LivePlayer(
-            self.model, self.engine, ramp=ramp, spacing=spacing, channel_per_string=options.channel_per_string
+            self.model,
+            self.engine,
+            ramp=ramp,
+            spacing=spacing,
+            channel_per_string=options.channel_per_string,
+            capo=options.capo,
         )
         self._routing = Routing(self.model, self.fs, options.gain_db)
         self._resampler = Resampler(steps, len(self.channels))
@@ -220,10 +226,14 @@ class Live:
         self.player.control(f"cc{number}", value, channel)
 
     def pressure(self, value: float, channel: int = 0, note: float | None = None) -> None:
-        """Press on the keys of a channel, or on one, 0 to 1. A string that was plucked does not feel it: counted."""
+        """Press on the keys of a channel, or on one, 0 to 1.
+
+        Pressure on a channel moves what the bundle maps ``channel_pressure`` to, for the notes that follow; without
+        that, and on a single key, it has no effect and is counted.
+        """
         if not 0.0 <= value <= 1.0:
             raise TonewoodError(f"pressure of {value!r}: 0 to 1 is allowed")
-        self.player.control("channel pressure" if note is None else "polyphonic pressure", value, channel)
+        self.player.control("channel_pressure" if note is None else "polyphonic_pressure", value, channel)
 
     def bend(self, cents: float, channel: int | None = None) -> None:
         """Bend the strings of a channel, or all, to so many cents above their notes; followed at 40 cents per ms."""

@@ -229,3 +229,53 @@ def test_wrong_events_are_one_line(monochord: tw.Instrument) -> None:
         with pytest.raises(TonewoodError):
             call()
     assert not live.process(256).any()
+
+
+def test_a_capo_holds_every_string() -> None:
+    """E2 is gone, F#2 at stop 2 is the lowest; the string rings on at the capo when its note ends."""
+    live = tw.Live("classical_guitar", 24000, capo=2, prepare=False)
+    assert live.note_on("E2") is not None
+    low = live.note_on("F#2")
+    live.process(2400)
+    assert live.summary().notes == 1
+    assert any("E2" in reason for reason in live.summary().dropped)
+    assert low is not None
+    assert (low.string, low.assigned.stop) == ("E2", 2.0)
+    high = live.note_on(string="A2", stop=5)
+    live.process(2400)
+    assert (high.string, high.assigned.stop) == ("A2", 5.0)
+    live.release(high)
+    live.process(12000)
+    assert live.engine.frettings["A2"].stop == 2.0
+
+
+def test_a_capo_sounds_as_in_a_score() -> None:
+    """A note on a string at the capo has the pitch of that in a render with the same capo: C3, 130.8 Hz."""
+    live = tw.Live("monochord", 24000, capo=3, prepare=False, effects="none")
+    live.note_on(string="A2", stop=3, velocity=80)
+    sound = live.process(24000)[4800:, 0]
+    score = tw.Score([tw.Note(0.05, 1.0, string="A2", stop=3, velocity_midi=80)])
+    wanted = tw.render(score, "monochord", 24000, capo=3, effects="none", max_duration=1.05).samples[6000:, 0]
+    found, expected = (dominant(x[:18000], 24000, 120.0, 145.0) for x in (sound, wanted))
+    assert found == pytest.approx(expected, rel=2e-4)
+    assert found == pytest.approx(130.81, rel=2e-3)
+
+
+def test_pressure_moves_what_a_bundle_maps_it_to() -> None:
+    """Live and in a score: the place of the pluck follows the pressure before the note, and nothing is ignored."""
+    mapped = {"playing.controls.channel_pressure": {"parameter": "pluck.from_bridge", "low": 0.03, "high": 0.25}}
+    guitar = tw.load_instrument("classical_guitar").replace(mapped)
+    plays = []
+    for value in (0.0, 1.0):
+        live = tw.Live(guitar, 24000, prepare=False)
+        live.pressure(value)
+        voice = live.note_on("E3")
+        live.process(480)
+        assert live.summary().ignored == {}
+        plays.append(voice.play.gesture.from_bridge)
+    assert plays == pytest.approx([0.03, 0.25], abs=3e-3)
+    controls = [tw.Control(0.0, "channel_pressure", 1.0, 0)]
+    score = tw.Score([tw.Note(0.1, 0.2, "E3", channel=0)], controls)
+    renderer = tw.Renderer(score, guitar, 24000)
+    assert renderer.performance.timeline.plays[0].gesture.from_bridge == pytest.approx(0.25, abs=3e-3)
+    assert not renderer.performance.ignored
