@@ -19,7 +19,7 @@ from dataclasses import replace
 
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.fretting import Fretting
-from tonewood.engine.live_state import Line, LiveCounters, Voice
+from tonewood.engine.live_state import LiveCounters, PlayedString, Voice
 from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
 from tonewood.engine.playing import BEND_RATE, LET_GO_AFTER, playable
 from tonewood.engine.techniques import stop_course, touch_course
@@ -75,7 +75,7 @@ class LivePlayer:
         )
         engine.fingerboard.room = _ROOM
         self._keys = {float(note_number(k)): name for k, name in model.playing.keyswitches.items()}
-        self._lines = {name: Line(stop=float(capo)) for name in model.strings}
+        self._lines = {name: PlayedString(stop=float(capo)) for name in model.strings}
         if capo:
             engine.schedule.add([Change(0.0, name, stop=capo) for name in model.strings])
         self._waiting: deque[Voice] = deque()
@@ -291,7 +291,7 @@ class LivePlayer:
         usual = voice.note.technique in (None, self.model.default_exciter) and "from_bridge" not in voice.event.values
         return usual and voice.assigned is not None and voice.assigned.cents == 0.0
 
-    def _sounding(self, line: Line) -> Sounding:
+    def _sounding(self, line: PlayedString) -> Sounding:
         voice = line.voice
         worth = 0.0 if voice is None else 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
         return Sounding(line.stop - self.capo, worth)
