@@ -45,7 +45,7 @@ def test_the_samples_do_not_depend_on_the_blocks(guitar: tw.Instrument) -> None:
         assert np.array_equal(played(guitar, events, 12000, block), first)
 
 
-@pytest.mark.parametrize("accuracy", ["draft", "standard"])
+@pytest.mark.parametrize("accuracy", ["standard", pytest.param("draft", marks=pytest.mark.validate)])
 def test_an_event_changes_nothing_before_it_and_something_soon_after(guitar: tw.Instrument, accuracy: str) -> None:
     before = {0: lambda live: live.note_on("A2", 100)}
     after = before | {5000: lambda live: live.note_on("E4", 127)}
@@ -58,7 +58,7 @@ def test_an_event_changes_nothing_before_it_and_something_soon_after(guitar: tw.
     assert 5000 < loud < 5000 + live.latency * live.fs + 0.003 * live.fs
 
 
-@pytest.mark.parametrize(("ramp", "tolerance_db"), [(20e-3, 0.05), (5e-3, 1.0)])
+@pytest.mark.parametrize(("ramp", "tolerance_db"), [pytest.param(20e-3, 0.05, marks=pytest.mark.validate), (5e-3, 1.0)])
 def test_a_live_note_is_a_rendered_note(guitar: tw.Instrument, ramp: float, tolerance_db: float) -> None:
     """The same string, stop and force; a ramp shorter than the period adds motion of its own."""
     live = played(guitar, {0: lambda live: live.note_on("A2", force=2.0)}, 48000, 512, ramp=ramp)
@@ -169,7 +169,7 @@ def test_techniques_by_keyswitch_name_and_on_the_body(guitar: tw.Instrument) -> 
 
 
 def test_nothing_grows_with_time(monochord: tw.Instrument) -> None:
-    """Lists and tables of the engine after 240 notes, and after twice as many."""
+    """Lists and tables of the engine after 120 notes, and after twice as many."""
     live = tw.Live(monochord, fs=8000, accuracy="draft")
     rng = np.random.default_rng(0)
 
@@ -189,7 +189,7 @@ def test_nothing_grows_with_time(monochord: tw.Instrument) -> None:
 
     largest = dict.fromkeys(sizes(), 0)
     for turn in range(2):
-        for _ in range(240):
+        for _ in range(120):
             note = float(rng.integers(45, 60))
             live.note_on(note, float(rng.integers(1, 128)))
             live.bend(float(rng.integers(-50, 50)))
@@ -198,7 +198,7 @@ def test_nothing_grows_with_time(monochord: tw.Instrument) -> None:
             live.process(500)
         now = sizes()
         if turn == 0:
-            largest = {name: max(2 * size, 100) for name, size in now.items()} | {
+            largest = {name: max(2 * size, 200) for name, size in now.items()} | {
                 "changes": 2100,
                 "plays": 2100,
                 "due": 2100,
