@@ -97,11 +97,16 @@ class Checkpoint:
     step: Floats | None
 
 
-def assembled(instrument: Instrument, options: RenderOptions) -> Model:
-    """The model that a `Renderer` steps: of an instrument, at the engine's rate of these options."""
+def assembled(instrument: Instrument, options: RenderOptions, *, by_string: bool = False) -> Model:
+    """The model that a `Renderer` steps: of an instrument, at the engine's rate of these options.
+
+    With `by_string` its outputs are split into what each string gives of them; see `assemble`.
+    """
     engine_fs = float(_steps(instrument, options) * options.fs)
     limit = None if options.freq_limit is None else min(options.freq_limit, FREQ_LIMIT * engine_fs)
-    return assemble(options.applied_to(instrument), engine_fs, freq_limit=limit, outputs=options.outputs)
+    return assemble(
+        options.applied_to(instrument), engine_fs, freq_limit=limit, outputs=options.outputs, by_string=by_string
+    )
 
 
 def _steps(instrument: Instrument, options: RenderOptions) -> Fraction:
