@@ -278,3 +278,17 @@ def test_a_chain_that_holds_samples_back_makes_no_short_blocks() -> None:
     assert np.array_equal(np.concatenate(blocks), source[:448])
     with pytest.raises(TypeError, match="only then"):
         tw.AudioStream(iter(source), 128)
+
+
+def test_a_pedalboard_is_a_chain() -> None:
+    """As docs/live.md has it: blocks through a reverb are the whole sound through the same reverb."""
+    pedalboard = pytest.importorskip("pedalboard")
+    sound = np.random.default_rng(3).normal(scale=0.1, size=(2560, 2))
+    board, again = (pedalboard.Pedalboard([pedalboard.Reverb(room_size=0.3)]) for _ in range(2))
+    chain = [lambda block, fs: board(block.T.astype("float32"), fs, reset=False).T]
+    stream = tw.AudioStream(iter(np.split(sound, 20)), 128, chain=chain, fs=48000, n_channels=2)
+    found = np.concatenate(list(stream._chained()))
+    wanted = again(sound.T.astype("float32"), 48000).T
+    assert found.shape == wanted.shape
+    assert np.abs(found - wanted).max() < 1e-6
+    assert np.abs(found - sound).max() > 0.01
