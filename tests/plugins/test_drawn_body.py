@@ -113,6 +113,17 @@ def test_static_compliance_does_not_depend_on_fmax() -> None:
     assert lowest[0] == pytest.approx(lowest[1], rel=1e-3)
 
 
+def test_modes_above_fmax_are_stated() -> None:
+    """With their share of the static compliance at the first point: w = F sum phi^2 / omega^2 over the others."""
+    few, many = small(fmax=500.0), small(fmax=8000.0, cell=0.02)
+    (line,) = [line for line in few.facts() if "not stepped" in line]
+    share = float(line.split("kept, ")[1].split(" %")[0]) / 100
+    basis = many.basis(2e4)
+    terms = basis.right.real[0] ** 2 / basis.stiffness
+    assert line.startswith("modes above 500 Hz are not stepped")
+    assert share == pytest.approx(terms[basis.natural_freq > 500.0].sum() / terms.sum(), rel=0.1)
+
+
 def test_the_bridge_rocks() -> None:
     """A point h above the middle of the top moves by -h times the slope: twice the height, twice the shape."""
     points = {f"at_{h}": {"at": [0.2, 0.05], "direction": "y", "height": h} for h in (0.01, 0.02)}
