@@ -2,7 +2,8 @@
 
     python benchmarks/drawn_body.py            # some four minutes
 
-Prints the figures of docs/a_body_from_a_drawing.md. Nothing is taken from the cache; times are the processor's, on one core.
+Prints the figures of docs/a_body_from_a_drawing.md. Nothing is taken from the cache; times are those of
+one core.
 """
 
 from __future__ import annotations
