@@ -63,11 +63,11 @@ def released(height: float, times: int) -> Floats:
         return ta.string_basis(length, tension, 5.735e-4, bending, loss, n_modes=count)
 
     across = modes(104.1, 8.5e-5, 1e-3, MODES).with_places({"pick": 0.2 * length})
-    along = modes(stiffness, 0.0, 2e-3, 5)
+    lengthwise = modes(stiffness, 0.0, 2e-3, 5)
     ends = [ta.Connection(name, (ta.Term(name, "bridge"),)) for name in ("y", "z", "x")]
     stretch = GeometricStretch("string", ("y", "z"), "x", stiffness)
     read = [ta.Readout(name, "displacement", (ta.Probe(name, "pick"),)) for name in ("y", "z")]
-    parts = {"y": across, "z": across, "x": along}
+    parts = {"y": across, "z": across, "x": lengthwise}
     system = System.build(parts, ends, read, dt=1 / (RATE * times), geometric=[stretch])
     state = system.start()
     vec = np.asarray(across.metadata["vec"])
