@@ -19,7 +19,8 @@ metre, each a push; with the hand's way x(t) from stop to stop, level at both en
 
 where `phase`, a random walk, makes `jitter` turns per square root of a turn: no winding is even. Pakarinen, Puputti,
 Valimaki, Virtual slide guitar, Computer Music Journal 32(3), 42 (2008), have the same cause and pitch; there it is a
-train of noise pulses. Only the motion across the string is excited here; a real finger also pulls along it.
+train of noise pulses. The force is normal to the board, as a finger on ridges lifts; a real one also pulls along the
+string.
 
 Speeds, forces and dashpots are by judgement.
 """
@@ -158,7 +159,7 @@ class Squeak(Exciter[SqueakParameters]):
         noise = SampledForce(-p.time, p.time / n, np.asarray(p.depth * relative_speed * values))
         hold = Hold(-p.time, -p.time, 0.0, p.hold_dashpot) if p.hold_dashpot > 0 else None
         at = min((before + place.length) / 2, _BESIDE * before)
-        return Gesture((), at, 90.0, hold, noise=noise)
+        return Gesture((), at, 180.0, hold, noise=noise)
 
 
 def pressed(
