@@ -148,8 +148,9 @@ def test_their_work_is_in_the_account_of_energy(guitar: Instrument) -> None:
         tw.Note(0.15, 0.03, string="D3", stop=6, force=1.0),
         tw.Note(0.26, 0.03, string="D3", stop=4, force=1.0),
     ]
-    score = tw.Score(notes)
-    silent, heard = (tw.render(score, guitar, max_duration=0.3, energy=True, noises=on) for on in (False, True))
+    score, quick = tw.Score(notes), guitar.replace({"exciters.squeak.time": 0.02})
+    assert "squeak" in {p.exciter for p in perform(score, assembled(quick, {})).timeline.plays}
+    silent, heard = (tw.render(score, quick, max_duration=0.3, energy=True, noises=on) for on in (False, True))
     for audio in (silent, heard):
         assert isinstance(audio.energy, EnergyTrace)
         assert audio.energy.worst_residual <= 1e-10
