@@ -78,7 +78,7 @@ class TouchNoiseParameters(NoiseParameters):
     """Parameters of a finger that ends a note."""
 
     speed: float = quantity("m/s", low=0.0, high=10.0, default=0.05, doc="of the finger that falls on the string")
-    time: float = quantity("s", low=2e-3, high=10.0, default=0.04, doc="for which its force lasts")
+    time: float = quantity("s", low=2e-3, high=10.0, default=0.02, doc="for which its force lasts")
 
 
 class SqueakParameters(Parameters):
