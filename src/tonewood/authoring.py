@@ -48,8 +48,11 @@ from tonewood.instrument.contract import (
 from tonewood.instrument.directions import Direction, unit_vector
 from tonewood.instrument.effects import (
     DAMPERS,
+    FRETTING_NOISE,
     LONGITUDINAL,
+    SQUEAK,
     TENSION_MODULATION,
+    TOUCH_NOISE,
     Effect,
     Norms,
     contact_effect,
@@ -69,8 +72,11 @@ from tonewood.stepping.forcing import SampledForce, Segment
 
 __all__ = [
     "DAMPERS",
+    "FRETTING_NOISE",
     "LONGITUDINAL",
+    "SQUEAK",
     "TENSION_MODULATION",
+    "TOUCH_NOISE",
     "Attached",
     "Attachment",
     "Body",

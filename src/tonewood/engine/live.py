@@ -19,9 +19,10 @@ from dataclasses import replace
 
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.fretting import Fretting
+from tonewood.engine.hands import LET_GO_AFTER, damping, laid_on, let_go
 from tonewood.engine.live_state import LiveCounters, PlayedString, Voice
 from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
-from tonewood.engine.playing import BEND_RATE, LET_GO_AFTER, playable
+from tonewood.engine.playing import BEND_RATE, playable
 from tonewood.engine.techniques import stop_course, touch_course
 from tonewood.engine.timeline import Change, Play
 from tonewood.engine.variation import Deviates, touched
@@ -74,6 +75,7 @@ class LivePlayer:
             playable(model, capo), channel_per_string=channel_per_string, tuning=model.instrument.tuning
         )
         engine.fingerboard.room = _ROOM
+        engine.schedule.add(laid_on(engine.timeline.start, model))
         self._keys = {float(note_number(k)): name for k, name in model.playing.keyswitches.items()}
         self._lines = {name: PlayedString(stop=float(capo)) for name in model.strings}
         if capo:
@@ -376,9 +378,9 @@ class LivePlayer:
         if end.kind == "ring":
             line.voice = None
         else:
-            self._change(now, Change(time, voice.string, added_damping=math.log(1000.0) / end.t60))
-            let_go = now + math.ceil(LET_GO_AFTER * end.t60 / (GRID * self.engine.dt)) * GRID
-            line.later.append((let_go, Change(time, voice.string, stop=self.capo, cents=0.0, added_damping=0.0)))
+            self._change(now, Change(time, voice.string, added_damping=damping(end)))
+            free = math.ceil(LET_GO_AFTER * end.t60 / (GRID * self.engine.dt)) * GRID
+            line.later.append((now + free, let_go(time, voice.string, self.capo, end)))
             line.voice, line.wanted = None, line.cents
 
     def _continue(self, voice: Voice | None, now: int, until: int | None = None) -> None:
@@ -423,10 +425,9 @@ class LivePlayer:
 
         Without this a note takes up to 10 ms more the first time that its stop is played.
         """
-        damped = math.log(1000.0) / self.model.playing.note_end.t60
         for name, stop in self._places():
             fretting = self._compile(name, stop, {})
-            for way in (fretting, replace(fretting, added_damping=damped)):
+            for way in (fretting, replace(fretting, added_damping=damping(self.model.playing.note_end))):
                 self.engine.fingerboard.prepare(name, way)
 
     def _places(self) -> list[tuple[str, int]]:

@@ -7,6 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from tonewood.engine.hands import LET_GO_AFTER, damping, laid_on, let_go, noises, slurred
 from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
 from tonewood.engine.techniques import stop_course, touch_course, with_marks, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
@@ -20,8 +21,6 @@ from tonewood.score.controllers import Controllers, History
 from tonewood.score.note import Control, Dropped, Note, Score, ignored_name, volume_factors
 from tonewood.validation_messages import did_you_mean
 
-#: a damped string is released after this many times its T60; then it rings with the others
-LET_GO_AFTER = 1.5
 #: volume, expression, sustain pedal
 _READ_CONTROLLERS = ("cc7", "cc11", "cc64")
 #: cents/s, how fast a bend follows its wheel: a string whose tension jumped would gain as much energy as tension
@@ -94,21 +93,22 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     played: list[Assigned] = []
     n_moved = 0
     for name, line in by_string.items():
-        own: list[Play] = []
+        line, own = slurred(line, model.playing), list[Play]()
         for i, assigned in enumerate(line):
             following = line[i + 1] if i + 1 < len(line) else None
             held = line[i - 1].stop if i else float(capo)
             event = _event(assigned, held, following, model, controllers, drawn.get(id(assigned)))
             n_moved += not is_where_asked(event, assigned, model, score.name)
             gesture = exciter_of(assigned.note, model).gesture(event, model.place(name, assigned.stop))
-            play = Play(assigned.note.time, gesture, string=name)
+            exciter = assigned.note.technique or model.default_exciter
+            play = Play(assigned.note.time, gesture, string=name, exciter=exciter)
             if i:
                 play = replace(play, gesture=hurried(play.gesture, play.time - own[-1].stop))
             own.append(play)
             played.append(assigned)
         for assigned, play, following_play in zip(line, own, [*own[1:], None], strict=True):
             changes += _left_hand(assigned, play, following_play, name, model, bends, capo)
-        plays += own
+        plays += [*own, *noises(line, own, model, capo)]
     if not plays:
         raise NothingPlayedError(_why_nothing(dropped), file=score.name)
     warnings = list(score.warnings)
@@ -121,8 +121,9 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
         )
     if assignment.doubled:
         warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")
+    first = min([0.0, *(play.start for play in plays)])
+    changes = laid_on(first, model) + changes
     if capo:
-        first = min([0.0, *(play.start for play in plays)])
         changes += [Change(first, name, stop=capo) for name in model.strings]
     timeline = Timeline(
         sorted(changes, key=lambda c: c.time),
@@ -245,10 +246,10 @@ def _left_hand(
         return out
     free_again = following.start if following else math.inf
     if assigned.end < free_again - 1e-3:
-        out.append(Change(assigned.end, name, added_damping=math.log(1000.0) / end.t60))
-        let_go = assigned.end + LET_GO_AFTER * end.t60
-        if let_go < free_again - 0.1:
-            out.append(Change(let_go, name, stop=capo, cents=0.0, added_damping=0.0))
+        out.append(Change(assigned.end, name, added_damping=damping(end)))
+        free = assigned.end + LET_GO_AFTER * end.t60
+        if free < free_again - 0.1:
+            out.append(let_go(free, name, capo, end))
     return out
 
 

@@ -302,7 +302,7 @@ class Gesture:
     Attributes
     ----------
     segments : in time order, seconds relative to the event's time; negative times prepare it.
-    from_bridge : place on the string, m; None on a body.
+    from_bridge : place on the string, m; None on a body, and where the last gesture on the string was.
     angle_deg : of the force, from the first polarization towards the second.
     hold : dashpot of the finger on the string, or None.
     on : input that the forces enter, one of those that the exciter has `attach`ed; None for the string itself.

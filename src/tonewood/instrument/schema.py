@@ -285,6 +285,39 @@ class NoteEnd(Parameters):
 
     kind: Literal["ring", "damp"] = described("ring: nothing; damp: the string is damped", default="ring")
     t60: float = quantity("s", low=1e-3, high=100.0, default=0.12, doc="decay time of a damped string")
+    idle: Literal["ring", "damp"] = described(
+        "strings that no note is on: ring: they ring with the others; damp: a hand lies on them", default="ring"
+    )
+
+
+class HandNoises(Parameters):
+    """Exciters that play a hand's noises between the notes of a score; none where left out."""
+
+    on: bool = described("whether they are played", default=False, strict=True)
+    fretting: Name | None = described("as a finger comes to another stop, or leaves one", default=None)
+    touch: Name | None = described("as a note is damped", default=None)
+    squeak: Name | None = described("as the hand slides along a string to another stop", default=None)
+    least_shift: float = quantity("1", low=0.0, high=100.0, default=2.0, doc="steps of the scale of a hand that slides")
+
+    @property
+    def named(self) -> dict[str, str]:
+        """Noise -> exciter, of those that there are."""
+        return {k: v for k in ("fretting", "touch", "squeak") if (v := getattr(self, k)) is not None}
+
+
+class Slurs(Parameters):
+    """Exciters of notes that begin while the one before on their string still lasts in the score."""
+
+    overlap: float = quantity("s", low=0.0, high=10.0, default=0.02, doc="least time for which both last")
+    up: Name | None = described("of a higher note, e.g. a hammer-on; none: plucked", default=None)
+    down: Name | None = described("of a lower note, e.g. a pull-off; none: plucked", default=None)
+    far: Name | None = described("of one more than `reach` away, e.g. a slide; none: plucked", default=None)
+    reach: float = quantity("1", low=0.0, high=200.0, default=4.0, doc="steps of the scale that fingers span")
+
+    @property
+    def named(self) -> dict[str, str]:
+        """Way -> exciter, of those that are given."""
+        return {k: v for k in ("up", "down", "far") if (v := getattr(self, k)) is not None}
 
 
 class ControllerMap(Parameters):
@@ -317,6 +350,8 @@ class Playing(Parameters):
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
     variation: HumanVariation = described("from note to note", default=HumanVariation())
+    noises: HandNoises = described("of a hand between notes", default=HandNoises())
+    slurs: Slurs = described("of notes that overlap on a string", default=Slurs())
     controls: dict[Annotated[str, Field(pattern=_MOVED)], ControllerMap] = described(
         "ccN or channel_pressure -> parameter", default={}
     )
