@@ -95,7 +95,7 @@ class LiveCounters:
     cut : notes that ended because another one needed their string.
     dropped : reason -> notes that could not be played.
     latest : the last of these, at most 100.
-    ignored : kind of controller -> changes of it that have no effect.
+    ignored : kind of controller -> changes of it without effect; ``playing.noises`` where a score would have them.
     """
 
     notes: int = 0
@@ -121,7 +121,7 @@ class LivePlayer:
     ):
         self.model, self.engine = model, engine
         self.ramp, self.spacing = ramp, spacing
-        self.counters = LiveCounters()
+        self.counters = LiveCounters(ignored=Counter({"playing.noises": 1} if model.playing.noises.on else {}))
         self._assignment = CausalAssignment(
             playable(model), channel_per_string=channel_per_string, tuning=model.instrument.tuning
         )
