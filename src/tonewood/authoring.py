@@ -60,6 +60,7 @@ from tonewood.instrument.effects import (
 from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
 from tonewood.instrument.inspection import partials, pitch, pitches
 from tonewood.instrument.losses import LossLaw
+from tonewood.instrument.microphones import Microphones
 from tonewood.instrument.svg_path import svg_ring
 from tonewood.modal.damping import with_damping_case
 from tonewood.modal.modes import ModalBasis
@@ -98,6 +99,7 @@ __all__ = [
     "Hold",
     "Longitudinal",
     "LossLaw",
+    "Microphones",
     "ModalBasis",
     "Model",
     "Moment",

@@ -13,13 +13,14 @@ the actions and on the samples after which they came:
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.fretting import Fretting
 from tonewood.engine.hands import LET_GO_AFTER, damping, laid_on, let_go
+from tonewood.engine.live_state import LiveCounters, PlayedString, Voice
 from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
 from tonewood.engine.playing import BEND_RATE, playable
 from tonewood.engine.techniques import stop_course, touch_course
@@ -28,9 +29,8 @@ from tonewood.engine.variation import Deviates, touched
 from tonewood.errors import ScoreError, TonewoodError
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Event, Gesture, Place
-from tonewood.score.assignment import Assigned
 from tonewood.score.causal import PEDALLED, CausalAssignment, Sounding
-from tonewood.score.note import Dropped, Note
+from tonewood.score.note import Dropped, Note, ignored_name
 from tonewood.score.scales import note_number
 from tonewood.validation_messages import did_you_mean
 
@@ -40,69 +40,10 @@ _CONTINUED, _SHORTEST = 0.25, 0.02
 _ROOM = 256
 #: notes of one key that were struck and not released; more of them release the first
 _STRUCK = 8
-#: dropped notes that are kept with their reasons; all are counted
-_KEPT = 100
 #: points of the grid that are stepped at once while nothing is to be done
 _IDLE = 64
 #: m, to which places that controllers ask for are rounded: bases of strings are made once per place
 _GRAIN = 5e-3
-
-
-@dataclass(eq=False)
-class Voice:
-    """One note, from its key to the end of its sound.
-
-    Attributes
-    ----------
-    number : counted from 0.
-    note : as it was asked for.
-    key_down, pedalled : whether its key is held, or the pedal holds it.
-    string : on which it sounds; None before it begins, after it was ended by another one, and on the body.
-    began : sample of its beginning.
-    """
-
-    number: int
-    note: Note
-    key_down: bool = True
-    pedalled: bool = False
-    string: str | None = None
-    began: int = 0
-    assigned: Assigned | None = None
-    play: Play | None = None
-    event: Event = field(default_factory=Event)
-
-
-@dataclass(eq=False)
-class _Line:
-    """One string: its voice, stop, bend, and what is still to come of them."""
-
-    voice: Voice | None = None
-    stop: float = 0.0
-    #: cents of the stop's pitch, bent and as asked for
-    cents: float = 0.0
-    wanted: float = 0.0
-    #: (sample, change), in order
-    later: deque[tuple[int, Change]] = field(default_factory=deque)
-
-
-@dataclass(eq=False)
-class LiveCounters:
-    """Counts of what was played.
-
-    Attributes
-    ----------
-    notes : that began.
-    cut : notes that ended because another one needed their string.
-    dropped : reason -> notes that could not be played.
-    latest : the last of these, at most 100.
-    ignored : kind of controller -> changes of it without effect; ``playing.noises`` where a score would have them.
-    """
-
-    notes: int = 0
-    cut: int = 0
-    dropped: Counter[str] = field(default_factory=Counter)
-    latest: deque[Dropped] = field(default_factory=lambda: deque(maxlen=_KEPT))
-    ignored: Counter[str] = field(default_factory=Counter)
 
 
 class LivePlayer:
@@ -114,21 +55,33 @@ class LivePlayer:
     ramp : s, longest preparation of a pluck.
     spacing : points of the control grid between beginnings of notes that come together.
     channel_per_string : notes of the first channel go to the first string, and so on.
+    capo : stop at which all strings are held that no finger stops, 0 for none. Stops of notes are counted from the nut.
     """
 
     def __init__(
-        self, model: Model, engine: Engine, *, ramp: float, spacing: int = 2, channel_per_string: bool = False
+        self,
+        model: Model,
+        engine: Engine,
+        *,
+        ramp: float,
+        spacing: int = 2,
+        channel_per_string: bool = False,
+        capo: int = 0,
     ):
         self.model, self.engine = model, engine
-        self.ramp, self.spacing = ramp, spacing
-        self.counters = LiveCounters(ignored=Counter({"playing.noises": 1} if model.playing.noises.on else {}))
+        self.ramp, self.spacing, self.capo = ramp, spacing, capo
+        self.counters = LiveCounters()
+        if model.playing.noises.on:
+            self.counters.ignored["playing.noises"] += 1
         self._assignment = CausalAssignment(
-            playable(model), channel_per_string=channel_per_string, tuning=model.instrument.tuning
+            playable(model, capo), channel_per_string=channel_per_string, tuning=model.instrument.tuning
         )
         engine.fingerboard.room = _ROOM
         engine.schedule.add(laid_on(engine.timeline.start, model))
         self._keys = {float(note_number(k)): name for k, name in model.playing.keyswitches.items()}
-        self._lines = {name: _Line() for name in model.strings}
+        self._lines = {name: PlayedString(stop=float(capo)) for name in model.strings}
+        if capo:
+            engine.schedule.add([Change(0.0, name, stop=capo) for name in model.strings])
         self._waiting: deque[Voice] = deque()
         self._held: dict[tuple[int, float], list[Voice]] = {}
         self._pedalled: dict[tuple[int, float], Voice] = {}
@@ -194,9 +147,9 @@ class LivePlayer:
             self._ending.append(voice)
 
     def control(self, kind: str, value: float, channel: int = 0) -> None:
-        """Move a controller, ``ccN`` or ``pressure``, to a value from 0 to 1."""
+        """Move a controller, ``ccN`` or ``channel_pressure``, to a value from 0 to 1."""
         if kind not in self._read:
-            self.counters.ignored[f"controller {kind[2:]}" if kind.startswith("cc") else kind] += 1
+            self.counters.ignored[ignored_name(kind)] += 1
             return
         self._controls[channel, kind] = value
         if kind == "cc64" and value < 0.5:
@@ -314,12 +267,17 @@ class LivePlayer:
         """Begin the first of the notes that wait; those that came with it already have their strings."""
         fresh = [voice for voice in self._waiting if voice.assigned is None and not self._tapped(voice, now)]
         sounding = {name: self._sounding(line) for name, line in self._lines.items() if line.voice is not None}
-        taken = {v.assigned.string: Sounding(v.assigned.stop, 1.0) for v in self._waiting if v.assigned is not None}
-        assigned, dropped = self._assignment.assign([v.note for v in fresh], sounding | taken)
+        waiting = [voice.assigned for voice in self._waiting if voice.assigned is not None]
+        taken = {own.string: Sounding(own.stop - self.capo, 1.0) for own in waiting}
+        # the hand counts from the capo
+        notes = [
+            n if n.stop is None else replace(n, stop=max(n.stop - self.capo, 0.0)) for n in (v.note for v in fresh)
+        ]
+        assigned, dropped = self._assignment.assign(notes, sounding | taken)
         lost = {i for i, _ in dropped}
         kept = [voice for i, voice in enumerate(fresh) if i not in lost]
         for voice, own in zip(kept, assigned, strict=True):
-            voice.assigned = own
+            voice.assigned = replace(own, stop=own.stop + self.capo)
         for i, drop in dropped:
             self._drop(fresh[i], drop)
         self._waiting = deque(voice for voice in self._waiting if voice.assigned is not None)
@@ -337,10 +295,10 @@ class LivePlayer:
         usual = voice.note.technique in (None, self.model.default_exciter) and "from_bridge" not in voice.event.values
         return usual and voice.assigned is not None and voice.assigned.cents == 0.0
 
-    def _sounding(self, line: _Line) -> Sounding:
+    def _sounding(self, line: PlayedString) -> Sounding:
         voice = line.voice
         worth = 0.0 if voice is None else 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
-        return Sounding(line.stop, worth)
+        return Sounding(line.stop - self.capo, worth)
 
     def _tapped(self, voice: Voice, now: int) -> bool:
         """Play a gesture on a point of the body."""
@@ -424,7 +382,7 @@ class LivePlayer:
         else:
             self._change(now, Change(time, voice.string, added_damping=damping(end)))
             free = math.ceil(LET_GO_AFTER * end.t60 / (GRID * self.engine.dt)) * GRID
-            line.later.append((now + free, let_go(time, voice.string, 0.0, end)))
+            line.later.append((now + free, let_go(time, voice.string, self.capo, end)))
             line.voice, line.wanted = None, line.cents
 
     def _continue(self, voice: Voice | None, now: int, until: int | None = None) -> None:
@@ -475,7 +433,8 @@ class LivePlayer:
                 self.engine.fingerboard.prepare(name, way)
 
     def _places(self) -> list[tuple[str, int]]:
-        return [(name, stop) for name, string in self.model.strings.items() for stop in range(string.n_stops + 1)]
+        strings = self.model.strings.items()
+        return [(name, stop) for name, string in strings for stop in range(self.capo, string.n_stops + 1)]
 
     def _compile(self, name: str, stop: int, values: Mapping[str, float]) -> Fretting:
         """Compile how a string is held at a stop when it is plucked with some values of the default technique."""

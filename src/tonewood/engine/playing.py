@@ -18,7 +18,7 @@ from tonewood.instrument.contract import Event, Place
 from tonewood.instrument.schema import Playing
 from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.controllers import Controllers, History
-from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
+from tonewood.score.note import Control, Dropped, Note, Score, ignored_name, volume_factors
 from tonewood.validation_messages import did_you_mean
 
 #: volume, expression, sustain pedal
@@ -138,7 +138,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
 def _ignored(score: Score, playing: Playing) -> dict[str, int]:
     """Count events ignored while reading, and changes of controllers that neither the player nor the bundle reads."""
     read = {"bend", *_READ_CONTROLLERS, *playing.controls, *playing.switches}
-    unread = Counter(f"controller {c.kind[2:]}" for c in score.controls if c.kind not in read)
+    unread = Counter(ignored_name(c.kind) for c in score.controls if c.kind not in read)
     return dict(Counter(score.ignored) + unread)
 
 

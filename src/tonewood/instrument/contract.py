@@ -215,7 +215,11 @@ class Body(Plugin[P], ModalViews):
 
     @abstractmethod
     def basis(self, freq_upper: float) -> ModalBasis:
-        """Modes below `freq_upper` (Hz); the static compliance of the others goes into the residual."""
+        """Modes below `freq_upper` (Hz); the static compliance of the others goes into the residual.
+
+        Real modes may have ``radiated`` in their metadata, (n_modes,) share of each mode's loss that is sound: accounts
+        of energy then have an entry ``body.sound``.
+        """
 
     @abstractmethod
     def points(self) -> Mapping[str, BodyPoint]:

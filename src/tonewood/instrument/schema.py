@@ -23,6 +23,7 @@ SCHEMA = "tonewood-instrument/2"
 MOST_STRINGS, MOST_PARTS = 256, 100
 
 _CC = r"^cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7])$"
+_MOVED = r"^(channel_pressure|cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7]))$"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
@@ -351,7 +352,9 @@ class Playing(Parameters):
     variation: HumanVariation = described("from note to note", default=HumanVariation())
     noises: HandNoises = described("of a hand between notes", default=HandNoises())
     slurs: Slurs = described("of notes that overlap on a string", default=Slurs())
-    controls: dict[Annotated[str, Field(pattern=_CC)], ControllerMap] = described("ccN -> parameter", default={})
+    controls: dict[Annotated[str, Field(pattern=_MOVED)], ControllerMap] = described(
+        "ccN or channel_pressure -> parameter", default={}
+    )
     keyswitches: dict[str, Name] = described("key -> exciter that notes after it ask for, on its channel", default={})
     switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(
         "ccN -> exciter that notes ask for while it is at 64 or more", default={}
@@ -368,6 +371,15 @@ class OutputPart(PluginPart):
 
     name: Name = described("of the group")
     full_scale: float = quantity("1", low=1e-12, high=1e12, doc="value at 0 dBFS, in the pickup's unit")
+    gain_db: float = quantity("dB", low=-120.0, high=60.0, default=0.0, doc="of its channels")
+    pan: float | None = quantity(
+        "1",
+        low=-1.0,
+        high=1.0,
+        default=None,
+        doc="-1 left to 1 right, at constant power: one channel becomes two, two are balanced",
+    )
+    delay: float = quantity("s", low=0.0, high=0.1, default=0.0, doc="of its channels, to the nearest frame")
     note: str | None = described("what this output is, and is not", default=None)
 
 
