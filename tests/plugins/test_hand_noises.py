@@ -185,3 +185,8 @@ def test_a_hand_lies_on_idle_strings_where_the_bundle_asks_for_it(guitar: Instru
 
 
 _FORCE = '[{"name": "f", "plugin": "point_pickup", "quantity": "force", "at": "A2.bridge", "full_scale": 1.0}]'
+
+
+def test_live_playing_says_that_it_has_no_noises(guitar: Instrument) -> None:
+    for on, expected in ((False, {}), (True, {"playing.noises": 1})):
+        assert dict(tw.Live(guitar.replace({"playing.noises.on": on})).summary().ignored) == expected

@@ -71,6 +71,8 @@ class LivePlayer:
         self.model, self.engine = model, engine
         self.ramp, self.spacing, self.capo = ramp, spacing, capo
         self.counters = LiveCounters()
+        if model.playing.noises.on:
+            self.counters.ignored["playing.noises"] += 1
         self._assignment = CausalAssignment(
             playable(model, capo), channel_per_string=channel_per_string, tuning=model.instrument.tuning
         )
