@@ -2,7 +2,8 @@
 
 The mass rests `clearance` away on a soft, damped spring. A short push gives it its `velocity`, and a small force keeps
 it against that spring, so that it meets the resting string at the note's time; then felt and string decide:
-f = K p^alpha (1 + loss p'), p the compression (Hunt & Crossley; for piano felt alpha is 2 to 3.5). With `press` a force
+f = K p^alpha (1 + loss p'), p the compression (Hunt & Crossley; for piano felt alpha is 2 to 3.5). One head with one
+felt per string strikes all strings of its key. With `press` a force
 holds it against the string for as long as the note lasts, as a clavichord's key holds its tangent; it then divides the
 string. Struck again at once it is let go a little before, so that it has fallen back. The driver's work is that of the
 push and of the pressing force on the mass; the contact can only store or dissipate energy.
@@ -20,6 +21,7 @@ from tonewood.authoring import (
     Event,
     Exciter,
     Gesture,
+    Motion,
     Parameters,
     Place,
     Segment,
@@ -34,6 +36,9 @@ from tonewood.authoring import (
     smooth_step,
     unit_vector,
 )
+
+#: s after which a hammer that was thrown is away from the string for good
+_MEETS = 0.05
 
 
 class HammerParameters(Parameters):
@@ -52,6 +57,7 @@ class HammerParameters(Parameters):
     press: float = quantity("N", low=0.0, high=50.0, default=0.0, doc="with which it is held against the string")
     press_time: float = quantity("s", low=1e-4, high=1.0, default=3e-3, doc="in which that force grows and vanishes")
     sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a press that nobody ends")
+    felt_width: float = quantity("m", low=0.0, high=0.1, default=0.0, doc="of the string that the felt covers")
     direction: Direction = described("in which it strikes", default="z")
 
 
@@ -69,17 +75,19 @@ class Hammer(Exciter[HammerParameters]):
         return p.press_time + 0.5 / p.return_freq if p.press > 0.0 else 0.0
 
     def attach(self, name: str, site: Site) -> Attached:
-        """Its mass and its felt."""
-        p, own = self.parameters, f"{site.string}.{name}"
+        """Its felt on each string, and one mass for all strings of a key."""
+        p, own = self.parameters, f"{site.leader}.{name}"
         terms = (*site.motion("pluck", unit_vector(p.direction)), Term(f"{own}.head", "mass", -1.0))
         if len(terms) < 2:
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
+        felt = Contact(p.stiffness, p.exponent, p.loss, offset=-p.clearance)
+        connections = (Connection(f"{site.string}.{name}.felt", terms, felt),)
+        if site.string != site.leader:
+            return Attached(connections=connections)
         omega = 2 * math.pi * p.return_freq
         return Attached(
             components={f"{own}.head": loose_mass(p.mass, omega, p.return_damping * omega)},
-            connections=(
-                Connection(f"{own}.felt", terms, Contact(p.stiffness, p.exponent, p.loss, offset=-p.clearance)),
-            ),
+            connections=connections,
             inputs={f"{own}.push": ((f"{own}.head", "mass", 1.0),)},
         )
 
@@ -106,7 +114,12 @@ class Hammer(Exciter[HammerParameters]):
             segments += smooth_step(0.0, p.press_time, 0.0, p.press)
             segments += (Segment(p.press_time, held, p.press),)
             segments += smooth_step(held, held + p.press_time, p.press, 0.0)
-        return Gesture(segments, at, on=on)
+        motions = tuple(
+            Motion(f"{string}.{self.name}.felt", "scale", (Segment(start, _MEETS, factor),))
+            for string, factor in place.strings
+            if factor != 1.0
+        )
+        return Gesture(segments, at, on=on, motions=motions)
 
 
 def _sum(a: Segment, b: Segment) -> Segment:

@@ -18,9 +18,9 @@ from tonewood.stepping.forcing import Segment
 _SHORTEST_PREPARATION = 1e-3
 
 
-def exciter_of(note: Note, model: Model) -> Exciter[Any]:
-    """Return the exciter that a note asks for, or the default."""
-    return model.exciters[note.technique or model.default_exciter]
+def exciter_of(note: Note, model: Model, string: str = "") -> Exciter[Any]:
+    """Return the exciter that a note asks for, or the default, as it plays a string."""
+    return model.exciter(note.technique or model.default_exciter, string)
 
 
 def force_of(note: Note, model: Model, factor: float) -> float | None:
@@ -59,7 +59,7 @@ def event_values(note: Note, model: Model, latest: Callable[[str], float | None]
 
 def is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) -> bool:
     """Whether a note is played where it is asked for; a place beyond the string is refused by a `ScoreError`."""
-    string, exciter = model.strings[assigned.string], exciter_of(assigned.note, model)
+    string, exciter = model.strings[assigned.string], exciter_of(assigned.note, model, assigned.string)
     length = string.length(assigned.stop)
     try:
         asked = places(exciter.adjusted(event.values), string.length(), length)

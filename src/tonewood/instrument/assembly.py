@@ -100,10 +100,24 @@ class Model:
         ]
         return tuple(lines)
 
-    def place(self, string: str, stop: float = 0) -> Place:
-        """Place of a gesture: a string at a stop."""
-        held = self.strings[string]
-        return Place(string, held.length(stop), len(held.polarizations), held.tension(stop))
+    @property
+    def groups(self) -> Mapping[str, tuple[str, ...]]:
+        """String that gives the pitch -> the strings that a note on it plays."""
+        return self.instrument.groups
+
+    def exciter(self, name: str, string: str) -> Exciter[Any]:
+        """Return an exciter as it plays a string."""
+        return self.instrument.exciter(name, string)
+
+    def place(self, string: str, stop: float = 0, *, una_corda: bool = False) -> Place:
+        """Place of a gesture: a string at a stop, and what is beside it of its key."""
+        held, keys = self.strings[string], self.instrument.spec.keys
+        strings: tuple[tuple[str, float], ...] = ()
+        if keys is not None and (key := self.instrument.key_of.get(string)) is not None:
+            met = keys.entries[key].una_corda if una_corda else None
+            factor = keys.pedals.una_corda_stiffness if una_corda else 1.0
+            strings = tuple((s, factor if met is None or i < met else 0.0) for i, s in enumerate(held.group))
+        return Place(string, held.length(stop), len(held.polarizations), held.tension(stop), strings)
 
 
 @one_blas_thread
