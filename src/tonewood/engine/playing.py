@@ -176,6 +176,7 @@ def playable(model: Model, capo: int = 0) -> list[PlayableString]:
             s.stopping.continuous,
         )
         for name, s in model.strings.items()
+        if name in model.groups
     ]
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from tonewood.blas import one_blas_thread
@@ -92,6 +93,10 @@ class Model:
         lines = [] if note is None else [f"body: {note}"]
         if not body.n_modes:
             lines.append(f"body: has no mode below the highest that is stepped at {self.fs:g} Hz: it does not sound")
+        if missing := [key for string, key in self.instrument.key_of.items() if string not in self.strings]:
+            keys = list(dict.fromkeys(missing))
+            named = keys[0] if len(keys) == 1 else f"{keys[0]} to {keys[-1]}"
+            lines.append(f"keys.{named}: left out, their pitch is too high for {self.fs:g} Hz")
         lines += [
             f"strings.{name}: shares no direction with the body's points it ends on: its bridge end is rigid, and the "
             "body does not move with it"
@@ -100,10 +105,10 @@ class Model:
         ]
         return tuple(lines)
 
-    @property
+    @cached_property
     def groups(self) -> Mapping[str, tuple[str, ...]]:
         """String that gives the pitch -> the strings that a note on it plays."""
-        return self.instrument.groups
+        return {leader: of for leader, of in self.instrument.groups.items() if leader in self.strings}
 
     def exciter(self, name: str, string: str) -> Exciter[Any]:
         """Return an exciter as it plays a string."""

@@ -39,7 +39,7 @@ def string_models(
 
     Returns
     -------
-    name -> string, from bass to treble.
+    name -> string, from bass to treble; without those of keys whose pitch is too high for the limit.
 
     Raises
     ------
@@ -47,10 +47,26 @@ def string_models(
     """
     stretch = _stretch(instrument)
     copies = {name: len(strings) for strings in instrument.groups.values() for name in strings}
+    beyond = {
+        name
+        for leader in instrument.groups
+        if _is_beyond(instrument, leader, limit)
+        for name in instrument.groups[leader]
+    }
     return {
         name: _string(instrument, name, body, body_points, limit, choice, stretch.get(name, 0.0), copies[name])
         for name in instrument.string_names
+        if name not in beyond
     }
+
+
+def _is_beyond(instrument: Instrument, leader: str, limit: float) -> bool:
+    """Whether the strings of a key have less than the two modes below the limit (Hz) that a pitch needs."""
+    freq, upper = instrument.tuning.freq(instrument.open_note(leader)), TUNING_ROOM * limit
+    if leader not in instrument.key_of or 4 * freq < upper:
+        return False
+    resonator = instrument.resonators[leader]
+    return resonator.basis(upper, tension=resonator.tension).n_modes < 2
 
 
 def _stretch(instrument: Instrument) -> dict[str, float]:
