@@ -56,7 +56,8 @@ class Pedals:
                 continue
             lifted = [*pressed.get(leader, ()), *held.get(leader, ())]
             for time, share in damper_course(shares, lifted):
-                out += [Change(time, string, damper=share) for string in group]
+                if time < math.inf:
+                    out += [Change(time, string, damper=share) for string in group]
         return out
 
 

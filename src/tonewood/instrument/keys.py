@@ -25,9 +25,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from tonewood.errors import BundleError, TonewoodError
+from tonewood.errors import BundleError, ScoreError, TonewoodError
 from tonewood.instrument.files import Files
 from tonewood.instrument.schema import Bundle, PluginPart
+from tonewood.score.scales import note_number
 from tonewood.validation_messages import did_you_mean
 
 _PLAIN = ("note", "strings", "una_corda", "damped", "kind")
@@ -86,6 +87,10 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
         name = row.text("note").replace("#", "s")
         if name in entries:
             raise row.fault("note", f"is {row.text('note')!r}, which an earlier row has; one row a note is allowed")
+        try:
+            note_number(row.text("note"))
+        except ScoreError as fault:
+            raise row.fault("note", fault.reason) from None
         count = row.whole("strings", 1)
         of = [name] if count == 1 else [f"{name}_{i + 1}" for i in range(count)]
         entry: dict[str, Any] = {"note": row.text("note"), "strings": of}

@@ -24,6 +24,8 @@ from tonewood.units import ratio_of_cents
 
 #: strings' modes stay this share below the limit, so that tuning does not lose the highest, on which pitch depends
 TUNING_ROOM = 0.98
+#: ratio by which stretch and mistuning may raise a pitch
+STRETCH_ROOM = 1.06
 
 
 def string_models(
@@ -45,7 +47,7 @@ def string_models(
     ------
     BundleError : a point of a string does not lie on its speaking part at the last stop.
     """
-    stretch = _stretch(instrument)
+    stretch = stretch_cents(instrument)
     copies = {name: len(strings) for strings in instrument.groups.values() for name in strings}
     beyond = {
         name
@@ -62,14 +64,15 @@ def string_models(
 
 def _is_beyond(instrument: Instrument, leader: str, limit: float) -> bool:
     """Whether the strings of a key have less than the two modes below the limit (Hz) that a pitch needs."""
-    freq, upper = instrument.tuning.freq(instrument.open_note(leader)), TUNING_ROOM * limit
+    part, freq = instrument.spec.strings[leader], instrument.tuning.freq(instrument.open_note(leader))
+    upper = min(part.freq_upper, TUNING_ROOM * limit) / STRETCH_ROOM
     if leader not in instrument.key_of or 4 * freq < upper:
         return False
     resonator = instrument.resonators[leader]
     return resonator.basis(upper, tension=resonator.tension).n_modes < 2
 
 
-def _stretch(instrument: Instrument) -> dict[str, float]:
+def stretch_cents(instrument: Instrument) -> dict[str, float]:
     """String -> cents by which the tuning raises it; the strings of a key alike."""
     if instrument.spec.tuning.stretch == "none":
         return {}
