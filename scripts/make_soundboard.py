@@ -22,14 +22,17 @@ SEED = 20
 DENSITY = ((60.0, 0.06), (1100.0, 0.06), (1100.1, 0.05), (5000.0, 0.02), (5000.1, 0.014), (12000.0, 0.014))
 #: (Hz, loss factor): the same, about 2 % below 3 kHz
 LOSS = ((60.0, 0.020), (3000.0, 0.020), (12000.0, 0.0286))
-#: s/kg, mean conductance at the bridge, with which prompt decays come out as a piano's
-MOBILITY = 2.7e-4
+#: s/kg, mean conductance at the bridge. A conductance of 2.7e-4 s/kg at every frequency gives a piano's prompt decays;
+#: here most keys lie between two resonances, and the mean has to be higher
+MOBILITY = 4.0e-4
 #: m, length of each bridge, and what lies between two places whose motion is independent
 BASS, TREBLE, KNOTS = 0.45, 1.40, 0.0875
 #: keys on the bass bridge; correlation of the bridges' motion below this frequency (Hz)
 BASS_KEYS, CORRELATION, TOGETHER = 20, 0.3, 300.0
 #: m, from rib to rib; above this frequency (Hz) modes are confined to one to three of these
 RIB, CONFINED = 0.130, 1100.0
+#: amplitude beyond, that the bridge carries on
+FLOOR = 0.3
 #: Hz, critical frequency, above which a mode's pressure follows its velocity rather than its acceleration
 CRITICAL = 1100.0
 
@@ -63,7 +66,7 @@ def shape(freq: float, bass: Floats, treble: Floats, draws: np.random.Generator)
     places = np.concatenate([bass, treble + 0.1 * TREBLE])
     width, centre = RIB * draws.uniform(1.0, 3.0), draws.uniform(0.0, places.max())
     bump = np.exp(-0.5 * ((places - centre) / (0.5 * width)) ** 2)
-    return found * bump
+    return found * (FLOOR + (1 - FLOOR) * bump)
 
 
 def main(folder: Path) -> None:
