@@ -69,6 +69,12 @@ def is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) ->
     return all(is_played(x, length) for x in asked.values())
 
 
+def gripped(gesture: Gesture) -> Gesture:
+    """The same gesture with its finger's whole dashpot from the first touch on: each step of it costs a block time."""
+    hold = gesture.hold
+    return gesture if hold is None else replace(gesture, hold=replace(hold, grown=hold.start))
+
+
 def hurried(gesture: Gesture, available: float) -> Gesture:
     """The same gesture prepared within `available` s: the string's last pluck has to be over before it begins.
 
