@@ -161,6 +161,7 @@ def _stopping(instrument: Instrument, name: str, raised_cents: float) -> Stoppin
         compensate=spec.tuning.at if spec.tuning.compensate == "coupled" else "none",
         hold=spec.tuning.hold,
         finger=stops.finger if stops.model == "finger" else None,
+        stretch_cents=raised_cents,
     )
 
 
