@@ -209,8 +209,7 @@ def _presses(line: Sequence[Assigned], plays: Sequence[Play]) -> list[tuple[floa
     """When the key of a string's notes goes down and comes up, s; struck again it does not come up in between."""
     out = []
     for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
-        note = assigned.note
-        up = note.time + (note.duration if note.held is None else note.held)
+        up = assigned.note.key_up
         out.append((play.start, min(up, plays[i + 1].start) if i + 1 < len(plays) else up))
     return out
 

@@ -11,7 +11,7 @@ import pytest
 
 import tonewood as tw
 import tonewood.authoring as ta
-from midi_bytes import control, off, on, write
+from midi_bytes import control, note, off, on, write
 from pianos import piano
 from tonewood.engine.engine import Engine
 from tonewood.engine.pedals import damper_course, latched, pressed_farthest
@@ -82,9 +82,21 @@ def test_pedals_in_a_score(grand: tw.Instrument) -> None:
 
 def test_midi_keeps_when_the_key_was_released(tmp_path: Path) -> None:
     events = [control(0.0, 64, 127), on(0.0, 60), off(0.5, 60), control(2.0, 64, 0)]
-    (note,) = tw.read_midi(write(tmp_path / "pedal.mid", events)).notes
-    assert note.duration == pytest.approx(2.0)
-    assert note.held == pytest.approx(0.5)
+    (found,) = tw.read_midi(write(tmp_path / "pedal.mid", events)).notes
+    assert found.duration == pytest.approx(2.0)
+    assert found.held == pytest.approx(0.5)
+    tw.write_midi(tw.read_midi(tmp_path / "pedal.mid"), tmp_path / "again.mid")
+    again = tw.read_midi(tmp_path / "again.mid")
+    assert again.notes[0].held == pytest.approx(0.5, abs=1e-3)
+    assert again.notes[0].duration == pytest.approx(2.0, abs=1e-3)
+    faster = tw.read_score(tmp_path / "pedal.mid", tempo=2.0, stop=0.75).notes[0]
+    assert (faster.duration, faster.held) == (pytest.approx(0.375), pytest.approx(0.25))
+
+
+def test_the_pedal_goes_up_with_the_track(tmp_path: Path) -> None:
+    events = [control(0.0, 64, 127), *note(0.0, 0.5, 60)]
+    score = tw.read_midi(write(tmp_path / "open.mid", events))
+    assert [(c.kind, c.value) for c in score.controls] == [("cc64", 1.0), ("cc64", 0.0)]
 
 
 def level(sound: np.ndarray, start: float, stop: float) -> float:
