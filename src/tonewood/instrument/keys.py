@@ -28,7 +28,7 @@ from typing import Any
 
 from tonewood.errors import BundleError, ScoreError, TonewoodError
 from tonewood.instrument.files import Files
-from tonewood.instrument.schema import Bundle, PluginPart
+from tonewood.instrument.schema import MOST_STRINGS, Bundle, PluginPart
 from tonewood.score.scales import note_number
 from tonewood.validation_messages import did_you_mean
 
@@ -85,7 +85,7 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
     places: dict[str, tuple[int, str]] = {}
     for line, cells in rows:
         row = _Row(file, line, dict(zip(header, cells, strict=True)))
-        name = row.text("note").replace("#", "s")
+        name = row.text("note").replace("#", "s").replace("-", "m")
         if name in entries:
             raise row.fault("note", f"is {row.text('note')!r}, which an earlier row has; one row a note is allowed")
         try:
@@ -94,6 +94,8 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
             raise row.fault("note", fault.reason) from None
         count = row.whole("strings", 1)
         of = [name] if count == 1 else [f"{name}_{i + 1}" for i in range(count)]
+        if len(made) + count > MOST_STRINGS:
+            raise row.fault("strings", f"makes more than the {MOST_STRINGS} strings allowed")
         entry: dict[str, Any] = {"note": row.text("note"), "strings": of}
         if row.cells.get("una_corda"):
             entry["una_corda"] = row.whole("una_corda", 1)

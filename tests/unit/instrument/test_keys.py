@@ -100,6 +100,16 @@ def test_a_bad_header_is_named(tmp_path: Path, before: str, after: str, line: st
         tw.load_instrument(tmp_path / "bad")
 
 
+def test_a_table_may_not_make_any_number_of_strings(tmp_path: Path) -> None:
+    table = some_keys(tmp_path / "many", ["C4"], {"strings": "6", "una_corda": ""}) / "keys.csv"
+    header, row = table.read_text().splitlines()
+    notes = [f"{letter}{octave}{cents}" for octave in range(10) for letter in "CDEFGAB" for cents in ("", "#", "b")]
+    named = [note[0] + note[2:] + note[1] for note in notes]
+    table.write_text("\n".join([header, *(row.replace("C4", note, 1) for note in named)]))
+    with pytest.raises(BundleError, match=r"line 172: strings: makes more than the 1024 strings allowed"):
+        tw.load_instrument(tmp_path / "many")
+
+
 def test_the_group_sounds_its_note_together(tmp_path: Path) -> None:
     from tonewood.instrument.mounted import Mounted
 
