@@ -20,15 +20,16 @@ from dataclasses import replace
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.fretting import Fretting
 from tonewood.engine.hands import LET_GO_AFTER, damping, laid_on, let_go
+from tonewood.engine.live_dampers import LiveDampers
 from tonewood.engine.live_state import LiveCounters, PlayedString, Voice
-from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
+from tonewood.engine.note_events import event_values, exciter_of, force_of, gripped, hurried, is_where_asked
 from tonewood.engine.playing import BEND_RATE, playable
 from tonewood.engine.techniques import stop_course, touch_course
 from tonewood.engine.timeline import Change, Play
 from tonewood.engine.variation import Deviates, touched
 from tonewood.errors import ScoreError, TonewoodError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Gesture, Place
+from tonewood.instrument.contract import Event, Place
 from tonewood.score.causal import PEDALLED, CausalAssignment, Sounding
 from tonewood.score.note import Dropped, Note, ignored_name
 from tonewood.score.scales import note_number
@@ -76,7 +77,8 @@ class LivePlayer:
         self._assignment = CausalAssignment(
             playable(model, capo), channel_per_string=channel_per_string, tuning=model.instrument.tuning
         )
-        engine.fingerboard.room = _ROOM
+        engine.fingerboard.room = max(engine.fingerboard.room, _ROOM)
+        self.dampers = LiveDampers(model)
         engine.schedule.add(laid_on(engine.timeline.start, model))
         self._keys = {float(note_number(k)): name for k, name in model.playing.keyswitches.items()}
         self._lines = {name: PlayedString(stop=float(capo)) for name in model.strings}
@@ -95,6 +97,7 @@ class LivePlayer:
         self._free_at = self._bend_at = 0
         self._number = 0
         self._read = frozenset({*model.playing.controls, *model.playing.switches, "cc7", "cc11", "cc64"})
+        self._read |= self.dampers.kinds
 
     def note_on(self, note: Note) -> Voice | None:
         """Begin a note at the next point of the grid; None if it is a keyswitch or cannot be played.
@@ -138,6 +141,8 @@ class LivePlayer:
             held.remove(voice)
             if not held:
                 del self._held[channel, key]
+        if voice.string is not None and not self._is_young(voice, self.engine.state.sample):
+            self.dampers.release(voice.string)
         if self._controls.get((channel, "cc64"), 0.0) >= 0.5 and key is not None:
             if (before := self._pedalled.get((channel, key))) is not None:
                 self._end(before)
@@ -152,6 +157,8 @@ class LivePlayer:
             self.counters.ignored[ignored_name(kind)] += 1
             return
         self._controls[channel, kind] = value
+        if kind in self.dampers.kinds:
+            self.dampers.control(kind, value, channel)
         if kind == "cc64" and value < 0.5:
             self.lift_pedal(channel)
         moved = self.model.playing.controls.get(kind)
@@ -188,6 +195,7 @@ class LivePlayer:
             self._waiting
             or self._ending
             or self._to_compile
+            or self.dampers.pending
             or any(
                 line.later or line.cents != line.wanted or self._is_sustained(line.voice)
                 for line in self._lines.values()
@@ -206,6 +214,8 @@ class LivePlayer:
         for line in self._lines.values():
             if self._is_sustained(line.voice):
                 self._continue(line.voice, now)
+        self.engine.schedule.add([replace(change, time=now * self.engine.dt) for change in self.dampers.pending])
+        self.dampers.pending.clear()
         if self._waiting and now >= self._free_at:
             self._begin(now)
         elif not self._follow(now) and not self._end_one(now) and now >= self._bend_at and not self._bend_one(now):
@@ -316,7 +326,7 @@ class LivePlayer:
         own, model = voice.assigned, self.model
         assert own is not None
         line, channel = self._lines[own.string], voice.note.channel or 0
-        string, exciter = model.strings[own.string], exciter_of(voice.note, model)
+        string, exciter = model.strings[own.string], exciter_of(voice.note, model, own.string)
         values = event_values(voice.note, model, lambda kind: self._controls.get((channel, kind)))
         if "from_bridge" in values:
             values["from_bridge"] = _rounded(values["from_bridge"])
@@ -326,7 +336,8 @@ class LivePlayer:
         event = Event(values, string.freq(own.stop), _CONTINUED, own.stop, line.stop, string.length(line.stop))
         try:
             is_where_asked(event, own, model, "live")
-            gesture = _gripped(hurried(exciter.gesture(event, model.place(own.string, own.stop)), self.ramp))
+            place = model.place(own.string, own.stop, una_corda=self.dampers.una_corda)
+            gesture = gripped(hurried(exciter.gesture(event, place), self.ramp))
         except TonewoodError as fault:
             self._drop(voice, Dropped(0.0, voice.note.note, voice.note.channel, fault.reason))
             return False
@@ -348,11 +359,27 @@ class LivePlayer:
         later += [Change(time, own.string, stop=stop) for time, stop in stops[1:]]
         for change in sorted(later, key=lambda c: c.time):
             line.later.append((math.floor(change.time / tick + 1e-6) * GRID, change))
-        self.engine.schedule.add(changes, [play])
+        self.dampers.press(own.string)
+        for change in (*changes, *self.dampers.pending):
+            self._change(now, change)
+        self.dampers.pending.clear()
+        self.engine.schedule.add(plays=[play, *self._of_others(voice, play)])
         return True
 
+    def _of_others(self, voice: Voice, play: Play) -> list[Play]:
+        """Return gestures by known forces on the other strings of a key; a hammer of the first meets them itself."""
+        own, out = voice.assigned, []
+        assert own is not None
+        if play.gesture.on is None and not play.gesture.motions:
+            for name in self.model.groups[own.string][1:]:
+                exciter, place = exciter_of(voice.note, self.model, name), self.model.place(name, own.stop)
+                gesture = gripped(hurried(exciter.gesture(voice.event, place), self.ramp))
+                out.append(replace(play, gesture=gesture, string=name))
+        return out
+
     def _change(self, now: int, change: Change) -> None:
-        self.engine.schedule.add([replace(change, time=now * self.engine.dt)])
+        strings = (change.string,) if change.damper is not None else self.model.groups[change.string]
+        self.engine.schedule.add([replace(change, time=now * self.engine.dt, string=name) for name in strings])
 
     def _is_sustained(self, voice: Voice | None) -> bool:
         """Whether a note's gesture lasts until its key is released."""
@@ -362,7 +389,7 @@ class LivePlayer:
         if name not in self._sustained:
             place = self.model.place(voice.assigned.string, voice.assigned.stop)
             longer = replace(voice.event, duration=2 * _CONTINUED)
-            again = self.model.exciters[name].gesture(longer, place)
+            again = self.model.exciter(name, voice.assigned.string).gesture(longer, place)
             self._sustained[name] = again.stop > voice.play.gesture.stop
         return self._sustained[name]
 
@@ -374,10 +401,11 @@ class LivePlayer:
         if voice.string is None:
             return
         line, end, time = self._lines[voice.string], self.model.playing.note_end, now * self.engine.dt
+        self.dampers.release(voice.string)
         if self._is_sustained(voice):
             self._continue(voice, now, until=now)
             voice.play = None
-        if end.kind == "ring":
+        if end.kind == "ring" or self.dampers.has(voice.string):
             line.voice = None
         else:
             self._change(now, Change(time, voice.string, added_damping=damping(end)))
@@ -398,7 +426,7 @@ class LivePlayer:
         assigned = voice.assigned
         assert assigned is not None
         place = self.model.place(assigned.string, assigned.stop)
-        gesture = exciter_of(voice.note, self.model).gesture(event, place)
+        gesture = exciter_of(voice.note, self.model, assigned.string).gesture(event, place)
         voice.event, voice.play = event, replace(voice.play, gesture=gesture)
         self.engine.schedule.add(plays=[voice.play])
 
@@ -429,7 +457,9 @@ class LivePlayer:
         """
         for name, stop in self._places():
             fretting = self._compile(name, stop, {})
-            for way in (fretting, replace(fretting, added_damping=damping(self.model.playing.note_end))):
+            under = replace(fretting, damper=1.0) if self.model.strings[name].damper else None
+            damped = replace(fretting, added_damping=damping(self.model.playing.note_end))
+            for way in (fretting, under or damped):
                 self.engine.fingerboard.prepare(name, way)
 
     def _places(self) -> list[tuple[str, int]]:
@@ -440,20 +470,14 @@ class LivePlayer:
         """Compile how a string is held at a stop when it is plucked with some values of the default technique."""
         string, fingerboard = self.model.strings[name], self.engine.fingerboard
         event = Event(values, string.freq(stop), _CONTINUED, stop, 0.0, string.length(0.0))
-        gesture = self.model.exciters[self.model.default_exciter].gesture(event, self.model.place(name, stop))
+        gesture = self.model.exciter(self.model.default_exciter, name).gesture(event, self.model.place(name, stop))
         held = Fretting(float(stop), place=gesture.from_bridge, width=gesture.width)
         fretting = fingerboard.playable(name, held)
         bases = fingerboard.bases(name, fretting)
-        for component in string.weights(gesture.angle_deg):
+        for component in () if gesture.on else string.weights(gesture.angle_deg):
             bases[component].impulses("pluck")
         return fretting
 
 
 def _rounded(place: float) -> float:
     return round(place / _GRAIN) * _GRAIN
-
-
-def _gripped(gesture: Gesture) -> Gesture:
-    """The same gesture with its finger's whole dashpot from the first touch on: each step of it costs a block time."""
-    hold = gesture.hold
-    return gesture if hold is None else replace(gesture, hold=replace(hold, grown=hold.start))

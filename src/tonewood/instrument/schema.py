@@ -15,16 +15,16 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from tonewood.instrument.directions import Direction
 from tonewood.instrument.gestures import StringPlace
+from tonewood.instrument.key_schema import MOST_STRINGS, Keys, Name
 from tonewood.params import Number, Parameters, Vector, described, quantity
 
 SCHEMA = "tonewood-instrument/2"
 
-#: parts of one kind that an instrument may have; a piano has 230 strings
-MOST_STRINGS, MOST_PARTS = 256, 100
+#: parts of one kind that an instrument may have
+MOST_PARTS = 100
 
 _CC = r"^cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7])$"
 _MOVED = r"^(channel_pressure|cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7]))$"
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
 class Source(Parameters):
@@ -100,7 +100,7 @@ class StringSetEntry(Parameters):
     diameter: float | None = quantity("m", low=1e-5, high=0.05, default=None, doc="of the whole string")
     core: float = quantity("1", low=0.05, high=1.0, default=1.0, doc="share of the diameter that bends and stretches")
     density: float | None = quantity("kg/m^3", low=100.0, high=3e4, default=None, doc="effective, of the whole string")
-    linear_density: float | None = quantity("kg/m", low=1e-5, high=0.1, default=None, doc="mass per length")
+    linear_density: float | None = quantity("kg/m", low=1e-5, high=0.3, default=None, doc="mass per length")
     young: float | None = quantity("Pa", low=1e8, high=1e12, default=None, doc="of what bends and stretches")
     bending_stiffness: float | None = quantity("N m^2", low=0.0, high=1.0, default=None, doc="E I")
     loss: dict[str, Any] | None = described("loss law and its numbers", default=None)
@@ -148,6 +148,7 @@ class StringPart(PluginPart):
 
     note: str | Number | None = described("pitch of the open string: note name or MIDI number", default=None)
     freq: float | None = quantity("Hz", low=8.0, high=8000.0, default=None, doc="instead of `note`")
+    cents: float = quantity("cents", low=-100.0, high=100.0, default=0.0, doc="by which it is tuned above its note")
     end: str | list[str] = described("body.POINT the string ends on; several for several directions at one place")
     axis: Vector = described("from fixed end to bridge, length 1", default=(1.0, 0.0, 0.0))
     polarizations: list[Direction] = described(
@@ -247,6 +248,9 @@ class TuningSettings(Parameters):
     )
     at: Literal["each_stop", "open_only"] = described(
         "each_stop: every stop is compensated; open_only: frets keep their errors", default="each_stop"
+    )
+    stretch: Literal["none", "octaves"] = described(
+        "octaves: open strings are tuned so that octaves beat least, by their own inharmonicity", default="none"
     )
 
 
@@ -408,6 +412,7 @@ class Bundle(Parameters):
     strings_from: str | None = described(
         "named string set, for what `strings` does not say; `tonewood list` has their names", default=None
     )
+    keys: Keys | None = described("strings that one note plays together, their hammers and dampers", default=None)
     stops: Stops = described("frets", default=Stops())
     tuning: TuningSettings = described("pitch", default=TuningSettings())
     exciters: dict[Name, PluginPart] = described("name -> what plays", min_length=1, max_length=MOST_PARTS)

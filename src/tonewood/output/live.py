@@ -244,7 +244,8 @@ class Live:
     def all_off(self, channel: int | None = None) -> None:
         """Release all keys and pedals, of a channel or of all."""
         for at in range(16) if channel is None else (channel,):
-            self.player.control("cc64", 0.0, at)
+            for kind in {"cc64", *self.player.dampers.kinds}:
+                self.player.control(kind, 0.0, at)
         self.player.all_off(channel, pedalled=True)
 
     def release_keys(self, channel: int | None = None) -> None:
