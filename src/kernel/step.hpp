@@ -19,7 +19,7 @@ inline std::unique_ptr<ConnectionStep> connection_step(Block& block, LawForces& 
     const Model& m = block.model;
     if (!m.tensions.strings.empty()) return std::make_unique<TensionStep>(block, laws);
     if (!m.geometric.strings.empty()) return std::make_unique<LongitudinalStep>(block, laws);
-    if (m.shortcuts.direct_step && int(m.layout.own_port.size()) == m.solve.m)
+    if (m.shortcuts.direct_step && (m.layout.in_parts || int(m.layout.own_port.size()) == m.solve.m))
         return std::make_unique<DirectStep>(block, laws);
     return std::make_unique<GeneralStep>(block, laws);
 }
@@ -40,6 +40,7 @@ inline Fault run(Model& model, const Job& job) {
             double* now = block.force(b);
             if (!connections->sample(b, now, job.forces + (start + b) * model.solve.m)) return {Fault::kUnsolved, start + b};
             propagate(b, block.nb, block.forces.data(), block.history.data());
+            step_shapes(block, b);
             if (laws.any()) laws.rows.propagate(b, now);
         }
         connections->finish_block();

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lstsq, qr
 
 from tonewood import _kernel
+from tonewood.coupling.connections import LinearSolve
+from tonewood.coupling.inverse import InverseInParts
 from tonewood.coupling.laws import (
     CompiledPotential,
     Contact,
@@ -31,14 +32,15 @@ Description = dict[str, Any]
 class Wiring:
     """Ports of one component that are always stepped, ports on which only contacts act, and their connections.
 
-    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a longitudinal motion; `key` tells
-    whether any of it changed.
+    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a longitudinal motion; `is_hub`:
+    the linear connections are solved in parts that its motions join; `key` tells whether any of it changed.
     """
 
     fixed: NDArray[np.intp]
     contact: NDArray[np.intp]
     incidence: Floats
     coupled: bool
+    is_hub: bool
     key: bytes
 
 
@@ -47,8 +49,10 @@ def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded:
     # the motion of a driven component's ports is not needed
     readouts = np.arange(len(compiled.ports), len(compiled.rows))
     fixed, contact, incidence = wires.fixed, wires.contact, wires.incidence
-    if not (one_way or loaded or wires.coupled):
-        fixed, incidence = independent_ports(compiled, fixed, incidence)
+    if not (one_way or loaded or wires.coupled or wires.is_hub) and len(incidence):
+        fixed, span = compiled.motions(fixed)
+        if len(fixed) < len(wires.fixed):
+            incidence = np.ascontiguousarray(incidence @ span)
     rows = readouts if one_way else np.concatenate([fixed, readouts])
     response = compiled.history
     out: Description = {
@@ -76,6 +80,30 @@ def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded:
     return out
 
 
+def describe_linear(solve: LinearSolve, weights: Floats, wiring: Sequence[Wiring], in_parts: bool) -> Description:
+    """Describe the k linear connections that can carry force, their inverse dense or in parts."""
+    on, by = solve.on, solve.by
+    out: Description = {
+        "gamma": solve.gamma[on],
+        "constant": by.apply(solve.offset[on]),
+        "weights": np.ascontiguousarray(weights[:, on]),
+    }
+    if not (in_parts and isinstance(by, InverseInParts)):
+        return out | {"inverse": np.ascontiguousarray(by.dense)}
+    out["parts"] = [{"places": p.astype(np.float64), "inverses": np.ascontiguousarray(a)} for p, a in by.parts]
+    if (hub := by.hub) is not None:
+        places = np.searchsorted(wiring[hub.slot].fixed, hub.ports)
+        out["hub"] = {
+            "slot": hub.slot,
+            "ports": places.tolist(),
+            "point": hub.point.tolist(),
+            "factor": hub.factor,
+            "span": np.ascontiguousarray(hub.span),
+            "joined": np.ascontiguousarray(by.joined),
+        }
+    return out
+
+
 def describe_geometric(system: System, slots: Sequence[int], wiring: Sequence[Wiring]) -> Description:
     """Describe a string whose longitudinal motion is stepped: EA L, whether there is such a motion, and its parts."""
     scale, longitudinal = 0.0, False
@@ -94,29 +122,6 @@ def describe_geometric(system: System, slots: Sequence[int], wiring: Sequence[Wi
             }
             parts.append({"slot": slot, **{name: np.ascontiguousarray(a) for name, a in arrays.items()}})
     return {"scale": scale, "longitudinal": longitudinal, "parts": parts}
-
-
-def independent_ports(
-    compiled: Compiled, ports: NDArray[np.intp], incidence: Floats
-) -> tuple[NDArray[np.intp], Floats]:
-    """As few ports as move the others with them, and how connections then use those.
-
-    Where p ports of a body move by r < p independent motions (a rigid bridge that heaves and rocks has two), r of them
-    span the rest, u = B u_r, in what they read and in what they push; a force on one is B^T f on those.
-    """
-    if len(ports) < 3 or not len(incidence):
-        return ports, incidence
-    parts = [part[ports].reshape(len(ports), -1) for part in (compiled.rows, compiled.W)]
-    motion = np.hstack([part / (np.max(np.abs(part), initial=0.0) or 1.0) for part in parts])
-    _, R, order = qr(motion.T, mode="economic", pivoting=True)
-    rank = int(np.count_nonzero(np.abs(np.diag(R)) > 1e-13 * np.abs(R[0, 0]))) if R.size else 0
-    if rank in (0, len(ports)):
-        return ports, incidence
-    chosen = np.sort(order[:rank])
-    span = lstsq(motion[chosen].T, motion.T)[0].T
-    if np.max(np.abs(motion - span @ motion[chosen])) > 1e-14 * rank:
-        return ports, incidence
-    return ports[chosen], np.ascontiguousarray(incidence @ span)
 
 
 def law_arrays(

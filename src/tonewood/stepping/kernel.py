@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tonewood import _kernel
 from tonewood.coupling.connections import NonlinearGaps
+from tonewood.coupling.inverse import Hub, InverseInParts
 from tonewood.coupling.laws import NonlinearLaw
 from tonewood.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.errors import NumericalError, TonewoodError
@@ -26,6 +27,7 @@ from tonewood.stepping.description import (
     Wiring,
     describe_component,
     describe_geometric,
+    describe_linear,
     law_arrays,
     packed,
 )
@@ -98,7 +100,7 @@ class KernelStepper:
         self._packed: dict[int, tuple[Injection, Floats, Floats]] = {}
         self._descriptions: WeakKeyDictionary[Compiled, dict[_Key, Description]] = WeakKeyDictionary()
         self._keys = count()
-        self._wirings: dict[tuple[bytes, bytes, bytes, frozenset[str]], tuple[list[Wiring], Terms]] = {}
+        self._wirings: dict[tuple[bytes, bytes, bytes, bytes, frozenset[str]], tuple[list[Wiring], Terms]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
         self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
@@ -146,8 +148,10 @@ class KernelStepper:
 
     def _describe(self, system: System, cached: frozenset[int]) -> Description:
         """Describe a system; components with a key among `cached` come without arrays."""
-        solve, on = system.solve, self._active
-        wiring, terms = self._wired(system)
+        in_parts = not (any(system.tension_on) or system.geometric)
+        by = system.solve.by
+        hub = by.hub if in_parts and isinstance(by, InverseInParts) else None
+        wiring, terms = self._wired(system, hub)
         weights = system.force_weights()
         components = self._components(system, wiring, terms)
         slots_of = [[system.slot(name) for name in law.parts] for law in system.geometric]
@@ -161,12 +165,7 @@ class KernelStepper:
         ]
         return {
             "components": [{"key": c["key"]} if c["key"] in cached else c for c in components],
-            "linear": {
-                "inverse": np.ascontiguousarray(solve.inverse),
-                "gamma": solve.gamma[on],
-                "constant": solve.inverse @ solve.offset[on],
-                "weights": np.ascontiguousarray(weights[:, on]),
-            },
+            "linear": describe_linear(system.solve, weights, wiring, in_parts),
             "nonlinear": self._laws_and_gaps(system, terms, np.ascontiguousarray(weights[:, self._nonlinear])),
             "tensions": {"strings": tensions},
             "geometric": self._geometric[1],
@@ -208,11 +207,12 @@ class KernelStepper:
             out.append(known[key])
         return out
 
-    def _wired(self, system: System) -> tuple[list[Wiring], Terms]:
+    def _wired(self, system: System, hub: Hub | None) -> tuple[list[Wiring], Terms]:
         """Sort the ports of every component by the connections now in use; once for each set of these."""
         is_contact = system.elimination.others.is_contact
         coupled = {name for law in system.geometric for name in law.parts}
-        key = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), frozenset(coupled)
+        met = b"" if hub is None else hub.ports.tobytes()
+        key = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), met, frozenset(coupled)
         if key not in self._wirings:
             always = np.concatenate([self._active, self._nonlinear[~is_contact]])
             wiring: list[Wiring] = []
@@ -226,15 +226,20 @@ class KernelStepper:
                 may_be_culled = not one_way and name not in coupled
                 contact = np.flatnonzero(touched & ~needed & may_be_culled)
                 fixed = np.flatnonzero((touched | needed) & ~np.isin(np.arange(acts.shape[1]), contact))
+                if is_hub := hub is not None and slot == hub.slot:
+                    of_laws = np.flatnonzero(np.any(acts[self._nonlinear[~is_contact]], axis=0))
+                    fixed = np.union1d(hub.ports, of_laws)
                 for j, port in zip(*np.nonzero(acts[self._nonlinear]), strict=True):
                     among = contact if port in contact else fixed
                     terms.append((int(j), slot, int(np.searchsorted(among, port)), among is contact))
                     factors.append(float(incidence[self._nonlinear[j], port]))
-                wires = np.ascontiguousarray(incidence[self._active][:, fixed])
+                wires = np.zeros((0, len(fixed)))  # the hub's are those of the parts
+                if not is_hub:
+                    wires = np.ascontiguousarray(incidence[self._active][:, fixed])
                 wired = np.nonzero(wires)
                 parts = [part.tobytes() for part in (*wired, wires[wired], fixed, contact)]
-                parts.append(b"coupled" if name in coupled else b"")
-                wiring.append(Wiring(fixed, contact, wires, name in coupled, b"|".join(parts)))
+                parts.append(b"coupled" if name in coupled else b"hub" if is_hub else b"")
+                wiring.append(Wiring(fixed, contact, wires, name in coupled, is_hub, b"|".join(parts)))
             index = np.array(terms, dtype=np.int64).reshape(-1, 4)
             self._wirings[key] = wiring, (index, np.array(factors))
         return self._wirings[key]
