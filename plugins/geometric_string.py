@@ -11,8 +11,7 @@ the longitudinal force acts on the body with the same factors.
 
 Longitudinal modes are those below 0.45 of the sampling rate; higher ones follow quasi-statically and add nothing.
 Transverse modes up to `freq_coupled` take part in the coupling, the others move as on `stiff_string`: their share of
-the squared slope is small, and cost goes with the square of their number. Valid for slopes up to some 0.3, and where
-the string is nowhere slack. A step whose solution is not found ends the render with one line.
+the squared slope is small, and cost goes with the square of their number. Valid for slopes up to some 0.3.
 """
 
 from __future__ import annotations

@@ -82,16 +82,15 @@ inline CompiledSystem system_of(const File& file) {
         const std::string at = entry("tensions/strings", i);
         s.tensions.strings.push_back({int(file.integer(at + "0")), file[at + "1"].f8[0], file.integers(at + "2")});
     }
-    for (std::size_t i = 0; file.has(entry("geometric", i) + "scale"); ++i) {
-        GeometricDescription d;
-        d.scale = file[entry("geometric", i) + "scale"].f8[0], d.longitudinal = file.integer(entry("geometric", i) + "longitudinal");
-        for (std::size_t p = 0; file.has(entry(entry("geometric", i) + "parts", p) + "slot"); ++p) {
-            const std::string at = entry(entry("geometric", i) + "parts", p);
-            d.parts.push_back({int(file.integer(at + "slot")), view(file, at + "slopes"), view(file, at + "reading"),
-                               view(file, at + "compliances"), view(file, at + "kick"), view(file, at + "to_port"),
-                               view(file, at + "from_port")});
+    for (std::size_t i = 0; file.has(entry("tensions/stretches", i) + "scale"); ++i) {
+        const std::string string = entry("tensions/stretches", i);
+        StretchDescription d;
+        d.scale = file[string + "scale"].f8[0], d.longitudinal = file.integer(string + "longitudinal");
+        for (std::size_t p = 0; file.has(entry(string + "parts", p) + "slot"); ++p) {
+            const std::string at = entry(string + "parts", p);
+            d.parts.push_back({int(file.integer(at + "slot")), view(file, at + "slopes"), view(file, at + "stiffness")});
         }
-        s.geometric.push_back(std::move(d));
+        s.tensions.stretches.push_back(std::move(d));
     }
     return s;  // all shortcuts on
 }

@@ -160,7 +160,8 @@ bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed
     Tensions& t = model_.tensions;
     std::vector<Tensions::String> strings;
     std::vector<int> components;
-    for (Component& c : model_.components) c.tension.on = false;
+    for (Component& c : model_.components) c.tension.on = c.geometric = false;
+    require(d.stretches.empty() || d.stretches.size() == d.strings.size(), "tensions.stretches: one for each string is needed");
     for (std::size_t s = 0; s < d.strings.size(); ++s) {
         const auto& string = d.strings[s];
         const std::string name = "tensions[" + std::to_string(s) + "]";
@@ -169,17 +170,24 @@ bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed
             require(i >= 0 && std::size_t(i) < model_.components.size(), name + ": no component " + std::to_string(i));
             Component& c = model_.components[i];
             require(!c.tension.a.empty(), name + ": component " + std::to_string(i) + " was loaded without `tension`");
-            c.tension.on = true;
-            components.push_back(i);
+            (d.stretches.empty() ? c.tension.on : c.geometric) = true;
+            if (d.stretches.empty()) components.push_back(i);
         }
         strings.emplace_back();
         strings.back().index = string.index, strings.back().kappa = string.kappa, strings.back().components = string.slots;
     }
-    const bool same = std::equal(strings.begin(), strings.end(), t.strings.begin(), t.strings.end(),
+    const bool same = d.stretches.empty() && t.stretches.empty() &&
+                      std::equal(strings.begin(), strings.end(), t.strings.begin(), t.strings.end(),
                                  [](const auto& a, const auto& b) {
                                      return a.index == b.index && a.kappa == b.kappa && a.components == b.components;
                                  });
     if (same && !components_changed) return false;
+    for (std::size_t s = 0; s < d.stretches.size(); ++s) {
+        std::vector<int> slots;
+        for (const auto& part : d.stretches[s].parts) slots.push_back(part.slot);
+        require(slots == d.strings[s].slots, "tensions.stretches[" + std::to_string(s) + "].parts are not the components of the string");
+    }
+    t.stretches = load_stretches(d.stretches, model_.components);
     t.strings = std::move(strings), t.components = std::move(components);  // `make_tensions` derives the rest
     return true;
 }
@@ -191,7 +199,6 @@ void Kernel::load(const CompiledSystem& system) {
     const bool changed = load_components(system, system.linear.gamma.size()) || all;
     std::vector<bool> before;
     for (const Component& c : model.components) before.push_back(c.geometric), before.push_back(c.tension.on);
-    model.geometric = load_geometric(system.geometric, model.components);
     const bool linear = load_linear(system.linear);
     const bool laws = load_nonlinear(system.nonlinear);
     const bool tensions = load_tensions(system.tensions, changed);
@@ -199,8 +206,8 @@ void Kernel::load(const CompiledSystem& system) {
     for (const Component& c : model.components) after.push_back(c.geometric), after.push_back(c.tension.on);
     const bool contacts = changed || laws || before != after || !(model.shortcuts == system.shortcuts);
     model.shortcuts = system.shortcuts;
-    require(!model.solve.in_parts || (model.tensions.strings.empty() && model.geometric.strings.empty()),
-            "linear.parts: with rising tensions or longitudinal motion the inverse is needed as one matrix");
+    require(!model.solve.in_parts || model.tensions.strings.empty(),
+            "linear.parts: with rising tensions the inverse is needed as one matrix");
     if (changed || linear) model.layout = make_layout(model.components, model.solve, n_channels_);
     if (contacts) {
         make_groups(model.components, model.nonlinear);

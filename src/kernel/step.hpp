@@ -8,7 +8,6 @@
 #include <memory>
 
 #include "connect/general_step.hpp"
-#include "connect/longitudinal.hpp"
 #include "connect/tension_step.hpp"
 #include "modal/motion.hpp"
 
@@ -18,7 +17,6 @@ namespace {
 inline std::unique_ptr<ConnectionStep> connection_step(Block& block, LawForces& laws) {
     const Model& m = block.model;
     if (!m.tensions.strings.empty()) return std::make_unique<TensionStep>(block, laws);
-    if (!m.geometric.strings.empty()) return std::make_unique<LongitudinalStep>(block, laws);
     if (m.shortcuts.direct_step && (m.layout.in_parts || int(m.layout.own_port.size()) == m.solve.m))
         return std::make_unique<DirectStep>(block, laws);
     return std::make_unique<GeneralStep>(block, laws);

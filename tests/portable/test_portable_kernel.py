@@ -65,8 +65,8 @@ def test_files_hold_what_was_saved(files: dict[str, Path], name: str) -> None:
     for key, values in wanted.items():
         assert np.array_equal(arrays[key], values)
         assert arrays[key].shape == values.shape
-    assert bool(system.tensions) == (name == "tension") == ("tensions/strings/0/0" in arrays)
-    assert bool(system.geometric) == (name == "longitudinal") == ("geometric/0/scale" in arrays)
+    assert bool(system.rising) == (name in ("tension", "longitudinal")) == ("tensions/strings/0/0" in arrays)
+    assert bool(system.geometric) == (name == "longitudinal") == ("tensions/stretches/0/scale" in arrays)
     samples = arrays["samples"]
     assert samples.shape == (n, len(system.readouts))
     assert np.all(np.max(np.abs(samples), axis=0) > 0.0)

@@ -59,8 +59,7 @@ def described(k: int = 0) -> dict[str, Any]:
             "weights": np.zeros((CHANNELS, k)), "compliance": np.eye(k) * 1e-6, "from_linear": np.zeros((k, m)),
             "to_linear": np.zeros((m, k)), "residual": np.zeros((k, k)),
         },
-        "tensions": {"strings": []},
-        "geometric": [],
+        "tensions": {"strings": [], "stretches": []},
         "shortcuts": dict.fromkeys(SHORTCUTS, True),
     }  # fmt: skip
 
@@ -84,21 +83,21 @@ def stretched() -> dict[str, Any]:
     one[0] = 1.0
     made["components"][0] |= {"a": one, "half": 1e-3 * one, "reading": one.copy(), "kick": np.stack([1e-3 * one] * 2)}
     made["components"][0]["velocity"] = np.stack([one] * 3)
-    made["tensions"] = {"strings": [(0, 10.0, [0])]}
+    made["tensions"] = {"strings": [(0, 10.0, [0])], "stretches": []}
     return made
 
 
 def longitudinal() -> dict[str, Any]:
     """The first two components are a string's transverse and longitudinal motion."""
-    made = described()
-    parts = [
-        {
-            "slot": slot, "slopes": np.full((2, 1), 0.1), "reading": np.ones(1), "compliances": np.full(1, 1e-6),
-            "kick": np.full((2, 1), 1e-6), "to_port": np.full((2, 1), 1e-6), "from_port": np.full((2, 1), 1e-6),
-        }
-        for slot in (0, 1)
-    ]  # fmt: skip
-    made["geometric"] = [{"scale": 1.0, "longitudinal": True, "parts": parts}]
+    made, one = described(), np.zeros(PAD)
+    one[0] = 1.0
+    for slot in (0, 1):
+        none = np.zeros(PAD)
+        made["components"][slot] |= {"a": none, "half": none, "reading": one, "kick": np.stack([1e-3 * one] * 2)}
+        made["components"][slot]["velocity"] = np.stack([one] * 3)
+    parts = [{"slot": slot, "slopes": np.full((2, 1), 0.1), "stiffness": np.ones(1)} for slot in (0, 1)]
+    stretch = {"scale": 1.0, "longitudinal": True, "parts": parts}
+    made["tensions"] = {"strings": [(0, 0.0, [0, 1])], "stretches": [stretch]}
     return made
 
 
@@ -245,7 +244,7 @@ def test_what_is_written_to_is_never_a_converted_copy(argument: int, dtype: type
         (("nonlinear", "terms"), np.array([[0, 0, 0, 1]])), (("nonlinear", "terms"), np.array([[2**40, 0, 0, 0]])),
         (("tensions", "strings"), [(0, 1.0, [3])]), (("tensions", "strings"), [(0, 1.0, [-1])]),
         (("tensions", "strings"), [(-1, 1.0, [0])]), (("tensions", "strings"), [(0, 1.0, [0])]),
-        (("geometric",), [{"scale": 1.0, "longitudinal": True, "parts": []}]),
+        (("tensions", "stretches"), [{"scale": 1.0, "longitudinal": True, "parts": []}]),
     ],
 )  # fmt: skip
 def test_numbers_out_of_range_are_refused(path: Path, wrong: Any) -> None:

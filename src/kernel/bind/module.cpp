@@ -183,13 +183,12 @@ void load(Kernel& kernel, nb::handle description) {
     using String = std::tuple<int, double, std::vector<int>>;
     for (auto& [index, kappa, slots] : tensions.get<std::vector<String>>("strings"))
         system.tensions.strings.push_back({index, kappa, std::move(slots)});
-    for (const Reader& string : in.each("geometric")) {
-        GeometricDescription d;
+    for (const Reader& string : tensions.each("stretches")) {
+        StretchDescription d;
         d.scale = string.get<double>("scale"), d.longitudinal = string.get<bool>("longitudinal");
         for (const Reader& part : string.each("parts"))
-            d.parts.push_back({part.get<int>("slot"), part.view("slopes"), part.view("reading"), part.view("compliances"),
-                               part.view("kick"), part.view("to_port"), part.view("from_port")});
-        system.geometric.push_back(std::move(d));
+            d.parts.push_back({part.get<int>("slot"), part.view("slopes"), part.view("stiffness")});
+        system.tensions.stretches.push_back(std::move(d));
     }
     system.shortcuts = shortcuts(in.inner("shortcuts"));
     kernel.load(system);
@@ -273,8 +272,7 @@ NB_MODULE(_kernel, m) {
         .def("acted", &Kernel::acted)
         .def("statistics", [](const Kernel& kernel) {
             const Statistics& s = kernel.statistics();
-            return std::vector<std::int64_t>{s.solves, s.iterations, s.most_iterations, s.failures, s.longitudinal_iterations,
-                                             s.most_longitudinal_iterations, s.blocks, s.rows_read, s.added};
+            return std::vector<std::int64_t>{s.solves, s.iterations, s.most_iterations, s.failures, s.blocks, s.rows_read, s.added};
         });
 }
 

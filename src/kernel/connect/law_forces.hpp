@@ -8,7 +8,7 @@
 #include "newton.hpp"
 #include "parts.hpp"
 #include "series.hpp"
-#include "tension.hpp"
+#include "rising.hpp"
 
 namespace tonewood {
 namespace {
@@ -61,18 +61,6 @@ public:
             if (!activate_closed([&](int j) { return compression_after(j); })) break;
         }
         return true;
-    }
-
-    // Finds a step in which `find` evaluates the forces repeatedly; friction keeps to its branches meanwhile.
-    template <class Find>
-    bool keeping_branches(const Find& find) {
-        if (!nl_.k) return find();
-        std::fill(ws_.branch.begin(), ws_.branch.end(), Branch::open);
-        ws_.sliding.clear();
-        branches_kept_ = true;
-        const bool done = converge_branches(nl_, ws_, find);
-        branches_kept_ = false;
-        return done;
     }
 
     // The forces of sample b are final; whether a nonlinear connection acts.
@@ -258,7 +246,7 @@ private:
             const bool done = find_forces(nl_, block_.model.shortcuts, ws_, z, iterations);
             return count(done, iterations);
         };
-        const bool done = branches_kept_ ? find() : converge_branches(nl_, ws_, find);
+        const bool done = converge_branches(nl_, ws_, find);
         statistics_.failures += !done;
         return done;
     }
@@ -359,7 +347,6 @@ private:
     Array<double> reach_;  // by contact port of strings under rising tension: displacement per psi_m
     Statistics& statistics_;
     const Job& job_;
-    bool branches_kept_ = false;
     std::size_t n_before_ = 0;
 };
 

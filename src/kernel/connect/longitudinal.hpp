@@ -1,408 +1,324 @@
-// Samples of strings with longitudinal motion; the equations are in tonewood.coupling.geometric.
-//
-// The modal forces F of a step are a fixed point: for given F everything else is the general step with other free motion,
-// and the motion found gives F anew. Where the tension rises little the map is nearly constant. Anderson's method
-// extrapolates from the differences between evaluations, answer orthogonal as they come; strong plucks need it.
+// Strings with longitudinal motion: their direction is the gradient of U; the equations are in tonewood.coupling.geometric.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
+#include <limits>
 
-#include "general_step.hpp"
+#include "../modal/stretch_pass.hpp"
+#include "rising.hpp"
 
 namespace tonewood {
 namespace {
 
-constexpr double kGeometricTolerance = 1e-12;  // of the forces' norm, in displacements they make
-constexpr double kBelowRounding = 1e-16;        // of the coordinates before the step: below the rounding of the state
-constexpr int kMaxGeometricIterations = 400;
-constexpr int kGeometricMemory = 14;           // differences kept; all are dropped when there are more
-
-class LongitudinalStep : public ConnectionStep {
-    using S = Simd;
-
+class StretchedStrings final : public RisingTensions {
 public:
-    LongitudinalStep(Block& block, LawForces& laws)
-        : block_(block), components_(block.model.components), layout_(block.model.layout),
-          geometric_(block.model.geometric), statistics_(block.model.statistics), laws_(laws), general_(block, laws) {
-        for (const auto& given : geometric_.strings) {
-            String string;
-            int at = 0;
-            for (const auto& g : given.parts) {
-                Part part;
-                part.given = &g, part.at = at;
-                const Component& c = components_[g.component];
-                const int n = g.width, reach = g.cosines_width + 2 * given.order + kLane;
-                at += n;
-                for (Array<double>* a : {&part.before, &part.free, &part.after}) a->assign(n, 0.0);
-                part.fx.assign(c.n, 0.0), part.fy.assign(c.n, 0.0);
-                part.rest.assign(c.n_ports, 0.0);
-                part.slope.assign(2 * std::size_t(reach), 0.0);
-                part.force.assign(g.cosines_width, 0.0);
+    explicit StretchedStrings(Block& block) : RisingTensions(block), pulled_(t_.width), answered_(t_.width) {
+        for (int s = 0; s < n_strings(); ++s) {
+            String string{t_.stretches[s]};
+            for (std::size_t q = 0; q < string.given.parts.size(); ++q) {
+                const auto& g = string.given.parts[q];
+                Part part{g, states_[t_.strings[s].first_part + int(q)]};
+                const std::size_t n = (g.n + kPadding - 1) / kPadding * kPadding;
+                for (Array<double>* a : {&part.here, &part.free, &part.force, &part.direction}) a->assign(n, 0.0);
+                for (Array<double>& a : part.slope) a.assign(g.cosines_width + 2 * string.given.order + kLane, 0.0);
+                part.on_cosines.assign(g.cosines_width, 0.0);
                 string.parts.push_back(std::move(part));
             }
-            string.given = &given, string.n = at;
-            const std::size_t order = given.order + 1;
-            for (Array<double>* a : {&string.old_sums, &string.sums, &string.old_strain, &string.strain, &string.mean_tension})
-                a->assign((order + kLane) / kLane * kLane, 0.0);
-            for (Array<double>* a : {&string.F, &string.answer, &string.residual, &string.last_answer, &string.last_residual,
-                                     &string.preconditioner, &string.weight})
-                a->assign(at, 0.0);
-            string.q.assign(std::size_t(kGeometricMemory) * at, 0.0), string.p = string.q;
-            for (const Part& part : string.parts)
-                std::copy(part.given->compliances.begin(), part.given->compliances.end(), string.weight.begin() + part.at);
+            const std::size_t order = padded(string.given.order + 1);
+            for (Array<double>* a : {&string.squares, &string.strain, &string.tension, &string.stretching}) a->assign(order, 0.0);
             strings_.push_back(std::move(string));
+            const double* const kept = row(s);
+            const double stored = potential(s) + kept[3];
+            strings_[s].shift = std::abs(kept[1]);
+            if (!(strings_[s].shift > 0.0 && stored + strings_[s].shift > 0.0)) strings_[s].shift = shift(s, stored);
+            ws_.psi[s] = std::copysign(std::sqrt(2 * (stored + strings_[s].shift)), kept[1]);
+            ws_.past[0][s] = kept[0];
         }
     }
 
-    bool sample(int b, double* now, double* f_out) override {
-        for (String& s : strings_) begin(s, b);
-        if (!laws_.keeping_branches([&] { return solve(b, now); })) return false;
-        laws_.commit(b);
-        for (String& s : strings_)
-            for (Part& part : s.parts) move(s, part, now);
-        std::copy_n(block_.f.begin(), block_.model.solve.m, f_out);
-        return true;
+    double excursion(int) const override { return 0.0; }               // contacts on these strings are never culled,
+    ContactSums contact(int, int) const override { return {0, 0, 0}; }  // and have fixed ports
+
+protected:
+    void make(const Polarization& part) override { stretch_pass<true, false>(*part.c, part.state, made(part), nullptr); }
+    void begin(const Polarization& part, double* to) override { stretch_pass<false, true>(*part.c, part.state, {}, to); }
+    void make_and_begin(const Polarization& part, double* to) override {
+        stretch_pass<true, true>(*part.c, part.state, made(part), to);
     }
 
-    // Rows of the strings at the end of a block.
-    void finish_block() override {
-        for (String& s : strings_)
-            for (Part& part : s.parts)
-                rows(part, block_.nb, x(part), y(part), components_[part.given->component].n_rows);
+    void direct() override {
+        std::fill(pulled_.begin(), pulled_.end(), 0.0);
+        for (int s = 0; s < n_strings(); ++s) stretch(s);
+        // the connections answer to the longitudinal modes under s_n
+        std::copy(ws_.driven.begin(), ws_.driven.end(), answered_.begin());
+        add_product(t_.onto_ports.data(), t_.width, pulled_.data(), int(t_.ports.size()), answered_.data());
+        for (int s = 0; s < n_strings(); ++s) strain(s), direct(s);
+    }
+
+    void end_step() override {
+        for (int s = 0; s < n_strings(); ++s) {
+            const double mean = ws_.mean[s];
+            ws_.psi[s] = 2 * mean - ws_.psi[s];
+            ws_.past[0][s] = strings_[s].per_mean * mean;
+            for (Part& part : strings_[s].parts)
+                for (std::size_t k = 0; k < part.force.size(); k += S::width)
+                    S::store(part.force.data() + k, S::load(part.direction.data() + k) * -mean);
+        }
+    }
+
+    // Puts V back to U where it `resets`, and chooses C anew.
+    void keep(int s, bool resets) override {
+        String& string = strings_[s];
+        double excess = 0.5 * ws_.psi[s] * ws_.psi[s] - string.shift - potential(s);
+        if (resets) {
+            excess += pay_from_motion(
+                [&](const auto& use) {
+                    for (const Part& part : string.parts) use(part.given.component, std::size_t(part.given.n));
+                },
+                -excess);
+            const double stored = potential(s) + excess;
+            string.shift = shift(s, stored);
+            ws_.psi[s] = std::sqrt(2 * (stored + string.shift));
+        }
+        row(s)[0] = ws_.past[0][s], row(s)[1] = std::copysign(string.shift, ws_.psi[s]), row(s)[2] = 0.0, row(s)[3] = excess;
     }
 
 private:
     struct Part {
-        const Geometric::Part* given = nullptr;
-        int at = 0;                         // of its coordinates among the string's
-        Array<double> before, free, after;  // coordinates
-        Array<double> fx, fy;               // state without forces
-        Array<double> rest;                 // ports without forces
-        Array<double> slope;                // even continuation of the slope's cosines before and after
-        Array<double> force;                // on the cosines
+        const Stretch::Part& given;
+        const Polarization& modes;
+        Array<double> here{}, free{};        // coordinates before the step, and free of this coupling after it
+        Array<double> force{}, direction{};  // modal forces of the last step, and per psi_m; scaled as xi is
+        Array<double> slope[3]{};            // cosines of `here`, `free` and their mean; halved but for the first, even
+        Array<double> on_cosines{};
     };
     struct String {
-        const Geometric::String* given = nullptr;
-        int n = 0, kept = 0;
-        bool fresh = true, has_last = false, converged = false;
-        double left = 0, motion = 0;
-        std::vector<Part> parts;                              // the longitudinal one last
-        Array<double> old_sums, sums, old_strain, strain, mean_tension;  // s_n and l_n before and after, tension by n
-        Array<double> F, answer, residual, last_answer, last_residual;  // forces, those of the motion under them, the difference
-        Array<double> preconditioner, weight;                          // displacement per force
-        Array<double> q, p;                                   // (kGeometricMemory, n) differences of residual, of answer
+        const Stretch& given;
+        std::vector<Part> parts{};  // the longitudinal one last
+        double shift = 0, per_mean = 0;                            // C; mean tension per psi_m
+        Array<double> squares{}, strain{}, tension{}, stretching{};  // s_n, l_n, forces on e_n and on l_n
     };
 
-    double* x(const Part& p) const { return block_.x(p.given->component); }
-    double* y(const Part& p) const { return block_.y(p.given->component); }
-
-    bool count(int iterations, bool done) {
-        statistics_.longitudinal_iterations += iterations;
-        statistics_.most_longitudinal_iterations = std::max<std::int64_t>(statistics_.most_longitudinal_iterations, iterations);
-        statistics_.failures += !done;
-        return done;
+    StretchMade made(const Polarization& p) const {
+        const Tensions::Part& at = *p.part;
+        const Part& part = strings_[at.string].parts[std::size_t(&at - t_.parts.data()) - t_.strings[at.string].first_part];
+        return {ws_.forces.data() + at.first_port, part.force.data(), part.force.size()};
     }
 
-    void rows(const Part& part, int b, const double* sx, const double* sy, int count) const {
-        const Component& c = components_[part.given->component];
-        double* line = block_.line(b) + layout_.row[part.given->component];
-        for (int r = 0; r < count; ++r) line[r] = row(c, r, sx, sy);
-    }
-    static double row(const Component& c, int r, const double* sx, const double* sy) {
-        using V = Simd;
-        const double *rx = c.rows.data() + 2 * std::size_t(r) * c.n, *ry = rx + c.n;
-        Simd::V sum{}, more{};
-        for (int k = 0; k < c.n; k += V::width) {
-            sum += V::load(rx + k) * V::load(sx + k);
-            more += V::load(ry + k) * V::load(sy + k);
-        }
-        return V::sum(sum + more);
-    }
+    static std::size_t transverse(const String& s) { return s.parts.size() - std::size_t(s.given.longitudinal); }
 
-    // Modal forces of sample b, and the forces of connections and ports with them. False if they were not found.
-    bool solve(int b, double* now) {
-        for (String& s : strings_) s.kept = 0, s.has_last = s.converged = false, s.left = INFINITY;
-        bool found = false;
-        int iteration = 0;
-        bool final = false;
-        while (!found && iteration++ < kMaxGeometricIterations) {
-            for (String& s : strings_)
-                if (!s.converged) place(s, b);
-            if (!general_.forces(b, now)) return false;
-            found = true;
-            bool passed_over = false;
-            // a converged string is passed over until all have converged, and is then evaluated under the final port forces
-            for (String& s : strings_) {
-                if (s.converged && !final) {
-                    passed_over = true;
-                    continue;
-                }
-                evaluate(s, now);
-                const double left = norm(s, s.residual), all = norm(s, s.F);
-                if (!std::isfinite(left)) return count(iteration, false);
-                if (iteration == 1 && left > all) {  // forces of the free motion are far too large: start from those before the step
-                    for (Part& part : s.parts) part.after = part.before;
-                    respond(s);
-                    s.F = s.answer, s.fresh = true, found = false;
-                    continue;
-                }
-                const bool stagnant = left >= 0.5 * s.left && left <= 1e3 * kGeometricTolerance * all;
-                // no nearer: other strings have moved it meanwhile, and the differences kept are not its own
-                if (left > 0.9 * s.left) s.kept = 0, s.has_last = false;
-                s.left = left;
-                s.converged = left <= kGeometricTolerance * all || left <= kBelowRounding * s.motion || stagnant;
-                if (!s.converged) advance(s), found = false;
+    // Coordinates of a part now and after a step under forces on its ports, and what its ports are moved by modal forces.
+    void coordinates(Part& part, const double* forces) {
+        const Component& c = *part.modes.c;
+        const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
+        const double *numbers = c.tension.numbers.data(), *state = part.modes.state;
+        for (std::size_t k = 0; k < part.here.size(); k += kPadding, numbers += step, state += kScaledState * kPadding)
+            for (int j = 0; j < kPadding; j += S::width) {
+                const V xi = S::load(state + j), per = S::load(part.given.scale.data() + k + j);
+                V free = xi + S::load(state + kPadding + j);
+                for (int p = 0; p < c.n_ports; ++p) free += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * forces[p];
+                S::store(part.here.data() + k + j, per * xi), S::store(part.free.data() + k + j, per * free);
             }
-            final = found && passed_over;
-            if (final) found = false;
-        }
-        return count(iteration, found);
     }
-
-    // Free motion of a sample, and forces to start from.
-    void begin(String& s, int b) {
-        using V = Simd;
-        for (Part& part : s.parts) {
-            const int i = part.given->component;
-            const Component& c = components_[i];
-            const double *sx = x(part), *sy = y(part);
-            rows(part, b, sx, sy, c.n_rows);
-            for (int k = 0; k < c.n; k += V::width) {
-                const auto a = V::load(sx + k), d = V::load(sy + k);
-                auto nx = V::load(c.e.data() + k) * a + V::load(c.e.data() + c.n + k) * d;
-                auto ny = V::load(c.e.data() + 2 * c.n + k) * a + V::load(c.e.data() + 3 * c.n + k) * d;
-                for (const Input& in : block_.inputs[i]) {
-                    const double value = in.values[b * in.stride];
-                    nx += V::load(in.vector + k) * value, ny += V::load(in.vector + c.n + k) * value;
-                }
-                V::store(part.fx.data() + k, nx), V::store(part.fy.data() + k, ny);
-            }
-            for (int p = 0; p < c.n_ports; ++p) part.rest[p] = row(c, p, part.fx.data(), part.fy.data());
-            for (int k = 0; k < part.given->n; ++k) {
-                part.before[k] = part.given->reading[k] * sx[k];
-                part.free[k] = part.given->reading[k] * part.fx[k];
-            }
-            part.after = part.free;
-        }
-        std::fill(s.old_sums.begin(), s.old_sums.end(), 0.0);
-        if (s.given->longitudinal) {
-            for (std::size_t q = 0; q + 1 < s.parts.size(); ++q) {
-                spread(s, s.parts[q], s.parts[q].before, 0);
-                add_sums(s, s.parts[q], 0, s.old_sums.data());
-            }
-            strain(s, s.parts.back().before, s.old_strain);
-        } else {
-            for (const Part& part : s.parts) s.old_sums[0] += stretch_of(part, part.before);
-        }
-        respond(s);
-        s.F = s.answer, s.fresh = true;
-        s.motion = 0.0;
-        for (const Part& part : s.parts)
-            for (int k = 0; k < part.given->n; ++k)
-                s.motion += part.before[k] * part.before[k] / part.given->compliances[k];
-        s.motion = std::sqrt(s.motion);
-    }
-
-    // Writes the port rows after the step under the modal forces, without port forces.
-    void place(const String& s, int b) const {
-        for (const Part& part : s.parts) {
-            const int i = part.given->component;
-            double* line = block_.line(b + 1) + layout_.row[i];
-            for (int p = 0; p < components_[i].n_ports; ++p)
-                line[p] = part.rest[p] + dot(part.given->to_port.data() + std::size_t(p) * part.given->width, s.F.data() + part.at,
-                                             part.given->width);
-        }
-    }
-
-    // Evaluates the forces of the motion under F and the port forces, and their difference to F.
-    void evaluate(String& s, const double* now) {
-        for (Part& part : s.parts) {
-            const auto& g = *part.given;
-            const double* forces = now + layout_.port[g.component];
-            const double* F = s.F.data() + part.at;
-            for (int k = 0; k < g.width; k += S::width)
-                S::store(part.after.data() + k, S::load(part.free.data() + k) + S::load(g.compliances.data() + k) * S::load(F + k));
-            add_product(g.from_port.data(), g.width, forces, components_[g.component].n_ports, part.after.data());
-        }
-        respond(s);
-        for (int k = 0; k < s.n; ++k) s.residual[k] = s.answer[k] - s.F[k];
-        if (!s.fresh) return;
-        s.fresh = false;
-        const double tension = std::max(s.mean_tension[0], 0.0);
-        for (const Part& part : s.parts)
-            for (int k = 0; k < part.given->width; ++k)
-                s.preconditioner[part.at + k] = 1 / (1 + 0.5 * tension * part.given->compliances[k] * part.given->stretch[k]);
-    }
-
-    // Evaluates the forces s.answer at the coordinates `before` and `after`.
-    void respond(String& s) {
-        if (!s.given->longitudinal) return rise(s);
-        const int order = s.given->order;
-        std::fill(s.sums.begin(), s.sums.end(), 0.0);
-        for (std::size_t q = 0; q + 1 < s.parts.size(); ++q) {
-            spread(s, s.parts[q], s.parts[q].after, 1);
-            add_sums(s, s.parts[q], 1, s.sums.data());
-        }
-        strain(s, s.parts.back().after, s.strain);
-        Part& axial = s.parts.back();
-        for (int n = 0; n <= order; ++n) {
-            const double weight = s.given->scale * (n == 0 ? 1.0 : 0.5), sum = 0.5 * (s.old_sums[n] + s.sums[n]);
-            s.mean_tension[n] = weight * (sum + 0.5 * (s.old_strain[n] + s.strain[n]));
-            axial.force[n] = -weight * sum;
-        }
-        std::fill(s.answer.begin(), s.answer.end(), 0.0);
-        const auto& g = *axial.given;
-        add_product(g.back.data(), g.width, axial.force.data(), order + 1, s.answer.data() + axial.at);
-        for (std::size_t q = 0; q + 1 < s.parts.size(); ++q) {
-            Part& part = s.parts[q];
-            const auto& h = *part.given;
-            const double *old = middle(s, part, 0), *now = middle(s, part, 1);
-            const double first = -0.5 * s.mean_tension[0];
-            for (int i = 0; i < h.cosines_width; i += S::width) {
-                S::V sum = (S::load(old + i) + S::load(now + i)) * first;
-                for (int n = 1; n <= order; ++n)
-                    sum -= (S::load(old + i - n) + S::load(old + i + n) + S::load(now + i - n) + S::load(now + i + n)) *
-                           (0.5 * s.mean_tension[n]);
-                S::store(part.force.data() + i, sum);
-            }
-            add_product(h.back.data(), h.width, part.force.data(), h.cosines, s.answer.data() + part.at);
-        }
-    }
-
-    // The same without longitudinal motion.
-    static void rise(String& s) {
-        s.sums[0] = 0.0;
-        for (const Part& part : s.parts) s.sums[0] += stretch_of(part, part.after);
-        s.mean_tension[0] = 0.5 * s.given->scale * (s.old_sums[0] + s.sums[0]);
-        for (const Part& part : s.parts)
-            for (int k = 0; k < part.given->width; k += S::width)
-                S::store(s.answer.data() + part.at + k, (S::load(part.before.data() + k) + S::load(part.after.data() + k)) *
-                                                   S::load(part.given->stretch.data() + k) * (-0.5 * s.mean_tension[0]));
-    }
-
-    // Its s_0.
-    static double stretch_of(const Part& part, const Array<double>& coordinates) {
-        S::V sum{};
-        for (int k = 0; k < part.given->width; k += S::width) {
-            const S::V y = S::load(coordinates.data() + k);
-            sum += S::load(part.given->stretch.data() + k) * y * y;
-        }
-        return 0.5 * S::sum(sum);
-    }
-
-    // The slope's cosines, halved but for the first and continued evenly, at `which` of before and after.
-    static double* middle(const String& s, Part& part, int which) {
-        const int reach = part.given->cosines_width + 2 * s.given->order + kLane;
-        return part.slope.data() + std::size_t(which) * reach + s.given->order;
-    }
-    static void spread(const String& s, Part& part, const Array<double>& coordinates, int which) {
-        const auto& g = *part.given;
-        double* c = middle(s, part, which);
-        std::fill_n(c, g.cosines_width, 0.0);
-        add_product(g.slopes.data(), g.cosines_width, coordinates.data(), g.n, c);
-        for (int i = 1; i < g.cosines; ++i) c[i] *= 0.5;
-        for (int i = 1; i <= s.given->order; ++i) c[-i] = c[i];
-    }
-
-    // sums[n] += c^T H_n c / 2
-    static void add_sums(const String& s, Part& part, int which, double* sums) {
-        const double* c = middle(s, part, which);
-        const int width = part.given->cosines_width;
-        for (int n = 0; n <= s.given->order; ++n) {
-            S::V sum{};
-            for (int i = 0; i < width; i += S::width)
-                sum += S::load(c + i) * (S::load(c + i - n) + S::load(c + i + n));
-            // the first cosine alone is not halved, and half of it was taken
-            const double all = S::sum(sum) - 0.5 * c[0] * (c[-n] + c[n]);
-            sums[n] += n == 0 ? 0.5 * all : all;
-        }
-    }
-
-    static void strain(const String& s, const Array<double>& coordinates, Array<double>& out) {
-        const auto& g = *s.parts.back().given;
-        std::fill(out.begin(), out.end(), 0.0);
-        add_product(g.slopes.data(), g.cosines_width, coordinates.data(), g.n, out.data());
-    }
-
-    static double dot(const double* a, const double* b, int n) {
-        S::V sum{};
-        for (int k = 0; k < n; k += S::width) sum += S::load(a + k) * S::load(b + k);
-        return S::sum(sum);
-    }
-    static double inner(const String& s, const double* a, const double* b) {
-        S::V sum{};
-        for (int k = 0; k < s.n; k += S::width) sum += S::load(s.weight.data() + k) * S::load(a + k) * S::load(b + k);
-        return S::sum(sum);
-    }
-    static double norm(const String& s, const Array<double>& a) { return std::sqrt(inner(s, a.data(), a.data())); }
-
-    static void subtract(double* a, double factor, const double* b, int n) {
-        for (int k = 0; k < n; k += S::width) S::store(a + k, S::load(a + k) - S::load(b + k) * factor);
-    }
-
-    // The next F: s.answer less the part that the differences so far explain.
-    static void advance(String& s) {
-        const int n = s.n;
-        for (int k = 0; k < n; ++k) {
-            s.residual[k] *= s.preconditioner[k];
-            s.answer[k] = s.F[k] + s.residual[k];
-        }
-        if (s.kept == kGeometricMemory) {
-            s.kept = 0;
-        } else if (s.has_last) {
-            double *q = s.q.data() + (std::size_t(s.kept) * n), *p = s.p.data() + (std::size_t(s.kept) * n);
-            for (int k = 0; k < n; ++k) q[k] = s.residual[k] - s.last_residual[k], p[k] = s.answer[k] - s.last_answer[k];
-            const double whole = std::sqrt(inner(s, q, q));
-            for (int j = 0; j < s.kept; ++j) {
-                const double share = inner(s, s.q.data() + std::size_t(j) * n, q);
-                subtract(q, share, s.q.data() + std::size_t(j) * n, n), subtract(p, share, s.p.data() + std::size_t(j) * n, n);
-            }
-            const double left = std::sqrt(inner(s, q, q));
-            if (left > 1e-8 * whole) {
-                for (int k = 0; k < n; ++k) q[k] /= left, p[k] /= left;
-                ++s.kept;
-            }
-        }
-        s.last_residual = s.residual, s.last_answer = s.answer, s.has_last = true;
-        s.F = s.answer;
-        for (int j = 0; j < s.kept; ++j) {
-            const double share = inner(s, s.q.data() + std::size_t(j) * n, s.residual.data());
-            subtract(s.residual.data(), share, s.q.data() + std::size_t(j) * n, n);
-            subtract(s.F.data(), share, s.p.data() + std::size_t(j) * n, n);
-        }
-    }
-
-    // Makes the step.
-    void move(const String& s, const Part& part, const double* now) {
-        using V = Simd;
-        const auto& g = *part.given;
-        const Component& c = components_[g.component];
-        const double* forces = now + layout_.port[g.component];
-        double *sx = x(part), *sy = y(part);
-        std::copy(part.fx.begin(), part.fx.end(), sx);
-        std::copy(part.fy.begin(), part.fy.end(), sy);
-        for (int k = 0; k < g.n; ++k) {
-            sx[k] += g.kick[k] * s.F[part.at + k];
-            sy[k] += g.kick[g.width + k] * s.F[part.at + k];
-        }
+    template <class Use>
+    void ports(const Part& part, const double* modal, const Use& use) const {
+        const Component& c = *part.modes.c;
+        const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
         for (int p = 0; p < c.n_ports; ++p) {
-            const double f = forces[p], *w = c.w.data() + 2 * std::size_t(p) * c.n;
-            for (int k = 0; k < c.n; k += V::width) {
-                V::store(sx + k, V::load(sx + k) + V::load(w + k) * f);
-                V::store(sy + k, V::load(sy + k) + V::load(w + c.n + k) * f);
-            }
+            const double* numbers = c.tension.numbers.data() + (kScaledNumbers + p) * kPadding;
+            V sum{};
+            for (std::size_t k = 0; k < part.here.size(); k += kPadding, numbers += step)
+                for (int j = 0; j < kPadding; j += S::width) sum += S::load(numbers + j) * S::load(modal + k + j);
+            use(part.modes.part->first_port + p, S::sum(sum));
         }
     }
 
-    Block& block_;
-    const std::vector<Component>& components_;
-    const Layout& layout_;
-    const Geometric& geometric_;
-    Statistics& statistics_;
-    LawForces& laws_;
-    GeneralStep general_;
+    // s_n of the step, and what the ports are moved by the longitudinal modes under it.
+    void stretch(int s) {
+        String& string = strings_[s];
+        const int order = string.given.order;
+        std::fill(string.squares.begin(), string.squares.end(), 0.0);
+        for (std::size_t q = 0; q < transverse(string); ++q) {
+            Part& part = string.parts[q];
+            coordinates(part, ws_.driven.data() + part.modes.part->first_port);
+            add_squares(string, part, 0.5, part.here, part.free);
+        }
+        for (int n = 0; n <= order; ++n) string.stretching[n] = weight(string, n) * string.squares[n];
+        if (!string.given.longitudinal) return;
+        Part& part = string.parts.back();
+        const auto& g = part.given;
+        std::fill(part.force.begin(), part.force.end(), 0.0);
+        add_product(g.back.data(), g.width, string.stretching.data(), order + 1, part.force.data());
+        for (std::size_t k = 0; k < part.force.size(); k += S::width)
+            S::store(part.force.data() + k, S::load(part.force.data() + k) * S::load(g.scale.data() + k) * -1.0);
+        ports(part, part.force.data(), [&](int port, double moved) { pulled_[port] = moved; });
+    }
+
+    // l_n: the mean strain over the step.
+    void strain(int s) {
+        String& string = strings_[s];
+        std::fill(string.strain.begin(), string.strain.end(), 0.0);
+        if (!string.given.longitudinal) return;
+        Part& part = string.parts.back();
+        const auto& g = part.given;
+        coordinates(part, answered_.data() + part.modes.part->first_port);
+        for (std::size_t k = 0; k < part.here.size(); k += S::width)
+            S::store(part.free.data() + k, (S::load(part.here.data() + k) + S::load(part.free.data() + k) +
+                                            S::load(part.force.data() + k) * S::load(g.scale.data() + k)) * 0.5);
+        add_product(g.slopes.data(), g.cosines_width, part.free.data(), g.n, string.strain.data());
+    }
+
+    void direct(int s) {
+        String& string = strings_[s];
+        const int order = string.given.order;
+        double stored = 0.0;
+        for (int n = 0; n <= order; ++n) {
+            const double square = string.squares[n], w = weight(string, n);
+            stored += w * square * (0.5 * square + string.strain[n]);
+            string.tension[n] = w * (square + string.strain[n]);
+        }
+        const double size = std::sqrt(std::max(2 * (stored + string.shift), std::abs(stored) + string.shift));
+        const double per = size > 0.0 ? 1 / size : 0.0;
+        string.per_mean = per * string.tension[0];
+        double power = 0.0, own = 0.0, answered = 0.0;
+        for (std::size_t q = 0; q < string.parts.size(); ++q) {
+            Part& part = string.parts[q];
+            const auto& g = part.given;
+            if (q == transverse(string)) {
+                for (std::size_t k = 0; k < part.force.size(); k += S::width)
+                    S::store(part.direction.data() + k, S::load(part.force.data() + k) * -per);
+            } else {
+                gradient(string, part);
+                for (std::size_t k = 0; k < part.direction.size(); k += S::width)
+                    S::store(part.direction.data() + k, S::load(part.direction.data() + k) * S::load(g.scale.data() + k) * per);
+            }
+            V along{}, size_{};
+            const double* state = part.modes.state + kPadding;
+            for (std::size_t k = 0; k < part.direction.size(); k += kPadding, state += kScaledState * kPadding)
+                for (int j = 0; j < kPadding; j += S::width) {
+                    const V d = S::load(part.direction.data() + k + j);
+                    along += d * S::load(state + j), size_ += d * d;
+                }
+            power += S::sum(along), own += S::sum(size_);
+            ports(part, part.direction.data(), [&](int port, double moved) {
+                ws_.reach[port] = moved, answered += ws_.driven[port] * moved;
+            });
+        }
+        own_[s] = own;
+        ws_.alone[s] = ws_.psi[s] + 0.5 * (power + answered);
+    }
+
+    // The transverse gradient in `direction`, per coordinate.
+    void gradient(const String& string, Part& part) const {
+        const auto& g = part.given;
+        std::fill(part.direction.begin(), part.direction.end(), 0.0);
+        if (!string.given.longitudinal) {
+            for (std::size_t k = 0; k < part.direction.size(); k += S::width)
+                S::store(part.direction.data() + k, (S::load(part.here.data() + k) + S::load(part.free.data() + k)) *
+                                                    S::load(g.stretch.data() + k) * (0.5 * string.tension[0]));
+            return;
+        }
+        const int order = string.given.order;
+        for (std::size_t i = 0; i < part.slope[2].size(); ++i) part.slope[2][i] = 0.5 * (part.slope[0][i] + part.slope[1][i]);
+        const double* const c = part.slope[2].data() + order;
+        for (int i = 0; i < g.cosines_width; i += S::width) {
+            V sum = S::load(c + i) * string.tension[0];
+            for (int n = 1; n <= order; ++n) sum += (S::load(c + i - n) + S::load(c + i + n)) * string.tension[n];
+            S::store(part.on_cosines.data() + i, sum);
+        }
+        add_product(g.back.data(), g.width, part.on_cosines.data(), g.cosines, part.direction.data());
+    }
+
+    static double weight(const String& s, int n) { return s.given.scale * (n == 0 ? 1.0 : 0.5); }
+
+    // Adds `share` of the s_n of each of these coordinates of a transverse part.
+    void add_squares(String& string, Part& part, double share, const Array<double>& first, const Array<double>& second) const {
+        const auto& g = part.given;
+        if (!string.given.longitudinal) {
+            V sum{};
+            for (std::size_t k = 0; k < first.size(); k += S::width) {
+                const V a = S::load(first.data() + k), b = S::load(second.data() + k);
+                sum += S::load(g.stretch.data() + k) * (a * a + b * b);
+            }
+            string.squares[0] += 0.5 * share * S::sum(sum);
+            return;
+        }
+        const int order = string.given.order;
+        double *const c[2] = {part.slope[0].data() + order, part.slope[1].data() + order};
+        spread(g, first.data(), second.data(), c[0], c[1]);
+        for (double* const from : c) {
+            for (int i = 1; i < g.cosines; ++i) from[i] *= 0.5;
+            for (int i = 1; i <= order; ++i) from[-i] = from[i];
+        }
+        for (int n = 0; n <= order; ++n) {
+            V sum{};
+            for (int i = 0; i < g.cosines_width; i += S::width)
+                for (const double* const from : c) sum += S::load(from + i) * (S::load(from + i - n) + S::load(from + i + n));
+            double all = S::sum(sum);
+            // the first cosine alone is not halved, and half of it was taken
+            for (const double* const from : c) all -= from[0] * from[n];
+            string.squares[n] += share * (n == 0 ? 0.5 * all : all);
+        }
+    }
+
+    // Cosines of the slope of two sets of coordinates, in one pass over the matrix.
+    static void spread(const Stretch::Part& g, const double* first, const double* second, double* a, double* b) {
+        constexpr int many = 4;
+        for (int i = 0; i < g.cosines_width; i += many * S::width) {
+            V x[many] = {}, y[many] = {};
+            const int vectors = std::min(many, (g.cosines_width - i) / S::width);
+            const double* at = g.slopes.data() + i;
+            const auto sum = [&]<int N>() {
+                for (int k = 0; k < g.n; ++k, at += g.cosines_width)
+                    for (int j = 0; j < N; ++j) {
+                        const V slope = S::load(at + j * S::width);
+                        x[j] += slope * first[k], y[j] += slope * second[k];
+                    }
+            };
+            switch (vectors) {
+                case 1: sum.template operator()<1>(); break;
+                case 2: sum.template operator()<2>(); break;
+                case 3: sum.template operator()<3>(); break;
+                default: sum.template operator()<many>();
+            }
+            for (int j = 0; j < vectors; ++j) S::store(a + i + j * S::width, x[j]), S::store(b + i + j * S::width, y[j]);
+        }
+    }
+
+    // U and the energy of the modes that take part, of the state of the run.
+    double potential(int s) {
+        String& string = strings_[s];
+        std::fill(string.squares.begin(), string.squares.end(), 0.0), std::fill(string.strain.begin(), string.strain.end(), 0.0);
+        for (std::size_t q = 0; q < string.parts.size(); ++q) {
+            Part& part = string.parts[q];
+            const double* const x = block_.x(part.given.component);
+            const auto& reading = part.modes.c->tension.reading;
+            for (int k = 0; k < part.given.n; ++k) part.here[k] = reading[k] * x[k];
+            if (q < transverse(string)) add_squares(string, part, 0.5, part.here, part.here);
+            else add_product(part.given.slopes.data(), part.given.cosines_width, part.here.data(), part.given.n, string.strain.data());
+        }
+        double sum = 0.0;
+        for (int n = 0; n <= string.given.order; ++n)
+            sum += weight(string, n) * string.squares[n] * (0.5 * string.squares[n] + string.strain[n]);
+        return sum;
+    }
+
+    // C for the next steps: all energy of the string, or what U lacks if that is more.
+    double shift(int s, double stored) const {
+        double modes = 0.0;
+        for (const Part& part : strings_[s].parts) {
+            const Component& c = *part.modes.c;
+            const double *const per = c.tension.velocity.data(), *const x = block_.x(part.given.component),
+                         *const y = block_.y(part.given.component);
+            for (int k = 0; k < part.given.n; ++k) {
+                const double v = per[k] * x[k] + per[c.n + k] * y[k], displaced = c.tension.reading[k] * x[k];
+                modes += 0.5 * (v * v + part.given.stiffness[k] * displaced * displaced);
+            }
+        }
+        return std::max({modes + stored, -stored, 0.0}) * (1 + 1e-9) + std::numeric_limits<double>::min();
+    }
+
     std::vector<String> strings_;
+    Array<double> pulled_, answered_;  // (ports): displacements by the longitudinal modes, forces with the answer to them
 };
 
 }  // namespace

@@ -1,115 +1,29 @@
-// Rising tensions over one step; the equations are in tonewood.coupling.tension.
-//
-// A string's tension acts along a direction g that is known before the forces are, by -psi_m g, and psi_m answers to the
-// motion along g as a linear connection does. So every sample is linear in psi_m, one unknown for each string:
-//     M psi_m = psi + g . (y_free - y) / 2 + C f / 2,      M = I + G / 2 + C K C^T / 2 >= I,
-// G = g . w g the string's own motion along g, C what psi_m moves the ports by, f the forces of the linear connections
-// without tensions, K those forces per displacement of the ports.
+// Strings without longitudinal motion: their direction follows from sums of one modal pass (modal/tension_pass.hpp).
 #pragma once
 
-#include "../modal/block.hpp"
-#include "../modal/tension_pass.hpp"
-#include "dense.hpp"
+#include "rising.hpp"
 
 namespace tonewood {
 namespace {
 
 constexpr double kLargestAlpha = 0.5;  // of the highest mode, up to which g counts on the motion that the tension makes
-constexpr double kPaidAtOnce = 0.25;   // of the kinetic energy, at most, where psi is put back
 
-class RisingTensions {
+class ModulatedTensions final : public RisingTensions {
 public:
-    explicit RisingTensions(Block& block)
-        : block_(block), components_(block.model.components), layout_(block.model.layout), t_(block.model.tensions),
-          nl_(block.model.nonlinear), ws_(block.model.tension), scaled_(components_, ws_, block.job) {
-        for (const Tensions::Part& part : t_.parts) {
-            const Component& c = components_[part.component];
-            states_.push_back({&part, &c, scaled_.state(part.component), false,
-                               c.n_rows > c.n_ports, nl_.k && nl_.group_of[part.component] >= 0});
-        }
-        for (std::size_t s = 0; s < t_.strings.size(); ++s)
-            for (int j = 0; j < 3; ++j) ws_.past[j][s] = row(int(s))[j];
-        std::fill(ws_.forces.begin(), ws_.forces.end(), 0.0);
-        part_of_.assign(components_.size(), -1);
-        for (std::size_t i = 0; i < states_.size(); ++i) part_of_[states_[i].part->component] = int(i);
-        for (std::size_t s = 0; s < t_.strings.size(); ++s)
-            ws_.psi[s] = 0.5 * t_.strings[s].root * stretch(int(s)) + row(int(s))[3];
-    }
-
-    int n_strings() const { return int(t_.strings.size()); }
-    int string_of(int component) const { return states_[part_of_[component]].part->string; }
-
-    void begin_block() {
-        if (!from_state_) return;
-        for (const Polarization& part : states_) scaled_.from_state(part.part->component);
-        from_state_ = false;
-    }
-
-    // Passes all strings in sample b: finishes the sample before, writes the displacements of the ports now and free of
-    // forces.
-    void begin_sample(int b) {
-        sample_ = b;
+    explicit ModulatedTensions(Block& block) : RisingTensions(block) {
         for (int s = 0; s < n_strings(); ++s) {
-            const Tensions::String& string = t_.strings[s];
-            const double next = 3 * (ws_.past[0][s] - ws_.past[1][s]) + ws_.past[2][s];
-            const double most = string.highest > 0.0 ? kLargestAlpha / string.highest : 0.0;
-            now_[s].ahead = std::min(std::max(next, 0.0), most);
-        }
-        for (Polarization& part : states_) pass(part);
-        for (std::size_t k = 0; k < t_.n_sums; k += Simd::width)
-            Simd::store(ws_.sums.data() + k, sums<Simd::width>(ws_.lanes.data() + k * Simd::width));
-        for (const Polarization& part : states_) {
-            const double* sum = ws_.sums.data() + part.part->sums + kSharedSums;
-            const Tensions::Port* port = t_.ports.data() + part.part->first_port;
-            for (int p = 0; p < part.c->n_ports; ++p, sum += kPortSums, ++port)
-                block_.line(b)[port->line] = sum[0], block_.line(b + 1)[port->line] = sum[1];
+            for (int j = 0; j < 3; ++j) ws_.past[j][s] = row(s)[j];
+            ws_.psi[s] = 0.5 * t_.strings[s].root * stretch(s) + row(s)[3];
         }
     }
 
-    // Finds the directions, M and psi_m without nonlinear connections from the port forces (force_width) of the linear
-    // connections without tensions.
-    void couple(const double* alone) {
-        const int n = int(t_.ports.size());
-        for (int p = 0; p < n; ++p) ws_.driven[p] = alone[t_.ports[p].force];
-        const int strings = n_strings();
-        for (int s = 0; s < strings; ++s) direct(s);
-        const std::size_t w = wide(strings);
-        for (int s = 0; s < strings; ++s) {
-            const Tensions::String& string = t_.strings[s];
-            double* const stiff = ws_.stiff.data() + std::size_t(s) * t_.width;
-            std::fill_n(stiff, t_.width, 0.0);
-            add_product(t_.onto_ports.data() + std::size_t(string.first) * t_.width, t_.width, ws_.reach.data() + string.first,
-                        string.n, stiff);
-            for (int q = 0; q <= s; ++q) {
-                const Tensions::String& other = t_.strings[q];
-                double sum = 0.0;
-                for (int p = other.first; p < other.first + other.n; ++p) sum += stiff[p] * ws_.reach[p];
-                ws_.matrix[s * w + q] = 0.5 * sum + (q == s ? 1.0 + 0.5 * own_[s] : 0.0);
-            }
-        }
-        factorize(ws_.matrix.data(), strings, ws_.upper.data(), ws_.over.data());
-        solve_definite(ws_.matrix.data(), ws_.upper.data(), ws_.over.data(), strings, ws_.alone.data());
-        std::copy(ws_.alone.begin(), ws_.alone.end(), ws_.mean.begin());
-    }
-
-    // M^-1 b in place for the columns of b (strings, width), width a multiple of kLane.
-    void solve(double* b, std::size_t width) const {
-        solve_columns(ws_.matrix.data(), ws_.over.data(), n_strings(), b, width);
-    }
-
-    // Adds the answer of the linear connections to psi_m: port forces `now`, or the connections' own forces f.
-    void add_to_ports(double* now) { add(t_.onto_forces.data(), layout_.force_width, now); }
-    void add_to_linear(double* f) { add(t_.onto_linear.data(), layout_.f_width, f); }
-
-    // Largest psi_m sqrt(sum g^2 / a) of component i in the sample.
-    double excursion(int i) const {
+    double excursion(int i) const override {
         const int s = string_of(i);
         const double size = std::sqrt(0.5 * std::max(ws_.spread[s], 0.0)) + ws_.bound[s];
         return std::abs(ws_.mean[s]) * t_.strings[s].root * size * (1 + 1e-9);
     }
 
-    // Displacements of a contact port now and free of forces, and per psi_m.
-    ContactSums contact(int i, int port) const {
+    ContactSums contact(int i, int port) const override {
         const int s = string_of(i);
         const Polarization& part = states_[part_of_[i]];
         TensionMade begun = now_[s];
@@ -119,124 +33,57 @@ public:
         return out;
     }
 
-    // The means and all port forces of the sample are final; `load(i)` lists forces on contact ports of component i.
-    template <class Loads>
-    void finish_sample(const double* now, const Loads& loads) {
+protected:
+    void begin_step() override {
+        for (int s = 0; s < n_strings(); ++s) {
+            const Tensions::String& string = t_.strings[s];
+            const double next = 3 * (ws_.past[0][s] - ws_.past[1][s]) + ws_.past[2][s];
+            const double most = string.highest > 0.0 ? kLargestAlpha / string.highest : 0.0;
+            now_[s].ahead = std::min(std::max(next, 0.0), most);
+        }
+    }
+    void make(const Polarization& part) override { tension_pass<true, false>(*part.c, part.state, made(part), 0.0, nullptr); }
+    void begin(const Polarization& part, double* to) override {
+        tension_pass<false, true>(*part.c, part.state, {}, now_[part.part->string].ahead, to);
+    }
+    void make_and_begin(const Polarization& part, double* to) override {
+        tension_pass<true, true>(*part.c, part.state, made(part), now_[part.part->string].ahead, to);
+    }
+
+    void direct() override {
+        for (int s = 0; s < n_strings(); ++s) direct(s);
+    }
+
+    void end_step() override {
         std::swap(ws_.past[2], ws_.past[1]), std::swap(ws_.past[1], ws_.past[0]);
         for (int s = 0; s < n_strings(); ++s) {
             now_[s].tension = ws_.past[0][s] = t_.strings[s].root * ws_.mean[s];
             ws_.psi[s] = 2 * ws_.mean[s] - ws_.psi[s];
         }
-        for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.forces[p] = now[t_.ports[p].force];
         then_ = now_;
-        for (Polarization& part : states_) {
-            part.pending = true;
-            const auto& inputs = block_.inputs[part.part->component];
-            const auto loaded = loads(part.part->component);
-            if (inputs.empty() && loaded.empty()) continue;
-            finish(part);
-            const double* const basis = part.c->tension.basis.data();
-            const std::size_t n = part.c->n;
-            for (const auto& [port, force] : loaded) {
-                const double* row = part.c->contact.rows.data() + 2 * std::size_t(port) * n;
-                each_vector(part, [&](std::size_t k, V& xi, V& v, const double* at) {
-                    const V modal = S::load(basis + 3 * n + k) * S::load(row + k) * force;
-                    xi += modal, v += (S::load(at + 3 * kPadding) - S::load(at + 2 * kPadding)) * modal;
-                });
-            }
-            for (const Input& in : inputs) {
-                const double value = in.values[sample_ * in.stride];
-                each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
-                    v += (S::load(basis + 6 * n + k) * S::load(in.vector + k) +
-                          S::load(basis + 7 * n + k) * S::load(in.vector + n + k)) * value;
-                });
-            }
-            scaled_.invalidate(part.part->component);
-        }
     }
 
-    // Writes the tensions to the state and, where the next block or a readout needs them, the modes; puts psi back at
-    // multiples of kResetSteps samples.
-    void finish_block() {
-        const std::int64_t end = block_.start + block_.nb;
-        const bool resets = (block_.job.phase + end) % kResetSteps == 0, last = resets || end == block_.job.n;
-        for (Polarization& part : states_) {
-            if (!last && !part.is_read && !part.is_grouped) continue;
-            finish(part);
-            scaled_.to_state(part.part->component);
-            rows(part, 0, block_.nb);
+    // Puts psi back to sqrt(kappa) S where it `resets`.
+    void keep(int s, bool resets) override {
+        const double root = 0.5 * t_.strings[s].root * stretch(s);
+        if (resets) {
+            const double before = ws_.psi[s], cost = 0.5 * (root - before) * (root + before);
+            const double paid = pay_from_motion(
+                [&](const auto& use) {
+                    for (const int i : t_.strings[s].components) use(i, std::size_t(components_[i].n));
+                },
+                cost);
+            if (paid != 0.0) ws_.psi[s] = paid == cost ? root : std::sqrt(before * before + 2 * paid);
         }
-        if (!last) return;
-        for (int s = 0; s < n_strings(); ++s) {
-            const double root = 0.5 * t_.strings[s].root * stretch(s);
-            if (resets) reset_psi(s, root);
-            for (int j = 0; j < 3; ++j) row(s)[j] = ws_.past[j][s];
-            row(s)[3] = ws_.psi[s] - root;
-        }
-        from_state_ = resets;
+        for (int j = 0; j < 3; ++j) row(s)[j] = ws_.past[j][s];
+        row(s)[3] = ws_.psi[s] - root;
     }
 
 private:
-    using S = Simd;
-    using V = S::V;
-    struct Polarization {
-        const Tensions::Part* part;
-        const Component* c;
-        double* state;
-        bool pending;              // its last step is still to be made
-        bool is_read, is_grouped;  // it has readouts; contacts on it are culled by its state
-    };
-
-    double* row(int s) const { return block_.job.tension + 4 * t_.strings[s].index; }
-
     TensionMade made(const Polarization& part) const {
         TensionMade out = then_[part.part->string];
         out.alone = ws_.driven.data() + part.part->first_port, out.found = ws_.forces.data() + part.part->first_port;
         return out;
-    }
-
-    void pass(Polarization& part) {
-        const int i = part.part->component;
-        const auto& inputs = block_.inputs[i];
-        double* const to = ws_.lanes.data() + part.part->sums * Simd::width;
-        const double ahead = now_[part.part->string].ahead;
-        if (part.pending && inputs.empty() && !part.is_read && block_.model.shortcuts.combined_pass) {
-            tension_pass<true, true>(*part.c, part.state, made(part), ahead, to);
-            scaled_.invalidate(i);
-        } else {
-            finish(part);
-            if (part.is_read) scaled_.to_state(i), rows(part, part.c->n_ports, sample_);
-            const double* const basis = part.c->tension.basis.data();
-            for (const Input& in : inputs) {
-                const double value = in.values[sample_ * in.stride];
-                each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
-                    v += S::load(basis + k) * S::load(in.vector + k) * value;
-                });
-            }
-            tension_pass<false, true>(*part.c, part.state, {}, ahead, to);
-        }
-        part.pending = false;
-    }
-
-    // Makes the step that is still pending.
-    void finish(Polarization& part) {
-        if (!part.pending) return;
-        tension_pass<true, false>(*part.c, part.state, made(part), 0.0, nullptr);
-        scaled_.invalidate(part.part->component);
-        part.pending = false;
-    }
-
-    // use(first mode, xi, v, numbers) of a vector of modes at a time, which may change xi and v.
-    template <class Use>
-    static void each_vector(const Polarization& part, const Use& use) {
-        const std::size_t n = part.c->n, step = std::size_t(kScaledNumbers + part.c->n_ports) * kPadding;
-        for (std::size_t k = 0; k < n; k += S::width) {
-            const std::size_t group = k / kPadding, j = k % kPadding;
-            double* const at = part.state + group * kScaledState * kPadding + j;
-            S::V xi = S::load(at), v = S::load(at + kPadding);
-            use(k, xi, v, part.c->tension.numbers.data() + group * step + j);
-            S::store(at, xi), S::store(at + kPadding, v);
-        }
     }
 
     // Finds own_ and ws.reach of string s along its direction, and the right side of its equation in ws.alone.
@@ -269,12 +116,6 @@ private:
         ws_.alone[s] = ws_.psi[s] + 0.5 * (root * power + answered);
     }
 
-    // Adds what displacements -psi_m C of the ports move, by a matrix (ports, width).
-    void add(const double* matrix, int width, double* to) {
-        for (std::size_t p = 0; p < t_.ports.size(); ++p) moved_[p] = -ws_.mean[t_.ports[p].string] * ws_.reach[p];
-        add_product(matrix, width, moved_.data(), int(t_.ports.size()), to);
-    }
-
     // S of a string in the state of the run.
     double stretch(int s) const {
         double sum = 0.0;
@@ -288,50 +129,7 @@ private:
         return sum;
     }
 
-    // Puts psi back to `root`, the string's kinetic energy paying or receiving the difference of potential.
-    void reset_psi(int s, double root) {
-        double kinetic = 0.0;
-        const auto velocities = [&](const auto& use) {
-            for (const int i : t_.strings[s].components) {
-                const double *const per = components_[i].tension.velocity.data();
-                const std::size_t n = components_[i].n;
-                for (std::size_t k = 0; k < n; ++k)
-                    use(per[k] * block_.x(i)[k] + per[n + k] * block_.y(i)[k], per[2 * n + k], block_.y(i)[k]);
-            }
-        };
-        velocities([&](double v, double, double&) { kinetic += 0.5 * v * v; });
-        const double before = ws_.psi[s], cost = 0.5 * (root - before) * (root + before);
-        const double paid = std::clamp(cost, -kPaidAtOnce * kinetic, kPaidAtOnce * kinetic);
-        if (!(kinetic > 0.0 && paid != 0.0)) return;
-        const double factor = std::sqrt(1 - paid / kinetic) - 1;
-        velocities([&](double v, double per, double& second) { second += factor * per * v; });
-        ws_.psi[s] = paid == cost ? root : std::sqrt(before * before + 2 * paid);
-    }
-
-    // Rows of a polarization from the first-th on.
-    void rows(const Polarization& part, int first, int b) {
-        const Component& c = *part.c;
-        const int i = part.part->component;
-        double* line = block_.line(b) + layout_.row[i];
-        for (int r = first; r < c.n_rows; ++r) {
-            const double* row = c.rows.data() + 2 * std::size_t(r) * c.n;
-            line[r] = dot(row, block_.x(i), c.n) + dot(row + c.n, block_.y(i), c.n);
-        }
-    }
-
-    Block& block_;
-    const std::vector<Component>& components_;
-    const Layout& layout_;
-    const Tensions& t_;
-    const Nonlinear& nl_;
-    TensionState& ws_;
-    ScaledModes scaled_;
-    std::vector<Polarization> states_;  // string by string
-    std::vector<int> part_of_;          // by component
     std::vector<TensionMade> now_ = std::vector<TensionMade>(t_.strings.size()), then_ = now_;  // by string
-    Array<double> own_ = Array<double>(t_.strings.size()), moved_ = Array<double>(t_.ports.size());
-    bool from_state_ = true;
-    int sample_ = 0;
 };
 
 }  // namespace

@@ -1,8 +1,12 @@
 // Samples in which tensions rise: with linear connections alone, or with laws too.
 #pragma once
 
+#include <memory>
+
 #include "connection_step.hpp"
 #include "law_forces.hpp"
+#include "longitudinal.hpp"
+#include "tension.hpp"
 
 namespace tonewood {
 namespace {
@@ -10,15 +14,17 @@ namespace {
 class TensionStep : public ConnectionStep {
 public:
     TensionStep(Block& block, LawForces& laws)
-        : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws), tensions_(block),
-          direct_(layout_), y_(2 * layout_.port_rows.size()) {
+        : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws), made_(make(block)),
+          tensions_(*made_), direct_(layout_), y_(2 * layout_.port_rows.size()) {
         laws_.tensions = &tensions_;
+        tensions_.loads = [this](int i) { return laws_.loads(i, sample_); };
     }
 
     void begin_block() override { tensions_.begin_block(); }
     void finish_block() override { tensions_.finish_block(); }
 
     bool sample(int b, double* now, double* f_out) override {
+        sample_ = b;
         tensions_.begin_sample(b);
         direct_(block_.line(b), now);
         tensions_.couple(now);
@@ -27,7 +33,7 @@ public:
             if (!laws_.forces(b, block_.f.data(), now)) return false;
             if (laws_.commit(b)) {
                 std::copy_n(block_.f.begin(), m_, f_out);
-                finish(b, now);
+                tensions_.finish_sample(now);
                 return true;
             }
             direct_(block_.line(b), now);  // no law acts: the same forces as without laws
@@ -42,13 +48,14 @@ public:
         } else {
             own_forces(layout_, now, m_, f_out);
         }
-        finish(b, now);
+        tensions_.finish_sample(now);
         return true;
     }
 
 private:
-    void finish(int b, const double* now) {
-        tensions_.finish_sample(now, [&](int i) { return laws_.loads(i, b); });
+    static std::unique_ptr<RisingTensions> make(Block& block) {
+        if (block.model.tensions.stretches.empty()) return std::make_unique<ModulatedTensions>(block);
+        return std::make_unique<StretchedStrings>(block);
     }
 
     // Forces of the linear connections without tensions in block.f.
@@ -67,8 +74,10 @@ private:
     const Layout& layout_;
     const int m_;
     LawForces& laws_;
-    RisingTensions tensions_;
+    const std::unique_ptr<RisingTensions> made_;
+    RisingTensions& tensions_;
     DirectForces direct_;
+    int sample_ = 0;
     Array<double> y_;  // port displacements before the step, then free ones after it
 };
 

@@ -58,7 +58,6 @@ struct ContactState {
 struct Statistics {
     std::int64_t solves = 0, iterations = 0, most_iterations = 0, failures = 0;
     std::int64_t blocks = 0, rows_read = 0, added = 0;
-    std::int64_t longitudinal_iterations = 0, most_longitudinal_iterations = 0;
 };
 
 // Values in place of a law's constants during a run: offset before and after each step, velocity, scale.
@@ -113,7 +112,6 @@ struct Model {
     Solve solve;
     Nonlinear nonlinear;
     Tensions tensions;
-    Geometric geometric;
     Shortcuts shortcuts;
     ContactState contacts;
     TensionState tension;

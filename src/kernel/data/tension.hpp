@@ -7,7 +7,21 @@
 
 namespace tonewood {
 
-// Strings whose tension rises (connect/tension.hpp), and what load/tension.hpp derives of them.
+// A string with longitudinal motion (connect/longitudinal.hpp).
+struct Stretch {
+    struct Part {  // one component's lowest n modes, those that take part
+        int component = 0, n = 0, width = 0, cosines = 0, cosines_width = 0;  // widths are padded
+        Array<double> slopes, back;        // (n, cosines_width), (cosines, width): slope's cosines per coordinate
+        Array<double> scale;               // (n, padded as modes are): coordinate per xi of modal/scaled_modes.hpp
+        Array<double> stretch, stiffness;  // (the same): own share of twice s_0; square of the frequency
+    };
+    int order = 0;             // P
+    double scale = 0;          // EA L
+    bool longitudinal = true;  // false: no longitudinal part, s_0 is the sum of stretch times squares over two
+    std::vector<Part> parts;   // the longitudinal one last
+};
+
+// Strings whose tension rises (connect/rising.hpp), and what load/tension.hpp derives of them.
 struct Tensions {
     struct Part {  // a polarization
         int component, string, first_port;
@@ -29,7 +43,8 @@ struct Tensions {
         std::vector<std::array<double, 3>> twice;
     };
     std::vector<String> strings;
-    std::vector<int> components;
+    std::vector<Stretch> stretches;     // by string; none where no string has longitudinal motion
+    std::vector<int> components;        // of strings without longitudinal motion
     std::vector<Part> parts;            // string by string
     std::vector<Port> ports;            // part by part
     int width = 0;                      // ports, padded
@@ -57,24 +72,6 @@ struct TensionState {
     // gap per displacement of a port (k, width), known if has_meets; gaps per force (k, k)
     std::vector<char> has_meets;
     Array<double> gap, solved, meets, z, row;
-};
-
-// Strings whose longitudinal motion is stepped with the transverse one (connect/longitudinal.hpp).
-struct Geometric {
-    struct Part {  // one component's lowest n modes, those that take part
-        int component = 0, n = 0, width = 0, cosines = 0, cosines_width = 0;  // widths are padded
-        Array<double> slopes, back;         // (n, cosines_width), (cosines, width): slope's cosines per coordinate
-        Array<double> reading, kick;        // (width): coordinate per first number; (2, width): state per modal force
-        Array<double> compliances, stretch; // (width): coordinate per modal force; its own share of twice s_0
-        Array<double> to_port, from_port;   // (n_ports, width): port per modal force, coordinate per port force
-    };
-    struct String {
-        int order = 0;            // P
-        double scale = 0;         // EA L
-        bool longitudinal = true;        // false: no longitudinal part, s_0 is the sum of stretch times squares
-        std::vector<Part> parts;  // the longitudinal one last
-    };
-    std::vector<String> strings;
 };
 
 }  // namespace tonewood

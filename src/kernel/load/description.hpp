@@ -93,26 +93,25 @@ struct NonlinearDescription {
     View residual;             // (k, k)
 };
 
+struct StretchDescription {
+    struct Part {
+        int slot = 0;
+        View slopes;     // (cosines, n), or the stretch (1, n) without longitudinal motion
+        View stiffness;  // (n)
+    };
+    double scale = 0;
+    bool longitudinal = false;
+    std::vector<Part> parts;  // the longitudinal one last
+};
+
 struct TensionsDescription {
     struct String {
-        int index;             // of its tension in the state
+        int index;             // of its row in the state
         double kappa;
         std::vector<int> slots;
     };
     std::vector<String> strings;
-};
-
-struct GeometricDescription {
-    struct Part {
-        int slot = 0;
-        View slopes;              // (cosines, n), or the stretch (1, n) without longitudinal motion
-        View reading, compliances;     // (n)
-        View kick;                // (2, n)
-        View to_port, from_port;  // (ports, n)
-    };
-    double scale = 0;
-    bool longitudinal = false;
-    std::vector<Part> parts;      // the longitudinal one last
+    std::vector<StretchDescription> stretches;  // by string; none where no string has longitudinal motion
 };
 
 struct CompiledSystem {
@@ -120,7 +119,6 @@ struct CompiledSystem {
     LinearDescription linear;
     NonlinearDescription nonlinear;
     TensionsDescription tensions;
-    std::vector<GeometricDescription> geometric;
     Shortcuts shortcuts;
 };
 

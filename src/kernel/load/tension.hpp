@@ -81,57 +81,40 @@ inline void make_tensions(const std::vector<Component>& components, const Layout
 }
 
 // Part of a string with longitudinal motion; `c` is its component.
-inline Geometric::Part load_part(const GeometricDescription::Part& d, const Component& c, bool longitudinal,
-                                 const std::string& name) {
+inline Stretch::Part load_part(const StretchDescription::Part& d, const Component& c, bool longitudinal, const std::string& name) {
     require(d.slopes.ndim == 2, name + "slopes has 2 dimensions");
-    const std::size_t n = d.slopes.shape[1], cosines = d.slopes.shape[0], p = c.n_ports, w = padded(n);
-    expect(name + "reading", d.reading, {n});
-    expect(name + "compliances", d.compliances, {n});
-    expect(name + "kick", d.kick, {2, n});
-    expect(name + "to_port", d.to_port, {p, n});
-    expect(name + "from_port", d.from_port, {p, n});
+    const std::size_t n = d.slopes.shape[1], cosines = d.slopes.shape[0], w = padded(n);
+    const std::size_t modes = (n + kPadding - 1) / kPadding * kPadding;
+    expect(name + "stiffness", d.stiffness, {n});
     require(!c.driven && !c.contact.n && n <= std::size_t(c.n) && cosines > 0 && (longitudinal || cosines == 1),
             name + "slopes: they do not fit the component");
-    Geometric::Part part;
+    Stretch::Part part;
     part.component = d.slot, part.n = int(n), part.width = int(w), part.cosines = int(cosines);
     part.cosines_width = int(padded(cosines));
-    part.slopes.assign(n * part.cosines_width, 0.0), part.back.assign(cosines * w, 0.0), part.stretch.assign(w, 0.0);
+    part.slopes.assign(n * part.cosines_width, 0.0), part.back.assign(cosines * w, 0.0), part.stretch.assign(modes, 0.0);
     if (!longitudinal) std::copy_n(d.slopes.data, n, part.stretch.begin());
     for (std::size_t i = 0; longitudinal && i < cosines; ++i)
-        for (std::size_t k = 0; k < n; ++k) {
-            const double slope = d.slopes[i * n + k];
-            part.slopes[k * part.cosines_width + i] = part.back[i * w + k] = slope;
-            part.stretch[k] += (i == 0 ? 1.0 : 0.5) * slope * slope;
-        }
-    const auto rows = [&](const View& a, std::size_t count) {
-        Array<double> out(count * w, 0.0);
-        for (std::size_t q = 0; q < count; ++q) std::copy_n(a.data + q * n, n, out.data() + q * w);
-        return out;
-    };
-    part.reading = rows(d.reading, 1), part.compliances = rows(d.compliances, 1), part.kick = rows(d.kick, 2);
-    part.to_port = rows(d.to_port, p), part.from_port = rows(d.from_port, p);
+        for (std::size_t k = 0; k < n; ++k) part.slopes[k * part.cosines_width + i] = part.back[i * w + k] = d.slopes[i * n + k];
+    part.stiffness.assign(modes, 0.0), std::copy_n(d.stiffness.data, n, part.stiffness.begin());
+    part.scale.assign(modes, 0.0);
+    for (std::size_t k = 0; k < n; ++k) part.scale[k] = c.tension.reading[k] * std::sqrt(c.tension.gain[k]);
     return part;
 }
 
-inline Geometric load_geometric(const std::vector<GeometricDescription>& strings, std::vector<Component>& components) {
-    Geometric out;
-    for (Component& c : components) c.geometric = false;
+// Strings with longitudinal motion, in the order of `strings`.
+inline std::vector<Stretch> load_stretches(const std::vector<StretchDescription>& strings, std::vector<Component>& components) {
+    std::vector<Stretch> out;
     for (std::size_t s = 0; s < strings.size(); ++s) {
-        const GeometricDescription& d = strings[s];
-        const std::string name = "geometric[" + std::to_string(s) + "].";
+        const StretchDescription& d = strings[s];
+        const std::string name = "tensions.stretches[" + std::to_string(s) + "].";
         require(d.parts.size() >= (d.longitudinal ? 2u : 1u), name + "parts: too few");
-        Geometric::String string;
+        Stretch string;
         string.scale = d.scale, string.longitudinal = d.longitudinal;
-        for (std::size_t q = 0; q < d.parts.size(); ++q) {
-            const auto& part = d.parts[q];
-            require(part.slot >= 0 && std::size_t(part.slot) < components.size(), name + "slot: no such component");
-            Component& c = components[part.slot];
-            string.parts.push_back(load_part(part, c, d.longitudinal, name + "parts[" + std::to_string(q) + "]."));
-            c.geometric = true;
-        }
+        for (std::size_t q = 0; q < d.parts.size(); ++q)
+            string.parts.push_back(load_part(d.parts[q], components[d.parts[q].slot], d.longitudinal,
+                                             name + "parts[" + std::to_string(q) + "]."));
         string.order = string.parts.back().cosines - 1;
-        if (d.longitudinal) std::fill(string.parts.back().stretch.begin(), string.parts.back().stretch.end(), 0.0);
-        out.strings.push_back(std::move(string));
+        out.push_back(std::move(string));
     }
     return out;
 }

@@ -13,17 +13,22 @@ Slopes in cosines, v_x = sum c_i cos(i pi x / L), make the strain a series of co
 
 H_n couples c_i with c_j where |i - j| = n or i + j = n. A longitudinal mode above the P-th would follow at once, and
 then its e_n is zero: it is left out together with e_n. With P = 0 and the end held, this is Kirchhoff and Carrier's
-string (`tension`): such strings are found here, too, where both kinds stand side by side. The squares of l_n are the
+string (`tension`): such strings are stepped here, too, where both kinds stand side by side. The squares of l_n are the
 energy of the longitudinal modes themselves, which are stepped exactly; what is left is
-U = EA L/2 sum g_n (s_n^2 + 2 s_n l_n), g_0 = 1, g_n = 1/2. s_n is quadratic and l_n linear, so that
+U = EA L/2 sum g_n (s_n^2 + 2 s_n l_n), g_0 = 1, g_n = 1/2. U plus the energy of the modes is a sum of squares, so
+nothing can grow without limit.
 
-    U+ - U = EA L sum g_n [mean(e_n) (s_n+ - s_n) + mean(s_n) (l_n+ - l_n)],   s_n+ - s_n = mean(c)^T H_n (c+ - c):
+U is stepped by a variable of its own, as the rise of a tension is (`tension`): psi = sqrt(2 (U + C)), the shift C held
+for 64 steps, and modal forces -g psi_m along a direction g that is known before the connections answer. Whatever g is,
+the energy of the modes and psi^2 / 2 - C together do not rise. Here g is the gradient of U over the step divided by
+sqrt(2 (U + C)),
 
-forces made of these means over a step do the work -(U+ - U), whatever the step. U plus the energy of the modes is a
-sum of squares, so nothing can grow without limit.
+    grad U = EA L sum g_n [(s_n + l_n) H_n c_m  on the slopes,   s_n on the strain l_n],
 
-The step is implicit in all coupled coordinates: F = Phi(y+(F)), y+ linear in F but for contacts. V + tension is convex
-where the string is nowhere slack (T0 + EA e > 0); there the solution is unique.
+c_m the mean of the slopes before the step and of those free of this coupling after it, s_n the mean of both, and l_n
+the mean strain that the longitudinal modes have under s_n, the connections answering: without that answer the end of
+the string would give way. C is the energy of the string's modes when it was chosen, so that these never hold more than
+twice the energy that is there.
 
 Left out: terms of fifth order, T0 beside EA (below 1 % for steel, 3 % for nylon), shear and rotation. Transverse modes
 above a frequency that the string's maker chooses do not take part in U; they are stepped as without it.
@@ -104,10 +109,13 @@ class GeometricStretch:
             slopes = np.ascontiguousarray(wavenumber[:, None] * vec[:rows, :count])
         pair = basis.kind == PAIR
         kick = np.where(pair[:, None], [[0.0, -0.5]] / np.where(pair, basis.poles.imag, 1.0)[:, None], [[0.0, 1.0]])
+        _, on_first, on_second, *_, per_velocity = basis.motion
         return GeometricShare(
             slopes=slopes,
-            reading=np.where(pair, 2.0, 1.0)[:count],
-            kick=apply(held, kick)[:count],
+            reading=np.where(pair, 2.0, 1.0),
+            kick=apply(held, kick),
+            velocity=np.stack([on_first, on_second, per_velocity]),
+            stiffness=np.asarray(basis.stiffness)[:count],
             scale=self.axial_stiffness * length,
             longitudinal=longitudinal,
             stretch=stretch,
@@ -121,8 +129,10 @@ class GeometricShare:
     Attributes
     ----------
     slopes : (n_cosines, n) cosine coefficients of the slope (of the longitudinal component: strain) per coordinate.
-    reading : (n,) coordinate y = reading times the first number of the mode.
-    kick : (n, 2) state added by a unit modal force held over one step.
+    reading : (n_modes,) coordinate y = reading times the first number of the mode.
+    kick : (n_modes, 2) state added by a unit modal force held over one step.
+    velocity : (3, n_modes) y' per first and per second number, and second number per y'.
+    stiffness : (n,) omega^2, 1 / s^2.
     scale : EA L, N m.
     longitudinal : whether this is the longitudinal component.
     stretch : (n,) of a string without one, in place of the slopes: s_0 = 1/2 sum stretch y^2, 1 / (kg m^2).
@@ -131,6 +141,8 @@ class GeometricShare:
     slopes: Floats
     reading: Floats
     kick: Floats
+    velocity: Floats
+    stiffness: Floats
     scale: float
     longitudinal: bool
     stretch: Floats | None = None
@@ -138,17 +150,16 @@ class GeometricShare:
     @property
     def n(self) -> int:
         """Modes that take part: the lowest ones."""
-        return len(self.reading)
+        return len(self.stiffness)
 
     def coordinates(self, x: Floats) -> Floats:
         """(n,) y of a state (n_modes, 2)."""
-        return self.reading * x[: self.n, 0]
+        return self.reading[: self.n] * x[: self.n, 0]
 
-    def after(self, x: Floats, force: Floats) -> Floats:
-        """State after modal forces (n,) held over the step that led to x."""
-        out = x.copy()
-        out[: self.n] += self.kick * force[:, None]
-        return out
+    def energy(self, x: Floats) -> float:
+        """Energy of these modes in a state (n_modes, 2), J."""
+        moving = (self.velocity[:2] * x.T).sum(axis=0)[: self.n]
+        return float(0.5 * (moving @ moving + self.stiffness @ self.coordinates(x) ** 2))
 
 
 def cosine_products(n: int, n_cosines: int) -> Floats:
@@ -211,25 +222,18 @@ class GeometricShares:
         """(P + 1,) EA L g_n, N m."""
         return self.parts[-1].scale * np.where(np.arange(len(self.strains)) == 0, 1.0, 0.5)
 
+    def squares(self, y: Floats) -> Floats:
+        """(P + 1,) s_n of coordinates (n,)."""
+        return np.asarray(0.5 * np.einsum("i,nij,j->n", y, self.forms, y))
+
+    def potential(self, s: Floats, strain: Floats) -> float:
+        """U, J, of s_n and l_n, (P + 1,) each."""
+        return float(self.weights @ (0.5 * s * s + s * strain))
+
     def energy(self, y: Floats) -> float:
         """U, J: what coordinates (n,) store besides the energy of the modes."""
-        s = 0.5 * np.einsum("i,nij,j->n", y, self.forms, y)
-        return float(self.weights @ (0.5 * s * s + s * (self.strains @ y)))
+        return self.potential(self.squares(y), self.strains @ y)
 
-    def force(self, before: Floats, after: Floats) -> Floats:
-        """Modal forces (n,) over a step between coordinates `before` and `after`, N / sqrt(kg)."""
-        mean = 0.5 * (before + after)
-        per_tension = self.forms @ mean
-        s = 0.25 * (self.forms @ before @ before + self.forms @ after @ after)
-        tension = self.weights * (s + self.strains @ mean)
-        return np.asarray(-(tension @ per_tension + (self.weights * s) @ self.strains))
-
-    def slope(self, before: Floats, after: Floats) -> Floats:
-        """(n, n) derivative of `force` with `after`."""
-        mean = 0.5 * (before + after)
-        s = 0.25 * (self.forms @ before @ before + self.forms @ after @ after)
-        tension = self.weights * (s + self.strains @ mean)
-        ds = 0.5 * (self.forms @ after)
-        per_tension = self.weights[:, None] * (self.forms @ mean)
-        out = per_tension.T @ (ds + 0.5 * self.strains) + 0.5 * np.einsum("n,nij->ij", tension, self.forms)
-        return np.asarray(-(out + (self.weights[:, None] * self.strains).T @ ds))
+    def gradient(self, y: Floats, s: Floats, strain: Floats) -> Floats:
+        """(n,) grad U, N / sqrt(kg), of coordinates y whose s_n and l_n count as given."""
+        return np.asarray((self.weights * (s + strain)) @ (self.forms @ y) + (self.weights * s) @ self.strains)

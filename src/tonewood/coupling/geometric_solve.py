@@ -1,42 +1,32 @@
-"""Forces of one step of strings under geometric stretch (`geometric`), by damped Newton iterations on all of them."""
+"""Strings with longitudinal motion over one step: one linear force for each, beside all connections (`geometric`)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import cached_property
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.coupling.geometric import GeometricShare, GeometricShares
 from tonewood.coupling.system import System
+from tonewood.coupling.tension import pay_from_motion
+from tonewood.coupling.tension_solve import RESET_STEPS, TensionSolve, TensionsOverStep
 
 Floats = NDArray[np.float64]
 
-#: relative residual of the norm of the forces of a step at which the iterations have converged
-TOLERANCE = 1e-12
-MAX_ITERATIONS = 60
-#: smallest share of the potential by which continuation raises it where the damped iterations fail
-SMALLEST_PART = 1e-4
-
 
 class GeometricSolve:
-    """Finds the forces of one step of all such strings of a system, together with everything else.
+    """Steps the strings of a system whose longitudinal motion is coupled; used as `tension_solve.TensionSolve` is.
 
-    Damped Newton iterations on the modal forces F: each step is shortened until the residual decreases. V + tension is
-    convex where no string is slack, and the iterations then converge to the only solution. Where a string is slack
-    there may be several solutions, and the iterations may stop at a minimum of the residual; then the potential is
-    raised from zero in small steps, F = s Phi(y+(F)), s = 0 .. 1, each beginning at the solution of the one before. So
-    the solution is the one next to the forces of the last step, or else the one that continuation from the string
-    without a rise of tension finds.
+    A row of a state's ``tension`` is the mean additional tension of the last step, N; the shift C, J, with the sign of
+    psi; 0; and what V = psi^2 / 2 - C is beyond U, J. A row of zeros is a string whose C is still to be chosen.
     """
 
     def __init__(self, system: System):
         self.system = system
+        self.index = [t for t, on in enumerate(system.is_on) if on]
         self.slots = [[system.slot(name) for name in law.parts] for law in system.geometric]
         self.strings = [GeometricShares(tuple(self._part(i) for i in slots)) for slots in self.slots]
-        self.starts = np.cumsum([0, *(s.n for s in self.strings)])
 
     def _part(self, slot: int) -> GeometricShare:
         part = self.system.compiled[slot].geometric
@@ -44,146 +34,129 @@ class GeometricSolve:
             raise ValueError(f"{self.system.names[slot]} was compiled without its stretch")
         return part
 
-    def _all(self) -> list[tuple[int, GeometricShare, slice]]:
-        """(component slot, part, place of its coordinates)."""
-        out = []
-        for start, string, slots in zip(self.starts[:-1], self.strings, self.slots, strict=True):
-            for slot, part, at in zip(slots, string.parts, start + string.sizes[:-1], strict=True):
-                out.append((slot, part, slice(int(at), int(at) + part.n)))
-        return out
-
-    @cached_property
-    def _reach(self) -> tuple[Floats, Floats]:
-        """(m, n) gaps per modal force, and (n, m) coordinates per force of a connection; of no connection's answer."""
-        s, n = self.system, int(self.starts[-1])
-        gaps, answers = np.zeros((len(s.connections), n)), np.zeros((n, len(s.connections)))
-        for slot, part, at in self._all():
-            c = s.compiled[slot]
-            gaps[:, at] = s.incidence(slot) @ np.einsum("pmx,mx->pm", c.rows[: len(c.ports), : part.n], part.kick)
-            answers[at] = (part.reading * c.W[:, : part.n, 0]).T @ s.incidence(slot).T
-        return gaps, answers
-
-    @cached_property
-    def compliance(self) -> Floats:
-        """(n, n) coordinates after a step per modal force, linear connections included."""
-        gaps, answers = self._reach
-        return np.diag(self.yields) - answers @ self.system.solve.G @ gaps
-
-    @cached_property
-    def _nonlinear_reach(self) -> tuple[Floats, Floats]:
-        """`_reach` of the nonlinear connections, with the linear ones eliminated: (k, n) and (n, k)."""
-        nonlinear, (gaps, answers) = self.system.nonlinear, self._reach
-        if nonlinear is None:
-            return gaps[:0], answers[:, :0]
-        on = nonlinear.index
-        moved = gaps[on] - nonlinear.from_linear @ (self.system.solve.G @ gaps)
-        return moved, answers[:, on] - answers @ nonlinear.answer
-
-    def answer(self, stiffness: Floats) -> Floats:
-        """(n, n) `compliance` with nonlinear connections too, whose forces gain `stiffness` (k, k), N/m, per gap."""
-        gaps, answers = self._nonlinear_reach
-        return np.asarray(self.compliance - answers @ stiffness @ gaps)
-
-    @cached_property
-    def yields(self) -> Floats:
-        """(n,) coordinates after a step per own modal force, without connections."""
-        return np.concatenate([part.reading * part.kick[:, 0] for _, part, _ in self._all()])
-
-    def coordinates(self, x: Sequence[Floats]) -> Floats:
-        """(n,) of states by component slot."""
-        return np.concatenate([part.coordinates(x[slot]) for slot, part, _ in self._all()])
-
-    def by_component(self, force: Floats) -> dict[str, Floats]:
-        """Component -> (n_modes,) modal forces."""
-        out = {}
-        for slot, part, at in self._all():
-            out[self.system.names[slot]] = np.zeros(self.system.compiled[slot].basis.n_modes)
-            out[self.system.names[slot]][: part.n] = force[at]
-        return out
-
-    def after(self, free: Sequence[Floats], force: Floats) -> list[Floats]:
-        """States after modal forces (n,)."""
-        out = list(free)
-        for slot, part, at in self._all():
-            out[slot] = part.after(out[slot], force[at])
-        return out
-
-    def force(self, before: Floats, after: Floats) -> Floats:
-        """Modal forces (n,) over a step."""
-        pieces = np.split(np.stack([before, after]), self.starts[1:-1], axis=1)
-        return np.concatenate([s.force(*piece) for s, piece in zip(self.strings, pieces, strict=True)])
-
-    def energy(self, x: Sequence[Floats]) -> Floats:
-        """(n_strings,) U, J."""
-        pieces = np.split(self.coordinates(x), self.starts[1:-1])
-        return np.array([s.energy(y) for s, y in zip(self.strings, pieces, strict=True)])
-
-    def find(
-        self,
-        x: Sequence[Floats],
-        free: Sequence[Floats],
-        attempt: Callable[[list[Floats]], Sequence[Floats]],
-        answer: Callable[[], Floats] | None = None,
-    ) -> tuple[Floats, int, bool]:
-        """Find the modal forces of a step.
+    def over(self, x: Sequence[Floats], free: Sequence[Floats], forces: Floats, tension: Floats) -> TensionsOverStep:
+        """Prepare a step.
 
         Parameters
         ----------
-        x, free : states before, and after a step without forces.
-        attempt : states without connection forces -> states with them.
-        answer : (n, n) coordinates per modal force at the last attempt; by default there are no connections.
-
-        Returns
-        -------
-        forces (n,), iterations, and whether they were found.
+        x, free : states before, and after a step without connection forces.
+        forces : (m,) N, of the linear connections without this coupling.
+        tension : (n_strings, 4) of the state.
         """
-        before, size, count = self.coordinates(x), np.sqrt(self.yields), 0
+        s, count = self.system, len(self.strings)
+        driven = self._moved(free, forces)
+        ends = [self._coordinates(q, x) for q in range(count)], [self._coordinates(q, driven) for q in range(count)]
+        squares = [0.5 * (st.squares(a) + st.squares(b)) for st, a, b in zip(self.strings, *ends, strict=True)]
+        # the longitudinal modes under s_n, the connections answering
+        added: dict[int, Floats] = {}
+        for q, string in enumerate(self.strings):
+            added |= self._added(q, -(string.weights * squares[q]) @ string.strains)
+        answer = forces - s.solve.G @ self._gaps(added)
+        stretched = self._moved([f + added[i] if i in added else f for i, f in enumerate(free)], answer)
+        reach, own, start = np.zeros((len(s.connections), count)), np.zeros(count), np.zeros(count)
+        per_mean = np.zeros(count)
+        modal: dict[int, tuple[int, Floats, Floats]] = {}
+        for q, string in enumerate(self.strings):
+            before = ends[0][q]
+            strain = np.asarray(0.5 * string.strains @ (before + self._coordinates(q, stretched)))
+            shift, psi = self._psi(q, x, tension[self.index[q]])
+            potential = string.potential(squares[q], strain)
+            size = np.sqrt(max(2 * (potential + shift), abs(potential) + shift))
+            per = 1 / size if size > 0.0 else 0.0
+            g = per * string.gradient(0.5 * (before + ends[1][q]), squares[q], strain)
+            own[q] = sum(g[at] @ ((part.reading * part.kick[:, 0])[: part.n] * g[at]) for part, at in self._places(q))
+            start[q] = psi + 0.5 * g @ (self._coordinates(q, free) - before)
+            per_mean[q] = per * (string.weights * (squares[q] + strain))[0]
+            action = self._added(q, -g)
+            reach[:, q] = self._gaps(action)
+            for slot, (part, at) in zip(self.slots[q], self._places(q), strict=True):
+                direction = np.zeros(len(x[slot]))
+                direction[: part.n] = g[at]
+                modal[slot] = q, direction, action[slot]
+        return TensionsOverStep(reach, own, start, s.solve.G, modal, per_mean)
 
-        def wrong(F: Floats, share: float) -> tuple[Floats, Floats, float]:
-            """Residual of F, coordinates after the step, and the norm of the residual."""
-            nonlocal count
-            count += 1
-            after = self.coordinates(attempt(self.after(free, F)))
-            off = share * self.force(before, after) - F
-            return off, after, float(sla.norm(size * off))
+    def carried(
+        self,
+        x: Sequence[Floats],
+        after: Sequence[Floats],
+        over: TensionsOverStep,
+        mean: Floats,
+        tension: Floats,
+        step: int,
+    ) -> Floats:
+        """Rows of the state after a step, made by psi_m; resets `after` in place where the step calls for it.
 
-        def descend(F: Floats, share: float) -> tuple[Floats, bool]:
-            off, after, left = wrong(F, share)
-            last = np.inf
-            for _ in range(MAX_ITERATIONS):
-                all_of_it = float(sla.norm(size * F))
-                if not np.isfinite(left):
-                    return F, False
-                # rounding of the two terms of the strain, which nearly cancel, ends the descent
-                if left <= TOLERANCE * all_of_it or (left >= 0.5 * last and left <= 1e3 * TOLERANCE * all_of_it):
-                    return F, True
-                slope = share * sla.block_diag(
-                    *(
-                        s.slope(before[a:b], after[a:b])
-                        for s, a, b in zip(self.strings, self.starts[:-1], self.starts[1:], strict=True)
-                    )
-                )
-                compliance = np.diag(self.yields) if answer is None else answer()
-                step, t, last = sla.solve(np.eye(len(F)) - slope @ compliance, off), 1.0, left
-                while True:
-                    off, after, left = wrong(F + t * step, share)
-                    if left <= (1 - 1e-4 * t) * last or left <= 1e3 * TOLERANCE * all_of_it:
-                        break
-                    t *= 0.5
-                    if t < 1e-6:
-                        return F, False
-                F = F + t * step
-            return F, False
+        Parameters
+        ----------
+        step : number of the step's end since time 0.
+        """
+        out = np.zeros_like(tension)
+        for q, (t, string) in enumerate(zip(self.index, self.strings, strict=True)):
+            shift, psi = self._psi(q, x, tension[t])
+            psi = 2 * mean[q] - psi
+            excess = 0.5 * psi * psi - shift - string.energy(self._coordinates(q, after))
+            if step % RESET_STEPS == 0:
+                states = [after[slot] for slot in self.slots[q]]
+                excess += pay_from_motion([part.velocity[:, : part.n] for part in string.parts], states, -excess)
+                shift = np.copysign(self._shift(q, after, string.energy(self._coordinates(q, after)) + excess), 1.0)
+                psi = 1.0
+            out[t] = over.per_mean[q] * mean[q], np.copysign(shift, psi), 0.0, excess
+        return out
 
-        F, found = descend(self.force(before, before), 1.0)
-        if not found:
-            F, share, part = np.zeros_like(F), 0.0, 0.25
-            while share < 1.0 and part > SMALLEST_PART:
-                part = min(part, 1.0 - share)
-                tried, found = descend(F, share + part)
-                if found:
-                    F, share, part = tried, share + part, 2 * part
-                else:
-                    part *= 0.5
-            found = share == 1.0
-        return F, count, found
+    def energies(self, x: Sequence[Floats], tension: Floats) -> Floats:
+        """(n_strings,) V, J, of states by component slot; 0 of strings that are not coupled."""
+        out = np.zeros(len(self.system.rising))
+        for q, (t, string) in enumerate(zip(self.index, self.strings, strict=True)):
+            out[t] = string.energy(self._coordinates(q, x)) + (tension[t, 3] if tension.size else 0.0)
+        return out
+
+    def _psi(self, q: int, x: Sequence[Floats], row: Floats) -> tuple[float, float]:
+        """C and psi of a string, from its row of the state."""
+        stored = self.strings[q].energy(self._coordinates(q, x)) + row[3]
+        shift = abs(row[1])
+        if not (shift > 0.0 and stored + shift > 0.0):
+            shift = self._shift(q, x, stored)
+        return shift, float(np.copysign(np.sqrt(2 * (stored + shift)), row[1]))
+
+    def _shift(self, q: int, x: Sequence[Floats], stored: float) -> float:
+        """C for the next steps, J: all energy of the string, or what U lacks if that is more."""
+        modes = sum(part.energy(x[slot]) for slot, part in zip(self.slots[q], self.strings[q].parts, strict=True))
+        return float(max(modes + stored, -stored, 0.0) * (1 + 1e-9) + np.finfo(np.float64).tiny)
+
+    def _places(self, q: int) -> list[tuple[GeometricShare, slice]]:
+        """Parts of a string, and where their coordinates stand."""
+        parts, starts = self.strings[q].parts, self.strings[q].sizes[:-1].tolist()
+        return [(part, slice(at, at + part.n)) for part, at in zip(parts, starts, strict=True)]
+
+    def _coordinates(self, q: int, x: Sequence[Floats] | Mapping[int, Floats]) -> Floats:
+        parts = zip(self.slots[q], self.strings[q].parts, strict=True)
+        return np.concatenate([part.coordinates(x[slot]) for slot, part in parts])
+
+    def _added(self, q: int, force: Floats) -> dict[int, Floats]:
+        """Component slot -> state (n_modes, 2) that modal forces (n,) add over a step."""
+        out = {}
+        for slot, (part, at) in zip(self.slots[q], self._places(q), strict=True):
+            out[slot] = np.zeros((self.system.compiled[slot].basis.n_modes, 2))
+            out[slot][: part.n] = part.kick[: part.n] * force[at, None]
+        return out
+
+    def _gaps(self, added: dict[int, Floats]) -> Floats:
+        """(m,) gaps of states by component slot, all others at rest."""
+        total = np.zeros(len(self.system.connections))
+        for slot, x in added.items():
+            c = self.system.compiled[slot]
+            total += self.system.incidence(slot) @ np.einsum("pmx,mx->p", c.rows[: len(c.ports)], x)
+        return total
+
+    def _moved(self, free: Sequence[Floats], forces: Floats) -> dict[int, Floats]:
+        """States of the strings' components after connection forces (m,)."""
+        s = self.system
+        slots = [slot for string in self.slots for slot in string]
+        return {i: free[i] + np.einsum("p,pmx->mx", s.incidence(i).T @ forces, s.compiled[i].W) for i in slots}
+
+
+def rising_solve(system: System) -> TensionSolve | GeometricSolve | None:
+    """Solve for the strings of a system whose tension rises, if there are any."""
+    if any(system.tension_on):
+        return TensionSolve(system)
+    return GeometricSolve(system) if system.geometric else None

@@ -287,31 +287,6 @@ def _find_friction(
     return Solution(f, iterations, False)
 
 
-def stiffness(
-    laws: Sequence[NonlinearLaw], Z: Floats, free: Floats, gap: Floats, dt: float, partners: Partners, forces: Floats,
-    branches: Mapping[int, FrictionBranch],
-) -> Floats:  # fmt: skip
-    """(k, k) N/m: what the forces found gain per gap that closes without them; arguments as of `find_forces`."""
-    import scipy.linalg as sla
-
-    p, old = partners.offset_after - free - Z @ forces, partners.offset - gap
-    left, right = np.eye(len(laws)), np.zeros((len(laws),) * 2)
-    for j, law in enumerate(laws):
-        if isinstance(law, Friction):
-            friction = branches[j]
-            if friction.branch not in ("ahead", "behind") or friction.velocity == 0.0:  # the gap moves as it is held
-                per = 1.0 / Z[j, j] if Z[j, j] > 0.0 else 0.0
-                left[j], right[j, j] = per * Z[j] if per else left[j], per
-                continue
-            falls = (law.static - law.dynamic) * law.speed / (law.speed + abs(friction.velocity)) ** 2
-            slope = -law.normal_force * friction.scale * falls / dt
-        else:
-            slope = law.force(float(p[j]), float(old[j]), dt)[1] * partners.scale[j]
-        left[j] += slope * Z[j]
-        right[j, j] = slope
-    return np.asarray(sla.lstsq(left, right)[0])
-
-
 def newton(
     laws: Sequence[PotentialLaw], Z: Floats, free: Floats, old: Floats, dt: float, scale: Floats, guess: Floats,
     noise: float,

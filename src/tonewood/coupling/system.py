@@ -292,7 +292,7 @@ class System:
         """Return the state of rest."""
         m = len(self.connections)
         modes = np.zeros((2, sum(self.capacities)))
-        return State(modes, np.zeros(m), 0, np.zeros(m), np.zeros(m), np.zeros((len(self.tensions), 4)))
+        return State(modes, np.zeros(m), 0, np.zeros(m), np.zeros(m), np.zeros((len(self.rising), 4)))
 
     def controlled(self, controls: Sequence[PrescribedMotion], start: int, n: int) -> dict[int, Floats]:
         """(4, n) offset at the beginning and the end of each step, velocity and scale, of controlled connections.

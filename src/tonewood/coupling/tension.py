@@ -146,10 +146,37 @@ class TensionShare:
         return np.asarray(2 * np.sqrt(self.kappa) * self.weights * middle * (1 - alpha))
 
 
+def pay_from_motion(velocities: Sequence[Floats], states: Sequence[Floats], cost: float) -> float:
+    """Scale a string's velocities so that its kinetic energy pays or receives an energy; displacements stay.
+
+    No more than a quarter of the kinetic energy is taken or given at once.
+
+    Parameters
+    ----------
+    velocities : (3, n) of each part: y' per first and per second number, and second number per y'.
+    states : (n_modes >= n, 2) of each part; changed in place.
+    cost : J.
+
+    Returns
+    -------
+    float
+        Energy that was paid, J.
+    """
+    moving = [
+        v[0] * x[: v.shape[1], 0] + v[1] * x[: v.shape[1], 1] for v, x in zip(velocities, states, strict=True)
+    ]  # fmt: skip
+    kinetic = 0.5 * sum(float(v @ v) for v in moving)
+    paid = min(max(cost, -0.25 * kinetic), 0.25 * kinetic)
+    if not (kinetic > 0.0 and paid != 0.0):
+        return 0.0
+    factor = np.sqrt(1 - paid / kinetic) - 1
+    for per, x, v in zip(velocities, states, moving, strict=True):
+        x[: per.shape[1], 1] += factor * per[2] * v
+    return paid
+
+
 def reset_psi(parts: Sequence[TensionShare], states: Sequence[Floats], excess: float) -> float:
     """Put a string's psi back to sqrt(kappa) S, its kinetic energy paying or receiving the difference of potential.
-
-    Velocities are scaled, displacements stay. No more than a quarter of the kinetic energy is taken or given at once.
 
     Parameters
     ----------
@@ -161,15 +188,10 @@ def reset_psi(parts: Sequence[TensionShare], states: Sequence[Floats], excess: f
     float
         The excess that is left, sqrt(J).
     """
-    moving = [part.velocity[0] * x[:, 0] + part.velocity[1] * x[:, 1] for part, x in zip(parts, states, strict=True)]
-    kinetic = 0.5 * sum(float(v @ v) for v in moving)
     root = np.sqrt(parts[0].kappa) * sum(part.stretch(x) for part, x in zip(parts, states, strict=True))
     before = root + excess
     cost = 0.5 * (root - before) * (root + before)
-    paid = min(max(cost, -0.25 * kinetic), 0.25 * kinetic)
-    if not (kinetic > 0.0 and paid != 0.0):
-        return excess
-    factor = np.sqrt(1 - paid / kinetic) - 1
-    for part, x, v in zip(parts, states, moving, strict=True):
-        x[:, 1] += factor * part.velocity[2] * v
-    return 0.0 if paid == cost else float(np.sqrt(before * before + 2 * paid) - root)
+    paid = pay_from_motion([part.velocity for part in parts], states, cost)
+    if paid == cost:
+        return 0.0
+    return float(np.sqrt(before * before + 2 * paid) - root) if paid else excess

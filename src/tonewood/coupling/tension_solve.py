@@ -32,6 +32,7 @@ class TensionsOverStep:
     start : (s,) psi + g . (y_free - y) / 2, sqrt(J).
     linear : (m, m) N/m, forces of the linear connections against gaps.
     modal : component slot -> the string's place, its direction g (n_modes,), and (n_modes, 2) state per psi_m.
+    per_mean : (s,) mean tension per psi_m, N / sqrt(J).
     """
 
     reach: Floats
@@ -39,6 +40,7 @@ class TensionsOverStep:
     start: Floats
     linear: Floats
     modal: dict[int, tuple[int, Floats, Floats]]
+    per_mean: Floats
 
     @cached_property
     def matrix(self) -> Floats:
@@ -74,10 +76,12 @@ class TensionSolve:
         self.system = system
         self.index = [t for t, on in enumerate(system.tension_on) if on]
         self.strings: list[list[tuple[int, TensionShare]]] = []
+        self.slots: list[list[int]] = []
         for t in self.index:
             slots = [system.slot(name) for name in system.tensions[t].components]
             parts = [(slot, part) for slot in slots if (part := system.compiled[slot].tension) is not None]
             self.strings.append(parts)
+            self.slots.append([slot for slot, _ in parts])
         self.roots = np.sqrt([string[0][1].kappa for string in self.strings])
 
     def over(self, x: Sequence[Floats], free: Sequence[Floats], forces: Floats, tension: Floats) -> TensionsOverStep:
@@ -105,9 +109,17 @@ class TensionSolve:
                 modal[i] = q, g, -part.kick * g[:, None]
                 reach[:, q] += incidence @ np.einsum("pmx,mx->p", compiled.rows[: len(compiled.ports)], modal[i][2])
         psi = self.roots * self._stretches(x) + tension[self.index, 3]
-        return TensionsOverStep(reach, own, psi + 0.5 * power, s.solve.G, modal)
+        return TensionsOverStep(reach, own, psi + 0.5 * power, s.solve.G, modal, 2 * self.roots)
 
-    def carried(self, x: Sequence[Floats], after: Sequence[Floats], mean: Floats, tension: Floats, step: int) -> Floats:
+    def carried(
+        self,
+        x: Sequence[Floats],
+        after: Sequence[Floats],
+        over: TensionsOverStep,
+        mean: Floats,
+        tension: Floats,
+        step: int,
+    ) -> Floats:
         """Rows of the state after a step, made by psi_m; resets `after` in place where the step calls for it.
 
         Parameters
@@ -120,7 +132,7 @@ class TensionSolve:
         for q, (t, string) in enumerate(zip(self.index, self.strings, strict=True)):
             if step % RESET_STEPS == 0:
                 excess[q] = reset_psi([part for _, part in string], [after[i] for i, _ in string], float(excess[q]))
-            out[t] = 2 * self.roots[q] * mean[q], tension[t, 0], tension[t, 1], excess[q]
+            out[t] = over.per_mean[q] * mean[q], tension[t, 0], tension[t, 1], excess[q]
         return out
 
     def energies(self, x: Sequence[Floats], tension: Floats) -> Floats:

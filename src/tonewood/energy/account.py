@@ -188,9 +188,12 @@ class EnergyAccount:
         if self.system.geometric:
             solve, steps = GeometricSolve(self.system), len(next(iter(path.values())))
             none = np.zeros((steps, 0, 2))
-            energies = [solve.energy([path.get(name, none)[t] for name in self.system.names]) for t in range(steps)]
-            strings = zip(self.system.geometric, np.transpose(energies), strict=True)
-            out |= {f"{law.name}.stretch": np.array(values) for law, values in strings}
+            rows = tension if tension.size else np.zeros((steps, len(self.system.rising), 4))
+            states = ([path.get(name, none)[t] for name in self.system.names] for t in range(steps))
+            energies = np.array([solve.energies(x, row) for x, row in zip(states, rows, strict=True)])
+            out |= {
+                f"{law.name}.stretch": energies[:, t] for t, law in zip(solve.index, self.system.geometric, strict=True)
+            }
         return out
 
     def _gaps(self, path: Mapping[str, Floats]) -> Floats:

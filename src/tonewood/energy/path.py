@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.geometric_solve import GeometricSolve
+from tonewood.coupling.geometric_solve import rising_solve
 from tonewood.coupling.system import Injection, System
-from tonewood.coupling.tension_solve import TensionSolve
-from tonewood.errors import NumericalError
 
 Floats = NDArray[np.float64]
 
@@ -74,18 +72,12 @@ def step_again(
     def by_slot(at: Floats) -> list[Floats]:
         return [at[spans[name]] if name in spans else none for name in system.names]
 
-    rising = TensionSolve(system) if any(system.tension_on) else None
-    tensions = np.zeros((T + 1, len(system.tensions), 4))
+    rising = rising_solve(system)
+    tensions = np.zeros((T + 1, len(system.rising), 4))
     if tension.size:
         tensions[0] = tension
-    modal_forces = {
-        system.names[slot]: np.zeros((T, part.weights.size))
-        for string in (rising.strings if rising else ())
-        for slot, part in string
-    }
-    solve = GeometricSolve(system) if system.geometric else None
-    stretched = [name for law in system.geometric for name in law.parts]
-    modal_forces |= {name: np.zeros((T, system.compiled[system.slot(name)].basis.n_modes)) for name in stretched}
+    slots_on = sorted(slot for string in rising.slots for slot in string) if rising else []
+    modal_forces = {system.names[i]: np.zeros((T, system.compiled[i].basis.n_modes)) for i in slots_on}
     for t in range(T):
         x, y = path[t, :, 0], path[t, :, 1]
         path[t + 1, :, 0] += e00 * x + e01 * y
@@ -101,14 +93,5 @@ def step_again(
             for slot, (q, direction, added) in over.modal.items():
                 modal_forces[system.names[slot]][t] = -direction * mean[q]
                 free[slot] += added * mean[q]
-            tensions[t + 1] = rising.carried(before, free, mean, tensions[t], sample + t + 1)
-        if solve is not None:
-            force, _, found = solve.find(before, free, list)
-            if not found:
-                raise NumericalError(f"the forces of a string were not found again at {(sample + t) * system.dt:.6f} s")
-            for name, held in solve.by_component(force).items():
-                modal_forces[name][t] = held
-            moved = solve.after(free, force)
-            for name in stretched:
-                path[t + 1, spans[name]] = moved[system.slot(name)]
+            tensions[t + 1] = rising.carried(before, free, over, mean, tensions[t], sample + t + 1)
     return Path({name: path[:, spans[name]] for name in names}, modal_forces, tensions)

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.coupling.connections import Rigid, SpringDashpot
-from tonewood.coupling.geometric_solve import GeometricSolve
+from tonewood.coupling.geometric_solve import rising_solve
 from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.laws import Friction
 from tonewood.coupling.system import State, System
-from tonewood.coupling.tension_solve import TensionSolve
 from tonewood.stepping.motion import to_motion
 
 Floats = NDArray[np.float64]
@@ -64,10 +63,8 @@ def stored_energy(system: System, state: State) -> Energy:
         q, velocity = to_motion(compiled.basis, x)
         modes += 0.5 * float(np.sum(velocity**2 + compiled.basis.stiffness * q**2))
     states = _states(system, state)
-    if any(system.tension_on):
-        tension += float(np.sum(TensionSolve(system).energies(states, state.tension)))
-    if system.geometric:
-        tension += float(np.sum(GeometricSolve(system).energy(states)))
+    if (rising := rising_solve(system)) is not None:
+        tension += float(np.sum(rising.energies(states, state.tension)))
     gap = system.gaps(states)
     laws = [c.law for c in system.connections]
     rigid = np.array([isinstance(law, Rigid) for law in laws], dtype=bool)

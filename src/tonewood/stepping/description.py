@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tonewood import _kernel
 from tonewood.coupling.connections import LinearSolve
+from tonewood.coupling.geometric import GeometricStretch
 from tonewood.coupling.inverse import InverseInParts
 from tonewood.coupling.laws import (
     CompiledPotential,
@@ -72,8 +73,15 @@ def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded:
             "from_contact": np.ascontiguousarray(response[:, contact][:, :, contact]),
             "on_rows": np.ascontiguousarray(response[:, contact][:, :, rows]),
         }
-    if (part := compiled.tension) is not None and not one_way:
-        names = ("a", part.weights), ("half", part.half), ("reading", part.reading)
+    part = compiled.tension or compiled.geometric
+    if part is not None and not one_way:
+        none = np.zeros(compiled.basis.n_modes)
+        share = compiled.tension
+        names = (
+            ("a", share.weights if share else none),
+            ("half", share.half if share else none),
+            ("reading", part.reading),
+        )
         out |= {name: packed(a[None, :, None])[0, 0] for name, a in names}
         out["kick"] = packed(part.kick[None])[0]
         out["velocity"] = packed(part.velocity.T[None])[0]
@@ -104,24 +112,35 @@ def describe_linear(solve: LinearSolve, weights: Floats, wiring: Sequence[Wiring
     return out
 
 
-def describe_geometric(system: System, slots: Sequence[int], wiring: Sequence[Wiring]) -> Description:
-    """Describe a string whose longitudinal motion is stepped: EA L, whether there is such a motion, and its parts."""
-    scale, longitudinal = 0.0, False
-    parts: list[Description] = []
-    for slot in slots:
-        compiled, ports = system.compiled[slot], wiring[slot].fixed
-        if (part := compiled.geometric) is not None:
-            scale, longitudinal = part.scale, longitudinal or part.longitudinal
-            arrays = {
-                "slopes": part.slopes if part.stretch is None else part.stretch[None],
-                "reading": part.reading,
-                "compliances": part.reading * part.kick[:, 0],
-                "kick": part.kick.T,
-                "to_port": np.einsum("pmx,mx->pm", compiled.rows[ports][:, : part.n], part.kick),
-                "from_port": part.reading * compiled.W[ports][:, : part.n, 0],
+def describe_tensions(system: System) -> Description:
+    """Describe the strings whose tension rises: (row of the state, EA/(4 L), components); their longitudinal motion."""
+    on = [t for t, is_on in enumerate(system.is_on) if is_on]
+    strings, stretches = [], []
+    for t in on:
+        law = system.rising[t]
+        slots = [system.slot(name) for name in (law.parts if isinstance(law, GeometricStretch) else law.components)]
+        first = system.compiled[slots[0]].tension
+        strings.append((t, 0.0 if first is None else first.kappa, slots))
+        if isinstance(law, GeometricStretch):
+            stretches.append(describe_stretch(system, slots))
+    return {"strings": strings, "stretches": stretches}
+
+
+def describe_stretch(system: System, slots: Sequence[int]) -> Description:
+    """Describe a string with longitudinal motion: EA L, whether there is such a motion, and its parts."""
+    parts = [(slot, part) for slot in slots if (part := system.compiled[slot].geometric) is not None]
+    return {
+        "scale": parts[0][1].scale,
+        "longitudinal": parts[-1][1].longitudinal,
+        "parts": [
+            {
+                "slot": slot,
+                "slopes": np.ascontiguousarray(part.slopes if part.stretch is None else part.stretch[None]),
+                "stiffness": np.ascontiguousarray(part.stiffness),
             }
-            parts.append({"slot": slot, **{name: np.ascontiguousarray(a) for name, a in arrays.items()}})
-    return {"scale": scale, "longitudinal": longitudinal, "parts": parts}
+            for slot, part in parts
+        ],
+    }
 
 
 def law_arrays(

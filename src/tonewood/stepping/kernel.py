@@ -26,8 +26,8 @@ from tonewood.stepping.description import (
     Description,
     Wiring,
     describe_component,
-    describe_geometric,
     describe_linear,
+    describe_tensions,
     law_arrays,
     packed,
 )
@@ -109,7 +109,6 @@ class KernelStepper:
         self._laws: tuple[NonlinearLaw, ...] = ()
         self._law_arrays: Description = law_arrays(())
         self._gaps: tuple[NonlinearGaps, bytes, Description] | None = None
-        self._geometric: tuple[Sequence[int], list[Description]] = (), []
         self.system = system
         self._load(system)
 
@@ -121,8 +120,8 @@ class KernelStepper:
     @property
     def statistics(self) -> Statistics:
         """Work of the nonlinear solves since this stepper was made."""
-        solves, iterations, most, _, tension, most_tension, *_ = self._kernel.statistics()
-        return Statistics(self._steps, solves, iterations, most, tension, most_tension, self._failures, self._redone)
+        solves, iterations, most, *_ = self._kernel.statistics()
+        return Statistics(self._steps, solves, iterations, most, self._failures, self._redone)
 
     @property
     def n_solves(self) -> int:
@@ -135,7 +134,7 @@ class KernelStepper:
 
         Blocks stepped with nonlinear connections, rows of contacts read in them, contacts added inside a block.
         """
-        return dict(zip(("blocks", "rows_read", "added"), self._kernel.statistics()[6:], strict=True))
+        return dict(zip(("blocks", "rows_read", "added"), self._kernel.statistics()[4:], strict=True))
 
     def describe(self) -> Description:
         """Return all that the kernel is loaded with, every array by its name, as `load` of ``src/kernel`` reads it."""
@@ -148,27 +147,17 @@ class KernelStepper:
 
     def _describe(self, system: System, cached: frozenset[int]) -> Description:
         """Describe a system; components with a key among `cached` come without arrays."""
-        in_parts = not (any(system.tension_on) or system.geometric)
+        in_parts = not any(system.is_on)
         by = system.solve.by
         hub = by.hub if in_parts and isinstance(by, InverseInParts) else None
         wiring, terms = self._wired(system, hub)
         weights = system.force_weights()
         components = self._components(system, wiring, terms)
-        slots_of = [[system.slot(name) for name in law.parts] for law in system.geometric]
-        keys = [components[slot]["key"] for slots in slots_of for slot in slots]
-        if keys != self._geometric[0]:
-            self._geometric = keys, [describe_geometric(system, slots, wiring) for slots in slots_of]
-        tensions = [
-            (t, part.kappa, [system.slot(name) for name in string.components])
-            for t, string in enumerate(system.tensions)
-            if system.tension_on[t] and (part := system.compiled[system.slot(string.components[0])].tension)
-        ]
         return {
             "components": [{"key": c["key"]} if c["key"] in cached else c for c in components],
             "linear": describe_linear(system.solve, weights, wiring, in_parts),
             "nonlinear": self._laws_and_gaps(system, terms, np.ascontiguousarray(weights[:, self._nonlinear])),
-            "tensions": {"strings": tensions},
-            "geometric": self._geometric[1],
+            "tensions": describe_tensions(system),
             "shortcuts": self._shortcuts,
         }
 
@@ -284,7 +273,7 @@ class KernelStepper:
             raise ValueError(f"a state of {state.modes.dtype}; float64 is needed")
         s, on = self.system, self._nonlinear
         to_cut = -state.sample % _CUT
-        if 0 < to_cut < n and any(s.tension_on):  # the kernel puts psi back at the ends of its windows
+        if 0 < to_cut < n and any(s.is_on):  # the kernel puts psi back at the ends of its windows
             first = self._step(state, to_cut, injections, controls)
             kept, acted = first[2].copy(), set(self._acted)
             first[2][:, self._acted] = 0.0
@@ -293,7 +282,7 @@ class KernelStepper:
             rest[2][:, self._acted] = 0.0
             self._acted = sorted(acted | set(self._acted))
             return np.concatenate([first[0], rest[0]]), np.concatenate([first[1], rest[1]]), laws
-        may_fail = s.nonlinear is not None or s.geometric
+        may_fail = s.nonlinear is not None
         before = state.copy() if may_fail else state
         found = self._run(state, n, injections, controls)
         if not isinstance(found, int):
@@ -357,9 +346,9 @@ class KernelStepper:
         law_forces, solves = self._law_forces[: n * len(on)].reshape(n, len(on)), self.n_solves
         series, slip, last = state.series.take(on), state.slip.take(on), state.forces.take(on)
         active = [i for i in injections if i.start < state.sample + n and i.stop > state.sample]
-        if len(state.tension) != len(self.system.tensions):
-            state.tension = np.zeros((len(self.system.tensions), 4))
-        state.tension[[not is_on for is_on in self.system.tension_on]] = 0.0
+        if len(state.tension) != len(self.system.rising):
+            state.tension = np.zeros((len(self.system.rising), 4))
+        state.tension[[not is_on for is_on in self.system.is_on]] = 0.0
         slot, sample = self._kernel.run(
             state.modes,
             out,

@@ -5,24 +5,23 @@ One step: propagate every component without connections, read the gaps, find the
     x_u = E x + injections,   g_u = sum A C x_u,   f = -G (g_u + gamma g) + G b',   x+ = x_u + W A^T f.
 
 Nonlinear connections see what the linear ones leave of their gaps (`connections`), and their forces are found together
-(`law_solve`). The rising tension of a string is one more linear force along a direction known beforehand (`tension`).
-The modal forces of strings with longitudinal motion are found around all this (`geometric`).
+(`law_solve`). The rising tension of a string, with its longitudinal motion where that is stepped, is one more linear
+force along a direction known beforehand (`tension`, `geometric`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.geometric_solve import GeometricSolve
-from tonewood.coupling.law_solve import FrictionBranch, Partners, find_forces, solve_branches, stiffness
+from tonewood.coupling.geometric_solve import rising_solve
+from tonewood.coupling.law_solve import FrictionBranch, Partners, find_forces, solve_branches
 from tonewood.coupling.laws import Friction
 from tonewood.coupling.system import Injection, PrescribedMotion, State, System
-from tonewood.coupling.tension_solve import TensionSolve
+from tonewood.coupling.tension_solve import TensionsOverStep
 from tonewood.errors import NumericalError
 from tonewood.modal.propagator import apply
 
@@ -38,7 +37,6 @@ class Statistics:
     steps : samples stepped.
     solves : nonlinear solves of a step's forces.
     iterations, most_iterations : of Newton's method on the forces, in all, and in one step at most.
-    longitudinal_iterations, most_longitudinal_iterations : of the solve for the longitudinal motion.
     failures : steps whose forces were not found; each of them raised a `NumericalError`.
     redone : steps whose forces the ordinary iteration did not find, so that the search of last resort was asked.
     """
@@ -47,8 +45,6 @@ class Statistics:
     solves: int = 0
     iterations: int = 0
     most_iterations: int = 0
-    longitudinal_iterations: int = 0
-    most_longitudinal_iterations: int = 0
     failures: int = 0
     redone: int = 0
 
@@ -61,8 +57,8 @@ class _Attempt:
     forces: Floats
     series: Floats
     slip: Floats
+    rising: TensionsOverStep | None
     mean: Floats  # psi_m of the rising tensions
-    stiffness: Callable[[], Floats] | None  # of the nonlinear connections, until the next attempt
 
 
 class NumpyStepper:
@@ -71,8 +67,7 @@ class NumpyStepper:
     def __init__(self, system: System):
         self.system = system
         self.statistics = Statistics()
-        self._geometric = GeometricSolve(system) if system.geometric else None
-        self._tension = TensionSolve(system) if any(system.tension_on) else None
+        self._tension = rising_solve(system)
         self._careful = False
 
     def run(
@@ -117,8 +112,8 @@ class NumpyStepper:
             partners = self._partners({j: a[:, step] for j, a in moving.items()})
             done = self._step(x, free, guess, series, slip, tension, partners, time)
             after, series, slip, guess = done.x, done.series, done.slip, done.forces
-            if self._tension:
-                tension = self._tension.carried(x, after, done.mean, tension, state.sample + step + 1)
+            if self._tension and done.rising:
+                tension = self._tension.carried(x, after, done.rising, done.mean, tension, state.sample + step + 1)
             elif tension.size:
                 tension = np.zeros_like(tension)
             x = after
@@ -168,7 +163,7 @@ class NumpyStepper:
             start = [guess]  # of the forces: those tried last
 
             def solve() -> _Attempt:
-                done = self._find(x, free, start[0], series, slip, tension, partners, branches, time)
+                done = self._attempt(x, free, start[0], series, slip, tension, partners, branches)
                 start[0] = done.forces
                 return done
 
@@ -188,43 +183,11 @@ class NumpyStepper:
         finally:
             self._careful = False
 
-    def _find(
-        self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, tension: Floats,
-        partners: Partners, branches: dict[int, FrictionBranch], time: float,
-    ) -> _Attempt:  # fmt: skip
-        """Find the forces, friction on its branches."""
-        if self._geometric:
-            return self._geometric_step(self._geometric, x, free, guess, series, slip, partners, branches, time)
-        return self._attempt(x, free, guess, series, slip, tension, partners, branches, time)
-
-    def _geometric_step(
-        self, solve: GeometricSolve, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats,
-        partners: Partners, branches: dict[int, FrictionBranch], time: float,
-    ) -> _Attempt:  # fmt: skip
-        """One step of strings whose longitudinal motion is stepped."""
-        done: list[_Attempt] = []
-
-        def attempt(free: list[Floats]) -> list[Floats]:
-            start = done[-1].forces if done else guess
-            done[:] = [self._attempt(x, free, start, series, slip, np.zeros((0, 4)), partners, branches, time)]
-            return done[0].x
-
-        def answer() -> Floats:
-            return solve.compliance if done[0].stiffness is None else solve.answer(done[0].stiffness())
-
-        _, iterations, found = solve.find(x, free, attempt, answer)
-        if not found:
-            names = ", ".join(g.name for g in self.system.geometric)
-            raise ValueError(f"the forces of {names} were not found")
-        self.statistics.longitudinal_iterations += iterations
-        self.statistics.most_longitudinal_iterations = max(self.statistics.most_longitudinal_iterations, iterations)
-        return done[0]
-
     def _attempt(
         self, x: list[Floats], free: list[Floats], guess: Floats, series: Floats, slip: Floats, tension: Floats,
-        partners: Partners, branches: dict[int, FrictionBranch], time: float,
+        partners: Partners, branches: dict[int, FrictionBranch],
     ) -> _Attempt:  # fmt: skip
-        """One step with these free motions."""
+        """Find the forces, friction on its branches."""
         s = self.system
         linear, nonlinear = s.solve, s.nonlinear
         gap, gap_free = s.gaps(x), s.gaps(free)
@@ -235,7 +198,7 @@ class NumpyStepper:
             mean = rising.mean(f)
             gap_free = gap_free + rising.reach @ mean
             f = f - linear.apply(rising.reach @ mean)
-        series, slip, gives = series.copy(), slip.copy(), None
+        series, slip = series.copy(), slip.copy()
         if nonlinear is not None:
             on, Z = nonlinear.index, nonlinear.Z
             lag = (1 - nonlinear.theta) / nonlinear.theta * series[on]
@@ -251,7 +214,7 @@ class NumpyStepper:
             self.statistics.iterations += found.iterations
             self.statistics.most_iterations = max(self.statistics.most_iterations, found.iterations)
             if not found.converged:
-                strings = [t.name for t in s.tensions] + [g.name for g in s.geometric]
+                strings = [t.name for t in s.rising]
                 acting = [s.connections[j].name for j in on[found.forces != 0.0]] or strings
                 names = ", ".join(acting or [s.connections[j].name for j in on])
                 raise ValueError(f"the forces of {names} were not found")
@@ -264,12 +227,9 @@ class NumpyStepper:
             series[on] = nonlinear.residual @ found.forces / nonlinear.theta - lag
             for i, friction in branches.items():
                 slip[on[i]] = friction.velocity
-            gives = partial(
-                stiffness, nonlinear.laws, Z, here, before, s.dt, partners, found.forces, branches
-            )  # fmt: skip
         after = [
             free[i] + np.einsum("p,pmx->mx", s.incidence(i).T @ f, c.W) for i, c in enumerate(s.compiled)
         ]  # fmt: skip
         if rising is not None:
             after = rising.after(after, mean)
-        return _Attempt(after, f, series, slip, mean, gives)
+        return _Attempt(after, f, series, slip, rising, mean)

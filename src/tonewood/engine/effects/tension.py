@@ -238,8 +238,8 @@ class TensionEffect(SwitchedEffect):
 
     def reset(self, system: System, state: State, changed: Collection[str]) -> None:
         """Forget the additional tensions of the last steps."""
-        if system.tensions:
-            state.tension[[t.name in changed for t in system.tensions]] = 0.0
+        if state.tension.size:
+            state.tension[[t.name in changed for t in system.rising]] = 0.0
 
     def load(self, component: str) -> float:
         """Modes of the open string."""
@@ -442,9 +442,9 @@ def potential(system: System, state: State, name: str) -> float:
         if compiled.geometric is not None:
             shares.append(compiled.geometric)
             coordinates.append(compiled.geometric.coordinates(x.T))
+    excess = float(state.tension[index, 3]) if state.tension.size else 0.0
     if shares:
-        return _coupled(tuple(shares)).energy(np.concatenate(coordinates))
-    excess = state.tension[index, 3] if state.tension.size else 0.0
+        return _coupled(tuple(shares)).energy(np.concatenate(coordinates)) + excess
     return float(0.5 * (np.sqrt(kappa) * stretch + excess) ** 2)
 
 

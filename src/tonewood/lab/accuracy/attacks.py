@@ -276,14 +276,14 @@ def contradictory_joints(steps: int) -> Attack:
 def _attack(name: str, energy: Floats, peak: float, statistics: Statistics, *, residual: float | None = None) -> Attack:
     lowest = np.minimum.accumulate(energy)
     steps = max(statistics.steps, 1)
-    searched = statistics.iterations + statistics.longitudinal_iterations
+    searched = statistics.iterations
     return Attack(
         name,
         statistics.steps,
         float((energy - lowest).max() / peak * 1e6 / steps),
         float("nan") if residual is None else residual,
         searched / steps,
-        max(statistics.most_iterations, statistics.most_longitudinal_iterations),
+        statistics.most_iterations,
         statistics.redone,
         statistics.failures,
     )

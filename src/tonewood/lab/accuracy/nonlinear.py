@@ -372,8 +372,7 @@ def attempt(case: NonlinearCase, truth: Truth | None, run: OwnRun | ExplicitRun,
         point = replace(point, waveform=errors.waveform, spectral_db=errors.spectral_db)
     if isinstance(run, OwnRun):
         s = run.stepper.statistics
-        most = max(s.most_iterations, s.most_longitudinal_iterations)
-        mean = (s.iterations + s.longitudinal_iterations) / max(s.steps, 1)
+        most, mean = s.most_iterations, s.iterations / max(s.steps, 1)
         point = replace(point, note=f"{mean:.2g} Newton iterations per step, {most} at most; {point.note}")
     if case.pitch and not grown:
         cycles = int(case.duration * case.pitch) - 2

@@ -1,0 +1,274 @@
+// Strings whose tension rises, over one step; the equations are in tonewood.coupling.tension and .geometric.
+//
+// Such a string acts along a direction g that is known before the forces are, by -psi_m g, and psi_m answers to the
+// motion along g as a linear connection does. So every sample is linear in psi_m, one unknown for each string:
+//     M psi_m = psi + g . (y_free - y) / 2 + C f / 2,      M = I + G / 2 + C K C^T / 2 >= I,
+// G = g . w g the string's own motion along g, C what psi_m moves the ports by, f the forces of the linear connections
+// without these strings, K those forces per displacement of the ports.
+#pragma once
+
+#include <functional>
+
+#include "../modal/block.hpp"
+#include "../modal/tension_pass.hpp"
+#include "dense.hpp"
+
+namespace tonewood {
+namespace {
+
+constexpr double kPaidAtOnce = 0.25;   // of the kinetic energy, at most, where psi is put back
+
+class RisingTensions {
+public:
+    using Loads = std::function<std::vector<std::pair<int, double>>(int component)>;
+
+    explicit RisingTensions(Block& block)
+        : block_(block), components_(block.model.components), layout_(block.model.layout), t_(block.model.tensions),
+          ws_(block.model.tension), scaled_(components_, ws_, block.job) {
+        const Nonlinear& nl = block.model.nonlinear;
+        for (const Tensions::Part& part : t_.parts) {
+            const Component& c = components_[part.component];
+            states_.push_back({&part, &c, scaled_.state(part.component), false, c.n_rows > c.n_ports,
+                               nl.k && nl.group_of[part.component] >= 0});
+        }
+        std::fill(ws_.forces.begin(), ws_.forces.end(), 0.0);
+        part_of_.assign(components_.size(), -1);
+        for (std::size_t i = 0; i < states_.size(); ++i) part_of_[states_[i].part->component] = int(i);
+    }
+    virtual ~RisingTensions() = default;
+
+    Loads loads;  // forces on contact ports of a component in the sample
+
+    int n_strings() const { return int(t_.strings.size()); }
+    int string_of(int component) const { return states_[part_of_[component]].part->string; }
+
+    void begin_block() {
+        if (!from_state_) return;
+        for (const Polarization& part : states_) scaled_.from_state(part.part->component);
+        from_state_ = false;
+    }
+
+    // Passes all strings in sample b: finishes the sample before, writes the displacements of the ports now and free of
+    // forces.
+    void begin_sample(int b) {
+        sample_ = b;
+        begin_step();
+        for (Polarization& part : states_) pass(part);
+        for (std::size_t k = 0; k < t_.n_sums; k += Simd::width)
+            Simd::store(ws_.sums.data() + k, sums<Simd::width>(ws_.lanes.data() + k * Simd::width));
+        for (const Polarization& part : states_) {
+            const double* sum = ws_.sums.data() + part.part->sums + kSharedSums;
+            const Tensions::Port* port = t_.ports.data() + part.part->first_port;
+            for (int p = 0; p < part.c->n_ports; ++p, sum += kPortSums, ++port)
+                block_.line(b)[port->line] = sum[0], block_.line(b + 1)[port->line] = sum[1];
+        }
+    }
+
+    // Finds the directions, M and psi_m without nonlinear connections from the port forces (force_width) of the linear
+    // connections without these strings.
+    void couple(const double* alone) {
+        const int n = int(t_.ports.size());
+        for (int p = 0; p < n; ++p) ws_.driven[p] = alone[t_.ports[p].force];
+        direct();
+        const int strings = n_strings();
+        const std::size_t w = wide(strings);
+        for (int s = 0; s < strings; ++s) {
+            const Tensions::String& string = t_.strings[s];
+            double* const stiff = ws_.stiff.data() + std::size_t(s) * t_.width;
+            std::fill_n(stiff, t_.width, 0.0);
+            add_product(t_.onto_ports.data() + std::size_t(string.first) * t_.width, t_.width, ws_.reach.data() + string.first,
+                        string.n, stiff);
+            for (int q = 0; q <= s; ++q) {
+                const Tensions::String& other = t_.strings[q];
+                double sum = 0.0;
+                for (int p = other.first; p < other.first + other.n; ++p) sum += stiff[p] * ws_.reach[p];
+                ws_.matrix[s * w + q] = 0.5 * sum + (q == s ? 1.0 + 0.5 * own_[s] : 0.0);
+            }
+        }
+        factorize(ws_.matrix.data(), strings, ws_.upper.data(), ws_.over.data());
+        solve_definite(ws_.matrix.data(), ws_.upper.data(), ws_.over.data(), strings, ws_.alone.data());
+        std::copy(ws_.alone.begin(), ws_.alone.end(), ws_.mean.begin());
+    }
+
+    // M^-1 b in place for the columns of b (strings, width), width a multiple of kLane.
+    void solve(double* b, std::size_t width) const {
+        solve_columns(ws_.matrix.data(), ws_.over.data(), n_strings(), b, width);
+    }
+
+    // Adds the answer of the linear connections to psi_m: port forces `now`, or the connections' own forces f.
+    void add_to_ports(double* now) { add(t_.onto_forces.data(), layout_.force_width, now); }
+    void add_to_linear(double* f) { add(t_.onto_linear.data(), layout_.f_width, f); }
+
+    // Largest psi_m sqrt(sum g^2 / a) of component i in the sample.
+    virtual double excursion(int i) const = 0;
+    // Displacements of a contact port now and free of forces, and per psi_m.
+    virtual ContactSums contact(int i, int port) const = 0;
+
+    // The means and all port forces of the sample are final.
+    void finish_sample(const double* now) {
+        end_step();
+        for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.forces[p] = now[t_.ports[p].force];
+        for (Polarization& part : states_) {
+            part.pending = true;
+            const auto& inputs = block_.inputs[part.part->component];
+            const auto loaded = loads(part.part->component);
+            if (inputs.empty() && loaded.empty()) continue;
+            finish(part);
+            const double* const basis = part.c->tension.basis.data();
+            const std::size_t n = part.c->n;
+            for (const auto& [port, force] : loaded) {
+                const double* row = part.c->contact.rows.data() + 2 * std::size_t(port) * n;
+                each_vector(part, [&](std::size_t k, V& xi, V& v, const double* at) {
+                    const V modal = S::load(basis + 3 * n + k) * S::load(row + k) * force;
+                    xi += modal, v += (S::load(at + 3 * kPadding) - S::load(at + 2 * kPadding)) * modal;
+                });
+            }
+            for (const Input& in : inputs) {
+                const double value = in.values[sample_ * in.stride];
+                each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
+                    v += (S::load(basis + 6 * n + k) * S::load(in.vector + k) +
+                          S::load(basis + 7 * n + k) * S::load(in.vector + n + k)) * value;
+                });
+            }
+            scaled_.invalidate(part.part->component);
+        }
+    }
+
+    // Writes the tensions to the state and, where the next block or a readout needs them, the modes; puts psi back at
+    // multiples of kResetSteps samples.
+    void finish_block() {
+        const std::int64_t end = block_.start + block_.nb;
+        const bool resets = (block_.job.phase + end) % kResetSteps == 0, last = resets || end == block_.job.n;
+        for (Polarization& part : states_) {
+            if (!last && !part.is_read && !part.is_grouped) continue;
+            finish(part);
+            scaled_.to_state(part.part->component);
+            rows(part, 0, block_.nb);
+        }
+        if (!last) return;
+        for (int s = 0; s < n_strings(); ++s) keep(s, resets);
+        from_state_ = resets;
+    }
+
+protected:
+    using S = Simd;
+    using V = S::V;
+    struct Polarization {  // or the longitudinal component of a string
+        const Tensions::Part* part;
+        const Component* c;
+        double* state;
+        bool pending;              // its last step is still to be made
+        bool is_read, is_grouped;  // it has readouts; contacts on it are culled by its state
+    };
+
+    virtual void begin_step() {}
+    // One modal pass over a component: makes the step that is pending, begins the next one; lanes of its sums go to `to`.
+    virtual void make(const Polarization& part) = 0;
+    virtual void begin(const Polarization& part, double* to) = 0;
+    virtual void make_and_begin(const Polarization& part, double* to) = 0;
+    // Finds own_, and ws.reach and the right sides of the equations in ws.alone, from the sums and ws.driven.
+    virtual void direct() = 0;
+    // psi_m is final.
+    virtual void end_step() = 0;
+    // Writes a string's row of the state; its modes are there.
+    virtual void keep(int s, bool resets) = 0;
+
+    double* row(int s) const { return block_.job.tension + 4 * t_.strings[s].index; }
+
+    // Scales the velocities of modes of a string: use(component, n modes) of each part; returns what was paid of the cost.
+    template <class Each>
+    double pay_from_motion(const Each& each, double cost) {
+        const auto velocities = [&](const auto& use) {
+            each([&](int i, std::size_t count) {
+                const double *const per = components_[i].tension.velocity.data(), *const x = block_.x(i);
+                double* const y = block_.y(i);
+                const std::size_t n = components_[i].n;
+                for (std::size_t k = 0; k < count; ++k) use(per[k] * x[k] + per[n + k] * y[k], per[2 * n + k], y[k]);
+            });
+        };
+        double kinetic = 0.0;
+        velocities([&](double v, double, double&) { kinetic += 0.5 * v * v; });
+        const double paid = std::clamp(cost, -kPaidAtOnce * kinetic, kPaidAtOnce * kinetic);
+        if (!(kinetic > 0.0 && paid != 0.0)) return 0.0;
+        const double factor = std::sqrt(1 - paid / kinetic) - 1;
+        velocities([&](double v, double per, double& second) { second += factor * per * v; });
+        return paid;
+    }
+
+    // use(first mode, xi, v, numbers) of a vector of modes at a time, which may change xi and v.
+    template <class Use>
+    static void each_vector(const Polarization& part, const Use& use) {
+        const std::size_t n = part.c->n, step = std::size_t(kScaledNumbers + part.c->n_ports) * kPadding;
+        for (std::size_t k = 0; k < n; k += S::width) {
+            const std::size_t group = k / kPadding, j = k % kPadding;
+            double* const at = part.state + group * kScaledState * kPadding + j;
+            S::V xi = S::load(at), v = S::load(at + kPadding);
+            use(k, xi, v, part.c->tension.numbers.data() + group * step + j);
+            S::store(at, xi), S::store(at + kPadding, v);
+        }
+    }
+
+    Block& block_;
+    const std::vector<Component>& components_;
+    const Layout& layout_;
+    const Tensions& t_;
+    TensionState& ws_;
+    ScaledModes scaled_;
+    std::vector<Polarization> states_;  // string by string
+    std::vector<int> part_of_;          // by component
+    Array<double> own_ = Array<double>(t_.strings.size()), moved_ = Array<double>(t_.ports.size());
+
+private:
+    void pass(Polarization& part) {
+        const int i = part.part->component;
+        const auto& inputs = block_.inputs[i];
+        double* const to = ws_.lanes.data() + part.part->sums * Simd::width;
+        if (part.pending && inputs.empty() && !part.is_read && block_.model.shortcuts.combined_pass) {
+            make_and_begin(part, to);
+            scaled_.invalidate(i);
+        } else {
+            finish(part);
+            if (part.is_read) scaled_.to_state(i), rows(part, part.c->n_ports, sample_);
+            const double* const basis = part.c->tension.basis.data();
+            for (const Input& in : inputs) {
+                const double value = in.values[sample_ * in.stride];
+                each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
+                    v += S::load(basis + k) * S::load(in.vector + k) * value;
+                });
+            }
+            begin(part, to);
+        }
+        part.pending = false;
+    }
+
+    // Makes the step that is still pending.
+    void finish(Polarization& part) {
+        if (!part.pending) return;
+        make(part);
+        scaled_.invalidate(part.part->component);
+        part.pending = false;
+    }
+
+    // Adds what displacements -psi_m C of the ports move, by a matrix (ports, width).
+    void add(const double* matrix, int width, double* to) {
+        for (std::size_t p = 0; p < t_.ports.size(); ++p) moved_[p] = -ws_.mean[t_.ports[p].string] * ws_.reach[p];
+        add_product(matrix, width, moved_.data(), int(t_.ports.size()), to);
+    }
+
+    // Rows of a component from the first-th on.
+    void rows(const Polarization& part, int first, int b) {
+        const Component& c = *part.c;
+        const int i = part.part->component;
+        double* line = block_.line(b) + layout_.row[i];
+        for (int r = first; r < c.n_rows; ++r) {
+            const double* row = c.rows.data() + 2 * std::size_t(r) * c.n;
+            line[r] = dot(row, block_.x(i), c.n) + dot(row + c.n, block_.y(i), c.n);
+        }
+    }
+
+    bool from_state_ = true;
+    int sample_ = 0;
+};
+
+}  // namespace
+}  // namespace tonewood
