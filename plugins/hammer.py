@@ -2,15 +2,25 @@
 
 The mass rests `clearance` away on a soft, damped spring. A short push gives it its `velocity`, and a small force keeps
 it against that spring, so that it meets the resting string at the note's time; then felt and string decide:
-f = K p^alpha (1 + loss p'), p the compression (Hunt & Crossley; for piano felt alpha is 2 to 3.5). With `press` a force
-holds it against the string for as long as the note lasts, as a clavichord's key holds its tangent; it then divides the
-string. Struck again at once it is let go a little before, so that it has fallen back. The driver's work is that of the
-push and of the pressing force on the mass; the contact can only store or dissipate energy.
+f = K p^alpha (1 + loss p'), p the compression (Hunt & Crossley; for piano felt alpha is 2 to 3.5). One head with one
+felt per string strikes all strings of its key. With `press` a force holds it against the string for as long as the note
+lasts, as a clavichord's key holds its tangent; it then divides the string. Struck again at once it is let go a little
+before, so that it has fallen back. The driver's work is that of all known forces on the mass; the contact can only
+store or dissipate energy.
+
+A suspension that brings the hammer back within 50 ms would also brake it by a tenth or more while it touches the
+string. For `free_time` after the blow a known force makes up for it, on the course that the hammer takes against the
+string's wave impedance and its echo from the nearer end:
+
+    m x'' = -sum_i f(x - y),    y' = (f(t) - f(t - tau)) / (2 Z),    Z = T / (2 L f1),    tau = 2 d / (2 L f1).
+
+Only the force that brings it back depends on how good that course is, not the blow.
 """
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 from tonewood.authoring import (
     Attached,
@@ -20,6 +30,7 @@ from tonewood.authoring import (
     Event,
     Exciter,
     Gesture,
+    Motion,
     Parameters,
     Place,
     Segment,
@@ -35,6 +46,11 @@ from tonewood.authoring import (
     unit_vector,
 )
 
+#: s after which a hammer that was thrown is away from the string for good
+_MEETS = 0.05
+#: moments at which the force on a hammer that touches the string is known, and steps from one to the next
+_NODES, _STEPS = 32, 32
+
 
 class HammerParameters(Parameters):
     """Parameters of the hammer."""
@@ -49,9 +65,13 @@ class HammerParameters(Parameters):
     throw_time: float = quantity("s", low=1e-4, high=0.1, default=1.5e-3, doc="of the push; shorter if it must be")
     return_freq: float = quantity("Hz", low=0.1, high=100.0, default=4.0, doc="of the spring that brings it back")
     return_damping: float = quantity("1", low=0.0, high=5.0, default=0.7, doc="damping ratio of that spring")
+    free_time: float = quantity(
+        "s", low=0.0, high=0.05, default=0.0, doc="after it met the string, until the spring may brake it"
+    )
     press: float = quantity("N", low=0.0, high=50.0, default=0.0, doc="with which it is held against the string")
     press_time: float = quantity("s", low=1e-4, high=1.0, default=3e-3, doc="in which that force grows and vanishes")
     sustain: float = quantity("s", low=0.0, high=60.0, default=2.0, doc="of a press that nobody ends")
+    felt_width: float = quantity("m", low=0.0, high=0.1, default=0.0, doc="of the string that the felt covers")
     direction: Direction = described("in which it strikes", default="z")
 
 
@@ -69,17 +89,19 @@ class Hammer(Exciter[HammerParameters]):
         return p.press_time + 0.5 / p.return_freq if p.press > 0.0 else 0.0
 
     def attach(self, name: str, site: Site) -> Attached:
-        """Its mass and its felt."""
-        p, own = self.parameters, f"{site.string}.{name}"
+        """Its felt on each string, and one mass for all strings of a key."""
+        p, own = self.parameters, f"{site.leader}.{name}"
         terms = (*site.motion("pluck", unit_vector(p.direction)), Term(f"{own}.head", "mass", -1.0))
         if len(terms) < 2:
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
+        felt = Contact(p.stiffness, p.exponent, p.loss, offset=-p.clearance)
+        connections = (Connection(f"{site.string}.{name}.felt", terms, felt),)
+        if site.string != site.leader:
+            return Attached(connections=connections)
         omega = 2 * math.pi * p.return_freq
         return Attached(
             components={f"{own}.head": loose_mass(p.mass, omega, p.return_damping * omega)},
-            connections=(
-                Connection(f"{own}.felt", terms, Contact(p.stiffness, p.exponent, p.loss, offset=-p.clearance)),
-            ),
+            connections=connections,
             inputs={f"{own}.push": ((f"{own}.head", "mass", 1.0),)},
         )
 
@@ -101,12 +123,54 @@ class Hammer(Exciter[HammerParameters]):
         kept = smooth_step(start, start + throw, 0.0, drag)
         segments = tuple(_sum(piece, kept[i // 2]) for i, piece in enumerate(push))
         segments += (Segment(start + throw, 0.0, drag + pull * throw * p.velocity / 2, pull * p.velocity),)
+        if p.free_time > 0.0:
+            segments += self._made_up_for(p, event, place, at)
         if p.press > 0.0:
             held = max(event.duration if math.isfinite(event.duration) else p.sustain, 2 * p.press_time)
             segments += smooth_step(0.0, p.press_time, 0.0, p.press)
             segments += (Segment(p.press_time, held, p.press),)
             segments += smooth_step(held, held + p.press_time, p.press, 0.0)
-        return Gesture(segments, at, on=on)
+        motions = tuple(
+            Motion(f"{string}.{self.name}.felt", "scale", (Segment(start, _MEETS, factor),))
+            for string, factor in place.strings
+            if factor != 1.0
+        )
+        return Gesture(segments, at, on=on, motions=motions)
+
+    def _made_up_for(self, p: HammerParameters, event: Event, place: Place, at: float) -> tuple[Segment, ...]:
+        """Force that balances the suspension from the blow on, as far as the hammer's course is foreseen."""
+        omega = 2 * math.pi * p.return_freq
+        times, x, v = _course(p, event, place, at)
+        force = [
+            p.mass * (2 * p.return_damping * omega * v_ + omega**2 * (p.clearance + x_))
+            for x_, v_ in zip(x, v, strict=True)
+        ]
+        return tuple(Segment(a, b, f, (g - f) / (b - a)) for (a, f), (b, g) in pairwise(zip(times, force, strict=True)))
+
+
+def _course(p: HammerParameters, event: Event, place: Place, at: float) -> tuple[list[float], list[float], list[float]]:
+    """Times, places from the resting string and velocities of a hammer from the blow on, `_NODES` of each."""
+    speed = 2 * place.length * (event.freq or 1.0)
+    impedance = max(place.tension, 1.0) / speed
+    met = sum(factor > 0 for _, factor in place.strings) or 1
+    softer = max((factor for _, factor in place.strings), default=1.0)
+    dt = p.free_time / (_NODES * _STEPS)
+    echo = max(1, round(2 * min(at, place.length - at) / speed / dt))
+    times, xs, vs = [0.0], [0.0], [p.velocity]
+    past: list[float] = []
+    x, v, y, slide = 0.0, p.velocity, 0.0, 0.0
+    for i in range(_NODES * _STEPS):
+        gap = x - y
+        felt = softer * p.stiffness * gap**p.exponent * max(1 + p.loss * (v - slide), 0.0) if gap > 0 else 0.0
+        past.append(felt)
+        slide = (felt - (past[i - echo] if i >= echo else 0.0)) / (2 * impedance)
+        v -= met * felt / p.mass * dt
+        x, y = x + v * dt, y + slide * dt
+        if (i + 1) % _STEPS == 0:
+            times.append((i + 1) * dt)
+            xs.append(x)
+            vs.append(v)
+    return times, xs, vs
 
 
 def _sum(a: Segment, b: Segment) -> Segment:

@@ -20,6 +20,7 @@ Real modes are passive by construction. Complex ones are tested when they are lo
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -99,7 +100,10 @@ class ModalTableParameters(Parameters):
 
     table: str = described("CSV file in the bundle")
     shapes: Literal["points", "residues", "heave_rock", "complex"] = described("how the table gives shapes")
-    points: dict[str, Point] = described("name -> place and direction", min_length=1, max_length=MOST_POINTS)
+    points: dict[str, Point] = described("name -> place and direction", default={}, max_length=MOST_POINTS)
+    columns: Literal["named", "all"] = described(
+        "points: all makes every further column of the table a point along z", default="named"
+    )
     reference: str | None = described("residues: the point at which the table's responses were driven", default=None)
     truncation: Truncation = described("compliance of modes that are not in the table", default=Truncation())
     damping_case: Literal["complex", "proportional", "block"] = described(
@@ -113,6 +117,14 @@ class ModalTableParameters(Parameters):
         "1", low=0.0, high=1.0, default=0.1, doc="largest relative change of the mobility a repair may make"
     )
 
+    @model_validator(mode="after")
+    def _some(self) -> ModalTableParameters:
+        if self.columns == "all" and self.shapes != "points":
+            raise ValueError("columns: all is for shapes: points")
+        if not self.points and self.columns == "named":
+            raise ValueError("points: at least one is wanted, or columns: all")
+        return self
+
 
 class ModalTable(Body[ModalTableParameters]):
     """The body; see the module."""
@@ -123,9 +135,18 @@ class ModalTable(Body[ModalTableParameters]):
     def points(self) -> Mapping[str, BodyPoint]:
         """Every point with its direction; of heave_rock with its shares of both, ``heave`` and ``u``."""
         return {
-            name: BodyPoint(unit_vector(p.direction), _place(p), driven=p.driven)
-            for name, p in self.parameters.points.items()
+            name: BodyPoint(unit_vector(p.direction), _place(p), driven=p.driven) for name, p in self._named.items()
         }
+
+    @cached_property
+    def _named(self) -> Mapping[str, Point]:
+        """The points of the bundle, and with `columns: all` those of the table's further columns."""
+        p = self.parameters
+        if p.columns == "named":
+            return p.points
+        taken = {"f_Hz", "Q", "zeta", "modal_mass", *(point.column for point in p.points.values())}
+        found = [name for name in self.files.table(p.table, f"{self.key}.table") if name not in taken]
+        return {**{name: Point() for name in found}, **p.points}
 
     def basis(self, freq_upper: float) -> ModalBasis:
         """Modes below `freq_upper` (Hz).
@@ -171,7 +192,7 @@ class ModalTable(Body[ModalTableParameters]):
         basis = self.basis(freq_upper)
         heard = {
             name: p
-            for name, p in self.parameters.points.items()
+            for name, p in self._named.items()
             if p.area is not None and abs(unit_vector(p.direction)[2]) > 0.999
         }
         if not heard or not basis.is_real:
@@ -188,7 +209,7 @@ class ModalTable(Body[ModalTableParameters]):
         return table[name]
 
     def _columns(self, table: Mapping[str, Floats]) -> dict[str, Floats]:
-        return {name: self._column(table, p.column or name) for name, p in self.parameters.points.items()}
+        return {name: self._column(table, p.column or name) for name, p in self._named.items()}
 
     def _points(self, table: Mapping[str, Floats]) -> tuple[NDArray[np.intp], dict[str, Floats]]:
         shapes = self._columns(table)
@@ -251,7 +272,7 @@ class ModalTable(Body[ModalTableParameters]):
             raise self.fault(f"{self.parameters.table}: shapes up to {MOST_SHAPE:g} 1/sqrt(kg) are allowed", "table")
 
     def _residual(self) -> Floats:
-        points = self.parameters.points
+        points = self._named
         given, n = self.parameters.truncation.residual_compliance, len(points)
         value = np.asarray(given, dtype=np.float64)
         if value.ndim == 0:

@@ -34,14 +34,14 @@ def check(
     """Load INSTRUMENT, test its body, microphones and stops, list wolf notes, shared partials, stand-ins and sources.
 
     Every stop is checked twice: its string alone on the body, as it is tuned, and with all other strings open beside
-    it.
+    it; of keys with dampers, with the other strings of its key.
 
     Exit code 2 if it cannot be played or its body could create energy.
     """
     from tonewood.instrument.added import added_line
     from tonewood.instrument.assembly import assemble
     from tonewood.instrument.inspection import TOLERANCE_CENTS, check_transfers, microphone_responses, pitches
-    from tonewood.instrument.mounted import Mounted
+    from tonewood.instrument.mounted import mounted_pitches
 
     render_options({"fs": fs})
     bundle = load(instrument, settings, allow_code, strings)
@@ -51,8 +51,7 @@ def check(
     found = pitches(model)
     wolves = [p for p in found if p.wolf is not None]
     off = [p for p in found if abs(p.error_cents) > TOLERANCE_CENTS]
-    everything = Mounted(model.strings, model.body)
-    together = [everything.pitch(p) for p in found]
+    together = mounted_pitches(model, found)
     pairs = list(zip(found, together, strict=True))
     spec = bundle.spec
     report: dict[str, Any] = {
@@ -65,7 +64,7 @@ def check(
         "n_modes": model.n_modes,
         "body": body,
         "added": [added_line(entry) for entry in spec.body.added],
-        "strings": {name: _string(model, name, pairs) for name in model.strings},
+        "strings": {name: _string(model, name, pairs) for name in model.groups},
         "microphones": [_microphone(response) for response in microphone_responses(model)],
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
@@ -137,6 +136,7 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
         "stops": string.n_stops,
         "n_modes": sum(model.system.compiled[model.system.slot(c)].basis.n_modes for c in string.components),
         "tension": mine[0][0].tension,
+        "count": len(string.group),
         "feel": asdict(feel(model, name)),
         "given_tension": given.given,
         "held": given.held,
@@ -232,8 +232,9 @@ def _print(report: dict[str, Any], ok: bool) -> None:
         print(f"  added to the body: {line}: passive by construction")
     for name, row in report["strings"].items():
         stops = f"{row['stops']} stops" if row["stops"] else "open"
+        several = f", one of {row['count']} of its key" if row["count"] > 1 else ""
         print(
-            f"  string {name}: {row['note']}, {stops}, {row['n_modes']} modes, {row['tension']:.2f} N, "
+            f"  string {name}{several}: {row['note']}, {stops}, {row['n_modes']} modes, {row['tension']:.2f} N, "
             f"within {abs(row['worst_cents']):.2g} cents alone, {abs(row['worst_cents_mounted']):.2g} with all on"
         )
         feel = row["feel"]
@@ -251,9 +252,11 @@ def _print(report: dict[str, Any], ok: bool) -> None:
                 f"    warning: partial {loss['partial']} decays at {1 + loss['relative']:.3g} times the rate of its "
                 "loss law on a rigid end: the law grows too steeply without loss to the air or of stretching"
             )
-    forces = [row["feel"]["force_on_bridge"] for row in report["strings"].values()]
+    forces = [f and row["count"] * f for row in report["strings"].values() for f in [row["feel"]["force_on_bridge"]]]
     down = "" if None in forces else f", {sum(forces):.0f} N down on the bridge"
-    print(f"  all strings: {sum(row['tension'] for row in report['strings'].values()):.0f} N along{down}")
+    print(
+        f"  all strings: {sum(row['count'] * row['tension'] for row in report['strings'].values()):.0f} N along{down}"
+    )
     for row in report["microphones"]:
         name = f"{row['output']}.{row['channel']}"
         if row["peak"]:

@@ -65,7 +65,7 @@ def modes(
         need("plot", "matplotlib")
     if plot is not None and not plot.parent.is_dir():
         raise OutputError(f"there is no folder {str(plot.parent)!r}", file=plot)
-    names = [string] if string else list(model.strings)
+    names = [string] if string else list(model.groups)
     for name in names:
         if not 0 <= stop <= model.strings[name].n_stops:
             raise TonewoodError(f"is {stop}; string {name} has 0 to {model.strings[name].n_stops}", key="--stop")
@@ -143,7 +143,7 @@ def _plot(model: Model, names: list[str], path: Path) -> None:
     from tonewood.plotting import SMALL, TEXT, draw_mobility, figure, legend, mobility_figure, save, title
 
     freq = np.geomspace(40.0, min(10000.0, 0.45 * model.fs), 4000)
-    found = {name: y for name, y in bridge_mobility(model, freq).items() if name in names}
+    found = bridge_mobility(model, freq, names)
     if not found:
         raise OutputError("no string of this instrument ends on a body that moves: there is no mobility", file=path)
     marks = [model.strings[name].freq() for name in found]

@@ -22,7 +22,7 @@ from tonewood.engine.effect_usage import EffectUsage
 from tonewood.engine.effects import runtime_effects
 from tonewood.engine.effects.base import Moment, Run, SwitchedEffect, Switching, switch
 from tonewood.engine.energy_budget import EnergyBudget
-from tonewood.engine.fretting import FrettedBases, Fretting, bridge_forces
+from tonewood.engine.fretting import FrettedBases, Fretting, at_rest, bridge_forces
 from tonewood.engine.gesture_connections import GestureConnections, holds_at
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, quasi_static, samples
 from tonewood.engine.schedule import Schedule
@@ -104,14 +104,16 @@ class Engine:
         self._switched = [effect for effect in switched if effect.chosen]
         self._watched = [effect for effect in switched if effect.watched]
         self.only_watch = False
-        self.frettings = {name: Fretting() for name in model.strings}
-        self.system: System = self._with_effects(model.system)
+        self.frettings = {name: at_rest(string) for name, string in model.strings.items()}
+        self.fingerboard, self.connections = FrettedBases(model), GestureConnections(model)
+        self.system: System = self._with_effects(
+            self._fretted(model.system, {n: f for n, f in self.frettings.items() if f != Fretting()}, {})
+        )
         self.dt = self.system.dt
         self.stepper = KernelStepper(self.system)
         self.state = self.stepper.start()
         self.peak = np.zeros(len(model.system.readouts))
         self.recent, self.tail_level = self.peak.copy(), -math.inf
-        self.fingerboard, self.connections = FrettedBases(model), GestureConnections(model)
         self._owner_of = {connection.name: connection.owner for connection in model.system.connections}
         self.active: list[Active] = []
         self.injections: list[Injection] = []
@@ -352,6 +354,8 @@ class Engine:
 
     def _fretted(self, system: System, frettings: Mapping[str, Fretting], restopped: Mapping[str, Fretting]) -> System:
         """Return a system with strings held like this; `restopped` ones get the laws of their stop, too."""
+        if not frettings:
+            return system
         changes: dict[str, Compiled] = {}
         laws: dict[str, Connection] = {}
         for name, fretting in frettings.items():

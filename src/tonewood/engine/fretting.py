@@ -15,7 +15,7 @@ from tonewood.coupling.system import Compiled, State, System
 from tonewood.energy.stored import gaps
 from tonewood.engine.timeline import Change
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.strings import damped
+from tonewood.instrument.strings import StringModel, damped
 from tonewood.modal.modes import ModalBasis
 from tonewood.stepping.motion import from_motion, to_motion
 
@@ -23,8 +23,8 @@ Floats = NDArray[np.float64]
 #: component -> force of its bridge on a string's end, N
 BridgeForce = Callable[[str], float]
 
-#: compiled bases that are kept for use again
-_CACHE = 96
+#: compiled bases that are kept for use again, and of those of each string
+_CACHE, _WAYS = 96, 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +39,7 @@ class Fretting:
     place : m from the bridge, of the plucking finger; None for the usual one.
     touches : (point, m from the bridge), ...: points of the string that lie elsewhere than their part says.
     width : m, of the plucking finger's contact.
+    damper : share of its damper's loss, 0 where that is lifted.
     """
 
     stop: float = 0.0
@@ -47,6 +48,7 @@ class Fretting:
     place: float | None = None
     touches: tuple[tuple[str, float], ...] = ()
     width: float = 0.0
+    damper: float = 0.0
 
     def changed(self, change: Change) -> Fretting:
         """Return it after a change of the left hand."""
@@ -56,14 +58,21 @@ class Fretting:
             cents=self.cents if change.cents is None else change.cents,
             added_damping=self.added_damping if change.added_damping is None else change.added_damping,
             touches=self.touches if change.touches is None else change.touches,
+            damper=self.damper if change.damper is None else change.damper,
         )
+
+
+def at_rest(string: StringModel) -> Fretting:
+    """How a string is held that nobody plays: under its damper, if it has one."""
+    return Fretting(damper=0.0 if string.damper is None else 1.0)
 
 
 class FrettedBases:
     """A model's strings as they can be held: bases are compiled when first wanted, and the last `room` are kept."""
 
     def __init__(self, model: Model):
-        self.model, self.room, system = model, _CACHE, model.system
+        self.model, system = model, model.system
+        self.room = max(_CACHE, _WAYS * len(model.strings))
         # the strings of the model are open and untouched
         self._compiled: dict[tuple[str, Fretting], dict[str, Compiled]] = {
             (name, Fretting()): {c: system.compiled[system.slot(c)] for c in string.components}
@@ -98,6 +107,9 @@ class FrettedBases:
         return self._compiled[key]
 
     def _made(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:
+        if fretting.damper:
+            free = self.bases(name, replace(fretting, damper=0.0))
+            return self.model.strings[name].under_damper({c: part.basis for c, part in free.items()}, fretting.damper)
         if fretting.added_damping:
             ringing = self.bases(name, replace(fretting, added_damping=0.0))
             return damped({c: compiled.basis for c, compiled in ringing.items()}, fretting.added_damping)

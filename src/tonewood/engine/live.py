@@ -13,21 +13,22 @@ the actions and on the samples after which they came:
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.fretting import Fretting
-from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
+from tonewood.engine.live_dampers import LiveDampers
+from tonewood.engine.live_voices import Line, LiveCounters, Voice
+from tonewood.engine.note_events import event_values, exciter_of, force_of, gripped, hurried, is_where_asked
 from tonewood.engine.playing import BEND_RATE, LET_GO_AFTER, playable
 from tonewood.engine.techniques import stop_course, touch_course
 from tonewood.engine.timeline import Change, Play
 from tonewood.engine.variation import Deviates, touched
 from tonewood.errors import ScoreError, TonewoodError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Gesture, Place
-from tonewood.score.assignment import Assigned
+from tonewood.instrument.contract import Event, Place
 from tonewood.score.causal import PEDALLED, CausalAssignment, Sounding
 from tonewood.score.note import Dropped, Note
 from tonewood.score.scales import note_number
@@ -39,69 +40,10 @@ _CONTINUED, _SHORTEST = 0.25, 0.02
 _ROOM = 256
 #: notes of one key that were struck and not released; more of them release the first
 _STRUCK = 8
-#: dropped notes that are kept with their reasons; all are counted
-_KEPT = 100
 #: points of the grid that are stepped at once while nothing is to be done
 _IDLE = 64
 #: m, to which places that controllers ask for are rounded: bases of strings are made once per place
 _GRAIN = 5e-3
-
-
-@dataclass(eq=False)
-class Voice:
-    """One note, from its key to the end of its sound.
-
-    Attributes
-    ----------
-    number : counted from 0.
-    note : as it was asked for.
-    key_down, pedalled : whether its key is held, or the pedal holds it.
-    string : on which it sounds; None before it begins, after it was ended by another one, and on the body.
-    began : sample of its beginning.
-    """
-
-    number: int
-    note: Note
-    key_down: bool = True
-    pedalled: bool = False
-    string: str | None = None
-    began: int = 0
-    assigned: Assigned | None = None
-    play: Play | None = None
-    event: Event = field(default_factory=Event)
-
-
-@dataclass(eq=False)
-class _Line:
-    """One string: its voice, stop, bend, and what is still to come of them."""
-
-    voice: Voice | None = None
-    stop: float = 0.0
-    #: cents of the stop's pitch, bent and as asked for
-    cents: float = 0.0
-    wanted: float = 0.0
-    #: (sample, change), in order
-    later: deque[tuple[int, Change]] = field(default_factory=deque)
-
-
-@dataclass(eq=False)
-class LiveCounters:
-    """Counts of what was played.
-
-    Attributes
-    ----------
-    notes : that began.
-    cut : notes that ended because another one needed their string.
-    dropped : reason -> notes that could not be played.
-    latest : the last of these, at most 100.
-    ignored : kind of controller -> changes of it that have no effect.
-    """
-
-    notes: int = 0
-    cut: int = 0
-    dropped: Counter[str] = field(default_factory=Counter)
-    latest: deque[Dropped] = field(default_factory=lambda: deque(maxlen=_KEPT))
-    ignored: Counter[str] = field(default_factory=Counter)
 
 
 class LivePlayer:
@@ -124,9 +66,10 @@ class LivePlayer:
         self._assignment = CausalAssignment(
             playable(model), channel_per_string=channel_per_string, tuning=model.instrument.tuning
         )
-        engine.fingerboard.room = _ROOM
+        engine.fingerboard.room = max(engine.fingerboard.room, _ROOM)
+        self.dampers = LiveDampers(model)
         self._keys = {float(note_number(k)): name for k, name in model.playing.keyswitches.items()}
-        self._lines = {name: _Line() for name in model.strings}
+        self._lines = {name: Line() for name in model.strings}
         self._waiting: deque[Voice] = deque()
         self._held: dict[tuple[int, float], list[Voice]] = {}
         self._pedalled: dict[tuple[int, float], Voice] = {}
@@ -140,6 +83,7 @@ class LivePlayer:
         self._free_at = self._bend_at = 0
         self._number = 0
         self._read = frozenset({*model.playing.controls, *model.playing.switches, "cc7", "cc11", "cc64"})
+        self._read |= self.dampers.kinds
 
     def note_on(self, note: Note) -> Voice | None:
         """Begin a note at the next point of the grid; None if it is a keyswitch or cannot be played.
@@ -183,6 +127,8 @@ class LivePlayer:
             held.remove(voice)
             if not held:
                 del self._held[channel, key]
+        if voice.string is not None and not self._is_young(voice, self.engine.state.sample):
+            self.dampers.release(voice.string)
         if self._controls.get((channel, "cc64"), 0.0) >= 0.5 and key is not None:
             if (before := self._pedalled.get((channel, key))) is not None:
                 self._end(before)
@@ -197,6 +143,8 @@ class LivePlayer:
             self.counters.ignored[f"controller {kind[2:]}" if kind.startswith("cc") else kind] += 1
             return
         self._controls[channel, kind] = value
+        if kind in self.dampers.kinds:
+            self.dampers.control(kind, value, channel)
         if kind == "cc64" and value < 0.5:
             self.lift_pedal(channel)
         moved = self.model.playing.controls.get(kind)
@@ -233,6 +181,7 @@ class LivePlayer:
             self._waiting
             or self._ending
             or self._to_compile
+            or self.dampers.pending
             or any(
                 line.later or line.cents != line.wanted or self._is_sustained(line.voice)
                 for line in self._lines.values()
@@ -251,6 +200,8 @@ class LivePlayer:
         for line in self._lines.values():
             if self._is_sustained(line.voice):
                 self._continue(line.voice, now)
+        self.engine.schedule.add([replace(change, time=now * self.engine.dt) for change in self.dampers.pending])
+        self.dampers.pending.clear()
         if self._waiting and now >= self._free_at:
             self._begin(now)
         elif not self._follow(now) and not self._end_one(now) and now >= self._bend_at and not self._bend_one(now):
@@ -335,7 +286,7 @@ class LivePlayer:
         usual = voice.note.technique in (None, self.model.default_exciter) and "from_bridge" not in voice.event.values
         return usual and voice.assigned is not None and voice.assigned.cents == 0.0
 
-    def _sounding(self, line: _Line) -> Sounding:
+    def _sounding(self, line: Line) -> Sounding:
         voice = line.voice
         worth = 0.0 if voice is None else 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
         return Sounding(line.stop, worth)
@@ -356,7 +307,7 @@ class LivePlayer:
         own, model = voice.assigned, self.model
         assert own is not None
         line, channel = self._lines[own.string], voice.note.channel or 0
-        string, exciter = model.strings[own.string], exciter_of(voice.note, model)
+        string, exciter = model.strings[own.string], exciter_of(voice.note, model, own.string)
         values = event_values(voice.note, model, lambda kind: self._controls.get((channel, kind)))
         if "from_bridge" in values:
             values["from_bridge"] = _rounded(values["from_bridge"])
@@ -366,7 +317,8 @@ class LivePlayer:
         event = Event(values, string.freq(own.stop), _CONTINUED, own.stop, line.stop, string.length(line.stop))
         try:
             is_where_asked(event, own, model, "live")
-            gesture = _gripped(hurried(exciter.gesture(event, model.place(own.string, own.stop)), self.ramp))
+            place = model.place(own.string, own.stop, una_corda=self.dampers.una_corda)
+            gesture = gripped(hurried(exciter.gesture(event, place), self.ramp))
         except TonewoodError as fault:
             self._drop(voice, Dropped(0.0, voice.note.note, voice.note.channel, fault.reason))
             return False
@@ -388,11 +340,27 @@ class LivePlayer:
         later += [Change(time, own.string, stop=stop) for time, stop in stops[1:]]
         for change in sorted(later, key=lambda c: c.time):
             line.later.append((math.floor(change.time / tick + 1e-6) * GRID, change))
-        self.engine.schedule.add(changes, [play])
+        self.dampers.press(own.string)
+        for change in (*changes, *self.dampers.pending):
+            self._change(now, change)
+        self.dampers.pending.clear()
+        self.engine.schedule.add(plays=[play, *self._of_others(voice, play)])
         return True
 
+    def _of_others(self, voice: Voice, play: Play) -> list[Play]:
+        """Return gestures by known forces on the other strings of a key; a hammer of the first meets them itself."""
+        own, out = voice.assigned, []
+        assert own is not None
+        if play.gesture.on is None and not play.gesture.motions:
+            for name in self.model.groups[own.string][1:]:
+                exciter, place = exciter_of(voice.note, self.model, name), self.model.place(name, own.stop)
+                gesture = gripped(hurried(exciter.gesture(voice.event, place), self.ramp))
+                out.append(replace(play, gesture=gesture, string=name))
+        return out
+
     def _change(self, now: int, change: Change) -> None:
-        self.engine.schedule.add([replace(change, time=now * self.engine.dt)])
+        strings = (change.string,) if change.damper is not None else self.model.groups[change.string]
+        self.engine.schedule.add([replace(change, time=now * self.engine.dt, string=name) for name in strings])
 
     def _is_sustained(self, voice: Voice | None) -> bool:
         """Whether a note's gesture lasts until its key is released."""
@@ -402,7 +370,7 @@ class LivePlayer:
         if name not in self._sustained:
             place = self.model.place(voice.assigned.string, voice.assigned.stop)
             longer = replace(voice.event, duration=2 * _CONTINUED)
-            again = self.model.exciters[name].gesture(longer, place)
+            again = self.model.exciter(name, voice.assigned.string).gesture(longer, place)
             self._sustained[name] = again.stop > voice.play.gesture.stop
         return self._sustained[name]
 
@@ -414,10 +382,11 @@ class LivePlayer:
         if voice.string is None:
             return
         line, end, time = self._lines[voice.string], self.model.playing.note_end, now * self.engine.dt
+        self.dampers.release(voice.string)
         if self._is_sustained(voice):
             self._continue(voice, now, until=now)
             voice.play = None
-        if end.kind == "ring":
+        if end.kind == "ring" or self.dampers.has(voice.string):
             line.voice = None
         else:
             self._change(now, Change(time, voice.string, added_damping=math.log(1000.0) / end.t60))
@@ -438,7 +407,7 @@ class LivePlayer:
         assigned = voice.assigned
         assert assigned is not None
         place = self.model.place(assigned.string, assigned.stop)
-        gesture = exciter_of(voice.note, self.model).gesture(event, place)
+        gesture = exciter_of(voice.note, self.model, assigned.string).gesture(event, place)
         voice.event, voice.play = event, replace(voice.play, gesture=gesture)
         self.engine.schedule.add(plays=[voice.play])
 
@@ -470,7 +439,8 @@ class LivePlayer:
         damped = math.log(1000.0) / self.model.playing.note_end.t60
         for name, stop in self._places():
             fretting = self._compile(name, stop, {})
-            for way in (fretting, replace(fretting, added_damping=damped)):
+            under = replace(fretting, damper=1.0) if self.model.strings[name].damper else None
+            for way in (fretting, under or replace(fretting, added_damping=damped)):
                 self.engine.fingerboard.prepare(name, way)
 
     def _places(self) -> list[tuple[str, int]]:
@@ -480,20 +450,14 @@ class LivePlayer:
         """Compile how a string is held at a stop when it is plucked with some values of the default technique."""
         string, fingerboard = self.model.strings[name], self.engine.fingerboard
         event = Event(values, string.freq(stop), _CONTINUED, stop, 0.0, string.length(0.0))
-        gesture = self.model.exciters[self.model.default_exciter].gesture(event, self.model.place(name, stop))
+        gesture = self.model.exciter(self.model.default_exciter, name).gesture(event, self.model.place(name, stop))
         held = Fretting(float(stop), place=gesture.from_bridge, width=gesture.width)
         fretting = fingerboard.playable(name, held)
         bases = fingerboard.bases(name, fretting)
-        for component in string.weights(gesture.angle_deg):
+        for component in () if gesture.on else string.weights(gesture.angle_deg):
             bases[component].impulses("pluck")
         return fretting
 
 
 def _rounded(place: float) -> float:
     return round(place / _GRAIN) * _GRAIN
-
-
-def _gripped(gesture: Gesture) -> Gesture:
-    """The same gesture with its finger's whole dashpot from the first touch on: each step of it costs a block time."""
-    hold = gesture.hold
-    return gesture if hold is None else replace(gesture, hold=replace(hold, grown=hold.start))

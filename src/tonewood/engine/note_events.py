@@ -18,9 +18,9 @@ from tonewood.stepping.forcing import Segment
 _SHORTEST_PREPARATION = 1e-3
 
 
-def exciter_of(note: Note, model: Model) -> Exciter[Any]:
-    """Return the exciter that a note asks for, or the default."""
-    return model.exciters[note.technique or model.default_exciter]
+def exciter_of(note: Note, model: Model, string: str = "") -> Exciter[Any]:
+    """Return the exciter that a note asks for, or the default, as it plays a string."""
+    return model.exciter(note.technique or model.default_exciter, string)
 
 
 def force_of(note: Note, model: Model, factor: float) -> float | None:
@@ -59,7 +59,7 @@ def event_values(note: Note, model: Model, latest: Callable[[str], float | None]
 
 def is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) -> bool:
     """Whether a note is played where it is asked for; a place beyond the string is refused by a `ScoreError`."""
-    string, exciter = model.strings[assigned.string], exciter_of(assigned.note, model)
+    string, exciter = model.strings[assigned.string], exciter_of(assigned.note, model, assigned.string)
     length = string.length(assigned.stop)
     try:
         asked = places(exciter.adjusted(event.values), string.length(), length)
@@ -67,6 +67,12 @@ def is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) ->
         reason = f"the note at {assigned.note.time:g} s on string {string.name}: {fault}"
         raise ScoreError(reason, file=file, key=exciter.key) from None
     return all(is_played(x, length) for x in asked.values())
+
+
+def gripped(gesture: Gesture) -> Gesture:
+    """The same gesture with its finger's whole dashpot from the first touch on: each step of it costs a block time."""
+    hold = gesture.hold
+    return gesture if hold is None else replace(gesture, hold=replace(hold, grown=hold.start))
 
 
 def hurried(gesture: Gesture, available: float) -> Gesture:

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
+from tonewood.engine.pedals import SOSTENUTO, SUSTAIN, UNA_CORDA, Pedals
 from tonewood.engine.techniques import stop_course, touch_course, with_marks, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
 from tonewood.engine.variation import Deviates, moved, touched
 from tonewood.errors import NothingPlayedError, ScoreError
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Event, Place
-from tonewood.instrument.schema import Playing
 from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.controllers import Controllers, History
 from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
@@ -23,7 +23,7 @@ from tonewood.validation_messages import did_you_mean
 #: a damped string is released after this many times its T60; then it rings with the others
 LET_GO_AFTER = 1.5
 #: volume, expression, sustain pedal
-_READ_CONTROLLERS = ("cc7", "cc11", "cc64")
+_READ_CONTROLLERS = ("cc7", "cc11", SUSTAIN)
 #: cents/s, how fast a bend follows its wheel: a string whose tension jumped would gain as much energy as tension
 BEND_RATE = 40e3
 
@@ -89,26 +89,33 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     controllers = Controllers(score.controls)
     bends = {c: History(_glided(line, GRID / model.fs)) for c, line in _by_channel(score.controls).items()}
     changes: list[Change] = []
+    pedals = Pedals(model, score.controls)
+    pressed: dict[str, list[tuple[float, float]]] = {}
     plays = list(body_plays)
     dropped = [*score.dropped, *assignment.dropped]
     played: list[Assigned] = []
     n_moved = 0
     for name, line in by_string.items():
-        own: list[Play] = []
-        for i, assigned in enumerate(line):
-            following = line[i + 1] if i + 1 < len(line) else None
-            held = line[i - 1].stop if i else float(capo)
-            event = _event(assigned, held, following, model, controllers, drawn.get(id(assigned)))
-            n_moved += not is_where_asked(event, assigned, model, score.name)
-            gesture = exciter_of(assigned.note, model).gesture(event, model.place(name, assigned.stop))
-            play = Play(assigned.note.time, gesture, string=name)
-            if i:
-                play = replace(play, gesture=hurried(play.gesture, play.time - own[-1].stop))
-            own.append(play)
-            played.append(assigned)
-        for assigned, play, following_play in zip(line, own, [*own[1:], None], strict=True):
-            changes += _left_hand(assigned, play, following_play, name, model, bends, capo)
-        plays += own
+        for string in model.groups[name]:
+            own: list[Play] = []
+            for i, assigned in enumerate(line):
+                following = line[i + 1] if i + 1 < len(line) else None
+                held = line[i - 1].stop if i else float(capo)
+                event = _event(assigned, string, held, following, model, controllers, drawn.get(id(assigned)))
+                n_moved += string == name and not is_where_asked(event, assigned, model, score.name)
+                place = model.place(string, assigned.stop, una_corda=pedals.una_corda(assigned.note.time))
+                gesture = exciter_of(assigned.note, model, string).gesture(event, place)
+                play = Play(assigned.note.time, gesture, string=string)
+                if i:
+                    play = replace(play, gesture=hurried(play.gesture, play.time - own[-1].stop))
+                own.append(play)
+            for assigned, play, following_play in zip(line, own, [*own[1:], None], strict=True):
+                changes += _left_hand(assigned, play, following_play, string, model, bends, capo)
+            if string == name:
+                played += line
+                pressed[name] = _presses(line, own)
+            # a hammer or bow of the first string meets the others of its key, too; known forces act on each of them
+            plays += [play for play in own if string == name or not (play.gesture.on or play.gesture.motions)]
     if not plays:
         raise NothingPlayedError(_why_nothing(dropped), file=score.name)
     warnings = list(score.warnings)
@@ -121,6 +128,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
         )
     if assignment.doubled:
         warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")
+    changes += pedals.changes(pressed)
     if capo:
         first = min([0.0, *(play.start for play in plays)])
         changes += [Change(first, name, stop=capo) for name in model.strings]
@@ -129,14 +137,14 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
         sorted(plays, key=lambda p: p.start),
     )
     played.sort(key=lambda a: a.note.time)
-    return Performance(
-        timeline, played, sorted(dropped, key=lambda d: d.time), warnings, _ignored(score, model.playing)
-    )
+    return Performance(timeline, played, sorted(dropped, key=lambda d: d.time), warnings, _ignored(score, model))
 
 
-def _ignored(score: Score, playing: Playing) -> dict[str, int]:
+def _ignored(score: Score, model: Model) -> dict[str, int]:
     """Count events ignored while reading, and changes of controllers that neither the player nor the bundle reads."""
-    read = {"bend", *_READ_CONTROLLERS, *playing.controls, *playing.switches}
+    read = {"bend", *_READ_CONTROLLERS, *model.playing.controls, *model.playing.switches}
+    if model.instrument.spec.keys is not None:
+        read |= {SOSTENUTO, UNA_CORDA}
     unread = Counter(f"controller {c.kind[2:]}" for c in score.controls if c.kind not in read)
     return dict(Counter(score.ignored) + unread)
 
@@ -168,6 +176,7 @@ def playable(model: Model, capo: int = 0) -> list[PlayableString]:
             s.stopping.continuous,
         )
         for name, s in model.strings.items()
+        if name in model.groups
     ]
 
 
@@ -196,8 +205,19 @@ def _with_force(note: Note, model: Model, factor: float) -> Note:
     return note if force is None else replace(note, force=force, velocity_midi=None)
 
 
+def _presses(line: Sequence[Assigned], plays: Sequence[Play]) -> list[tuple[float, float]]:
+    """When the key of a string's notes goes down and comes up, s; struck again it does not come up in between."""
+    out = []
+    for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
+        note = assigned.note
+        up = note.time + (note.duration if note.held is None else note.held)
+        out.append((play.start, min(up, plays[i + 1].start) if i + 1 < len(plays) else up))
+    return out
+
+
 def _event(
     assigned: Assigned,
+    on: str,
     held: float,
     following: Assigned | None,
     model: Model,
@@ -205,15 +225,15 @@ def _event(
     drawn: Deviates | None,
 ) -> Event:
     """Return the values that the exciter is given: the note's own values, and what controllers are at."""
-    note, string = assigned.note, model.strings[assigned.string]
+    note, string = assigned.note, model.strings[on]
     name = note.technique or model.default_exciter
     values = event_values(note, model, lambda kind: controllers.at(kind, note.channel, note.time))
     if drawn is not None:
         length = string.length(assigned.stop)
-        values = touched(values, model.exciters[name], length, drawn, model.playing.variation)
+        values = touched(values, model.exciter(name, on), length, drawn, model.playing.variation)
     duration = assigned.end - note.time
     if following is not None and (following.note.technique or model.default_exciter) == name:
-        free = following.note.time - note.time - model.exciters[name].recovery
+        free = following.note.time - note.time - model.exciter(name, on).recovery
         duration = min(duration, max(free, 0.5 * duration))
     return Event(values, string.freq(assigned.stop), duration, assigned.stop, held, string.length(held))
 
@@ -241,7 +261,7 @@ def _left_hand(
     out += [Change(time, name, stop=stop) for time, stop in rest]
     out += [Change(b.time, name, cents=assigned.cents + b.value) for b in line.between(play.start, assigned.end)]
     end = model.playing.note_end
-    if end.kind == "ring" or not math.isfinite(assigned.end):
+    if end.kind == "ring" or model.strings[name].damper is not None or not math.isfinite(assigned.end):
         return out
     free_again = following.start if following else math.inf
     if assigned.end < free_again - 1e-3:

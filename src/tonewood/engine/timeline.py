@@ -24,6 +24,7 @@ class Change:
     cents : how far the string is bent from the stop's own pitch.
     added_damping : 1/s, added to every mode's decay rate: a finger that damps.
     touches : (point, m from the bridge), ...: points of the string that lie elsewhere than their part says.
+    damper : share of the loss of the felt that rests on the string: 0 where it is lifted, 1 where it lies.
     """
 
     time: float
@@ -32,6 +33,7 @@ class Change:
     cents: float | None = None
     added_damping: float | None = None
     touches: tuple[tuple[str, float], ...] | None = None
+    damper: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from tonewood.blas import one_blas_thread
@@ -92,6 +93,10 @@ class Model:
         lines = [] if note is None else [f"body: {note}"]
         if not body.n_modes:
             lines.append(f"body: has no mode below the highest that is stepped at {self.fs:g} Hz: it does not sound")
+        if missing := [key for string, key in self.instrument.key_of.items() if string not in self.strings]:
+            keys = list(dict.fromkeys(missing))
+            named = keys[0] if len(keys) == 1 else f"{keys[0]} to {keys[-1]}"
+            lines.append(f"keys.{named}: left out, their pitch is too high for {self.fs:g} Hz")
         lines += [
             f"strings.{name}: shares no direction with the body's points it ends on: its bridge end is rigid, and the "
             "body does not move with it"
@@ -100,10 +105,24 @@ class Model:
         ]
         return tuple(lines)
 
-    def place(self, string: str, stop: float = 0) -> Place:
-        """Place of a gesture: a string at a stop."""
-        held = self.strings[string]
-        return Place(string, held.length(stop), len(held.polarizations), held.tension(stop))
+    @cached_property
+    def groups(self) -> Mapping[str, tuple[str, ...]]:
+        """String that gives the pitch -> the strings that a note on it plays."""
+        return {leader: of for leader, of in self.instrument.groups.items() if leader in self.strings}
+
+    def exciter(self, name: str, string: str) -> Exciter[Any]:
+        """Return an exciter as it plays a string."""
+        return self.instrument.exciter(name, string)
+
+    def place(self, string: str, stop: float = 0, *, una_corda: bool = False) -> Place:
+        """Place of a gesture: a string at a stop, and what is beside it of its key."""
+        held, keys = self.strings[string], self.instrument.spec.keys
+        strings: tuple[tuple[str, float], ...] = ()
+        if keys is not None and (key := self.instrument.key_of.get(string)) is not None:
+            met = keys.entries[key].una_corda if una_corda else None
+            factor = keys.pedals.una_corda_stiffness if una_corda else 1.0
+            strings = tuple((s, factor if met is None or i < met else 0.0) for i, s in enumerate(held.group))
+        return Place(string, held.length(stop), len(held.polarizations), held.tension(stop), strings)
 
 
 @one_blas_thread

@@ -32,6 +32,7 @@ class Site:
     length : m, of the speaking part at this stop.
     stops : m from the bridge, place of every whole stop; the first is the nut.
     polarizations : component and unit vector of each plane of motion, tilt included.
+    group : strings that one note plays together, the one that gives the pitch first; empty for a string by itself.
     """
 
     string: str
@@ -39,6 +40,12 @@ class Site:
     length: float
     stops: tuple[float, ...]
     polarizations: tuple[tuple[str, Vector], ...]
+    group: tuple[str, ...] = ()
+
+    @property
+    def leader(self) -> str:
+        """The string on which a note plays all of the group."""
+        return self.group[0] if self.group else self.string
 
     def motion(self, point: str, direction: Vector, factor: float = 1.0) -> tuple[Term, ...]:
         """Displacement of a point of the string along a direction, times `factor`."""

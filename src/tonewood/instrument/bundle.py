@@ -7,7 +7,7 @@ import json
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from tonewood.instrument.bundle_code import code_hash, code_plugin, is_code
 from tonewood.instrument.contract import Attachment, Body, Exciter, Pickup, Plugin, Resonator
 from tonewood.instrument.directions import polarization_vectors
 from tonewood.instrument.files import Files
+from tonewood.instrument.keys import check_keys, groups, key_exciters, with_keys
 from tonewood.instrument.migration import bundle_edits
 from tonewood.instrument.overrides import apply_overrides
 from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance
@@ -46,6 +47,7 @@ class Instrument(ModalViews):
     exciters : name -> plugin.
     attachments : name -> plugin of frets, a curved bridge, loose parts.
     pickups : output group -> plugin.
+    key_exciters : key -> the exciter that `keys` names, with the parameters of that key.
     resolved : all keys as plain values (JSON), plugins' defaults included; `replace` changes these.
     granted : files outside the folder that overrides have named.
     allow_code : whether plugins in the bundle's folder may run.
@@ -61,6 +63,7 @@ class Instrument(ModalViews):
     resolved: Mapping[str, Any]
     granted: frozenset[Path] = frozenset()
     allow_code: bool = False
+    key_exciters: Mapping[str, Exciter[Any]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         strings = ", ".join(self.resonators)
@@ -131,6 +134,17 @@ class Instrument(ModalViews):
             what = f"{files.manifest}: schema: {values['schema']} is deprecated; run: tonewood migrate {root}"
             warnings.warn(what, OldFormatWarning, stacklevel=3)
             values = apply_edits(values, edits)
+        rows = with_keys(values, files)
+        try:
+            return cls._made_of(rows.values, files, granted, allow_code)
+        except BundleError as fault:
+            raise rows.located(fault) from None
+
+    @classmethod
+    def _made_of(
+        cls, values: Mapping[str, Any], files: Files, granted: frozenset[Path], allow_code: bool
+    ) -> Instrument:
+        """Make one from the values of a bundle whose table of keys is expanded."""
         spec = validated(Bundle, _with_strings(_merged(values, files), files), key="", file=files.manifest)
 
         def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
@@ -146,6 +160,10 @@ class Instrument(ModalViews):
         body = make(spec.body, "body", "body")
         strings = {name: make(part, "resonator", f"strings.{name}") for name, part in spec.strings.items()}
         exciters = {name: make(part, "exciter", f"exciters.{name}") for name, part in spec.exciters.items()}
+        by_key: dict[str, Any] = {
+            name: make(part, "exciter", f"keys.{name}.{played}")
+            for name, played, part in key_exciters(spec, files.manifest)
+        }
         attachments = {n: make(part, "connection", f"connections.{n}") for n, part in spec.connections.items()}
         pickups = {part.name: make(part, "pickup", f"outputs.{part.name}") for part in spec.outputs}
         resolved = spec.model_dump(mode="json", by_alias=True)
@@ -157,7 +175,15 @@ class Instrument(ModalViews):
         made: dict[str, Any] = {  # kinds were checked by the registry
             "body": body, "resonators": strings, "exciters": exciters, "attachments": attachments, "pickups": pickups
         }  # fmt: skip
-        instrument = cls(folder=root, spec=spec, **made, resolved=resolved, granted=granted, allow_code=allow_code)
+        instrument = cls(
+            folder=files.root or Path(),
+            spec=spec,
+            **made,
+            key_exciters=by_key,
+            resolved=resolved,
+            granted=granted,
+            allow_code=allow_code,
+        )
         instrument._check()
         return instrument
 
@@ -181,6 +207,8 @@ class Instrument(ModalViews):
             raise BundleError(f"is {kind_of(overrides)}; a mapping of path to value is allowed", key="overrides")
         if not overrides:
             return self
+        if "keys.table" in overrides:
+            raise BundleError("cannot be changed; `tonewood new` makes a bundle of your own", key="keys.table")
         given, granted = dict(overrides), set(self.granted)
         for key in ("tuning.scale", "tuning.keymap"):
             value = given.get(key)
@@ -204,6 +232,23 @@ class Instrument(ModalViews):
     def string_names(self) -> tuple[str, ...]:
         """Strings from bass to treble."""
         return tuple(self.spec.strings)
+
+    @cached_property
+    def groups(self) -> Mapping[str, tuple[str, ...]]:
+        """String that gives the pitch -> the strings that a note on it plays: those of its key, or itself alone."""
+        return groups(self.spec)
+
+    @cached_property
+    def key_of(self) -> Mapping[str, str]:
+        """String -> its key, of those that have one."""
+        entries = self.spec.keys.entries if self.spec.keys else {}
+        return {string: name for name, key in entries.items() for string in key.strings}
+
+    def exciter(self, name: str, string: str) -> Exciter[Any]:
+        """Return the exciter of a name as it plays a string: with the parameters of the string's key."""
+        if self.spec.keys is not None and name == self.spec.keys.exciter:
+            return self.key_exciters.get(self.key_of.get(string, ""), self.exciters[name])
+        return self.exciters[name]
 
     @property
     def plugins(self) -> tuple[Plugin[Any], ...]:
@@ -353,6 +398,7 @@ class Instrument(ModalViews):
             for string in attached.strings or ():
                 if string not in self.spec.strings:
                     raise self._none("string", string, self.spec.strings, f"connections.{name}.strings")
+        check_keys(self.spec, self._files.manifest)
         playing = self.spec.playing
         self._parameter(playing.velocity.parameter, "playing.velocity.parameter")
         for control, entry in playing.controls.items():

@@ -280,13 +280,15 @@ class Event:
 class Place:
     """Place of a gesture: a string with its speaking length (m), or a point of the body (length 0).
 
-    `planes` is the number of the string's polarizations, `tension` (N) its tension at this stop.
+    `planes` is the number of the string's polarizations, `tension` (N) its tension at this stop, `strings` those of its
+    key, each with a factor on the force of the exciter's contact with it: 0 where the exciter misses it.
     """
 
     name: str
     length: float = 0.0
     planes: int = 1
     tension: float = 0.0
+    strings: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

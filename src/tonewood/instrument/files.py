@@ -73,6 +73,25 @@ class Files:
         ------
         BundleError : naming the table, line and column at fault.
         """
+        header, rows, shown = self.cells(name, key)
+        numbers = [
+            [_number(c, column, line, shown) for c, column in zip(row, header, strict=True)] for line, row in rows
+        ]
+        return dict(zip(header, np.array(numbers, dtype=np.float64).T, strict=True))
+
+    def cells(self, name: str, key: str = "") -> tuple[list[str], list[tuple[int, list[str]]], str]:
+        """Cells of a CSV table as they are written.
+
+        Returns
+        -------
+        header : names of the columns.
+        rows : (number of the line, a cell per column), one or more.
+        file : the table's name for errors.
+
+        Raises
+        ------
+        BundleError : naming the table and line at fault.
+        """
         path = self.path(name, key)
         shown = f"{self.manifest.parent / name}" if self.manifest else name
         if path.stat().st_size > MAX_TABLE:
@@ -84,7 +103,7 @@ class Files:
         except OSError as fault:
             raise BundleError(f"cannot be read: {fault.strerror}", file=shown) from None
         header: list[str] = []
-        rows: list[list[float]] = []
+        rows: list[tuple[int, list[str]]] = []
         for number, line in enumerate(text.splitlines(), 1):
             if not line.strip() or line.lstrip().startswith("#"):
                 continue
@@ -101,10 +120,10 @@ class Files:
                 raise BundleError(f"line {number}: more than the {MAX_ROWS} rows allowed", file=shown)
             if len(cells) != len(header):
                 raise BundleError(f"line {number}: {len(cells)} numbers under {len(header)} columns", file=shown)
-            rows.append([_number(cell, column, number, shown) for cell, column in zip(cells, header, strict=True)])
+            rows.append((number, cells))
         if not rows:
             raise BundleError("holds no rows: a line of column names and lines of numbers are wanted", file=shown)
-        return dict(zip(header, np.array(rows, dtype=np.float64).T, strict=True))
+        return header, rows, shown
 
 
 def _number(cell: str, column: str, line: int, file: str) -> float:

@@ -148,8 +148,8 @@ def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
 
 
 def pitches(model: Model, strings: Sequence[str] | None = None) -> list[Pitch]:
-    """Pitches of all strings, or of those named, at every whole stop."""
-    names = model.strings if strings is None else strings
+    """Pitches of the strings named at every whole stop; of the first of every key where none are."""
+    names = model.groups if strings is None else strings
     return [pitch(model, name, stop) for name in names for stop in range(model.strings[name].n_stops + 1)]
 
 
@@ -188,19 +188,23 @@ def held_partials(basis: ModalBasis, count: int) -> list[float]:
     return out
 
 
-def bridge_mobility(model: Model, freq: Sequence[float] | Floats) -> dict[str, Complexes]:
+def bridge_mobility(
+    model: Model, freq: Sequence[float] | Floats, strings: Sequence[str] | None = None
+) -> dict[str, Complexes]:
     """Driving-point mobility of the body where each string ends, (m/s)/N; without strings, with what is added to it.
 
     Parameters
     ----------
     freq : (n,) Hz.
+    strings : their names; the first of every key, and all that have no key, where left out.
 
     Returns
     -------
     string -> (n,), along the body point's direction; a string on a rigid end is left out.
     """
     out: dict[str, Complexes] = {}
-    for name, string in model.strings.items():
+    for name in model.groups if strings is None else strings:
+        string = model.strings[name]
         ends = string.polarizations[0].ends
         if ends:
             point = max(ends, key=lambda p: abs(ends[p]))
@@ -211,7 +215,7 @@ def bridge_mobility(model: Model, freq: Sequence[float] | Floats) -> dict[str, C
 def mobility_peaks(model: Model, string: str, *, count: int = 6) -> list[tuple[float, float]]:
     """The strongest resonances of the body where a string ends: (Hz, (m/s)/N), by frequency; without strings."""
     freq = np.geomspace(20.0, 0.45 * model.fs, 20000)
-    found = bridge_mobility(model, freq)
+    found = bridge_mobility(model, freq, [string])
     if string not in found:
         return []
     size = np.abs(found[string])

@@ -7,11 +7,12 @@ its mode through the body: two modes some cents apart take the place of one, and
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from tonewood.instrument.assembly import Model
 from tonewood.instrument.inspection import Pitch
 from tonewood.instrument.strings import StringModel
 from tonewood.instrument.tuning import body_ports
@@ -85,6 +86,22 @@ class Mounted:
             partner = None
         share = 0.0 if partner is None else by_string[partner]
         return MountedPitch(s.imag / (2 * math.pi), off(s), modes, partner, share)
+
+
+def mounted_pitches(model: Model, found: Sequence[Pitch]) -> list[MountedPitch]:
+    """Return pitches of strings with others mounted beside them.
+
+    A string that has a damper stands beside those of its key, which are lifted with it, the others with all strings
+    that have none: what is under its damper is taken not to move.
+    """
+    free = {name: string for name, string in model.strings.items() if string.damper is None}
+    undamped = Mounted(free, model.body)
+    out = []
+    for p in found:
+        string = model.strings[p.string]
+        beside = {name: model.strings[name] for name in string.group}
+        out.append((undamped if string.damper is None else Mounted(beside, model.body)).pitch(p))
+    return out
 
 
 def _ports(string: StringModel, stop: int) -> list[Ports]:

@@ -19,8 +19,8 @@ from tonewood.params import Number, Parameters, Vector, described, quantity
 
 SCHEMA = "tonewood-instrument/2"
 
-#: parts of one kind that an instrument may have; a piano has 230 strings
-MOST_STRINGS, MOST_PARTS = 256, 100
+#: parts of one kind that an instrument may have; a piano has 243 strings, with duplex segments some 400
+MOST_STRINGS, MOST_PARTS = 1024, 100
 
 _CC = r"^cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7])$"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
@@ -99,7 +99,7 @@ class StringSetEntry(Parameters):
     diameter: float | None = quantity("m", low=1e-5, high=0.05, default=None, doc="of the whole string")
     core: float = quantity("1", low=0.05, high=1.0, default=1.0, doc="share of the diameter that bends and stretches")
     density: float | None = quantity("kg/m^3", low=100.0, high=3e4, default=None, doc="effective, of the whole string")
-    linear_density: float | None = quantity("kg/m", low=1e-5, high=0.1, default=None, doc="mass per length")
+    linear_density: float | None = quantity("kg/m", low=1e-5, high=0.3, default=None, doc="mass per length")
     young: float | None = quantity("Pa", low=1e8, high=1e12, default=None, doc="of what bends and stretches")
     bending_stiffness: float | None = quantity("N m^2", low=0.0, high=1.0, default=None, doc="E I")
     loss: dict[str, Any] | None = described("loss law and its numbers", default=None)
@@ -147,6 +147,7 @@ class StringPart(PluginPart):
 
     note: str | Number | None = described("pitch of the open string: note name or MIDI number", default=None)
     freq: float | None = quantity("Hz", low=8.0, high=8000.0, default=None, doc="instead of `note`")
+    cents: float = quantity("cents", low=-100.0, high=100.0, default=0.0, doc="by which it is tuned above its note")
     end: str | list[str] = described("body.POINT the string ends on; several for several directions at one place")
     axis: Vector = described("from fixed end to bridge, length 1", default=(1.0, 0.0, 0.0))
     polarizations: list[Direction] = described(
@@ -204,6 +205,60 @@ class ConnectionPart(PluginPart):
     strings: list[Name] | None = described("those it touches; all where left out", default=None)
 
 
+class Damper(Parameters):
+    """A felt that rests on the strings of a key while the key is up, and is lifted with it."""
+
+    from_bridge: StringPlace = described("its middle: m, or {fraction: of the open speaking length}")
+    width: float = quantity("m", low=0.0, high=1.0, default=0.0, doc="over which it is spread")
+    resistance: float = quantity("N s/m", low=0.0, high=100.0, doc="of all of it, on each string")
+
+
+class Key(Parameters):
+    """A key, or a course: strings that one note plays together."""
+
+    note: str | Number = described("note name or MIDI number")
+    strings: list[Name] = described("its strings, the one that gives the pitch first", min_length=1, max_length=6)
+    una_corda: int | None = described(
+        "strings that its hammer meets while the una corda pedal is down; all where left out", default=None, ge=1, le=6
+    )
+    damper: Damper | None = described("felt that rests on them; none where left out", default=None)
+    exciter: dict[str, Any] = described("parameters of the exciter at this key, in place of its own", default={})
+    kind: Literal["measured", "published", "computed", "authored", "stand_in", "unknown"] | None = described(
+        "of the row's figures, as in `provenance`", default=None
+    )
+
+
+class Pedals(Parameters):
+    """Pedals of an instrument whose keys have dampers: sustain CC64, sostenuto CC66, una corda CC67."""
+
+    rises: float = quantity("1", low=0.0, high=1.0, default=0.3, doc="position of CC64 where dampers begin to rise")
+    free: float = quantity("1", low=0.0, high=1.0, default=0.7, doc="position of CC64 from which strings are free")
+    una_corda_stiffness: float = quantity(
+        "1", low=0.0, high=1.0, default=0.5, doc="factor on the felt's force while the una corda pedal is down"
+    )
+
+    @model_validator(mode="after")
+    def _order(self) -> Pedals:
+        if not self.rises < self.free:
+            raise ValueError("rises must be below free")
+        return self
+
+    def share(self, position: float) -> float:
+        """Share of the dampers' loss that is left at a position 0 .. 1 of the pedal: a square law, in 8 steps."""
+        way = min(max((position - self.rises) / (self.free - self.rises), 0.0), 1.0)
+        return (1.0 - round(8.0 * way) / 8.0) ** 2
+
+
+class Keys(Parameters):
+    """Keys of a piano, courses of a lute: from a table with one row a note, or one by one in `entries`."""
+
+    table: str | None = described("CSV file in the bundle; see Table of keys", default=None)
+    exciter: Name | None = described("exciter whose parameters the table gives", default=None)
+    damper: dict[str, Any] = described("what the rows do not say of dampers", default={})
+    pedals: Pedals = described("where keys have dampers", default=Pedals())
+    entries: dict[Name, Key] = described("name -> key, beside those of the table", default={}, max_length=MOST_STRINGS)
+
+
 class Finger(Parameters):
     """A fingertip that stops a string: the skin, and behind it the mass that the hand presses down."""
 
@@ -246,6 +301,9 @@ class TuningSettings(Parameters):
     )
     at: Literal["each_stop", "open_only"] = described(
         "each_stop: every stop is compensated; open_only: frets keep their errors", default="each_stop"
+    )
+    stretch: Literal["none", "octaves"] = described(
+        "octaves: open strings are tuned so that octaves beat least, by their own inharmonicity", default="none"
     )
 
 
@@ -361,6 +419,7 @@ class Bundle(Parameters):
     strings_from: str | None = described(
         "named string set, for what `strings` does not say; `tonewood list` has their names", default=None
     )
+    keys: Keys | None = described("strings that one note plays together, their hammers and dampers", default=None)
     stops: Stops = described("frets", default=Stops())
     tuning: TuningSettings = described("pitch", default=TuningSettings())
     exciters: dict[Name, PluginPart] = described("name -> what plays", min_length=1, max_length=MOST_PARTS)

@@ -14,6 +14,7 @@ from tonewood.instrument.directions import unit_vector
 from tonewood.instrument.gestures import Fraction
 from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import StringPart
+from tonewood.instrument.stretch import inharmonicity, octave_stretch
 from tonewood.instrument.string_setup import LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.strings import StringModel
 from tonewood.instrument.tuning import body_ports
@@ -23,6 +24,8 @@ from tonewood.units import ratio_of_cents
 
 #: strings' modes stay this share below the limit, so that tuning does not lose the highest, on which pitch depends
 TUNING_ROOM = 0.98
+#: ratio by which stretch and mistuning may raise a pitch
+STRETCH_ROOM = 1.06
 
 
 def string_models(
@@ -38,13 +41,46 @@ def string_models(
 
     Returns
     -------
-    name -> string, from bass to treble.
+    name -> string, from bass to treble; without those of keys whose pitch is too high for the limit.
 
     Raises
     ------
     BundleError : a point of a string does not lie on its speaking part at the last stop.
     """
-    return {name: _string(instrument, name, body, body_points, limit, choice) for name in instrument.string_names}
+    stretch = stretch_cents(instrument)
+    copies = {name: len(strings) for strings in instrument.groups.values() for name in strings}
+    beyond = {
+        name
+        for leader in instrument.groups
+        if _is_beyond(instrument, leader, limit)
+        for name in instrument.groups[leader]
+    }
+    return {
+        name: _string(instrument, name, body, body_points, limit, choice, stretch.get(name, 0.0), copies[name])
+        for name in instrument.string_names
+        if name not in beyond
+    }
+
+
+def _is_beyond(instrument: Instrument, leader: str, limit: float) -> bool:
+    """Whether the strings of a key have less than the two modes below the limit (Hz) that a pitch needs."""
+    part, freq = instrument.spec.strings[leader], instrument.tuning.freq(instrument.open_note(leader))
+    upper = min(part.freq_upper, TUNING_ROOM * limit) / STRETCH_ROOM
+    if leader not in instrument.key_of or 4 * freq < upper:
+        return False
+    resonator = instrument.resonators[leader]
+    return resonator.basis(upper, tension=resonator.tension).n_modes < 2
+
+
+def stretch_cents(instrument: Instrument) -> dict[str, float]:
+    """String -> cents by which the tuning raises it; the strings of a key alike."""
+    if instrument.spec.tuning.stretch == "none":
+        return {}
+    notes = {name: instrument.open_note(name) for name in instrument.groups}
+    freqs = {name: instrument.tuning.freq(note) for name, note in notes.items()}
+    B = {name: inharmonicity(instrument.resonators[name], freq) for name, freq in freqs.items()}
+    found = octave_stretch(notes, freqs, B)
+    return {string: found[leader] for leader, strings in instrument.groups.items() for string in strings}
 
 
 def _string(
@@ -54,6 +90,8 @@ def _string(
     body_points: Mapping[str, BodyPoint],
     limit: float,
     choice: Choice,
+    stretch_cents: float,
+    copies: int,
 ) -> StringModel:
     part, resonator = instrument.spec.strings[name], instrument.resonators[name]
     polarizations = tuple(
@@ -67,14 +105,16 @@ def _string(
         if i == 0 or choice.keeps(resonator, "second_polarization")
     )
     points = {point: _metres(at.from_bridge, resonator) for point, at in part.points.items()}
-    exciter = instrument.exciters[instrument.spec.playing.default_exciter]
+    exciter = instrument.exciter(instrument.spec.playing.default_exciter, name)
+    key = instrument.key_of.get(name)
+    damper = instrument.spec.keys.entries[key].damper if instrument.spec.keys and key else None
     string = StringModel(
         name,
         resonator,
         polarizations,
         open_note=instrument.open_note(name),
-        stopping=_stopping(instrument, name),
-        body=body_ports(body, [p.ends for p in polarizations]),
+        stopping=_stopping(instrument, name, part.cents + stretch_cents),
+        body=body_ports(body, [p.ends for p in polarizations], copies),
         freq_upper=min(part.freq_upper, TUNING_ROOM * limit),
         freq_limit=limit,
         end_compliance=part.end_compliance,
@@ -83,6 +123,9 @@ def _string(
         scatter=partial(part.scatter.split, name) if part.scatter.split_cents else None,
         touching=_touching(instrument, name, choice),
         pluck_from_bridge=_metres(getattr(exciter.parameters, "from_bridge", 0.1 * resonator.length), resonator),
+        pluck_width=float(getattr(exciter.parameters, "felt_width", 0.0)),
+        group=next(strings for strings in instrument.groups.values() if name in strings),
+        damper=None if damper is None else (damper.resistance, _metres(damper.from_bridge, resonator), damper.width),
         longitudinal=_longitudinal(part, name, resonator, body_points, choice),
     )
     shortest = string.length(string.n_stops)
@@ -102,14 +145,15 @@ def _metres(place: Any, resonator: Resonator[Any]) -> float:
     return place.fraction * resonator.length if isinstance(place, Fraction) else float(place)
 
 
-def _stopping(instrument: Instrument, name: str) -> Stopping:
+def _stopping(instrument: Instrument, name: str, raised_cents: float) -> Stopping:
     spec, part = instrument.spec, instrument.spec.strings[name]
     note, tuning, stops = instrument.open_note(name), instrument.tuning, spec.stops
     count = stops.count if part.stops is None else part.stops
+    ratio = ratio_of_cents(raised_cents)
     return Stopping(
         count=0 if stops.kind == "none" else count,
         continuous=stops.kind == "continuous",
-        freq=lambda stop: tuning.freq(note + stop),
+        freq=lambda stop: tuning.freq(note + stop) * ratio,
         compensate=spec.tuning.at if spec.tuning.compensate == "coupled" else "none",
         hold=spec.tuning.hold,
         finger=stops.finger if stops.model == "finger" else None,
@@ -124,7 +168,7 @@ def _touching(instrument: Instrument, name: str, choice: Choice) -> dict[str, At
         for key, attachment in instrument.attachments.items()
         if name in (parts[key].strings or [name]) and choice.keeps(attachment)
     }
-    return {**attachments, **{key: e for key, e in instrument.exciters.items() if e.at is None}}
+    return {**attachments, **{n: instrument.exciter(n, name) for n, e in instrument.exciters.items() if e.at is None}}
 
 
 def _longitudinal(

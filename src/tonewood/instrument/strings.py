@@ -19,6 +19,7 @@ from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
 from tonewood.instrument.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.tuning import StringOnBody, TunedStop, no_mode, tune
+from tonewood.modal.damper import damper_rates
 from tonewood.modal.modes import PAIR, ModalBasis
 from tonewood.modal.receptance import Joint, Ports
 from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
@@ -42,7 +43,9 @@ class StringModel:
     open_note : note number of the open string.
     stopping : its stops.
     longitudinal : its longitudinal motion, if that is stepped.
-    pluck_from_bridge : m, place of the pluck where a gesture gives none.
+    pluck_from_bridge, pluck_width : m, place of the pluck where a gesture gives none, and how far it is spread.
+    group : strings that a note on the first of them plays together; itself among them.
+    damper : resistance (N s/m), place and width (m, from the bridge) of the felt that rests on it; None without one.
 
     Parameters
     ----------
@@ -67,11 +70,15 @@ class StringModel:
         scatter: Callable[[float], float] | None = None,
         touching: Mapping[str, Attachment[Any] | Exciter[Any]] | None = None,
         longitudinal: LongitudinalMotion | None = None,
+        pluck_width: float = 0.0,
+        group: tuple[str, ...] = (),
+        damper: tuple[float, float, float] | None = None,
     ):
         self.name, self.resonator, self.polarizations = name, resonator, polarizations
         self.longitudinal = longitudinal
         self.open_note, self.stopping, self.points = open_note, stopping, dict(points)
-        self.pluck_from_bridge = pluck_from_bridge
+        self.pluck_from_bridge, self.pluck_width = pluck_from_bridge, pluck_width
+        self.group, self.damper = group or (name,), damper
         self._body, self._freq_upper, self._freq_limit = body, freq_upper, freq_limit
         self._end_compliance, self._tilt_deg = end_compliance, tilt_deg
         self._touching, self._scatter = dict(touching or {}), scatter
@@ -79,6 +86,8 @@ class StringModel:
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._bases: dict[float, ModalBasis] = {}
         self._gains: dict[float, float] = {}
+        #: number of modes and length -> what the damper adds to their rates
+        self._damper_rates: dict[tuple[int, float], Floats] = {}
         self._longitudinal_bases: dict[float, ModalBasis] = {}
 
     @property
@@ -152,7 +161,7 @@ class StringModel:
         open_length = self.resonator.length
         stops = tuple(self.length(i) for i in range(self.n_stops + 1))
         polarizations = tuple((p.component, p.direction) for p in self.polarizations)
-        return Site(self.name, open_length, self.length(stop), stops, polarizations)
+        return Site(self.name, open_length, self.length(stop), stops, polarizations, self.group)
 
     def attached(self, stop: float = 0) -> tuple[Attached, ...]:
         """Places, components and connections that attachments, exciters and a finger add to the string at a stop."""
@@ -218,7 +227,7 @@ class StringModel:
         bend_cents : change of pitch by a change of tension.
         added_damping : 1/s, added to every mode's damping rate.
         pluck_from_bridge : m; the string's usual place where left out. Must lie on the speaking part.
-        pluck_width : m, of the string about that place over which the point ``pluck`` is a mean.
+        pluck_width : m, of the string about that place over which the point ``pluck`` is a mean; 0 for the usual one.
         touches : point that a part attaches to the string -> m, in place of the part's own place.
         whole : keep also modes that the tension has raised above the limit.
         """
@@ -244,10 +253,23 @@ class StringModel:
             if not whole:
                 basis = below(basis, self._freq_limit)
             basis = with_still_points(basis.with_places(here), beyond)
-            out[polarization.component] = spread(basis, "pluck", pluck_width) if pluck_width else basis
+            width = pluck_width or self.pluck_width
+            out[polarization.component] = spread(basis, "pluck", width) if width else basis
         if self.longitudinal:
             out[self.longitudinal.component] = self._longitudinal(end, self.longitudinal.motion)
         return damped(out, added_damping) if added_damping else out
+
+    def under_damper(self, bases: Mapping[str, ModalBasis], share: float) -> dict[str, ModalBasis]:
+        """Return bases of the string with a share of its damper's loss added; see `tonewood.modal.damper`."""
+        out = dict(bases)
+        for name in (p.component for p in self.polarizations if self.damper is not None):
+            basis = bases[name]
+            key = basis.n_modes, cast(float, basis.metadata["length"])
+            if key not in self._damper_rates:
+                self._damper_rates[key] = damper_rates(basis, *(self.damper or (0.0, 0.0, 0.0)))
+            rates = share * self._damper_rates[key]
+            out[name] = retuned(basis, np.sqrt(basis.stiffness), basis.damping_rate + rates)
+        return out
 
     def _detune(self, polarization: Polarization, stop: float) -> float:
         """Frequency ratio of a polarization to the first one at a stop."""

@@ -253,10 +253,14 @@ def _follow(string: StringOnBody, freq: float, tension: float, pole: complex) ->
     return tension
 
 
-def body_ports(body: ModalBasis, ends: Sequence[Mapping[str, float]]) -> Ports:
-    """Ports of the body for a string: one row per polarization, with its shares of the body's points."""
+def body_ports(body: ModalBasis, ends: Sequence[Mapping[str, float]], copies: int = 1) -> Ports:
+    """Ports of the body for a string: one row per polarization, with its shares of the body's points.
+
+    Of `copies` strings that move alike at one place each sees the body's receptance so many times: the rows are
+    multiplied by the root of their number.
+    """
     rows = np.zeros((len(ends), len(body.points)))
     for i, shares in enumerate(ends):
         for point, factor in shares.items():
             rows[i, body.index(point)] = factor
-    return Ports.of(body, rows)
+    return Ports.of(body, math.sqrt(copies) * rows)

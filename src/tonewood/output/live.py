@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from tonewood.blas import one_blas_thread
 from tonewood.engine.effects.base import EffectReport
 from tonewood.engine.engine import GRID, Engine
-from tonewood.engine.live import LivePlayer, Voice
+from tonewood.engine.live import LivePlayer
+from tonewood.engine.live_voices import Voice
 from tonewood.engine.timeline import Timeline
 from tonewood.errors import TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
@@ -238,7 +239,8 @@ class Live:
     def all_off(self, channel: int | None = None) -> None:
         """Release all keys and pedals, of a channel or of all."""
         for at in range(16) if channel is None else (channel,):
-            self.player.control("cc64", 0.0, at)
+            for kind in {"cc64", *self.player.dampers.kinds}:
+                self.player.control(kind, 0.0, at)
         self.player.all_off(channel, pedalled=True)
 
     def release_keys(self, channel: int | None = None) -> None:

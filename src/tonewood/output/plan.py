@@ -65,10 +65,10 @@ def plan(
     sketched = options.at(fs=low, accuracy="standard", oversampling=None, freq_limit=None)
     # what is imported and kept the first time belongs to no second of sound
     first_second = _TIMED if options.max_duration is None else min(_TIMED, options.max_duration)
-    for _ in Renderer(score, instrument, options=sketched.at(max_duration=first_second)).blocks(4096):
-        pass
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DroppedNotesWarning)  # the first one has warned
+        warnings.simplefilter("ignore", DroppedNotesWarning)  # the last one, which is not at a lower rate, warns
+        for _ in Renderer(score, instrument, options=sketched.at(max_duration=first_second)).blocks(4096):
+            pass
         sketch = Renderer(score, instrument, options=sketched)
     sketch.engine.only_watch = True
     first = Spent()
@@ -78,9 +78,7 @@ def plan(
         if progress is not None:
             progress(sketch.time)
     seconds = sketch.summary().duration_s
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DroppedNotesWarning)
-        timed = Renderer(score, instrument, options=options.at(max_duration=min(_TIMED, seconds)))
+    timed = Renderer(score, instrument, options=options.at(max_duration=min(_TIMED, seconds)))
     for _ in timed.blocks(4096):
         pass
     rates = _switched_rates(timed.engine)

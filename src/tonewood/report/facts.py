@@ -22,7 +22,7 @@ from tonewood.instrument.added import added_line
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.inspection import StringFeel, bridge_mobility, feel, partials, pitches
-from tonewood.instrument.mounted import Mounted
+from tonewood.instrument.mounted import mounted_pitches
 from tonewood.instrument.schema import Provenance, Source
 from tonewood.instrument.wolf import WolfNote, wolf_notes
 from tonewood.modal.modes import ModalBasis
@@ -221,7 +221,7 @@ def gather(model: Model, *, label: str = "A", changes: tuple[str, ...] = ()) -> 
         freq=freq,
         mobility=bridge_mobility(model, freq),
         strings=_strings(instrument, model),
-        notes=_notes(model, body),
+        notes=_notes(model),
         wolves=tuple(wolf_notes(model)),
         tones={},
         missing_tones={},
@@ -269,8 +269,8 @@ def _kinds(provenance: Mapping[str, Provenance]) -> dict[str, int]:
     return dict(Counter(entry.kind for entry in provenance.values()))
 
 
-def _notes(model: Model, body: ModalBasis) -> tuple[NoteRow, ...]:
-    mounted = Mounted(model.strings, body)
+def _notes(model: Model) -> tuple[NoteRow, ...]:
+    found = pitches(model)
     return tuple(
         NoteRow(
             string=p.string,
@@ -278,17 +278,18 @@ def _notes(model: Model, body: ModalBasis) -> tuple[NoteRow, ...]:
             note=note_name(p.note),
             freq=p.wanted_freq,
             cents=p.error_cents,
-            cents_mounted=mounted.pitch(p).error_cents,
+            cents_mounted=mounted.error_cents,
             t60=p.t60,
             tension=p.tension,
         )
-        for p in pitches(model)
+        for p, mounted in zip(found, mounted_pitches(model, found), strict=True)
     )
 
 
 def _strings(instrument: Instrument, model: Model) -> tuple[StringRow, ...]:
     rows = []
-    for name, string in model.strings.items():
+    for name in model.groups:
+        string = model.strings[name]
         given = string.given_tension
         values: Mapping[str, Any] = instrument.resolved["strings"][name]
         density = values.get("linear_density")

@@ -171,7 +171,8 @@ def _excerpt(
 ) -> tuple[tuple[Note, ...], tuple[Control, ...]]:
     stop = math.inf if stop is None else stop
     notes = []
-    for (time, channel, key, velocity), end in zip(performance.notes, performance.ends, strict=True):
+    timed = zip(performance.notes, performance.ends, performance.releases, strict=True)
+    for (time, channel, key, velocity), end, release in timed:
         if not start <= time < stop:
             if time < start < end:
                 findings.add("note begun before the excerpt, left out", where(channel, key, time))
@@ -182,7 +183,8 @@ def _excerpt(
         elif duration > MAX_DURATION:
             findings.add(f"note longer than {MAX_DURATION:.0f} s, shortened to it", where(channel, key, time))
         duration = min(max(min(end, stop) - time, MIN_DURATION), MAX_DURATION)
-        notes.append(Note(time - start, duration, note=key, velocity_midi=velocity, channel=channel))
+        held = max(release - time, MIN_DURATION) if release < min(end, stop) else None
+        notes.append(Note(time - start, duration, note=key, velocity_midi=velocity, channel=channel, held=held))
     before = {(c.kind, c.channel): replace(c, time=0.0) for c in performance.controls if c.time < start}
     within = [replace(c, time=c.time - start) for c in performance.controls if start <= c.time < stop]
     return tuple(notes), (*before.values(), *within)
@@ -235,7 +237,8 @@ def write_midi(score: Score, path: str | os.PathLike[str], *, bpm: float = 120.0
         if key is None or key != int(key) or not 0 <= key <= 127:
             raise ScoreError(f"note {key} at {note.time:.3f} s: MIDI needs a whole number from 0 to 127", file=path)
         begin = round(note.time * rate)
-        end = max(round((note.time + note.duration) * rate), begin + 1)
+        held = note.duration if note.held is None else note.held
+        end = max(round((note.time + held) * rate), begin + 1)
         on = mido.Message("note_on", channel=number, note=int(key), velocity=max(velocity, 1))
         off = mido.Message("note_off", channel=number, note=int(key), velocity=64)
         timed.setdefault(number, []).extend([(begin, 2, on), (end, 1, off)])

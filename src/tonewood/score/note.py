@@ -15,6 +15,7 @@ from tonewood.score.scales import note_number
 _RANGES: dict[str, tuple[float, float]] = {
     "time": (0.0, math.inf),
     "duration": (0.0, math.inf),
+    "held": (0.0, math.inf),
     "note": (-128.0, 256.0),
     "freq": (1e-3, 1e6),
     "force": (0.0, math.inf),
@@ -34,6 +35,7 @@ class Note:
     ----------
     time : s, when the pluck releases (the ramp runs before it).
     duration : s, from `time` to the note's end.
+    held : s, from `time` on, for which its key is down, where a pedal makes `duration` longer; None if none does.
     note : MIDI note number, fractions are cents / 100, or a name such as ``E2``; or give `freq`, or `string` with
         `stop`.
     freq : Hz, instead of `note`.
@@ -66,6 +68,7 @@ class Note:
     technique: str | None = None
     channel: int | None = None
     marks: tuple[str, ...] = ()
+    held: float | None = None
 
     if TYPE_CHECKING:  # names are numbers once it is made
 
@@ -84,6 +87,7 @@ class Note:
             technique: str | None = None,
             channel: int | None = None,
             marks: tuple[str, ...] = (),
+            held: float | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:

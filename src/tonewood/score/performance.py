@@ -36,7 +36,7 @@ class ChannelReader:
     Attributes
     ----------
     notes : (time in s, channel, key, velocity) in time order.
-    ends : s, one per note.
+    ends, releases : s, one per note: when it ends, and when its key is released.
     controls : ``bend`` in cents, ``ccN`` from 0 to 1; only changes.
     ignored : (time in s, kind) of messages without effect.
     """
@@ -44,6 +44,7 @@ class ChannelReader:
     def __init__(self, findings: Findings):
         self.notes: list[tuple[float, int, int, int]] = []
         self.ends: list[float] = []
+        self.releases: list[float] = []
         self.controls: list[Control] = []
         self.ignored: list[tuple[float, str]] = []
         self._findings = findings
@@ -76,6 +77,8 @@ class ChannelReader:
             for key, notes in channel.held.items():
                 for _ in notes:
                     self._findings.add("note never ended, ended with the track", where(number, key, time))
+            if channel.pedal:
+                self._control(time, number, "cc64", 0.0)
             if channel.pedalled:
                 self._findings.add("pedal never released, released with the track", f"channel {number + 1}")
             self._silence(time, channel)
@@ -92,6 +95,7 @@ class ChannelReader:
         held.append(len(self.notes))
         self.notes.append((time, number, key, velocity))
         self.ends.append(time)
+        self.releases.append(time)
 
     def _note_off(self, time: float, number: int, channel: _Channel, key: int) -> None:
         held = channel.held.get(key)
@@ -102,7 +106,7 @@ class ChannelReader:
 
     def _release(self, time: float, channel: _Channel, key: int, note: int) -> None:
         """Release a key: its note ends, or is left to the pedal, which holds one note per key."""
-        self.ends[note] = time
+        self.ends[note] = self.releases[note] = time
         if channel.pedal:
             if key in channel.pedalled:
                 self.ends[channel.pedalled[key]] = time

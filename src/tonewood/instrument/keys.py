@@ -1,0 +1,256 @@
+"""Table of keys: one row a note, expanded to strings, hammers and dampers.
+
+A bundle names it as ``keys: {table: keys.csv, exciter: hammer}``. Its columns:
+
+========================  ========================================================================================
+note                      of the key, e.g. ``C#4``; the key's name is the same with ``s`` for the sharp: ``Cs4``
+strings                   how many of them it has, 1 to 6; 1 without the column
+cents_1, cents_2, ...     by which each of them is tuned above the note
+una_corda                 how many of them the hammer meets while that pedal is down
+damped                    ``yes`` or ``no``: whether a damper rests on them
+string.PARAMETER          any key of its strings, dotted: ``string.length``, ``string.loss.sigma0``, ``string.end``
+EXCITER.PARAMETER         any parameter of the exciter that `keys` names, e.g. ``hammer.mass``
+damper.PARAMETER          of its damper
+kind                      of the row's figures, as in `provenance`
+========================  ========================================================================================
+
+An empty cell leaves the value of ``strings.defaults``, of the exciter or of ``keys.damper``. The strings of the key
+``C4`` are ``C4_1``, ``C4_2``, ...; a single one is ``C4``. One that says no ``end`` ends on ``body.C4``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from tonewood.errors import BundleError, ScoreError, TonewoodError
+from tonewood.instrument.files import Files
+from tonewood.instrument.schema import Bundle, PluginPart
+from tonewood.score.scales import note_number
+from tonewood.validation_messages import did_you_mean
+
+_PLAIN = ("note", "strings", "una_corda", "damped", "kind")
+_YES_NO = {"yes": True, "no": False}
+_MOST = 6
+
+
+@dataclass(frozen=True)
+class KeyRows:
+    """Values of a bundle with its table of keys expanded, and the cells that they come from.
+
+    Attributes
+    ----------
+    values : of the bundle.
+    file : of the table.
+    places : dotted path in `values` -> (line, column, or the words before the dots of the columns below it).
+    """
+
+    values: Mapping[str, Any]
+    file: str = ""
+    places: Mapping[str, tuple[int, str]] = field(default_factory=dict)
+
+    def located(self, fault: TonewoodError) -> TonewoodError:
+        """Return a fault of an expanded value as one of the table's file, line and column; any other as it is."""
+        path, below = fault.key or "", ""
+        while path:
+            if path in self.places:
+                line, column = self.places[path]
+                key = ".".join(part for part in (column, below) if part)
+                return type(fault)(fault.reason, file=self.file, line=line, key=key)
+            path, _, last = path.rpartition(".")
+            below = f"{last}.{below}" if below else last
+        return fault
+
+
+def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
+    """Expand the table of keys that a bundle names; its values as they are where it names none.
+
+    Raises
+    ------
+    BundleError : names file, line, column, value and what is allowed.
+    """
+    keys = values.get("keys")
+    if not isinstance(keys, Mapping) or not isinstance(keys.get("table"), str):
+        return KeyRows(values)
+    strings = values.get("strings", {})
+    defaults = strings.get("defaults", {}) if isinstance(strings, Mapping) else {}
+    header, rows, file = files.cells(keys["table"], "keys.table")
+    exciter = keys.get("exciter")
+    _check_columns(header, rows[0][0] - 1, exciter, file)
+    entries: dict[str, Any] = {}
+    made: dict[str, Any] = {}
+    places: dict[str, tuple[int, str]] = {}
+    for line, cells in rows:
+        row = _Row(file, line, dict(zip(header, cells, strict=True)))
+        name = row.text("note").replace("#", "s")
+        if name in entries:
+            raise row.fault("note", f"is {row.text('note')!r}, which an earlier row has; one row a note is allowed")
+        try:
+            note_number(row.text("note"))
+        except ScoreError as fault:
+            raise row.fault("note", fault.reason) from None
+        count = row.whole("strings", 1)
+        of = [name] if count == 1 else [f"{name}_{i + 1}" for i in range(count)]
+        entry: dict[str, Any] = {"note": row.text("note"), "strings": of}
+        if row.cells.get("una_corda"):
+            entry["una_corda"] = row.whole("una_corda", 1)
+        if row.cells.get("kind"):
+            entry["kind"] = row.text("kind")
+        damper = {**keys["damper"]} if isinstance(keys.get("damper"), Mapping) else {}
+        damper |= row.below("damper")
+        if row.answer("damped", bool(damper)):
+            entry["damper"] = damper
+        if exciter is not None:
+            entry["exciter"] = row.below(exciter)
+        entries[name] = entry
+        own = row.below("string")
+        for i, string in enumerate(of):
+            part = {"note": entry["note"], "cents": row.number(f"cents_{i + 1}", 0.0), **own}
+            if "end" not in part and not (isinstance(defaults, Mapping) and "end" in defaults):
+                part["end"] = f"body.{name}"
+            made[string] = part
+        places |= _places(name, of, exciter, line)
+    others = strings if isinstance(strings, Mapping) else {}
+    expanded = {**keys, "table": None, "damper": {}, "entries": entries}
+    return KeyRows({**values, "keys": expanded, "strings": {**others, **made}}, file, places)
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One row of a table of keys."""
+
+    file: str
+    line: int
+    cells: Mapping[str, str]
+
+    def fault(self, column: str, reason: str) -> BundleError:
+        return BundleError(reason, file=self.file, line=self.line, key=column)
+
+    def text(self, column: str) -> str:
+        """A cell that must not be empty."""
+        if not self.cells.get(column):
+            raise self.fault(column, "is empty; a value is wanted")
+        return self.cells[column]
+
+    def number(self, column: str, default: float) -> float:
+        """A finite number."""
+        if not (text := self.cells.get(column)):
+            return default
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise self.fault(column, f"{text!r} is not a finite number")
+        return value
+
+    def whole(self, column: str, default: int) -> int:
+        """A number of strings."""
+        value = self.number(column, float(default))
+        if not (value == int(value) and 1 <= value <= _MOST):
+            raise self.fault(column, f"is {self.cells[column]}; whole numbers from 1 to {_MOST} are allowed")
+        return int(value)
+
+    def answer(self, column: str, default: bool) -> bool:
+        """Yes or no."""
+        if not (text := self.cells.get(column)):
+            return default
+        if text not in _YES_NO:
+            raise self.fault(column, f"is {text!r}; yes and no are allowed")
+        return _YES_NO[text]
+
+    def below(self, prefix: str) -> dict[str, Any]:
+        """Cells of the columns ``PREFIX.KEY``, nested where the key is dotted."""
+        out: dict[str, Any] = {}
+        for column, text in self.cells.items():
+            head, _, path = column.partition(".")
+            if head != prefix or not path or not text:
+                continue
+            *above, last = path.split(".")
+            holder = out
+            for key in above:
+                holder = holder.setdefault(key, {})
+            holder[last] = _value(text)
+        return out
+
+
+def groups(spec: Bundle) -> dict[str, tuple[str, ...]]:
+    """String that gives the pitch -> the strings that a note on it plays: those of its key, or itself alone."""
+    of_keys = [tuple(key.strings) for key in spec.keys.entries.values()] if spec.keys else []
+    taken = {string for strings in of_keys for string in strings}
+    led = {strings[0]: strings for strings in of_keys}
+    return {name: led.get(name, (name,)) for name in spec.strings if name in led or name not in taken}
+
+
+def key_exciters(spec: Bundle, file: Any) -> Iterator[tuple[str, str, PluginPart]]:
+    """Yield key, name and part of the exciter of every key that gives parameters of its own.
+
+    Raises
+    ------
+    BundleError : there is no exciter of the name that `keys` gives.
+    """
+    if spec.keys is None or (played := spec.keys.exciter) is None:
+        return
+    if played not in spec.exciters:
+        known = f"{did_you_mean(played, spec.exciters)}there are {', '.join(spec.exciters)}"
+        raise BundleError(f"there is no exciter {played!r}; {known}", file=file, key="keys.exciter")
+    part = spec.exciters[played]
+    for name, key in spec.keys.entries.items():
+        if key.exciter:
+            yield name, played, PluginPart.model_validate({**part.model_dump(), **key.exciter})
+
+
+def check_keys(spec: Bundle, file: Any) -> None:
+    """Check that keys name strings of the instrument, each once.
+
+    Raises
+    ------
+    BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are.
+    """
+    taken: dict[str, str] = {}
+    for name, key in (spec.keys.entries if spec.keys else {}).items():
+        at = f"keys.entries.{name}"
+        for string in key.strings:
+            if string not in spec.strings:
+                known = f"{did_you_mean(string, spec.strings)}there are {', '.join(spec.strings)}"
+                raise BundleError(f"there is no string {string!r}; {known}", file=file, key=f"{at}.strings")
+            if string in taken:
+                reason = f"string {string!r} is one of key {taken[string]}; a string has one key"
+                raise BundleError(reason, file=file, key=f"{at}.strings")
+            taken[string] = name
+        if key.una_corda is not None and key.una_corda > len(key.strings):
+            reason = f"is {key.una_corda}; 1 to {len(key.strings)}, the number of its strings, are allowed"
+            raise BundleError(reason, file=file, key=f"{at}.una_corda")
+
+
+def _value(text: str) -> Any:
+    """A number where the cell is one, else its text."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _check_columns(header: list[str], line: int, exciter: Any, file: str) -> None:
+    known = [*_PLAIN, *(f"cents_{i + 1}" for i in range(_MOST))]
+    heads = [head for head in ("string", exciter, "damper") if isinstance(head, str)]
+    for column in header:
+        head, _, path = column.partition(".")
+        if column not in known and not (path and head in heads):
+            allowed = f"{', '.join(_PLAIN)}, cents_1 to cents_{_MOST}, {', '.join(f'{h}.PARAMETER' for h in heads)}"
+            hint = did_you_mean(column, known)
+            raise BundleError(f"is no column of a table of keys; {hint}allowed: {allowed}", file=file, key=column)
+    if "note" not in header:
+        raise BundleError("is missing among the columns", file=file, line=max(line, 1), key="note")
+
+
+def _places(name: str, strings: list[str], exciter: Any, line: int) -> dict[str, tuple[int, str]]:
+    """Dotted path of what a row gives -> its line, and the words in the header that stand for the path."""
+    out = {f"keys.entries.{name}": (line, ""), f"keys.{name}.{exciter}": (line, str(exciter))}
+    for i, string in enumerate(strings):
+        out[f"strings.{string}"] = line, "string"
+        out[f"strings.{string}.note"] = line, "note"
+        out[f"strings.{string}.cents"] = line, f"cents_{i + 1}"
+    return out

@@ -1,0 +1,80 @@
+"""Stretched tuning: open strings tuned so that octaves beat least, by their own inharmonicity.
+
+Partial m of a stiff string lies c_m = 600 lg2((1 + B m^2) / (1 + B)) cents above m times its pitch, with
+
+    B = pi^2 EI / (T L^2).
+
+Partial 2k of a note and partial k of the note an octave above do not beat if the octave is wider than 2:1 by
+d_k = c_2k(low) - c_k(high). With partials whose amplitude falls as 1/m, of those below 6 kHz k = 1, 2, 3 beat alike for
+the same error in cents, and the cents s_i by which the notes i are raised are those that minimise
+
+    sum_octaves mean_k (s_high - s_low - d_k)^2  +  0.01 sum_i (s_(i+1) - 2 s_i + s_(i-1))^2,    s = 0 at A4.
+
+The second sum joins the twelve chains of octaves; it moves an octave by less than 0.1 cent. The curve of s over a piano
+is what Railsback measured.
+
+Sources: O. L. Railsback, J. Acoust. Soc. Am. 9 (1938) 274; O. H. Schuck and R. W. Young, J. Acoust. Soc. Am. 15
+(1943) 1, who derive the stretch from beats of octaves; H. Fletcher, J. Acoust. Soc. Am. 36 (1964) 203, for B.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+
+from tonewood.instrument.contract import Resonator
+
+#: octaves 2k:k that are listened to, and Hz up to which their partials are
+_OCTAVES, _AUDIBLE = (1, 2, 3), 6000.0
+_SMOOTHNESS = 0.01
+#: MIDI number of the note that keeps its pitch
+_REFERENCE = 69.0
+
+
+def inharmonicity(resonator: Resonator[Any], freq: float) -> float:
+    """B of a string tuned to `freq` (Hz); 0 where its plugin has no bending stiffness."""
+    p = resonator.parameters
+    stiffness, density = getattr(p, "bending_stiffness", 0.0), getattr(p, "linear_density", 0.0)
+    tension = density * (2 * resonator.length * freq) ** 2
+    return float(math.pi**2 * stiffness / (tension * resonator.length**2)) if tension > 0 else 0.0
+
+
+def octave_stretch(notes: Mapping[str, float], freqs: Mapping[str, float], B: Mapping[str, float]) -> dict[str, float]:
+    """Return by how many cents each note is raised.
+
+    Parameters
+    ----------
+    notes : name -> MIDI number, any order.
+    freqs, B : name -> Hz without stretch, and inharmonicity.
+    """
+    order = sorted(notes, key=lambda name: notes[name])
+    at = {round(notes[name], 6): i for i, name in enumerate(order)}
+    rows: list[tuple[dict[int, float], float, float]] = []
+    for low, name in enumerate(order):
+        high = at.get(round(notes[name] + 12.0, 6))
+        wide = [
+            _above(B[name], 2 * k) - _above(B[order[high]], k)
+            for k in _OCTAVES
+            if high is not None and (k == 1 or 2 * k * freqs[name] < _AUDIBLE)
+        ]
+        if high is not None:
+            rows.append(({high: 1.0, low: -1.0}, float(np.mean(wide)), 1.0))
+    rows += [({i - 1: 1.0, i: -2.0, i + 1: 1.0}, 0.0, math.sqrt(_SMOOTHNESS)) for i in range(1, len(order) - 1)]
+    reference = min(range(len(order)), key=lambda i: abs(notes[order[i]] - _REFERENCE))
+    rows.append(({reference: 1.0}, 0.0, 1e3))
+    matrix, wanted = np.zeros((len(rows), len(order))), np.zeros(len(rows))
+    for row, (terms, value, weight) in enumerate(rows):
+        wanted[row] = weight * value
+        for column, factor in terms.items():
+            matrix[row, column] = weight * factor
+    found = sla.lstsq(matrix, wanted)[0]
+    return {name: float(found[i] - found[reference]) for i, name in enumerate(order)}
+
+
+def _above(B: float, m: int) -> float:
+    """Cents of partial m above m times the pitch."""
+    return 600.0 * math.log2((1 + B * m * m) / (1 + B))
