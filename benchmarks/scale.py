@@ -25,7 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tonewood as tw
+from tonewood.coupling import elimination
 from tonewood.instrument.assembly import Model, assemble
+from tonewood.plotting import COLOURS, DASHES, LINE, figure, legend, log_axis
 from tonewood.stepping.kernel import KernelStepper, instruction_set
 
 Floats = NDArray[np.float64]
@@ -162,15 +164,21 @@ def write_bundle(
 class Scene:
     """A bundle, assembled; all modes of its strings and body are set in motion at random."""
 
-    def __init__(self, **what: Any):
-        start = time.perf_counter()
+    def __init__(self, one_matrix: bool = False, **what: Any):
+        kept = elimination.LEAST_IN_PARTS
+        elimination.LEAST_IN_PARTS = 10**9 if one_matrix else kept
+        try:
+            self._make(**what)
+        finally:
+            elimination.LEAST_IN_PARTS = kept
+
+    def _make(self, **what: Any) -> None:
         with tempfile.TemporaryDirectory() as folder:
             write_bundle(Path(folder), **what)
             made = time.perf_counter()
             self.model: Model = assemble(tw.load_instrument(folder), FS)
         self.stepper = KernelStepper(self.model.system)
         self.load_seconds = time.perf_counter() - made
-        self.made_seconds = made - start
 
     def run(self, seconds: float) -> Floats:
         """Return the time that each block takes, s."""
@@ -204,9 +212,10 @@ def measure(scenes: dict[str, dict[str, Any]], seconds: float, rounds: int) -> d
     }
 
 
+KINDS: dict[str, dict[str, Any]] = {"": {}, ", one matrix": {"one_matrix": True}}
 COUNTS = (6, 12, 24, 48, 88, 132, 176, 243)
 STUDIES: dict[str, dict[str, dict[str, Any]]] = {
-    "strings": {str(n): {"strings": n} for n in COUNTS},
+    "strings": {f"{n}{of}": {"strings": n, **how} for of, how in KINDS.items() for n in COUNTS},
     "planes": {
         "243, one plane": {},
         "243, two planes, y rigid": {"planes": ("z", "y")},
@@ -218,11 +227,28 @@ STUDIES: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 
+def draw(us: dict[str, float], path: Path) -> None:
+    """Draw microseconds a sample against strings."""
+    made, axes = figure(heights=[5.0])
+    ax = axes[0, 0]
+    for i, (kind, label) in enumerate(zip(KINDS, ("in parts", "one matrix"), strict=True)):
+        row = [us[f"{n}{kind}"] for n in COUNTS]
+        ax.plot(COUNTS, row, "o", ls=DASHES[i], color=COLOURS[i], lw=LINE, label=f"connections solved {label}")
+    ax.axhline(1e6 / FS, color=COLOURS[2], ls=DASHES[2], lw=LINE, label="real time")
+    ax.set(xscale="log", xlabel="strings", ylabel="time of a sample, \u00b5s")
+    ax.set_xticks(COUNTS, [str(n) for n in COUNTS])
+    ax.set_xticks([], minor=True)
+    log_axis(ax)
+    legend(ax)
+    made.savefig(path, dpi=70)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("studies", nargs="*", help=f"of {', '.join(STUDIES)}; all if none is given")
     parser.add_argument("--seconds", type=float, default=0.2)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--chart", type=Path, help="picture of time against strings to write, with `strings`")
     args = parser.parse_args()
     print(
         f"{FS:g} Hz, one core, {instruction_set()}, {args.seconds:g} s of sound, the quickest of {args.rounds} rounds\n"
@@ -239,6 +265,8 @@ def main() -> None:
                 f"| {row['load']:.2f} |"
             )
         print()
+        if name == "strings" and args.chart:
+            draw({scene: row["us"] for scene, row in found.items()}, args.chart)
     print(f"memory at most {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
