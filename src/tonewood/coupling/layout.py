@@ -119,11 +119,16 @@ class Layout:
         return tuple(out)
 
     @cached_property
+    def touching(self) -> tuple[tuple[Places, Floats], ...]:
+        """Per component: (g,) connections that it has a share in, driven ones too, and (g, n_ports) these shares."""
+        found = [np.flatnonzero(np.any(a != 0.0, axis=1)) for a in self.incidence]
+        return tuple((on, a[on]) for on, a in zip(found, self.incidence, strict=True))
+
+    @cached_property
     def gaps(self) -> tuple[Places, ...]:
         """(g,) per component: connections that its ports have a share in; none for a driven one."""
         none = np.zeros(0, dtype=np.intp)
-        shares = zip(self.incidence, self.driven, strict=True)
-        return tuple(none if one_way else np.flatnonzero(np.any(a != 0.0, axis=1)) for a, one_way in shares)
+        return tuple(none if one_way else on for (on, _), one_way in zip(self.touching, self.driven, strict=True))
 
     @cached_property
     def force_weights(self) -> Floats:

@@ -45,6 +45,44 @@ class Wiring:
     key: bytes
 
 
+#: of a component's terms in nonlinear connections: its connection among those that touch it, port among its fixed or
+#: contact ports, whether it is a contact port, factor
+OwnTerms = Sequence[tuple[int, int, bool, float]]
+
+
+def wired(
+    shares: Floats, use: NDArray[np.intp], k: int, coupled: bool, one_way: bool, hub_ports: NDArray[np.intp] | None
+) -> tuple[Wiring, OwnTerms]:
+    """Sort a component's ports by the connections in use.
+
+    Parameters
+    ----------
+    shares : (g, n_ports) of its ports in the g connections that touch it.
+    use : (g, 2) place of each among the k linear ones that can carry force, -1 of others; 1 for a nonlinear one, 2 for
+        a contact, 0 for others.
+    coupled, one_way : to a longitudinal motion; a driven component.
+    hub_ports : of a hub, whose ports are its motions; else None.
+    """
+    place, kind = use.T
+    acts = shares != 0.0
+    touched, needed = np.any(acts[kind > 0], axis=0), np.any(acts[(place >= 0) | (kind == 1)], axis=0)
+    is_contact = touched & ~needed & (not one_way and not coupled)
+    contact, fixed = np.flatnonzero(is_contact), np.flatnonzero((touched | needed) & ~is_contact)
+    if hub_ports is not None:
+        fixed = np.union1d(hub_ports, np.flatnonzero(np.any(acts[kind == 1], axis=0)))
+    own = []
+    for i, port in zip(*np.nonzero(acts & (kind > 0)[:, None]), strict=True):
+        among = contact if is_contact[port] else fixed
+        own.append((int(i), int(np.searchsorted(among, port)), bool(is_contact[port]), float(shares[i, port])))
+    incidence = np.zeros((0 if hub_ports is not None else k, len(fixed)))  # the hub's is that of the parts
+    if hub_ports is None:
+        incidence[place[place >= 0]] = shares[place >= 0][:, fixed]
+    used = np.nonzero(incidence)
+    parts = [part.tobytes() for part in (*used, incidence[used], fixed, contact)]
+    parts.append(b"coupled" if coupled else b"" if hub_ports is None else b"hub")
+    return Wiring(fixed, contact, incidence, coupled, hub_ports is not None, b"|".join(parts)), own
+
+
 def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded: bool) -> Description:
     """Describe a component's arrays, modes last and padded; `loaded`: laws act on its fixed ports."""
     # the motion of a driven component's ports is not needed
