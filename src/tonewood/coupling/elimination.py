@@ -24,7 +24,7 @@ from tonewood.coupling.layout import Layout
 Floats = NDArray[np.float64]
 
 #: linear connections from which on their compliance is inverted in parts: below, one dense matrix is quicker
-LEAST_IN_PARTS = 24
+LEAST_IN_PARTS = 64
 
 
 @dataclass(frozen=True, eq=False)

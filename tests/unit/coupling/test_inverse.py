@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
+from tonewood import _kernel
 from tonewood.coupling import elimination
 from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.coupling.inverse import MOST_IN_PART, DenseInverse, Hub, InverseInParts
+from tonewood.coupling.laws import Contact, HardeningSpring
 from tonewood.coupling.system import Probe, Readout, System
 from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper, Shortcuts, instruction_set
+from tonewood.stepping.forcing import Segment, compile_force
+from tonewood.stepping.kernel import KernelStepper, Shortcuts
 from tonewood.stepping.stepper import NumpyStepper
 
 DT = 1 / 48000
@@ -60,7 +63,7 @@ def test_a_hub_much_softer_than_the_parts_is_left_to_the_dense_inverse(rng):
     assert InverseInParts.of(3, sparse(1e-6 * np.eye(3)), hub) is None
 
 
-def strings_on_a_body(rng, n, *, points=9, motions=4, residual=2e-8, dashpots=True, held=True):
+def strings_on_a_body(rng, n=30, *, points=9, motions=4, residual=2e-8, dashpots=True, held=True, laws=False):
     """n strings of a body's points that move by fewer motions; a held one touches nothing, some have dashpots."""
     shapes = rng.normal(size=(points, motions)) @ rng.normal(size=(motions, 20))
     names = [f"p{i}" for i in range(points)]
@@ -76,30 +79,40 @@ def strings_on_a_body(rng, n, *, points=9, motions=4, residual=2e-8, dashpots=Tr
         joints.append(Connection(f"s{i}.end", (Term(f"s{i}", "end"), *at)))
         if dashpots and i % 4 == 0:
             joints.append(Connection(f"s{i}.felt", (Term(f"s{i}", "mid"),), SpringDashpot(0.0, 0.3)))
+    if laws:
+        joints.append(Connection("rail", (Term("body", "p2"),), HardeningSpring(2e4, 1e9, damping=1.0)))
+        joints.append(Connection("stop", (Term("s1", "mid"), Term("body", "p4", -1.0)), Contact(1e7, 1.5)))
     out = [Readout("x", "acceleration", (Probe("body", "p0"),)), Readout("f", "force", forces=(("s0.end", 1.0),))]
     return System.build(parts, joints, out, dt=DT)
 
 
-@pytest.mark.parametrize("case", ["plain", "no residual", "all at one point", "own motions", "no dashpots"])
+#: those of 16 motions or more step the body sample by sample
+CASES = {
+    "plain": {}, "no residual": {"residual": 0.0}, "all at one point": {"points": 12, "motions": 1},
+    "own motions": {"points": 12, "motions": 12}, "no dashpots": {"dashpots": False, "held": False},
+    "own motions, many": {"points": 19, "motions": 19, "n": 60}, "many motions": {"points": 24, "motions": 17, "n": 80},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", list(CASES))
 def test_kernel_and_twin_solve_in_parts_what_the_whole_matrix_solves(rng, case, monkeypatch):
-    what = {
-        "plain": {}, "no residual": {"residual": 0.0}, "all at one point": {"points": 12, "motions": 1},
-        "own motions": {"points": 12, "motions": 12}, "no dashpots": {"dashpots": False, "held": False},
-    }[case]  # fmt: skip
+    what = CASES[case]
     seed = int(rng.integers(10**6))
-    system = strings_on_a_body(np.random.default_rng(seed), 30, **what)
+    monkeypatch.setattr(elimination, "LEAST_IN_PARTS", 20)
+    system = strings_on_a_body(np.random.default_rng(seed), **what)
     assert isinstance(system.solve.by, InverseInParts)
     start = system.start()
     for name, compiled in zip(system.names, system.compiled, strict=True):
         system.modes_of(start, name)[:] = 1e-6 * rng.normal(size=(2, compiled.basis.n_modes))
     monkeypatch.setattr(elimination, "LEAST_IN_PARTS", 10**6)
-    whole = strings_on_a_body(np.random.default_rng(seed), 30, **what)
+    whole = strings_on_a_body(np.random.default_rng(seed), **what)
     assert isinstance(whole.solve.by, DenseInverse)
     found = []
     for stepped in (whole, system):
-        for stepper in (NumpyStepper(stepped), KernelStepper(stepped), general(stepped)):
+        kernels = [KernelStepper(stepped, isa=isa) for isa in _kernel.instruction_sets()]
+        for stepper in (NumpyStepper(stepped), *kernels, general(stepped)):
             state = start.copy()
-            out, forces = stepper.run(state, 150)
+            out, forces = stepper.run(state, 150, [knock(stepped)])
             found.append((out, forces, state.modes))
     for other in found[1:]:
         for a, b in zip(other, found[0], strict=True):
@@ -107,7 +120,49 @@ def test_kernel_and_twin_solve_in_parts_what_the_whole_matrix_solves(rng, case, 
 
 
 def general(system):
-    return KernelStepper(system, isa=instruction_set(), shortcuts=Shortcuts(direct_step=False))
+    return KernelStepper(system, shortcuts=Shortcuts(direct_step=False))
+
+
+def knock(system):
+    """A force of 20 samples on the body."""
+    return compile_force("body", system.compiled[0].basis, "p1", [Segment(0.0, 20 * DT, 3.0)], DT, time=30.3 * DT)[0]
+
+
+@pytest.mark.parametrize("case", ["plain", "many motions"])
+def test_runs_cut_at_windows_give_the_same_bits(rng, case, monkeypatch):
+    monkeypatch.setattr(elimination, "LEAST_IN_PARTS", 20)
+    system = strings_on_a_body(rng, **CASES[case])
+    start = system.start()
+    for name, compiled in zip(system.names, system.compiled, strict=True):
+        system.modes_of(start, name)[:] = 1e-6 * rng.normal(size=(2, compiled.basis.n_modes))
+    whole, cut = start.copy(), start.copy()
+    stepper = KernelStepper(system)
+    expected, _ = stepper.run(whole, 256, [knock(system)])
+    found = [stepper.run(cut, n, [knock(system)])[0] for n in (64, 128, 64)]
+    np.testing.assert_array_equal(np.concatenate(found), expected)
+    np.testing.assert_array_equal(cut.modes, whole.modes)
+
+
+def test_laws_act_on_a_body_in_parts_as_in_one_matrix(rng, monkeypatch):
+    """A contact on the body itself and one on a string, the body stepped sample by sample."""
+    seed = int(rng.integers(10**6))
+    found = []
+    for least in (20, 10**6):
+        monkeypatch.setattr(elimination, "LEAST_IN_PARTS", least)
+        with_laws = strings_on_a_body(np.random.default_rng(seed), 60, points=24, motions=17, laws=True)
+        assert isinstance(with_laws.solve.by, InverseInParts) == (least == 20)
+        for stepper in (NumpyStepper(with_laws), KernelStepper(with_laws)):
+            state = with_laws.start()
+            found.append(stepper.run(state, 200, [knock(with_laws)]))
+            assert np.any(found[-1][1][:, -2:] != 0.0, axis=0).all()
+    for other in found[1:]:
+        for a, b in zip(other, found[0], strict=True):
+            np.testing.assert_allclose(a, b, rtol=0, atol=1e-9 * np.abs(b).max())
+
+
+def test_few_connections_are_one_matrix(rng):
+    assert isinstance(strings_on_a_body(rng, elimination.LEAST_IN_PARTS - 1, dashpots=False).solve.by, DenseInverse)
+    assert isinstance(strings_on_a_body(rng, elimination.LEAST_IN_PARTS, dashpots=False).solve.by, InverseInParts)
 
 
 def test_the_solve_is_kept_while_only_nonlinear_laws_change(rng):
