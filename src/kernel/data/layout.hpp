@@ -82,6 +82,7 @@ struct Layout {
     std::vector<int> row, port;            // first row and first port of each component
     std::vector<char> stepped;             // by component: stepped sample by sample (modal/shape_step.hpp)
     std::vector<int> sample_by_sample;     // these
+    std::vector<char> by_itself;           // by component: no linear connection joins it to another one
     std::vector<int> port_rows;            // row of every two-way port
     Array<double> single_response;         // (kBlock, single_width)
     std::vector<Several> several;

@@ -13,6 +13,7 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
     const auto alone = [](const Component& c) { return !c.driven && c.n_ports == 1 && c.n_rows == 1; };
     const int m = solve.m;
     l.row.assign(components.size(), 0), l.port.assign(components.size(), 0);
+    l.by_itself = without_neighbours(components, solve);
     l.driven_response.resize(components.size()), l.stepped.assign(components.size(), 0);
     int n_ports = 0;
     for (std::size_t i = 0; i < components.size(); ++i)

@@ -90,6 +90,28 @@ inline SparseRows sparse_rows(std::size_t rows, std::size_t columns, const std::
     return out;
 }
 
+// Components that no linear connection joins to another one or pulls on at rest; known only of an inverse in parts.
+inline std::vector<char> without_neighbours(const std::vector<Component>& components, const Solve& solve) {
+    std::vector<char> out(components.size(), 0);
+    std::vector<int> owner(solve.m, -1);
+    for (std::size_t i = 0; i < components.size(); ++i) {
+        out[i] = !components[i].driven && (solve.in_parts || components[i].n_ports == 0) && int(i) != solve.hub.slot;
+        if (components[i].driven) continue;
+        for (const auto& shares : components[i].shares)
+            for (const Share& s : shares) {
+                int& of = owner[s.connection];
+                if (of >= 0 && of != int(i)) out[i] = out[of] = 0;
+                of = int(i);
+                if (solve.constant[s.connection] != 0.0 || (solve.hub.slot >= 0 && solve.hub.point[s.connection] >= 0)) out[i] = 0;
+            }
+    }
+    for (const Entry& e : solve.blocks)
+        if (owner[e.row] != owner[e.column])
+            for (const int i : {owner[e.row], owner[e.column]})
+                if (i >= 0) out[i] = 0;
+    return out;
+}
+
 inline Parts make_parts(const std::vector<Component>& components, const Solve& solve, const Layout& l) {
     Parts out;
     const Solve::Hub& hub = solve.hub;

@@ -22,12 +22,12 @@ inline void add_readouts(const Component& c, const double* rows, int stride, int
 }
 
 // Free motion of the two-way components in the row history; a component that is no longer finite, or -1.
-inline int free_motion(Block& block, FusedPass& fused) {
+inline int free_motion(Block& block, FusedPass& fused, const Resting& resting) {
     fused.begin_block();
     const Layout& l = block.model.layout;
     for (int i = 0; i < int(block.model.components.size()); ++i) {
         const Component& c = block.model.components[i];
-        if (c.driven || c.tension.on || c.geometric) continue;
+        if (c.driven || c.tension.on || c.geometric || resting[i]) continue;
         const Rows rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, block.history.data() + l.row[i], l.width, 1};
         const auto& inputs = block.inputs[i];
         if (l.stepped[i]) {
@@ -54,9 +54,10 @@ inline void step_shapes(Block& block, int b) {
 }
 
 // Moves the modes under the forces of the block and adds the readouts; a component that is no longer finite, or -1.
-inline int correct(Block& block, const ContactRows& contacts, FusedPass& fused) {
+inline int correct(Block& block, const ContactRows& contacts, FusedPass& fused, const Resting& resting) {
     const Layout& l = block.model.layout;
     for (int i = 0; i < int(block.model.components.size()); ++i) {
+        if (resting[i]) continue;
         const Component& c = block.model.components[i];
         double *x = block.x(i), *y = block.y(i);
         const double* forces = block.forces.data() + l.port[i];

@@ -82,6 +82,8 @@ class Shortcuts:
     fine_bound: bool = True
     #: one modal pass finishes a tension-modulated step and begins the next
     combined_pass: bool = True
+    #: components at rest that nothing can move are not stepped
+    at_rest: bool = True
     #: the inverse for linear laws is kept until a slope changes
     kept_inverse: bool = True
 

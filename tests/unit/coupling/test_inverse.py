@@ -172,3 +172,26 @@ def test_the_solve_is_kept_while_only_nonlinear_laws_change(rng):
     assert same.solve is solve
     other = system.with_laws({"s0.felt": Connection("s0.felt", system.connections[1].terms, Rigid())})
     assert other.solve is not solve
+
+
+def test_what_nothing_moves_stays_at_rest_without_steps(rng, monkeypatch):
+    """Strings with rigid ends, at first at rest; one of them is plucked in the middle of a window."""
+    monkeypatch.setattr(elimination, "LEAST_IN_PARTS", 20)
+    system = strings_on_a_body(rng, 30)
+    basis = system.compiled[system.slot("s9")].basis
+    pluck = compile_force("s9", basis, "mid", [Segment(0.0, 9 * DT, 0.5)], DT, time=200.4 * DT)
+    found = []
+    for at_rest in (True, False):
+        state = system.start()
+        for name, compiled in zip(system.names, system.compiled, strict=True):
+            if name == "body" or int(name[1:]) % 5 != 4:
+                system.modes_of(state, name)[:] = 1e-6 * np.random.default_rng(1).normal(
+                    size=(2, compiled.basis.n_modes)
+                )
+        stepper = KernelStepper(system, shortcuts=Shortcuts(at_rest=at_rest))
+        runs = [stepper.run(state, n, [knock(system), *pluck]) for n in (64, 100, 28, 192)]
+        found.append((*(np.concatenate(parts) for parts in zip(*runs, strict=True)), state.modes))
+        assert not system.modes_of(state, "s4").any()
+        assert system.modes_of(state, "s9").any()
+    for with_rest, without in zip(*found, strict=True):
+        np.testing.assert_array_equal(with_rest, without)
