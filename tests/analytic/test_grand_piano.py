@@ -106,6 +106,21 @@ def test_a_struck_unison_decays_twice(middle: tw.Instrument, tmp_path: Path) -> 
     assert first < 0.6 * early
 
 
+def test_una_corda_leaves_more_aftersound(tmp_path: Path) -> None:
+    """The string that is not struck soon moves against the others: softer at first, and longer."""
+    instrument = piano(tmp_path / "c5", ["C5"])
+    note = [tw.Note(0.05, 12.0, note=72, velocity_midi=80)]
+
+    def levels(*controls: tw.Control) -> np.ndarray:
+        sound = tw.render(tw.Score(note, controls), instrument, fs=12000, max_duration=5.0).samples[:, 0]
+        early, late = sound[1200:7200], sound[48000:]
+        return 10 * np.log10([np.mean(early**2), np.mean(late**2)])
+
+    early, late = levels(tw.Control(0.0, "cc67", 1.0)) - levels()
+    assert -5 < early < -1
+    assert late > early + 4
+
+
 def test_one_head_strikes_three_strings(middle: tw.Instrument) -> None:
     """The head loses the momentum that the felts give: m (v - v') = sum of the felts' impulses; energy is not made."""
     model = ta.assemble(middle, 96000)

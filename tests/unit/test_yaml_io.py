@@ -117,3 +117,25 @@ def test_errors_find_the_line_of_their_key(tmp_path: Path, key: str, line: int |
     assert str(pickle.loads(pickle.dumps(fault))) == str(fault)
     file.write_text("a: [")
     assert located(BundleError("is wrong", file=file, key=key)).line is None
+
+
+def test_values_that_are_kept_are_those_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TONEWOOD_CACHE", str(tmp_path / "kept"))
+    file = tmp_path / "a.yaml"
+    file.write_text("a: [1, 2.5e-300, true, null, no, 'x', {b: -0.0}]\n" + "# long enough\n" * 100)
+    first = load_yaml(file)
+    (kept,) = (tmp_path / "kept").iterdir()
+    again = load_yaml(file)
+    assert again == first == parse_yaml(file.read_text())
+    assert [type(x) for x in again["a"]] == [type(x) for x in first["a"]]
+    kept.write_bytes(b"{")
+    assert load_yaml(file) == first
+    kept.write_text('{"a": 5}')
+    assert load_yaml(file) == {"a": 5}  # it is read
+    file.write_text(file.read_text().replace("2.5e-300", "3.5"))
+    assert load_yaml(file)["a"][1] == 3.5
+    monkeypatch.setenv("TONEWOOD_CACHE", "off")
+    assert load_yaml(file)["a"][1] == 3.5
+    file.write_text("a: &anchor 1\n" + "# long enough\n" * 100)
+    with pytest.raises(TonewoodError, match="anchor"):
+        load_yaml(file)

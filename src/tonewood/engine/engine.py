@@ -172,7 +172,7 @@ class Engine:
             start = self.state.sample
             steps = min(self._next_event(), end) - start
             if self.energy_budget:  # it makes the motion again from the forces: what rounding adds must not grow long
-                steps = min(steps, GRID)
+                steps = min(steps, GRID // 4 if self.system.geometric else GRID)
             before = self.state.copy() if self.energy_budget else None
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)

@@ -20,7 +20,7 @@ from dataclasses import replace
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.fretting import Fretting
 from tonewood.engine.live_dampers import LiveDampers
-from tonewood.engine.live_voices import Line, LiveCounters, Voice
+from tonewood.engine.live_voices import LiveCounters, PlayedString, Voice
 from tonewood.engine.note_events import event_values, exciter_of, force_of, gripped, hurried, is_where_asked
 from tonewood.engine.playing import BEND_RATE, LET_GO_AFTER, playable
 from tonewood.engine.techniques import stop_course, touch_course
@@ -69,7 +69,7 @@ class LivePlayer:
         engine.fingerboard.room = max(engine.fingerboard.room, _ROOM)
         self.dampers = LiveDampers(model)
         self._keys = {float(note_number(k)): name for k, name in model.playing.keyswitches.items()}
-        self._lines = {name: Line() for name in model.strings}
+        self._lines = {name: PlayedString() for name in model.strings}
         self._waiting: deque[Voice] = deque()
         self._held: dict[tuple[int, float], list[Voice]] = {}
         self._pedalled: dict[tuple[int, float], Voice] = {}
@@ -286,7 +286,7 @@ class LivePlayer:
         usual = voice.note.technique in (None, self.model.default_exciter) and "from_bridge" not in voice.event.values
         return usual and voice.assigned is not None and voice.assigned.cents == 0.0
 
-    def _sounding(self, line: Line) -> Sounding:
+    def _sounding(self, line: PlayedString) -> Sounding:
         voice = line.voice
         worth = 0.0 if voice is None else 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
         return Sounding(line.stop, worth)

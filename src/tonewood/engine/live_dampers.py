@@ -50,12 +50,12 @@ class LiveDampers:
     def press(self, string: str) -> None:
         """Lift the damper of a key."""
         self._down.add(string)
-        self._settle([string])
+        self._place_dampers([string])
 
     def release(self, string: str) -> None:
         """Let the damper of a key fall, as far as the pedals let it."""
         self._down.discard(string)
-        self._settle([string])
+        self._place_dampers([string])
 
     def control(self, kind: str, value: float, channel: int) -> None:
         """Move a pedal to a position from 0 to 1."""
@@ -66,12 +66,12 @@ class LiveDampers:
             self._latched = set(self._down)
         elif after < 0.5 <= before:
             self._latched = set()
-        self._settle(self._groups)
+        self._place_dampers(self._groups)
 
     def _position(self, kind: str) -> float:
         return max(self._at[kind].values(), default=0.0)
 
-    def _settle(self, leaders: Iterable[str]) -> None:
+    def _place_dampers(self, leaders: Iterable[str]) -> None:
         share = 1.0 if self._pedals is None else self._pedals.share(self._position(SUSTAIN))
         for leader in leaders:
             if leader not in self._groups:

@@ -39,7 +39,7 @@ class Voice:
 
 
 @dataclass(eq=False)
-class Line:
+class PlayedString:
     """One string: its voice, stop, bend, and what is still to come of them."""
 
     voice: Voice | None = None

@@ -21,8 +21,8 @@ SUSTAIN, SOSTENUTO, UNA_CORDA = "cc64", "cc66", "cc67"
 Steps = list[tuple[float, float]]
 
 
-class Pedals:
-    """What the pedals of a score do to an instrument.
+class PedalCourses:
+    """Pedals of a score over time, and the motion of an instrument's dampers.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
-from tonewood.engine.pedals import SOSTENUTO, SUSTAIN, UNA_CORDA, Pedals
+from tonewood.engine.pedals import SOSTENUTO, SUSTAIN, UNA_CORDA, PedalCourses
 from tonewood.engine.techniques import stop_course, touch_course, with_marks, with_techniques
 from tonewood.engine.timeline import GRID, Change, Play, Timeline
 from tonewood.engine.variation import Deviates, moved, touched
@@ -89,7 +89,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     controllers = Controllers(score.controls)
     bends = {c: History(_glided(line, GRID / model.fs)) for c, line in _by_channel(score.controls).items()}
     changes: list[Change] = []
-    pedals = Pedals(model, score.controls)
+    pedals = PedalCourses(model, score.controls)
     pressed: dict[str, list[tuple[float, float]]] = {}
     plays = list(body_plays)
     dropped = [*score.dropped, *assignment.dropped]
@@ -209,8 +209,7 @@ def _presses(line: Sequence[Assigned], plays: Sequence[Play]) -> list[tuple[floa
     """When the key of a string's notes goes down and comes up, s; struck again it does not come up in between."""
     out = []
     for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
-        note = assigned.note
-        up = note.time + (note.duration if note.held is None else note.held)
+        up = assigned.note.key_up
         out.append((play.start, min(up, plays[i + 1].start) if i + 1 < len(plays) else up))
     return out
 

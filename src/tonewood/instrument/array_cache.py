@@ -1,16 +1,13 @@
 """Arrays that take seconds to compute, kept between runs: a file per content, safe to delete at any time.
 
-The files lie in the folder that the environment variable ``TONEWOOD_CACHE`` names, else in
-``$XDG_CACHE_HOME/tonewood``, else in ``~/.cache/tonewood``; ``TONEWOOD_CACHE=off`` keeps nothing. A file's name is a
-hash of the inputs, of the sources of the package that computes, and of the versions of NumPy and SciPy: the arrays
-found are those that would be computed.
+The files lie in the `cache_folder`. A file's name is a hash of the inputs, of the sources of the package that computes,
+and of the versions of NumPy and SciPy: the arrays found are those that would be computed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -21,6 +18,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.cache_folder import cache_folder
 from tonewood.errors import OutputError
 from tonewood.whole_files import whole_file
 
@@ -64,15 +62,8 @@ def cached_arrays(
 
 
 def _path(key: str) -> Path | None:
-    named = os.environ.get("TONEWOOD_CACHE", "")
-    if named == "off":
-        return None
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    try:
-        folder = Path(named) if named else Path(base if base else Path.home() / ".cache") / "tonewood"
-    except RuntimeError:  # no home folder
-        return None
-    return folder / f"{key[:32]}.npz"
+    folder = cache_folder()
+    return None if folder is None else folder / f"{key[:32]}.npz"
 
 
 def _read(path: Path) -> Arrays | None:

@@ -22,7 +22,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +40,12 @@ from tonewood.instrument.files import Files
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.views import SHOWN_TO, ModalViews
 from tonewood.params import Parameters, Vector, validated
-from tonewood.plate.radiation import Sources
 from tonewood.stepping.forcing import SampledForce
 from tonewood.stepping.forcing import Segment as Segment
 from tonewood.tables import properties_html
+
+if TYPE_CHECKING:
+    from tonewood.plate.radiation import Sources
 
 API = 1
 

@@ -9,6 +9,7 @@ cents_1, cents_2, ...     by which each of them is tuned above the note
 una_corda                 how many of them the hammer meets while that pedal is down
 damped                    ``yes`` or ``no``: whether a damper rests on them
 string.PARAMETER          any key of its strings, dotted: ``string.length``, ``string.loss.sigma0``, ``string.end``
+string_2.PARAMETER, ...   of one of them, in place of that: ``string_2.note`` of an octave string
 EXCITER.PARAMETER         any parameter of the exciter that `keys` names, e.g. ``hammer.mass``
 damper.PARAMETER          of its damper
 kind                      of the row's figures, as in `provenance`
@@ -27,7 +28,7 @@ from typing import Any
 
 from tonewood.errors import BundleError, ScoreError, TonewoodError
 from tonewood.instrument.files import Files
-from tonewood.instrument.schema import Bundle, PluginPart
+from tonewood.instrument.schema import MOST_STRINGS, Bundle, PluginPart
 from tonewood.score.scales import note_number
 from tonewood.validation_messages import did_you_mean
 
@@ -84,7 +85,7 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
     places: dict[str, tuple[int, str]] = {}
     for line, cells in rows:
         row = _Row(file, line, dict(zip(header, cells, strict=True)))
-        name = row.text("note").replace("#", "s")
+        name = row.text("note").replace("#", "s").replace("-", "m")
         if name in entries:
             raise row.fault("note", f"is {row.text('note')!r}, which an earlier row has; one row a note is allowed")
         try:
@@ -93,6 +94,8 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
             raise row.fault("note", fault.reason) from None
         count = row.whole("strings", 1)
         of = [name] if count == 1 else [f"{name}_{i + 1}" for i in range(count)]
+        if len(made) + count > MOST_STRINGS:
+            raise row.fault("strings", f"makes more than the {MOST_STRINGS} strings allowed")
         entry: dict[str, Any] = {"note": row.text("note"), "strings": of}
         if row.cells.get("una_corda"):
             entry["una_corda"] = row.whole("una_corda", 1)
@@ -108,6 +111,7 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
         own = row.below("string")
         for i, string in enumerate(of):
             part = {"note": entry["note"], "cents": row.number(f"cents_{i + 1}", 0.0), **own}
+            part |= row.below(f"string_{i + 1}")
             if "end" not in part and not (isinstance(defaults, Mapping) and "end" in defaults):
                 part["end"] = f"body.{name}"
             made[string] = part
@@ -236,10 +240,12 @@ def _value(text: str) -> Any:
 def _check_columns(header: list[str], line: int, exciter: Any, file: str) -> None:
     known = [*_PLAIN, *(f"cents_{i + 1}" for i in range(_MOST))]
     heads = [head for head in ("string", exciter, "damper") if isinstance(head, str)]
+    heads += [f"string_{i + 1}" for i in range(_MOST)]
     for column in header:
         head, _, path = column.partition(".")
         if column not in known and not (path and head in heads):
-            allowed = f"{', '.join(_PLAIN)}, cents_1 to cents_{_MOST}, {', '.join(f'{h}.PARAMETER' for h in heads)}"
+            owners = ", ".join(f"{head}.PARAMETER" for head in heads[:-_MOST])
+            allowed = f"{', '.join(_PLAIN)}, cents_1 to cents_{_MOST}, {owners}"
             hint = did_you_mean(column, known)
             raise BundleError(f"is no column of a table of keys; {hint}allowed: {allowed}", file=file, key=column)
     if "note" not in header:

@@ -50,9 +50,15 @@ class Entry:
 def entries(group: str) -> dict[str, Entry]:
     """Announced names of a group, sorted; one that two distributions announce carries a `fault`."""
     found: dict[str, Entry] = {}
+    owners: dict[int, tuple[str, str]] = {}  # each name and version is read from a file
     for point in sorted(metadata.entry_points(group=group), key=lambda p: p.name):
-        owner = point.dist
-        entry = Entry(point.name, point.value, owner.name if owner else "?", owner.version if owner else "?")
+        if (owner := point.dist) is None:
+            entry = Entry(point.name, point.value, "?", "?")
+        else:
+            if id(owner) not in owners:
+                known = owner.metadata
+                owners[id(owner)] = known["Name"], known["Version"]
+            entry = Entry(point.name, point.value, *owners[id(owner)])
         before = found.get(point.name)
         # one distribution may be seen twice, through two entries of the path
         if before is not None and (before.value, before.distribution) != (entry.value, entry.distribution):

@@ -213,7 +213,7 @@ class Damper(Parameters):
     resistance: float = quantity("N s/m", low=0.0, high=100.0, doc="of all of it, on each string")
 
 
-class Key(Parameters):
+class KeyEntry(Parameters):
     """A key, or a course: strings that one note plays together."""
 
     note: str | Number = described("note name or MIDI number")
@@ -256,7 +256,9 @@ class Keys(Parameters):
     exciter: Name | None = described("exciter whose parameters the table gives", default=None)
     damper: dict[str, Any] = described("what the rows do not say of dampers", default={})
     pedals: Pedals = described("where keys have dampers", default=Pedals())
-    entries: dict[Name, Key] = described("name -> key, beside those of the table", default={}, max_length=MOST_STRINGS)
+    entries: dict[Name, KeyEntry] = described(
+        "name -> key, beside those of the table", default={}, max_length=MOST_STRINGS
+    )
 
 
 class Finger(Parameters):

@@ -5,10 +5,13 @@ Partial m of a stiff string lies c_m = 600 lg2((1 + B m^2) / (1 + B)) cents abov
     B = pi^2 EI / (T L^2).
 
 Partial 2k of a note and partial k of the note an octave above do not beat if the octave is wider than 2:1 by
-d_k = c_2k(low) - c_k(high). With partials whose amplitude falls as 1/m, of those below 6 kHz k = 1, 2, 3 beat alike for
-the same error in cents, and the cents s_i by which the notes i are raised are those that minimise
+d_k = c_2k(low) - c_k(high). With partials whose amplitude falls as 1/m, k = 1, 2, 3 beat alike for the same error in
+cents as far as they are heard, w_k = 1 / (1 + (2 k f_low / 4 kHz)^4). The cents s_i by which the notes i are raised are
+those that minimise
 
-    sum_octaves mean_k (s_high - s_low - d_k)^2  +  0.01 sum_i (s_(i+1) - 2 s_i + s_(i-1))^2,    s = 0 at A4.
+    sum_octaves (s_high - s_low - d)^2  +  0.01 sum_i (s_(i+1) - 2 s_i + s_(i-1))^2,    d = sum w_k d_k / sum w_k,
+
+with s = 0 at A4.
 
 The second sum joins the twelve chains of octaves; it moves an octave by less than 0.1 cent. The curve of s over a piano
 is what Railsback measured.
@@ -28,8 +31,8 @@ import scipy.linalg as sla
 
 from tonewood.instrument.contract import Resonator
 
-#: octaves 2k:k that are listened to, and Hz up to which their partials are
-_OCTAVES, _AUDIBLE = (1, 2, 3), 6000.0
+#: octaves 2k:k that are listened to, and Hz from which their partials count less
+_OCTAVES, _HEARD = (1, 2, 3), 4000.0
 _SMOOTHNESS = 0.01
 #: MIDI number of the note that keeps its pitch
 _REFERENCE = 69.0
@@ -56,13 +59,10 @@ def octave_stretch(notes: Mapping[str, float], freqs: Mapping[str, float], B: Ma
     rows: list[tuple[dict[int, float], float, float]] = []
     for low, name in enumerate(order):
         high = at.get(round(notes[name] + 12.0, 6))
-        wide = [
-            _above(B[name], 2 * k) - _above(B[order[high]], k)
-            for k in _OCTAVES
-            if high is not None and (k == 1 or 2 * k * freqs[name] < _AUDIBLE)
-        ]
         if high is not None:
-            rows.append(({high: 1.0, low: -1.0}, float(np.mean(wide)), 1.0))
+            wide = [_above(B[name], 2 * k) - _above(B[order[high]], k) for k in _OCTAVES]
+            weights = [1.0 / (1.0 + (2 * k * freqs[name] / _HEARD) ** 4) for k in _OCTAVES]
+            rows.append(({high: 1.0, low: -1.0}, float(np.average(wide, weights=weights)), 1.0))
     rows += [({i - 1: 1.0, i: -2.0, i + 1: 1.0}, 0.0, math.sqrt(_SMOOTHNESS)) for i in range(1, len(order) - 1)]
     reference = min(range(len(order)), key=lambda i: abs(notes[order[i]] - _REFERENCE))
     rows.append(({reference: 1.0}, 0.0, 1e3))

@@ -48,7 +48,11 @@ def string_models(
     BundleError : a point of a string does not lie on its speaking part at the last stop.
     """
     stretch = stretch_cents(instrument)
-    copies = {name: len(strings) for strings in instrument.groups.values() for name in strings}
+    copies = {
+        name: sum(abs(instrument.open_note(other) - instrument.open_note(name)) < 0.5 for other in strings)
+        for strings in instrument.groups.values()
+        for name in strings
+    }
     beyond = {
         name
         for leader in instrument.groups
@@ -157,6 +161,7 @@ def _stopping(instrument: Instrument, name: str, raised_cents: float) -> Stoppin
         compensate=spec.tuning.at if spec.tuning.compensate == "coupled" else "none",
         hold=spec.tuning.hold,
         finger=stops.finger if stops.model == "finger" else None,
+        stretch_cents=raised_cents,
     )
 
 

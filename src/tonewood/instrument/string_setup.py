@@ -63,6 +63,7 @@ class Stopping:
     compensate : ``each_stop``, ``open_only`` or ``none``.
     hold : ``pitch`` or ``tension``: which of the two of the bundle the open string keeps where it is compensated.
     finger : soft finger that stops the string; None where the stop is an ideal end.
+    stretch_cents : by which the tuning raises all its pitches, `freq` included; the tension given is not expected to.
     """
 
     count: int
@@ -71,6 +72,7 @@ class Stopping:
     compensate: str
     hold: str = "pitch"
     finger: Finger | None = None
+    stretch_cents: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +85,7 @@ class GivenTension:
     given, used : N, of the first polarization.
     held : ``pitch`` or ``tension``: which of the two was kept.
     raised_cents : pitch of the open string at the given tension, from its note; 0 where the pitch is held.
+    stretch_cents : by which the tuning raises the note.
     """
 
     string: str
@@ -90,11 +93,14 @@ class GivenTension:
     used: float
     held: str
     raised_cents: float
+    stretch_cents: float = 0.0
 
     @property
     def cents(self) -> float:
-        """Pitch at the given tension, from the note: 600 lg2(given / used) cents."""
-        return self.raised_cents if self.held == "tension" else 600.0 * math.log2(self.given / self.used)
+        """Pitch at the given tension, from the note without stretch: 600 lg2(given / used) cents and the stretch."""
+        if self.held == "tension":
+            return self.raised_cents
+        return 600.0 * math.log2(self.given / self.used) + self.stretch_cents
 
     @property
     def noticeable(self) -> bool:

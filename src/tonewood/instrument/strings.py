@@ -124,7 +124,8 @@ class StringModel:
     def given_tension(self) -> GivenTension:
         """The bundle's tension and the one used."""
         held = "tension" if self._tension_held or self.stopping.compensate == "none" else "pitch"
-        return GivenTension(self.name, self.resonator.tension, self.tension(0.0), held, cents(self._raised))
+        stretch = self.stopping.stretch_cents
+        return GivenTension(self.name, self.resonator.tension, self.tension(0.0), held, cents(self._raised), stretch)
 
     @property
     def _tension_held(self) -> bool:

@@ -112,7 +112,7 @@ def share_curve(string: StringOnBody, tension: float, freq: float, offsets: Floa
 def wolf_notes(model: Model, strings: Sequence[str] | None = None) -> list[WolfNote]:
     """Wolf notes of all strings, or of those named, the most severe first."""
     body = model.body.natural_freq
-    found = [wolf for name in (strings or model.strings) for wolf in _of_string(model, name, body)]
+    found = [wolf for name in (strings or model.groups) for wolf in _of_string(model, name, body)]
     return sorted(found, key=lambda wolf: -wolf.severity_cents)
 
 

@@ -1,16 +1,33 @@
 """Plates from drawings: modes of braced wooden plates of any outline, their air and their sound; arrays only.
 
-`body.body_modes` makes the modes of a `body.BodyDrawing`; every other module has one step of it.
+`body.body_modes` makes the modes of a `body.BodyDrawing`; every other module has one step of it. Modules are imported
+when a name of theirs is first used: most instruments have no drawn body.
 """
 
-from tonewood.plate.air import SOUND_SPEED
-from tonewood.plate.beams import Beam
-from tonewood.plate.body import BodyDrawing, BodyModes, PlateDrawing, body_modes, first_modes
-from tonewood.plate.microphones import microphone
-from tonewood.plate.outline import area, circle, crossing, guitar_outline, inside, refined, smooth_ring
-from tonewood.plate.plate import Edge
-from tonewood.plate.radiation import Sources
-from tonewood.plate.wood import SPECIES, Wood
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tonewood.plate.air import SOUND_SPEED
+    from tonewood.plate.beams import Beam
+    from tonewood.plate.body import BodyDrawing, BodyModes, PlateDrawing, body_modes, first_modes
+    from tonewood.plate.microphones import microphone
+    from tonewood.plate.outline import area, circle, crossing, guitar_outline, inside, refined, smooth_ring
+    from tonewood.plate.plate import Edge
+    from tonewood.plate.radiation import Sources
+    from tonewood.plate.wood import SPECIES, Wood
+
+_MODULES = {
+    "air": ("SOUND_SPEED",),
+    "beams": ("Beam",),
+    "body": ("BodyDrawing", "BodyModes", "PlateDrawing", "body_modes", "first_modes"),
+    "microphones": ("microphone",),
+    "outline": ("area", "circle", "crossing", "guitar_outline", "inside", "refined", "smooth_ring"),
+    "plate": ("Edge",),
+    "radiation": ("Sources",),
+    "wood": ("SPECIES", "Wood"),
+}
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "SOUND_SPEED",
@@ -33,3 +50,11 @@ __all__ = [
     "refined",
     "smooth_ring",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value

@@ -165,7 +165,7 @@ def default_notes(found: Sequence[InstrumentFacts], models: Sequence[Model]) -> 
     """Notes that are played where none are asked for; see `compare`."""
     names: list[str] = []
     for facts, model in zip(found, models, strict=True):
-        strings = list(model.strings)
+        strings = list(model.groups)
         if len(found) > 1:
             strings = [strings[0], strings[-1]]
         elif len(strings) > _MOST_OPEN:

@@ -243,7 +243,9 @@ def body_modes(model: Model) -> tuple[BodyMode, ...]:
     """Modes of the body at the points where strings end, by frequency."""
     body = model.body
     points = [
-        max(ends, key=lambda p: abs(ends[p])) for s in model.strings.values() if (ends := s.polarizations[0].ends)
+        max(ends, key=lambda p: abs(ends[p]))
+        for s in (model.strings[name] for name in model.groups)
+        if (ends := s.polarizations[0].ends)
     ]
     rows = [body.index(point) for point in points]
     mean = np.mean([body.residues(point) for point in points], axis=0) if points else np.zeros(body.n_modes)

@@ -98,8 +98,8 @@ def place(model: Model, note: str) -> tuple[str, float]:
     """
     name, colon, stop = note.partition(":")
     if colon:
-        if name not in model.strings:
-            raise TonewoodError(f"there is no string {name!r}; there are {', '.join(model.strings)}")
+        if name not in model.groups:
+            raise TonewoodError(f"there is no string {name!r}; there are {', '.join(model.groups)}")
         count = model.strings[name].n_stops
         if not (stop.isascii() and stop.isdigit() and int(stop) <= count):
             raise TonewoodError(f"{stop!r} is no stop of string {name}; 0 to {count} are allowed")

@@ -243,8 +243,11 @@ def _share_plucks(notes: Sequence[Note]) -> tuple[list[Note], list[Note]]:
         if i >= 0 and note.time <= plucks[i].time + SIMULTANEOUS and note.channel not in channels:
             channels.add(note.channel)
             quiet, loud = sorted((plucks[i], note), key=lambda n: n.velocity_midi or 0.0)
-            end = max(n.time + n.duration for n in (quiet, loud))
-            plucks[i] = replace(loud, time=plucks[i].time, duration=end - plucks[i].time)
+            end, up = (
+                max(ends) for ends in zip(*((n.time + n.duration, n.key_up) for n in (quiet, loud)), strict=True)
+            )
+            time = plucks[i].time
+            plucks[i] = replace(loud, time=time, duration=end - time, held=up - time if up < end else None)
             doubled.append(quiet)
         else:
             latest[note.note] = len(plucks), {note.channel}

@@ -237,8 +237,7 @@ def write_midi(score: Score, path: str | os.PathLike[str], *, bpm: float = 120.0
         if key is None or key != int(key) or not 0 <= key <= 127:
             raise ScoreError(f"note {key} at {note.time:.3f} s: MIDI needs a whole number from 0 to 127", file=path)
         begin = round(note.time * rate)
-        held = note.duration if note.held is None else note.held
-        end = max(round((note.time + held) * rate), begin + 1)
+        end = max(round(note.key_up * rate), begin + 1)
         on = mido.Message("note_on", channel=number, note=int(key), velocity=max(velocity, 1))
         off = mido.Message("note_off", channel=number, note=int(key), velocity=64)
         timed.setdefault(number, []).extend([(begin, 2, on), (end, 1, off)])

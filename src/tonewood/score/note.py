@@ -109,6 +109,11 @@ class Note:
                 )
                 raise ScoreError(f"{name} of a note is {value!r}: {allowed} are allowed")
 
+    @property
+    def key_up(self) -> float:
+        """When its key is released, s."""
+        return self.time + (self.duration if self.held is None else self.held)
+
 
 @dataclass(frozen=True, slots=True)
 class Control:

@@ -104,7 +104,12 @@ def _excerpt(score: Score, start: float, stop: float | None) -> Score:
     """Notes that begin in an excerpt, ended at its end, with times counted from its beginning."""
     until = math.inf if stop is None else stop
     notes = [
-        replace(n, time=n.time - start, duration=min(n.duration, until - n.time))
+        replace(
+            n,
+            time=n.time - start,
+            duration=min(n.duration, until - n.time),
+            held=None if n.held is None else min(n.held, until - n.time),
+        )
         for n in score.notes
         if start <= n.time < until
     ]
@@ -123,7 +128,13 @@ def _moved(score: Score, semitones: float, tempo: float) -> Score:
         if stop is not None and (stop < 0 or stop != int(stop)):
             stop = None
         return replace(
-            n, time=n.time / tempo, duration=max(n.duration / tempo, 1e-3), note=pitch, stop=stop, marks=marks
+            n,
+            time=n.time / tempo,
+            duration=max(n.duration / tempo, 1e-3),
+            note=pitch,
+            stop=stop,
+            marks=marks,
+            held=None if n.held is None else max(n.held / tempo, 1e-3),
         )
 
     def control(c: Control) -> Control:

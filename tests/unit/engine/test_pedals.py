@@ -11,11 +11,12 @@ import pytest
 
 import tonewood as tw
 import tonewood.authoring as ta
-from midi_bytes import control, off, on, write
+from midi_bytes import control, note, off, on, write
 from pianos import piano
 from tonewood.engine.engine import Engine
 from tonewood.engine.pedals import damper_course, latched, pressed_farthest
 from tonewood.engine.playing import perform
+from tonewood.instrument.assembly import Model
 from tonewood.units import decibel
 
 FS = 24000
@@ -27,9 +28,14 @@ def grand(tmp_path_factory: pytest.TempPathFactory) -> tw.Instrument:
     return piano(tmp_path_factory.mktemp("keys"), ["C3", "C4", "F#4", "C5", "C7"])
 
 
-def courses(grand: tw.Instrument, notes: list[tw.Note], controls: list[tw.Control]) -> dict[str, list[tuple]]:
+@pytest.fixture(scope="module")
+def model(grand: tw.Instrument) -> Model:
+    return ta.assemble(grand, FS)
+
+
+def courses(model: Model, notes: list[tw.Note], controls: list[tw.Control]) -> dict[str, list[tuple]]:
     """String -> (time, share of its damper's loss) in the timeline of a score."""
-    found = perform(tw.Score(notes, controls), ta.assemble(grand, FS))
+    found = perform(tw.Score(notes, controls), model)
     out: dict[str, list[tuple]] = defaultdict(list)
     for change in found.timeline.changes:
         if change.damper is not None:
@@ -56,8 +62,8 @@ def test_the_pedal_pressed_farthest_counts() -> None:
     assert pressed_farthest(controls, "cc64") == [(0.0, 0.5), (1.0, 1.0), (2.0, 0.5)]
 
 
-def test_a_key_lifts_the_dampers_of_its_strings(grand: tw.Instrument) -> None:
-    found = courses(grand, [tw.Note(0.1, 0.5, note=60)], [])
+def test_a_key_lifts_the_dampers_of_its_strings(model: Model) -> None:
+    found = courses(model, [tw.Note(0.1, 0.5, note=60)], [])
     assert set(found) == {"C4_1", "C4_2", "C4_3"}
     (up, lifted), (down, fallen) = found["C4_2"]
     assert lifted == 0.0
@@ -67,24 +73,36 @@ def test_a_key_lifts_the_dampers_of_its_strings(grand: tw.Instrument) -> None:
     assert down == 0.6
 
 
-def test_pedals_in_a_score(grand: tw.Instrument) -> None:
+def test_pedals_in_a_score(model: Model) -> None:
     notes = [tw.Note(0.1, 0.2, note=60), tw.Note(0.5, 0.2, note=72)]
-    found = courses(grand, notes, [tw.Control(0.2, "cc66", 1.0), tw.Control(1.0, "cc66", 0.0)])
+    found = courses(model, notes, [tw.Control(0.2, "cc66", 1.0), tw.Control(1.0, "cc66", 0.0)])
     assert found["C4_1"][-1] == (1.0, 1.0)
     assert found["C5_1"][-1] == (0.7, 1.0)
-    found = courses(grand, notes, [tw.Control(0.2, "cc64", 1.0), tw.Control(1.0, "cc64", 0.0)])
+    found = courses(model, notes, [tw.Control(0.2, "cc64", 1.0), tw.Control(1.0, "cc64", 0.0)])
     assert found["C4_1"][-1] == found["C3_1"][-1] == (1.0, 1.0)
     assert found["C3_1"] == [(0.2, 0.0), (1.0, 1.0)]
-    half = courses(grand, notes, [tw.Control(0.2, "cc64", 0.5)])["C3_1"]
+    half = courses(model, notes, [tw.Control(0.2, "cc64", 0.5)])["C3_1"]
     assert half == [(0.2, 0.25)]
     assert "C7_1" not in found
 
 
 def test_midi_keeps_when_the_key_was_released(tmp_path: Path) -> None:
     events = [control(0.0, 64, 127), on(0.0, 60), off(0.5, 60), control(2.0, 64, 0)]
-    (note,) = tw.read_midi(write(tmp_path / "pedal.mid", events)).notes
-    assert note.duration == pytest.approx(2.0)
-    assert note.held == pytest.approx(0.5)
+    (found,) = tw.read_midi(write(tmp_path / "pedal.mid", events)).notes
+    assert found.duration == pytest.approx(2.0)
+    assert found.held == pytest.approx(0.5)
+    tw.write_midi(tw.read_midi(tmp_path / "pedal.mid"), tmp_path / "again.mid")
+    again = tw.read_midi(tmp_path / "again.mid")
+    assert again.notes[0].held == pytest.approx(0.5, abs=1e-3)
+    assert again.notes[0].duration == pytest.approx(2.0, abs=1e-3)
+    faster = tw.read_score(tmp_path / "pedal.mid", tempo=2.0, stop=0.75).notes[0]
+    assert (faster.duration, faster.held) == (pytest.approx(0.375), pytest.approx(0.25))
+
+
+def test_the_pedal_goes_up_with_the_track(tmp_path: Path) -> None:
+    events = [control(0.0, 64, 127), *note(0.0, 0.5, 60)]
+    score = tw.read_midi(write(tmp_path / "open.mid", events))
+    assert [(c.kind, c.value) for c in score.controls] == [("cc64", 1.0), ("cc64", 0.0)]
 
 
 def level(sound: np.ndarray, start: float, stop: float) -> float:
@@ -95,10 +113,9 @@ def rendered(grand: tw.Instrument, notes: list[tw.Note], *controls: tw.Control, 
     return tw.render(tw.Score(notes, controls), grand, fs=FS, max_duration=to).samples[:, 0]
 
 
-def test_strings_that_are_not_played_hear_the_pedal(grand: tw.Instrument) -> None:
+def test_strings_that_are_not_played_hear_the_pedal(model: Model) -> None:
     """With the pedal C3 and C5 go on with partials of C4; F#4 without a common partial has nothing to go on with."""
     note, down = [tw.Note(0.05, 0.3, note=60, velocity_midi=100)], tw.Control(0.0, "cc64", 1.0)
-    model = ta.assemble(grand, FS)
 
     def energies(*controls: tw.Control) -> dict[str, float]:
         engine = Engine(model, perform(tw.Score(note, controls), model).timeline)
@@ -145,10 +162,9 @@ def test_no_click_when_a_damper_falls_or_rises(grand: tw.Instrument) -> None:
     assert sharp[at].max() < 1.02 * sharp[before].max()
 
 
-def test_una_corda_meets_fewer_strings(grand: tw.Instrument) -> None:
+def test_una_corda_meets_fewer_strings(model: Model) -> None:
     """Two strings of three are struck, at half the felt's force: softer, and the third sounds by the bridge alone."""
     note, soft = [tw.Note(0.05, 0.5, note=60, velocity_midi=90)], tw.Control(0.0, "cc67", 1.0)
-    model = ta.assemble(grand, FS)
     found = {}
     for name, controls in (("all", ()), ("two", (soft,))):
         engine = Engine(model, perform(tw.Score(note, controls), model).timeline)
@@ -186,3 +202,14 @@ def test_the_account_closes_with_everything_on(grand: tw.Instrument) -> None:
     assert trace.worst_cumulative_residual * trace.peak <= 1e-10 * put_in
     # a damper that falls or rises takes nothing and gives nothing
     assert np.abs(trace.booked["stops, bends and dampers"]).max() < 1e-9 * put_in
+
+
+def test_a_snapshot_goes_on_to_the_last_bit(model: Model) -> None:
+    notes = [tw.Note(0.02, 0.05, note=60, velocity_midi=90), tw.Note(0.09, 0.05, note=72, velocity_midi=60)]
+    controls = [tw.Control(0.05, "cc64", 0.5), tw.Control(0.1, "cc66", 1.0), tw.Control(0.11, "cc64", 1.0)]
+    engine = Engine(model, perform(tw.Score(notes, controls), model).timeline)
+    engine.advance(20)
+    kept = engine.snapshot()
+    first = engine.advance(40)
+    engine.restore(kept)
+    assert np.array_equal(np.concatenate([engine.advance(1) for _ in range(40)]), first)

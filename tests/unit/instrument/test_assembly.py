@@ -41,7 +41,10 @@ def test_names_and_joints(model: Model) -> None:
     assert (model.default_exciter, model.place("A2").length) == ("pluck", pytest.approx(0.65))
 
 
-@pytest.mark.parametrize("name", sorted(tw.list_instruments()))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.validate) if n == "grand_piano" else n for n in sorted(tw.list_instruments())],
+)
 def test_every_connection_and_component_names_its_string_and_part(name: str) -> None:
     """Fields and names agree, which are made apart: names by each plugin, fields by the assembly."""
     model = assemble(tw.load_instrument(name), 12000.0)

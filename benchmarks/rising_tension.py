@@ -1,0 +1,101 @@
+"""How near strings whose tension rises come to their exact motion, pluck by pluck: 48 kHz against eight times the rate.
+
+    python benchmarks/rising_tension.py            # about two minutes on one core
+
+Prints the figures of docs/theory.md: square root of the summed squares of the errors over that of the motion, of modes
+for the first table, of the displacement at a fifth of the string for the second.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import norm
+
+import tonewood as tw
+import tonewood.authoring as ta
+from tonewood.coupling.geometric import GeometricStretch
+from tonewood.coupling.system import System
+from tonewood.instrument.assembly import assemble
+from tonewood.stepping.forcing import compile_force
+from tonewood.stepping.kernel import KernelStepper
+from tonewood.stepping.motion import from_motion
+
+RATE, FINER, MODES = 48000, 8, 40
+SECONDS = 0.1
+FORCES = (2.0, 10.0, 40.0, 100.0)
+HEIGHTS = (5e-4, 2e-3, 6e-3, 2e-2)  # m
+
+Floats = NDArray[np.float64]
+
+
+def plucked(force: float, times: int) -> Floats:
+    """Lowest modes of G3 of `steel_guitar`, plucked by a ramp, at every 48 000th of a second."""
+    guitar = tw.load_instrument("steel_guitar").replace(
+        {"tuning.compensate": "none", "strings.*.polarizations": ["z", "y"]}
+    )
+    values = dict(guitar.resolved)
+    values["strings"], values["connections"] = {"G3": values["strings"]["G3"]}, {}
+    model = assemble(tw.Instrument.from_values(values, guitar.folder), float(RATE * times))
+    gesture = model.exciters["pluck"].gesture(ta.Event({"force": force}, 196.0), model.place("G3"))
+    system, injections = model.system, []
+    for component, weight in model.strings["G3"].weights(gesture.angle_deg).items():
+        basis = system.compiled[system.slot(component)].basis
+        injections += compile_force(
+            component, basis, "pluck", gesture.segments, system.dt, time=0.021, factor=weight
+        )  # fmt: skip
+    stepper, state, path = KernelStepper(system), system.start(), []
+    parts = model.strings["G3"].components
+    for _ in range(int(SECONDS * RATE)):
+        stepper.run(state, times, injections)
+        path.append([np.array(system.modes_of(state, name)[0, :MODES]) for name in parts])
+    return np.asarray(path)
+
+
+def released(height: float, times: int) -> Floats:
+    """Steel string with longitudinal motion, rigid ends: 40 modes in each plane, 5 along, let go from a triangle."""
+    length, stiffness = 0.645, 14613.0
+
+    def modes(tension: float, bending: float, eta: float, count: int) -> ta.ModalBasis:
+        def loss(w: Floats, k: Floats) -> Floats:
+            return np.full_like(w, eta)
+
+        return ta.string_basis(length, tension, 5.735e-4, bending, loss, n_modes=count)
+
+    across = modes(104.1, 8.5e-5, 1e-3, MODES).with_places({"pick": 0.2 * length})
+    lengthwise = modes(stiffness, 0.0, 2e-3, 5)
+    ends = [ta.Connection(name, (ta.Term(name, "bridge"),)) for name in ("y", "z", "x")]
+    stretch = GeometricStretch("string", ("y", "z"), "x", stiffness)
+    read = [ta.Readout(name, "displacement", (ta.Probe(name, "pick"),)) for name in ("y", "z")]
+    parts = {"y": across, "z": across, "x": lengthwise}
+    system = System.build(parts, ends, read, dt=1 / (RATE * times), geometric=[stretch])
+    state = system.start()
+    vec = np.asarray(across.metadata["vec"])
+    n = np.arange(1, len(vec))
+    a = (
+        2 * height / (np.pi**2 * n**2 * 0.16) * np.sin(0.2 * n * np.pi)
+    )  # sines of a triangle with its corner at a fifth
+    q = 5.735e-4 * length * (vec[0] * (a @ (1 / (np.pi * n))) + 0.5 * a @ vec[1:])
+    for size, name in ((1.0, "y"), (0.5, "z")):
+        system.modes_of(state, name)[:] = from_motion(across, size * q, np.zeros(len(q)))
+    return KernelStepper(system).run(state, int(0.01 * RATE) * times)[0][::times]
+
+
+def error(rough: Floats, exact: Floats) -> str:
+    """Relative error."""
+    return f"{norm((rough - exact).ravel()) / norm(exact.ravel()):.1e}"
+
+
+def main() -> None:
+    print(f"G3 of steel_guitar on its body, first {MODES} modes of each plane, {SECONDS:g} s, {RATE} Hz\n")
+    print("| pluck, N | error |\n|---|---|")
+    for force in FORCES:
+        print(f"| {force:g} | {error(plucked(force, 1), plucked(force, FINER))} |", flush=True)
+    print(f"\nsteel string with longitudinal motion, rigid ends, 10 ms, {RATE} Hz\n")
+    print("| triangle, mm | error |\n|---|---|")
+    for height in HEIGHTS:
+        print(f"| {height * 1e3:g} | {error(released(height, 1), released(height, FINER))} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
