@@ -1,4 +1,4 @@
-"""What a piano's score takes, and what is missing if strings that nobody plays are left out.
+"""Time of a piano's score, and the difference that strings make which nobody plays.
 
     python benchmarks/piano_rest.py
 
