@@ -24,7 +24,7 @@ from tonewood.stepping.kernel import KernelStepper
 FS = 48000
 #: keys of the tables
 SHOWN = ("A0", "C2", "C3", "C4", "C5", "C6", "C7", "C8")
-#: B of a recorded grand of 2 m, by partials 1 to 8
+#: B of a recorded Yamaha C5 (Salamander samples), by partials 1 to 8: tuning report of kasper0406/piano-emulator
 MEASURED = {"C2": 6.6e-5, "C3": 1.20e-4, "C4": 2.93e-4, "C5": 8.05e-4, "C6": 2.70e-3}
 
 
@@ -98,6 +98,30 @@ def heard(grand: tw.Instrument, path: Path) -> None:
     figure.savefig(path / "piano_heard.png", dpi=70)
 
 
+def released(grand: tw.Instrument) -> None:
+    """How soon a released key falls silent, and what sounds between the partials of a held one."""
+    print("key   20 dB after the key is released, s")
+    for key, number in (("C3", 48), ("C4", 60), ("C5", 72)):
+        score = tw.Score([tw.Note(0.05, 0.5, note=number, velocity_midi=80)])
+        x = tw.render(score, grand, max_duration=2.0).samples[:, 0]
+        window = int(0.03 * FS)
+        starts = np.arange(int(0.5 * FS), x.size - window, int(0.01 * FS))
+        level = 10 * np.log10([np.mean(x[i : i + window] ** 2) for i in starts])
+        print(f"{key:4s} {np.argmax(level < level[0] - 20) * 0.01:10.2f}")
+    print("key   between the partials 1 s after a blow at velocity 115, dB of the whole")
+    for key, number, B in (("C4", 60, 3.1e-4), ("C6", 84, 2.7e-3)):
+        score = tw.Score([tw.Note(0.05, 3.0, note=number, velocity_midi=115)])
+        x = tw.render(score, grand, max_duration=1.8).samples[int(1.05 * FS) :, 0]
+        power, freq = np.abs(np.fft.rfft(x * np.hanning(x.size))) ** 2, np.fft.rfftfreq(x.size, 1 / FS)
+        f0 = 440 * 2 ** ((number - 69) / 12)
+        partial = np.zeros(freq.size, dtype=bool)
+        for n in range(1, 40):
+            f = n * f0 * math.sqrt((1 + B * n * n) / (1 + B))
+            partial |= np.abs(freq - f) < max(12.0, 0.012 * f)
+        heard = (freq > 60) & (freq < 10000)
+        print(f"{key:4s} {10 * np.log10(power[heard & ~partial].sum() / power[heard].sum()):10.1f}")
+
+
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "docs" / "images"
     piano = tw.load_instrument("grand_piano")
@@ -105,3 +129,4 @@ if __name__ == "__main__":
     strings(whole, folder)
     blows(whole)
     heard(piano, folder)
+    released(piano)

@@ -23,9 +23,9 @@ from tonewood.stepping.kernel import KernelStepper
 from tonewood.stepping.motion import to_motion
 from tonewood.units import cents, decibel, ratio_of_cents
 
-#: B of a recorded Yamaha C5 by partials 1 to 8, as measured
+#: B of a recorded Yamaha C5 (Salamander samples), by partials 1 to 8: tuning report of kasper0406/piano-emulator
 MEASURED_B = {"C3": 1.20e-4, "C4": 2.93e-4, "C5": 8.05e-4, "C6": 2.70e-3}
-#: s, ranges of prompt decays that pianists and texts give, 60 dB
+#: s, prompt decays by 60 dB that are said of pianos; of unverified origin, some widened by a third
 PROMPT = {"A0": (25, 40), "C2": (13, 20), "C4": (6, 9), "C5": (3.7, 5), "A4": (4.2, 7), "C7": (1.1, 2.5)}
 
 
