@@ -19,13 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.authoring import (
-    Drive,
+    Microphones,
     ModalBasis,
     Parameters,
-    Pickup,
     PickupRows,
-    Probe,
-    Readout,
     Scene,
     Vector,
     cached_arrays,
@@ -47,7 +44,7 @@ class BodyMicrophonesParameters(Parameters):
     )
 
 
-class BodyMicrophones(Pickup[BodyMicrophonesParameters]):
+class BodyMicrophones(Microphones[BodyMicrophonesParameters]):
     """The microphones; see the module."""
 
     api = 1
@@ -58,24 +55,14 @@ class BodyMicrophones(Pickup[BodyMicrophonesParameters]):
         """The microphones."""
         return tuple(self.parameters.at)
 
-    @property
-    def unit(self) -> str:
-        """Sound pressure."""
-        return "Pa"
-
     def rows(self, name: str, scene: Scene) -> PickupRows:
         """A component `name` with an input per driven point of the body and an output per channel."""
         sources = None if scene.body is None else scene.body.sources(scene.freq_upper)
         if scene.body is None or sources is None:
             raise self.fault("hears bodies that say how their whole surface moves, such as drawn_body; not this one")
-        driven = [point for point, place in scene.body_points.items() if place.driven]
+        driven, drives, inputs = self.at_points(name, scene)
         basis = self._basis(scene.body.basis(scene.freq_upper), sources, driven, scene.freq_upper)
-        return PickupRows(
-            readouts=tuple(Readout(f"{name}.{c}", "displacement", (Probe(name, c),)) for c in self.channels),
-            components={name: basis},
-            drives=tuple(Drive(name, f"at_{f.point}", f.connection, f.factor) for f in scene.bridge_forces if f.factor),
-            body_inputs={point: ((name, f"at_{point}", 1.0),) for point in driven},
-        )
+        return self.bank_rows(name, basis, drives, inputs)
 
     def _basis(self, body: ModalBasis, sources: plate.Sources, driven: Sequence[str], highest: float) -> ModalBasis:
         """Bank of all microphones; each has modes of its own, so that those that are not recorded are not stepped."""

@@ -26,12 +26,10 @@ from numpy.typing import NDArray
 
 from tonewood.authoring import (
     Drive,
+    Microphones,
     ModalBasis,
     Parameters,
-    Pickup,
     PickupRows,
-    Probe,
-    Readout,
     Scene,
     described,
     quantity,
@@ -53,7 +51,7 @@ class ModalRadiationParameters(Parameters):
     )
 
 
-class ModalRadiation(Pickup[ModalRadiationParameters]):
+class ModalRadiation(Microphones[ModalRadiationParameters]):
     """The microphones; see the module."""
 
     api = 1
@@ -63,11 +61,6 @@ class ModalRadiation(Pickup[ModalRadiationParameters]):
     def channels(self) -> tuple[str, ...]:
         """The microphones."""
         return tuple(self.parameters.channels)
-
-    @property
-    def unit(self) -> str:
-        """Sound pressure."""
-        return "Pa"
 
     def rows(self, name: str, scene: Scene) -> PickupRows:
         """A component `name` with inputs ``heave`` and ``moment`` and an output per channel."""
@@ -85,15 +78,10 @@ class ModalRadiation(Pickup[ModalRadiationParameters]):
             factor = sign * force.factor
             drives.append(Drive(name, "heave", force.connection, factor * heave))
             drives.append(Drive(name, "moment", force.connection, factor * u))
-        return PickupRows(
-            readouts=tuple(Readout(f"{name}.{c}", "displacement", (Probe(name, c),)) for c in self.channels),
-            components={name: self.basis(scene.freq_upper)},
-            drives=tuple(d for d in drives if d.factor != 0.0),
-            body_inputs={
-                point: ((name, "heave", sign * heave), (name, "moment", sign * u))
-                for point, (heave, u) in place.items()
-            },
-        )
+        inputs = {
+            point: ((name, "heave", sign * heave), (name, "moment", sign * u)) for point, (heave, u) in place.items()
+        }
+        return self.bank_rows(name, self.basis(scene.freq_upper), drives, inputs)
 
     def basis(self, freq_upper: float) -> ModalBasis:
         """Modes below `freq_upper` (Hz), once for each channel.

@@ -10,11 +10,14 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from numpy.typing import NDArray
 
 import tonewood as tw
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.contract import Event
 from tonewood.stepping.forcing import course
+
+Floats = NDArray[np.float64]
 
 FORCES = (0.5, 1.0, 2.0, 4.0)  # N
 STRINGS = ("E2", "G3", "E4")
@@ -87,8 +90,80 @@ def dynamics() -> None:
         print(f"{velocity:8d}  {20 * np.log10(np.abs(x).max()):22.1f}  {share:22.1f}")
 
 
+def neighbours(path: Path) -> None:
+    """First partial of A3 with open strings that ring, damped by the hand, or tuned away."""
+    guitar = tw.load_instrument("classical_guitar")
+    scenes = (
+        ("open strings ring", {}),
+        ("a hand lies on them", {"playing.note_end.idle": "damp"}),
+        ("open A2 tuned to A#2", {"strings.A2.note": "A#2"}),
+    )
+    score = tw.Score([tw.Note(0.1, 1.6, string="G3", note=57, velocity_midi=100)])
+    figure, axis = plt.subplots(figsize=(7, 3.2), layout="constrained")
+    print("A3, first partial, dB re its greatest level, at 0.1 0.15 0.2 0.3 0.6 s")
+    for title, changes in scenes:
+        x = tw.render(score, guitar.replace(changes), max_duration=1.6).samples.mean(axis=1)
+        level = _level(x * np.exp(-2j * np.pi * 220.0 / 48000 * np.arange(len(x))), 0.02)
+        time = np.arange(len(x)) / 48000 - 0.1
+        level -= level.max()
+        axis.plot(time[::48], level[::48], label=title)
+        print(f"{title:24s}" + "".join(f"{np.interp(t, time, level):7.1f}" for t in (0.1, 0.15, 0.2, 0.3, 0.6)))
+    axis.set(xlim=(0, 1.4), ylim=(-50, 2), xlabel="s", ylabel="dB", title="A3 on the G string: first partial")
+    axis.legend()
+    figure.savefig(path / "playing_neighbours.png", dpi=70)
+
+
+def hands(path: Path) -> None:
+    """Noises between notes: two shifts on the low E string, a stop and an end on the B string."""
+    guitar = tw.load_instrument("classical_guitar")
+    line = ((0.2, "E2", 1, 0.5), (0.7, "E2", 5, 0.5), (1.2, "E2", 3, 0.4), (1.8, "B3", 1, 0.3))
+    score = tw.Score([tw.Note(t, d, string=s, stop=stop, velocity_midi=70) for t, s, stop, d in line])
+    figure, axes = plt.subplots(1, 2, figsize=(13, 3.6), sharey=True, layout="constrained")
+    for axis, on in zip(axes, (False, True), strict=True):
+        x = tw.render(score, guitar, max_duration=2.4, noises=on).samples.mean(axis=1)
+        _spectrogram(axis, x, 100)
+        axis.set(title="with noises" if on else "without", ylim=(0, 9000), xlabel="s")
+    axes[0].set_ylabel("Hz")
+    figure.savefig(path / "playing_noises.png", dpi=70)
+
+
+def piece(path: Path) -> None:
+    """A piece by a ramp that is always the same, and by hands: spectrogram and level."""
+    guitar = tw.load_instrument("classical_guitar")
+    ramp = guitar.replace({"exciters.pluck": {"plugin": "pluck_ramp", "from_bridge": 0.105, "angle_deg": 30.0}})
+    score = tw.read_score(Path(__file__).parents[1] / "examples" / "scores" / "romance.mid")
+    figure, (first, second, below) = plt.subplots(3, 1, figsize=(12, 8), sharex=True, layout="constrained")
+    scenes = ((first, "ramps", ramp, {}), (second, "hands", guitar, {"humanize": 1, "noises": True}))
+    for axis, title, instrument, options in scenes:
+        x = tw.render(score, instrument, max_duration=6.0, **options).samples.mean(axis=1)
+        _spectrogram(axis, x, 90)
+        axis.set(title=title, ylim=(0, 12000), ylabel="Hz")
+        level = _level(x, 0.02)
+        below.plot(np.arange(len(x))[::96] / 48000, level[::96] - level.max(), label=title, lw=0.9)
+    below.set(ylim=(-40, 1), xlabel="s", ylabel="dB", title="level of 20 ms")
+    below.legend()
+    figure.savefig(path / "playing_piece.png", dpi=70)
+
+
+def _spectrogram(axis: plt.Axes, x: Floats, span: float) -> None:
+    """Levels down to `span` dB below the greatest."""
+    _, _, _, image = axis.specgram(x / np.abs(x).max() + 1e-12, NFFT=1024, Fs=48000, noverlap=896, cmap="magma")
+    top = image.get_array().max()
+    image.set_clim(top - span, top)
+
+
+def _level(x: NDArray[np.inexact], seconds: float) -> Floats:
+    """Level of the mean (complex x) or of the square (real x) over some time, dB."""
+    n = int(seconds * 48000)
+    mean = np.convolve(x if np.iscomplexobj(x) else x**2, np.hanning(n) / np.hanning(n).sum(), "same")
+    return (20 if np.iscomplexobj(x) else 10) * np.log10(np.abs(mean) + 1e-12)
+
+
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "docs" / "images"
     release(folder)
     attacks(folder)
     dynamics()
+    neighbours(folder)
+    hands(folder)
+    piece(folder)

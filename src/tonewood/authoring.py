@@ -48,8 +48,11 @@ from tonewood.instrument.contract import (
 from tonewood.instrument.directions import Direction, unit_vector
 from tonewood.instrument.effects import (
     DAMPERS,
+    FRETTING_NOISE,
     LONGITUDINAL,
+    SQUEAK,
     TENSION_MODULATION,
+    TOUCH_NOISE,
     Effect,
     Norms,
     contact_effect,
@@ -57,6 +60,7 @@ from tonewood.instrument.effects import (
 from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
 from tonewood.instrument.inspection import partials, pitch, pitches
 from tonewood.instrument.losses import LossLaw
+from tonewood.instrument.microphones import Microphones
 from tonewood.instrument.svg_path import svg_ring
 from tonewood.modal.damping import with_damping_case
 from tonewood.modal.modes import ModalBasis
@@ -68,8 +72,11 @@ from tonewood.stepping.forcing import SampledForce, Segment
 
 __all__ = [
     "DAMPERS",
+    "FRETTING_NOISE",
     "LONGITUDINAL",
+    "SQUEAK",
     "TENSION_MODULATION",
+    "TOUCH_NOISE",
     "Attached",
     "Attachment",
     "Body",
@@ -92,6 +99,7 @@ __all__ = [
     "Hold",
     "Longitudinal",
     "LossLaw",
+    "Microphones",
     "ModalBasis",
     "Model",
     "Moment",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import re
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ import pytest
 import soundfile as sf
 
 import tonewood as tw
+from cli_runs import refused
 from midi_bytes import midi_file, note, write
 
 Run = Callable[..., tuple[int, str, str]]
@@ -24,18 +24,6 @@ Run = Callable[..., tuple[int, str, str]]
 @pytest.fixture
 def score(tmp_path: Path) -> Path:
     return write(tmp_path / "score.mid", [*note(0.0, 0.2, 45), *note(0.1, 0.2, 50), *note(0.2, 0.1, 20)])
-
-
-def refused(result: tuple[int, str, str], *said: str) -> None:
-    """Exit code 2 and one line on stderr that says all of `said`."""
-    code, out, err = result
-    assert code == 2
-    assert out == ""
-    assert err.startswith("tonewood: ")
-    assert err.count("\n") == 1
-    assert "Traceback" not in err
-    for word in said:
-        assert word in err
 
 
 def test_render_writes_the_samples_of_the_renderer(tonewood: Run, score: Path, tmp_path: Path) -> None:
@@ -226,91 +214,6 @@ def test_unknown_commands_and_nothing_at_all(tonewood: Run) -> None:
     assert tonewood("--version")[1] == f"tonewood {tw.__version__}\n"
 
 
-def test_list_names_what_is_installed(tonewood: Run) -> None:
-    code, out, _ = tonewood("list", "--json")
-    assert code == 0
-    found = json.loads(out)
-    assert {"classical_guitar", "flamenco_guitar", "african_harp", "monochord"} <= {
-        i["name"] for i in found["instruments"]
-    }
-    assert all((Path(i["folder"]) / "instrument.yaml").is_file() for i in found["instruments"])
-    plugins = {p["name"]: p for p in found["plugins"]}
-    assert plugins["stiff_string"]["kind"] == "resonator"
-    assert plugins["stiff_string"]["package"] == "tonewood"
-    assert all(p["summary"] for p in found["plugins"])
-    text = tonewood("list")[1]
-    assert all(name in text for name in plugins)
-
-
-def test_check_tells_pitch_wolf_notes_stand_ins_and_sources(tonewood: Run) -> None:
-    code, out, _ = tonewood("check", "classical_guitar", "--json")
-    assert code == 0
-    report = json.loads(out)
-    assert report["ok"]
-    assert report["body"]["passive"]
-    assert report["sources"]["body"]["doi"] == "10.5281/zenodo.4604577"
-    assert set(report["strings"]) == {"E2", "A2", "D3", "G3", "B3", "E4"}
-    # every stop is within a cent of its note, or a strong mode of the body says why not
-    assert {(p["string"], p["stop"]) for p in report["off_pitch"]} <= {
-        (p["string"], p["stop"]) for p in report["wolf_notes"]
-    }
-    # the body's strongest resonance lies near 215 Hz: A3 is a wolf note wherever it is stopped on the lower strings
-    assert {p["string"] for p in report["wolf_notes"] if p["note"] == "A3"} >= {"E2", "A2", "D3"}
-    assert all(abs(w["wolf"]["cents"]) <= 60 or abs(w["error_cents"]) > 1 for w in report["wolf_notes"])
-    text = tonewood("check", "african_harp")[1]
-    assert "stand-in: body" in text
-    assert text.endswith("ok\n")
-
-
-def test_modes_lists_partials_and_draws_the_mobility(tonewood: Run, tmp_path: Path) -> None:
-    picture = tmp_path / "bridge.png"
-    code, out, _ = tonewood(
-        "modes", "classical_guitar", "--string", "E4", "--stop", 3, "--count", 5, "--plot", picture, "--json"
-    )
-    assert code == 0
-    report = json.loads(out)
-    rows = report["strings"]["E4"]["partials"]
-    assert [r["number"] for r in rows] == [1, 2, 3, 4, 5]
-    g4 = 440.0 * 2 ** (-2 / 12)
-    assert rows[0]["freq"] == pytest.approx(g4, rel=1e-5)
-    assert all(r["freq"] == pytest.approx(r["number"] * g4, rel=0.02) for r in rows)
-    assert all(0 < r["t60"] < 20 for r in rows)
-    air, top = report["strings"]["E4"]["bridge_mobility_peaks"][:2]
-    assert 90 < air["freq"] < 115 < 190 < top["freq"] < 240
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    assert "partial" in tonewood("modes", "monochord")[1]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--string", "H7"], ["H7", "E2"]),
-        (["--stop", "20"], ["--stop", "19"]),
-        (["--stop", "-1"], ["--stop"]),
-        (["--count", "0"], ["--count"]),
-        (["--string", "E2", "--plot", "nowhere/a.png"], ["nowhere/a.png"]),
-    ],
-)
-def test_modes_refuses(tonewood: Run, arguments: list[str], said: list[str]) -> None:
-    refused(tonewood("modes", "classical_guitar", *arguments), *said)
-
-
-def test_schema_is_one_json_schema_that_all_bundles_keep(tonewood: Run) -> None:
-    from jsonschema import Draft202012Validator
-
-    from tonewood.yaml_io import load_yaml
-
-    code, out, _ = tonewood("schema")
-    assert code == 0
-    validator = Draft202012Validator(json.loads(out))
-    Draft202012Validator.check_schema(validator.schema)
-    for folder in tw.list_instruments().values():
-        assert list(validator.iter_errors(load_yaml(folder / "instrument.yaml"))) == []
-    wrong = load_yaml(tw.list_instruments()["monochord"] / "instrument.yaml")
-    wrong["strings"]["A2"]["tensoin"] = 3.0
-    assert not validator.is_valid(wrong)
-
-
 def test_plan_names_what_matters_and_verbose_the_rest(tonewood: Run, score: Path) -> None:
     plan = ("plan", score, "-i", "electric_bass", "--fs", 16000, "--max-duration", 0.5)
     brief, whole = (tonewood(*plan, *more)[1].splitlines()[1:] for more in ((), ("--verbose",)))
@@ -435,65 +338,6 @@ def test_a_tension_put_back_by_the_tuner_is_reported(tonewood: Run, score: Path,
     text = tonewood("check", "monochord", *heavy, *held)[1]
     assert "its tension of 80 N is held; it sounds +26" in text
     assert "the 80 N given would sound" in tonewood("check", "monochord", *heavy)[1]
-
-
-def test_check_shows_strings_alone_and_mounted(tonewood: Run) -> None:
-    few = [("--set", f"strings.{name}.stops={count}") for name, count in {"E2": 5, "A2": 0, "D3": 0}.items()]
-    few += [("--set", f"strings.{name}.stops=0") for name in ("G3", "B3", "E4")]
-    code, out, _ = tonewood("check", "classical_guitar", "--fs", 16000, "--json", *(a for pair in few for a in pair))
-    assert code == 0
-    report = json.loads(out)
-    (shared,) = [row for row in report["off_pitch_mounted"] if (row["string"], row["stop"]) == ("E2", 5)]
-    assert shared["partner"] == "A2"
-    assert abs(shared["cents_alone"]) < 0.01
-    assert abs(shared["cents_mounted"]) > 2
-    assert report["strings"]["E2"]["worst_cents_mounted"] != report["strings"]["E2"]["worst_cents"]
-    assert [(row["channel"], row["doubt"]) for row in report["microphones"]] == [("bass", None), ("treble", None)]
-    text = tonewood("check", "classical_guitar", "--fs", 16000, *(a for pair in few for a in pair))[1]
-    assert "with all strings on: E2 stop  5 (A2): " in text
-    assert "shared with A2 (5" in text
-
-
-def test_check_names_a_string_that_misses_its_loss_law(tonewood: Run) -> None:
-    bending_alone = "strings.A2.loss={law: woodhouse, eta_f: 0.0, eta_a: 0.0, eta_b: 0.02}"
-    steep = tonewood("check", "monochord", "--set", bending_alone, "--set", "strings.A2.bending_stiffness=5e-5")
-    assert "partial 1 decays at 1." in steep[1]
-    assert "decays at" not in tonewood("check", "monochord")[1]
-
-
-def test_check_warns_of_a_table_that_is_another(tonewood: Run, tmp_path: Path) -> None:
-    folder = tmp_path / "mine"
-    shutil.copytree(tw.load_instrument("african_harp").folder, folder)
-    (folder / "body.csv").write_text((folder / "body.csv").read_text() + "# mine\n")
-    code, out, _ = tonewood("check", folder)
-    assert code == 0
-    assert "  warning: body: body.csv is not the table that its provenance calls stand_in" in out
-    assert len(json.loads(tonewood("check", folder, "--json")[1])["table_doubts"]) == 1
-
-
-def test_check_warns_of_microphones_that_hear_nothing(tonewood: Run, tmp_path: Path) -> None:
-    """A table in MHz has no mode below the highest that is stepped."""
-    folder = tmp_path / "mine"
-    shutil.copytree(tw.load_instrument("classical_guitar").folder, folder)
-    table = folder / "radiation.csv"
-    lines = table.read_text().splitlines()
-    numbers = 1 + next(i for i, line in enumerate(lines) if line.startswith("f_Hz"))
-    rows = [line.split(",") for line in lines[numbers:]]
-    table.write_text("\n".join([*lines[:numbers], *(",".join([f"{float(f) * 1e6}", *rest]) for f, *rest in rows)]))
-    few = [word for name in ("E2", "A2", "D3", "G3", "B3", "E4") for word in ("--set", f"strings.{name}.stops=0")]
-    code, out, _ = tonewood("check", folder, "--fs", 16000, *few)
-    assert code == 0
-    assert "warning: microphones.bass hears nothing of the strings" in out
-
-
-def test_modes_of_a_drawn_body_are_listed_and_drawn(tonewood: Run, tmp_path: Path) -> None:
-    picture = tmp_path / "modes.png"
-    code, text, _ = tonewood("modes", "drawn_guitar", "--string", "E4", "--count", 1, "--plot", picture)
-    assert code == 0
-    assert "A0 10" in text
-    assert "hinged" in text
-    assert "(T1, Q" in text
-    assert picture.stat().st_size > 50_000
 
 
 def test_a_room_adds_its_tail_and_says_that_it_is_not_measured(tonewood: Run, score: Path, tmp_path: Path) -> None:

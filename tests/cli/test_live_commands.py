@@ -150,3 +150,19 @@ def test_a_live_session_that_cannot_be_is_one_line(tonewood: Run, words: tuple[s
 def test_a_score_has_nothing_to_record(tonewood: Run, duo: Path) -> None:
     assert "--record: records what is played live" in tonewood("play", duo, "-i", "monochord", "--record", "a.mid")[2]
     assert "one of both is allowed" in tonewood("play", duo, "-i", "monochord", "--keyboard")[2]
+
+
+def test_strings_of_one_instrument_as_stems(tonewood: Run, duo: Path, tmp_path: Path) -> None:
+    """Their files add up to the mix, at its gain and length; what cannot be split is refused."""
+    words = ("render", duo, "-i", "classical_guitar", "--fs", 16000, "-o", tmp_path / "mix.wav", "--max-duration", 0.3)
+    more = ("--effects", "none", "--stems", tmp_path / "stems", "--stems-by", "string")
+    code, out, _ = tonewood(*words, *more)
+    assert code == 0
+    mix, files = sf.read(tmp_path / "mix.wav")[0], sorted((tmp_path / "stems").iterdir())
+    assert [file.stem.split(".")[1] for file in files] == sorted(["E2", "A2", "D3", "G3", "B3", "E4", "body"])
+    assert str(files[0].name) in out
+    assert np.abs(sum(sf.read(file)[0] for file in files) - mix).max() < 6 * 2**-23
+    for wrong in (("--stems-by", "string"), ("--stems", tmp_path / "stems", "--stems-by", "fret")):
+        code, _, err = tonewood(*words, *wrong)
+        assert (code, err.count("\n")) == (2, 1)
+        assert "--stems-by" in err

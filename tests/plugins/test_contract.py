@@ -93,8 +93,8 @@ def test_gestures(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
 
     for exciter in used[name]:
         assert isinstance(exciter, Exciter)
-        gesture = exciter.gesture(Event({}, 110.0), Place("A2", 0.65))
-        assert gesture.segments or gesture.motions
+        gesture = exciter.gesture(Event({}, 110.0, length_before=0.69), Place("A2", 0.65))
+        assert gesture.segments or gesture.motions or gesture.noise
         for pieces in (gesture.segments, *(m.segments for m in gesture.motions)):
             for before, after in pairwise(pieces):
                 assert before.start < before.stop <= after.start + 1e-12
@@ -103,7 +103,9 @@ def test_gestures(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
         assert dataclasses.is_dataclass(gesture)
         # doubled when asked to, until the string is let go: how may depend on the force
         if gesture.segments and gesture.on is None and "force" in type(exciter.parameters).model_fields:
-            twice = exciter.gesture(Event({"force": 2 * exciter.parameters.force}, 110.0), Place("A2", 0.65))
+            twice = exciter.gesture(
+                Event({"force": 2 * exciter.parameters.force}, 110.0, length_before=0.69), Place("A2", 0.65)
+            )
             times = np.linspace(gesture.start, min(gesture.stop, 0.0) if gesture.start < 0 else gesture.stop, 50)
             np.testing.assert_allclose([twice.force(t) for t in times], [2 * gesture.force(t) for t in times])
 

@@ -95,3 +95,17 @@ def test_from_a_bundle(tmp_path: Path) -> None:
     made = instrument(tmp_path, exciters={"plectrum": {**PLECTRUM, "direction": "y"}})
     with pytest.raises(BundleError, match="does not move in this direction"):
         play(made, duration=0.01)
+
+
+def test_the_steel_guitar_has_a_plectrum() -> None:
+    """The note begins at its time, and has the pitch of the string."""
+    guitar = tw.load_instrument("steel_guitar")
+    note = tw.Note(0.1, 1.0, string="D3", stop=0, technique="plectrum")
+    x = tw.render(tw.Score([note]), guitar, max_duration=0.6).samples[:, 0]
+    before, after = np.abs(x[: int(0.05 * 48000)]).max(), np.abs(x[int(0.1 * 48000) :]).max()
+    assert after > 0.02
+    assert before < 1e-3 * after
+    freq = np.fft.rfftfreq(1 << 18, 1 / 48000)
+    spectrum = np.abs(np.fft.rfft(x[int(0.15 * 48000) :] * np.hanning(len(x) - int(0.15 * 48000)), 1 << 18))
+    near = (freq > 120) & (freq < 180)
+    assert freq[near][spectrum[near].argmax()] == pytest.approx(146.83, rel=2e-3)

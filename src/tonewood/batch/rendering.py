@@ -174,7 +174,7 @@ class ModelCache:
         """The model of an instrument with the options of a render, made if it is not among the last ones."""
         decides = {
             name: getattr(options, name)
-            for name in ("fs", "accuracy", "oversampling", "freq_limit", "outputs", "humanize", "effects")
+            for name in ("fs", "accuracy", "oversampling", "freq_limit", "outputs", "humanize", "noises", "effects")
         }
         changes = json.dumps({**decides, **options.effect_changes}, sort_keys=True, default=str)
         key = f"{instrument.content_hash} {changes}"

@@ -68,6 +68,9 @@ def render(
     stems: Annotated[
         Path | None, typer.Option(help="folder for one file a part, or of one instrument one an output group")
     ] = None,
+    stems_by: Annotated[
+        str, typer.Option(metavar="WHAT", help="stems of one instrument by output, or by string: renders a second time")
+    ] = "output",
     start: Start = 0.0,
     stop: Stop = None,
     transpose: Transpose = 0.0,
@@ -103,12 +106,13 @@ def render(
 ) -> None:
     """Render SCORE on an instrument to a sound file."""
     began = time.perf_counter()
+    from tonewood.cli.stems import write_output_stems, write_string_stems
     from tonewood.live.take import Replay
     from tonewood.output.audio import file_format
     from tonewood.output.energy import check_energy_file, save_energy
     from tonewood.output.level import PEAK, level_name, meaning
     from tonewood.output.limiter import Limiter
-    from tonewood.output.render import Renderer
+    from tonewood.output.render import Renderer, assembled
     from tonewood.score.reading import read_score
 
     fs = options.fs
@@ -148,6 +152,11 @@ def render(
         return
     if instrument is None:
         raise TonewoodError("Missing option '--instrument' / '-i', or --part or --ensemble for several")
+    if stems_by not in ("output", "string"):
+        raise TonewoodError(f"is {stems_by!r}; output, string are allowed", key="--stems-by")
+    if stems_by == "string" and (stems is None or live or limiter):
+        reason = "is for --stems without --live and --limiter, which strings have in common"
+        raise TonewoodError(reason, key="--stems-by")
     if stems is not None and room is not None:
         raise TonewoodError("a room mixes the outputs; with --room it is not allowed", key="--stems")
     if stems is not None and not stems.parent.is_dir():
@@ -169,7 +178,14 @@ def render(
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
     clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold, about)
-    stem_files = [] if stems is None else _write_stems(output, stems, subtype, renderer)
+    stem_files = []
+    if stems is not None and stems_by == "output":
+        stem_files = write_output_stems(output, stems, subtype, renderer)
+    elif stems is not None:
+        by_string = Renderer(
+            read_score(score, **given), bundle, options=options, model=assembled(bundle, options, by_string=True)
+        )
+        stem_files = write_string_stems(by_string, output, stems, subtype, gain, renderer.summary().frames)
     gain += options.gain_db
     account = renderer.energy
     for path in energy or ():
@@ -225,27 +241,6 @@ def _players(parts: Sequence[str], ensemble: Path | None) -> list[EnsemblePart]:
     if parts and ensemble is not None:
         raise TonewoodError("one of --part and --ensemble is allowed", key="--ensemble")
     return [parse_part(text) for text in parts] if ensemble is None else read_ensemble(ensemble)
-
-
-def _write_stems(output: Path, folder: Path, subtype: str, renderer: Renderer | Replay) -> list[Path]:
-    """Cut the channels of a written file into one file per output group."""
-    import soundfile as sf
-
-    from tonewood.output.audio import SoundWriter
-
-    folder.mkdir(exist_ok=True)
-    files, first = [], 0
-    for group in renderer.model.outputs:
-        n = len(group.channels)
-        files.append(folder / f"{group.name}{output.suffix}")
-        with (
-            sf.SoundFile(output) as source,
-            SoundWriter(files[-1], renderer.fs, n, subtype, frames=source.frames) as writer,
-        ):
-            for block in source.blocks(65536, dtype="float64", always_2d=True):
-                writer.write(block[:, first : first + n])
-        first += n
-    return files
 
 
 def _write(

@@ -9,7 +9,8 @@ state a step begins with and the forces over it (`energy_forms`), losses of conn
 (`energy_laws`). Whoever changes the energy between two steps (a string stopped, bent or joined anew) books
 the change. So the residual is rounding, or a mistake.
 
-Components that are driven one way (microphones) carry no energy of the instrument and are left out.
+Components that are driven one way (microphones) carry no energy of the instrument and are left out. Sound has
+an entry ``COMPONENT.sound`` of its own where a basis says which share of each mode's loss is radiated.
 """
 
 from __future__ import annotations
@@ -228,7 +229,9 @@ class EnergyAccount:
             ports = [energy.points.index(p) for p in self.system.ports_of(name)]
             held[:, ports] = forces @ self.system.incidence(self.system.slot(name))
             mine = [k for k in known if k.component == name]
-            lost[name], works = over_steps(energy, x[:-1], held, modal_forces.get(name), mine, sample, dt)
+            lost[name], sound, works = over_steps(energy, x[:-1], held, modal_forces.get(name), mine, sample, dt)
+            if energy.radiated is not None:
+                lost[name], lost[f"{name}.sound"] = lost[name] - sound, sound
             for force, work in zip(mine, works, strict=True):
                 supplied[force.label] = supplied.get(force.label, np.zeros(T)) + work
         stored |= flows.stored

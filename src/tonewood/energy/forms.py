@@ -31,6 +31,9 @@ Floats = NDArray[np.float64]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _ORDER = 16
 
+#: key of a basis' metadata: (n_modes,) share of each real mode's loss that is radiated as sound
+RADIATED = "radiated"
+
 
 @dataclass(frozen=True, eq=False)
 class IntervalForms:
@@ -62,6 +65,10 @@ class ComponentEnergy:
     dt : s, a typical interval; sets the scale of the numbers inside.
     storage : of a basis whose modes are not real, for exactly these points in this order.
 
+    Attributes
+    ----------
+    radiated : (n_modes,) share of each mode's loss that is sound, from the basis' metadata; None where it is not known.
+
     Raises
     ------
     ValueError : the modes are not real and no storage function is given.
@@ -69,6 +76,7 @@ class ComponentEnergy:
 
     def __init__(self, basis: ModalBasis, points: Sequence[str], dt: float, storage: Storage | None = None):
         self.points = tuple(points)
+        self.radiated: Floats | None = None
         index = np.array([basis.index(p) for p in points], dtype=np.intp)
         form = real_form(basis)
         n = basis.n_modes
@@ -98,6 +106,10 @@ class ComponentEnergy:
             self._v_rows = np.concatenate([v, np.zeros((n, 1))], axis=1)[:, None]
             rows = np.sqrt(2 * basis.damping_rate)[:, None] * self._v_rows[:, 0]
             self._N = rows[:, :, None] * rows[:, None, :]
+            given = basis.metadata.get(RADIATED)
+            self.radiated = None if given is None else np.asarray(given, dtype=np.float64)
+            if self.radiated is not None and self.radiated.shape != (n,):
+                raise ValueError(f"{RADIATED} of a basis of {n} modes has {self.radiated.size} shares")
         else:
             T = _full_state_matrix(basis) / unit.ravel()
             d = 2 * n
@@ -169,6 +181,13 @@ class ComponentEnergy:
         """Energy dissipated, J, over each interval; (T,)."""
         k = s.shape[2]
         return np.asarray(np.einsum("bti,bti->t", s @ forms.lost[:, :k, :k], s))
+
+    def sound(self, forms: IntervalForms, s: Floats) -> Floats:
+        """Part of what is dissipated that is radiated, J, over each interval; (T,), zeros where it is not known."""
+        if self.radiated is None:
+            return np.zeros(s.shape[1])
+        k = s.shape[2]
+        return np.asarray(np.einsum("b,bti,bti->t", self.radiated, s @ forms.lost[:, :k, :k], s))
 
     def moments(self, forms: IntervalForms, s: Floats, point: str) -> Floats:
         """(T, 3) m s^j: d int tau^j y' dtau of one point."""

@@ -35,8 +35,8 @@ def over_steps(
     known: Sequence[KnownForce],
     sample: int,
     dt: float,
-) -> tuple[Floats, list[Floats]]:
-    """Energy lost in each of T steps, J, and the work of each known force.
+) -> tuple[Floats, Floats, list[Floats]]:
+    """Energy lost in each of T steps, J, the part of it that is sound, and the work of each known force.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def over_steps(
     """
     T = len(x)
     if not x.shape[1]:  # all its modes lie above the highest that is stepped
-        return np.zeros(T), [np.zeros(T) for _ in known]
+        return np.zeros(T), np.zeros(T), [np.zeros(T) for _ in known]
     coefficients = [_by_step(force, sample, T, dt) for force in known]
     broken = np.zeros(T, dtype=bool)
     for c in coefficients:
@@ -57,7 +57,7 @@ def over_steps(
     for c in coefficients:
         driven |= np.any(c != 0.0, axis=1)
     driven &= ~broken
-    lost, works = np.zeros(T), [np.zeros(T) for _ in known]
+    lost, sound, works = np.zeros(T), np.zeros(T), [np.zeros(T) for _ in known]
 
     def of(which: NDArray[np.bool_] | slice) -> Floats | None:
         return None if modal_forces is None else modal_forces[which]
@@ -65,14 +65,15 @@ def over_steps(
     forms = energy.forms(dt)
     quiet = ~driven & ~broken
     if quiet.any():
-        lost[quiet] = energy.lost(forms, energy.start(x[quiet], held[quiet][:, :, None], of(quiet)))
+        s = energy.start(x[quiet], held[quiet][:, :, None], of(quiet))
+        lost[quiet], sound[quiet] = energy.lost(forms, s), energy.sound(forms, s)
     if driven.any():
         total = np.zeros((T, len(energy.points), 3))
         total[:, :, 0] = held
         for force, c in zip(known, coefficients, strict=True):
             total[driven, energy.points.index(force.point)] += c[driven]
         s = energy.start(x[driven], total[driven], of(driven))
-        lost[driven] = energy.lost(forms, s)
+        lost[driven], sound[driven] = energy.lost(forms, s), energy.sound(forms, s)
         for force, c, work in zip(known, coefficients, works, strict=True):
             work[driven] = np.sum(c[driven] * energy.moments(forms, s, force.point), axis=1)
     for step in np.flatnonzero(broken):
@@ -87,10 +88,11 @@ def over_steps(
             forms = energy.forms((stop - start) * dt)
             s = energy.start(at, total, of(slice(step, step + 1)))
             lost[step] += energy.lost(forms, s)[0]
+            sound[step] += energy.sound(forms, s)[0]
             for force, part, work in zip(known, parts, works, strict=True):
                 work[step] += float(part @ energy.moments(forms, s, force.point)[0])
             at = energy.flow(forms, s)
-    return lost, works
+    return lost, sound, works
 
 
 def _edges(force: KnownForce, step: int, dt: float) -> list[float]:

@@ -26,7 +26,7 @@ class EnergyTrace:
     stored : component or connection -> (k,) energy stored at the end of each interval.
     supplied : exciter -> (k,) work of its known forces in each interval.
     booked : label -> (k,) energy put in between steps, before or in the interval: bends, stops, impacts.
-    lost : component or connection -> (k,) energy dissipated in each interval.
+    lost : component or connection -> (k,) energy dissipated in each interval; ``COMPONENT.sound`` is radiated.
     residual : (k,) what does not add up.
     """
 

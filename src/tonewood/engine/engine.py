@@ -203,7 +203,8 @@ class Engine:
 
     def _count(self, start: int, n: int, acted: NDArray[np.intp], seconds: float) -> None:
         """Enter a run into the usage of effects."""
-        run = Run(start, n, self.system, acted, self.holds.keys(), self.switchings)
+        plays = [active.play for active in self.active]
+        run = Run(start, n, self.system, acted, self.holds.keys(), self.switchings, plays)
         running = {effect.name: effect.running(run) for effect in self.effects}
         if self.system.compiled is not self._compiled:
             self._compiled = self.system.compiled
@@ -316,7 +317,9 @@ class Engine:
         for play in fresh:
             if play.string is not None:
                 before = wanted.get(play.string, self.frettings[play.string])
-                wanted[play.string] = replace(before, place=play.gesture.from_bridge, width=play.gesture.width)
+                if (place := play.gesture.from_bridge) is not None:
+                    before = replace(before, place=place, width=play.gesture.width)
+                wanted[play.string] = before
                 self.counters.strings_played.add(play.string)
         frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in wanted.items()}
         return {name: fretting for name, fretting in frettings.items() if fretting != self.frettings[name]}, fresh

@@ -19,10 +19,11 @@ from dataclasses import replace
 
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.fretting import Fretting
+from tonewood.engine.hands import LET_GO_AFTER, damping, laid_on, let_go
 from tonewood.engine.live_dampers import LiveDampers
-from tonewood.engine.live_voices import LiveCounters, PlayedString, Voice
+from tonewood.engine.live_state import LiveCounters, PlayedString, Voice
 from tonewood.engine.note_events import event_values, exciter_of, force_of, gripped, hurried, is_where_asked
-from tonewood.engine.playing import BEND_RATE, LET_GO_AFTER, playable
+from tonewood.engine.playing import BEND_RATE, playable
 from tonewood.engine.techniques import stop_course, touch_course
 from tonewood.engine.timeline import Change, Play
 from tonewood.engine.variation import Deviates, touched
@@ -30,7 +31,7 @@ from tonewood.errors import ScoreError, TonewoodError
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Event, Place
 from tonewood.score.causal import PEDALLED, CausalAssignment, Sounding
-from tonewood.score.note import Dropped, Note
+from tonewood.score.note import Dropped, Note, ignored_name
 from tonewood.score.scales import note_number
 from tonewood.validation_messages import did_you_mean
 
@@ -55,21 +56,32 @@ class LivePlayer:
     ramp : s, longest preparation of a pluck.
     spacing : points of the control grid between beginnings of notes that come together.
     channel_per_string : notes of the first channel go to the first string, and so on.
+    capo : stop at which all strings are held that no finger stops, 0 for none. Stops of notes are counted from the nut.
     """
 
     def __init__(
-        self, model: Model, engine: Engine, *, ramp: float, spacing: int = 2, channel_per_string: bool = False
+        self,
+        model: Model,
+        engine: Engine,
+        *,
+        ramp: float,
+        spacing: int = 2,
+        channel_per_string: bool = False,
+        capo: int = 0,
     ):
         self.model, self.engine = model, engine
-        self.ramp, self.spacing = ramp, spacing
+        self.ramp, self.spacing, self.capo = ramp, spacing, capo
         self.counters = LiveCounters()
         self._assignment = CausalAssignment(
-            playable(model), channel_per_string=channel_per_string, tuning=model.instrument.tuning
+            playable(model, capo), channel_per_string=channel_per_string, tuning=model.instrument.tuning
         )
         engine.fingerboard.room = max(engine.fingerboard.room, _ROOM)
         self.dampers = LiveDampers(model)
+        engine.schedule.add(laid_on(engine.timeline.start, model))
         self._keys = {float(note_number(k)): name for k, name in model.playing.keyswitches.items()}
-        self._lines = {name: PlayedString() for name in model.strings}
+        self._lines = {name: PlayedString(stop=float(capo)) for name in model.strings}
+        if capo:
+            engine.schedule.add([Change(0.0, name, stop=capo) for name in model.strings])
         self._waiting: deque[Voice] = deque()
         self._held: dict[tuple[int, float], list[Voice]] = {}
         self._pedalled: dict[tuple[int, float], Voice] = {}
@@ -138,9 +150,9 @@ class LivePlayer:
             self._ending.append(voice)
 
     def control(self, kind: str, value: float, channel: int = 0) -> None:
-        """Move a controller, ``ccN`` or ``pressure``, to a value from 0 to 1."""
+        """Move a controller, ``ccN`` or ``channel_pressure``, to a value from 0 to 1."""
         if kind not in self._read:
-            self.counters.ignored[f"controller {kind[2:]}" if kind.startswith("cc") else kind] += 1
+            self.counters.ignored[ignored_name(kind)] += 1
             return
         self._controls[channel, kind] = value
         if kind in self.dampers.kinds:
@@ -263,12 +275,17 @@ class LivePlayer:
         """Begin the first of the notes that wait; those that came with it already have their strings."""
         fresh = [voice for voice in self._waiting if voice.assigned is None and not self._tapped(voice, now)]
         sounding = {name: self._sounding(line) for name, line in self._lines.items() if line.voice is not None}
-        taken = {v.assigned.string: Sounding(v.assigned.stop, 1.0) for v in self._waiting if v.assigned is not None}
-        assigned, dropped = self._assignment.assign([v.note for v in fresh], sounding | taken)
+        waiting = [voice.assigned for voice in self._waiting if voice.assigned is not None]
+        taken = {own.string: Sounding(own.stop - self.capo, 1.0) for own in waiting}
+        # the hand counts from the capo
+        notes = [
+            n if n.stop is None else replace(n, stop=max(n.stop - self.capo, 0.0)) for n in (v.note for v in fresh)
+        ]
+        assigned, dropped = self._assignment.assign(notes, sounding | taken)
         lost = {i for i, _ in dropped}
         kept = [voice for i, voice in enumerate(fresh) if i not in lost]
         for voice, own in zip(kept, assigned, strict=True):
-            voice.assigned = own
+            voice.assigned = replace(own, stop=own.stop + self.capo)
         for i, drop in dropped:
             self._drop(fresh[i], drop)
         self._waiting = deque(voice for voice in self._waiting if voice.assigned is not None)
@@ -289,7 +306,7 @@ class LivePlayer:
     def _sounding(self, line: PlayedString) -> Sounding:
         voice = line.voice
         worth = 0.0 if voice is None else 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
-        return Sounding(line.stop, worth)
+        return Sounding(line.stop - self.capo, worth)
 
     def _tapped(self, voice: Voice, now: int) -> bool:
         """Play a gesture on a point of the body."""
@@ -389,9 +406,9 @@ class LivePlayer:
         if end.kind == "ring" or self.dampers.has(voice.string):
             line.voice = None
         else:
-            self._change(now, Change(time, voice.string, added_damping=math.log(1000.0) / end.t60))
-            let_go = now + math.ceil(LET_GO_AFTER * end.t60 / (GRID * self.engine.dt)) * GRID
-            line.later.append((let_go, Change(time, voice.string, stop=0, cents=0.0, added_damping=0.0)))
+            self._change(now, Change(time, voice.string, added_damping=damping(end)))
+            free = math.ceil(LET_GO_AFTER * end.t60 / (GRID * self.engine.dt)) * GRID
+            line.later.append((now + free, let_go(time, voice.string, self.capo, end)))
             line.voice, line.wanted = None, line.cents
 
     def _continue(self, voice: Voice | None, now: int, until: int | None = None) -> None:
@@ -436,15 +453,16 @@ class LivePlayer:
 
         Without this a note takes up to 10 ms more the first time that its stop is played.
         """
-        damped = math.log(1000.0) / self.model.playing.note_end.t60
         for name, stop in self._places():
             fretting = self._compile(name, stop, {})
             under = replace(fretting, damper=1.0) if self.model.strings[name].damper else None
-            for way in (fretting, under or replace(fretting, added_damping=damped)):
+            damped = replace(fretting, added_damping=damping(self.model.playing.note_end))
+            for way in (fretting, under or damped):
                 self.engine.fingerboard.prepare(name, way)
 
     def _places(self) -> list[tuple[str, int]]:
-        return [(name, stop) for name, string in self.model.strings.items() for stop in range(string.n_stops + 1)]
+        strings = self.model.strings.items()
+        return [(name, stop) for name, string in strings for stop in range(self.capo, string.n_stops + 1)]
 
     def _compile(self, name: str, stop: int, values: Mapping[str, float]) -> Fretting:
         """Compile how a string is held at a stop when it is plucked with some values of the default technique."""

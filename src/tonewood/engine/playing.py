@@ -7,6 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from tonewood.engine.hands import LET_GO_AFTER, damping, laid_on, let_go, noises, slurred
 from tonewood.engine.note_events import event_values, exciter_of, force_of, hurried, is_where_asked
 from tonewood.engine.pedals import SOSTENUTO, SUSTAIN, UNA_CORDA, PedalCourses
 from tonewood.engine.techniques import stop_course, touch_course, with_marks, with_techniques
@@ -17,11 +18,9 @@ from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Event, Place
 from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.controllers import Controllers, History
-from tonewood.score.note import Control, Dropped, Note, Score, volume_factors
+from tonewood.score.note import Control, Dropped, Note, Score, ignored_name, volume_factors
 from tonewood.validation_messages import did_you_mean
 
-#: a damped string is released after this many times its T60; then it rings with the others
-LET_GO_AFTER = 1.5
 #: volume, expression, sustain pedal
 _READ_CONTROLLERS = ("cc7", "cc11", SUSTAIN)
 #: cents/s, how fast a bend follows its wheel: a string whose tension jumped would gain as much energy as tension
@@ -96,6 +95,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     played: list[Assigned] = []
     n_moved = 0
     for name, line in by_string.items():
+        line = slurred(line, model.playing)
         for string in model.groups[name]:
             own: list[Play] = []
             for i, assigned in enumerate(line):
@@ -105,7 +105,8 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
                 n_moved += string == name and not is_where_asked(event, assigned, model, score.name)
                 place = model.place(string, assigned.stop, una_corda=pedals.una_corda(assigned.note.time))
                 gesture = exciter_of(assigned.note, model, string).gesture(event, place)
-                play = Play(assigned.note.time, gesture, string=string)
+                exciter = assigned.note.technique or model.default_exciter
+                play = Play(assigned.note.time, gesture, string=string, exciter=exciter)
                 if i:
                     play = replace(play, gesture=hurried(play.gesture, play.time - own[-1].stop))
                 own.append(play)
@@ -116,6 +117,8 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
                 pressed[name] = _presses(line, own)
             # a hammer or bow of the first string meets the others of its key, too; known forces act on each of them
             plays += [play for play in own if string == name or not (play.gesture.on or play.gesture.motions)]
+            if string == name:
+                plays += noises(line, own, model, capo)
     if not plays:
         raise NothingPlayedError(_why_nothing(dropped), file=score.name)
     warnings = list(score.warnings)
@@ -128,9 +131,9 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
         )
     if assignment.doubled:
         warnings.append(f"{len(assignment.doubled)} notes share another voice's pluck of the same pitch")
-    changes += pedals.changes(pressed)
+    first = min([0.0, *(play.start for play in plays)])
+    changes = laid_on(first, model) + changes + pedals.changes(pressed)
     if capo:
-        first = min([0.0, *(play.start for play in plays)])
         changes += [Change(first, name, stop=capo) for name in model.strings]
     timeline = Timeline(
         sorted(changes, key=lambda c: c.time),
@@ -145,7 +148,7 @@ def _ignored(score: Score, model: Model) -> dict[str, int]:
     read = {"bend", *_READ_CONTROLLERS, *model.playing.controls, *model.playing.switches}
     if model.instrument.spec.keys is not None:
         read |= {SOSTENUTO, UNA_CORDA}
-    unread = Counter(f"controller {c.kind[2:]}" for c in score.controls if c.kind not in read)
+    unread = Counter(ignored_name(c.kind) for c in score.controls if c.kind not in read)
     return dict(Counter(score.ignored) + unread)
 
 
@@ -264,10 +267,10 @@ def _left_hand(
         return out
     free_again = following.start if following else math.inf
     if assigned.end < free_again - 1e-3:
-        out.append(Change(assigned.end, name, added_damping=math.log(1000.0) / end.t60))
-        let_go = assigned.end + LET_GO_AFTER * end.t60
-        if let_go < free_again - 0.1:
-            out.append(Change(let_go, name, stop=capo, cents=0.0, added_damping=0.0))
+        out.append(Change(assigned.end, name, added_damping=damping(end)))
+        free = assigned.end + LET_GO_AFTER * end.t60
+        if free < free_again - 0.1:
+            out.append(let_go(free, name, capo, end))
     return out
 
 

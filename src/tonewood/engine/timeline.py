@@ -38,12 +38,13 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """A gesture at an absolute time, on a string or on a point ``component.point``."""
+    """A gesture at an absolute time, on a string or on a point ``component.point``; `exciter` is its maker's name."""
 
     time: float
     gesture: Gesture
     string: str | None = None
     at: str | None = None
+    exciter: str = ""
 
     @property
     def start(self) -> float:

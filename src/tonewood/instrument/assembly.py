@@ -27,6 +27,7 @@ from tonewood.instrument.output_assembly import OutputGroup, make_outputs, make_
 from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import Playing
 from tonewood.instrument.string_assembly import string_models
+from tonewood.instrument.string_stems import outputs_by_string
 from tonewood.instrument.strings import StringModel
 from tonewood.modal.modes import ModalBasis
 from tonewood.passivity.basis import check_basis
@@ -127,7 +128,12 @@ class Model:
 
 @one_blas_thread
 def assemble(
-    instrument: Instrument, fs: float, *, freq_limit: float | None = None, outputs: Sequence[str] | None = None
+    instrument: Instrument,
+    fs: float,
+    *,
+    freq_limit: float | None = None,
+    outputs: Sequence[str] | None = None,
+    by_string: bool = False,
 ) -> Model:
     """Make the model of an instrument at a sampling rate.
 
@@ -136,6 +142,7 @@ def assemble(
     fs : Hz.
     freq_limit : Hz, no mode is stepped above it; 0.45 fs.
     outputs : names of output groups; the bundle's first where left out.
+    by_string : whether each group is split into what each string gives of it, ``GROUP.STRING``, and ``GROUP.body``.
 
     Raises
     ------
@@ -153,15 +160,19 @@ def assemble(
     resting = {c.name: c for a in attached for c in a.connections if c.name in a.resting}
     tensions, geometric = _stretches(strings.values(), choice)
     made = make_outputs(instrument, outputs, make_scene(strings, body_points, limit, added.forces, instrument.body))
+    connections = [*_end_connections(strings.values()), *added.connections, *_attached_connections(attached, resting)]
+    owners = {component: name for name, string in strings.items() for component in string.all_components}
+    if by_string:
+        made = outputs_by_string(made, connections, owners, list(strings), body, list(body_points))
     system = System.build(
         {"body": body, **added.components, **_string_components(strings.values()), **made.components},
-        [*_end_connections(strings.values()), *added.connections, *_attached_connections(attached, resting)],
+        connections,
         made.readouts,
         dt=1.0 / fs,
         drives=made.drives,
         tensions=tensions,
         geometric=geometric,
-        owners={component: name for name, string in strings.items() for component in string.all_components},
+        owners=owners,
     )
     inputs: dict[str, tuple[tuple[str, str, float], ...]] = {
         f"body.{point}": (("body", point, 1.0), *made.body_inputs.get(point, ())) for point in body_points

@@ -406,6 +406,8 @@ class Instrument(ModalViews):
         if playing.exciter is not None and playing.exciter not in self.exciters:
             raise self._none("exciter", playing.exciter, self.exciters, "playing.exciter")
         switched = [("switches", k, v) for k, v in playing.switches.items()]
+        switched += [("noises", k, v) for k, v in playing.noises.named.items()]
+        switched += [("slurs", k, v) for k, v in playing.slurs.named.items()]
         for kind, key, wanted in [*switched, *(("keyswitches", k, v) for k, v in playing.keyswitches.items())]:
             if wanted not in self.exciters:
                 raise self._none("exciter", wanted, self.exciters, f"playing.{kind}.{key}")

@@ -215,7 +215,11 @@ class Body(Plugin[P], ModalViews):
 
     @abstractmethod
     def basis(self, freq_upper: float) -> ModalBasis:
-        """Modes below `freq_upper` (Hz); the static compliance of the others goes into the residual."""
+        """Modes below `freq_upper` (Hz); the static compliance of the others goes into the residual.
+
+        Real modes may have ``radiated`` in their metadata, (n_modes,) share of each mode's loss that is sound: accounts
+        of energy then have an entry ``body.sound``.
+        """
 
     @abstractmethod
     def points(self) -> Mapping[str, BodyPoint]:
@@ -300,7 +304,7 @@ class Gesture:
     Attributes
     ----------
     segments : in time order, seconds relative to the event's time; negative times prepare it.
-    from_bridge : place on the string, m; None on a body.
+    from_bridge : place on the string, m; None on a body, and where the last gesture on the string was.
     angle_deg : of the force, from the first polarization towards the second.
     hold : dashpot of the finger on the string, or None.
     on : input that the forces enter, one of those that the exciter has `attach`ed; None for the string itself.

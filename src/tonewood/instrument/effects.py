@@ -121,6 +121,19 @@ DAMPERS = Effect(
     "dampers", "fingers that quiet a string while they draw it", "additive", "from touch to release of each pluck",
     "nothing: no finger is on the string otherwise", cost=nothing,
 )  # fmt: skip
+#: noises of a hand between notes; for exciters that `playing.noises` names
+FRETTING_NOISE = Effect(
+    "fretting_noise", "fingers that press a string to a stop, or leave it", "additive",
+    "a note's stop is another one than before", "nothing: no finger moves otherwise",
+)  # fmt: skip
+TOUCH_NOISE = Effect(
+    "touch_noise", "fingers that fall on a string to end a note", "additive", "each note that is damped",
+    "nothing: no finger moves otherwise",
+)  # fmt: skip
+SQUEAK = Effect(
+    "squeak", "fingers that rub the windings of a string as the hand slides", "additive",
+    "a note's stop lies far from the last one on a wound string", "nothing: no finger moves otherwise",
+)  # fmt: skip
 BODY_MODES = Effect(
     "body_modes", "resonances of the body", "additive", "always", "nothing: all are stepped", basic=True
 )

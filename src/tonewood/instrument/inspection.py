@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.strings import held_freq
@@ -224,6 +225,21 @@ def mobility_peaks(model: Model, string: str, *, count: int = 6) -> list[tuple[f
     return [(float(freq[i]), float(size[i])) for i in np.sort(strongest)]
 
 
+def mobility_bands(basis: ModalBasis, points: Sequence[str], edges: ArrayLike) -> Floats:
+    """(bands,) dB re 1 (m/s)/N: mean of 20 lg |Y| over points and 400 frequencies, even in logarithm, of each band.
+
+    Parameters
+    ----------
+    points : of the body, each driven and read in its own direction.
+    edges : (bands + 1,) Hz.
+    """
+    levels = []
+    for low, high in pairwise(np.asarray(edges, dtype=np.float64)):
+        freq = np.geomspace(low, high, 400)
+        levels.append(np.mean([20 * np.log10(np.abs(basis.frf(freq, point, point))) for point in points]))
+    return np.array(levels)
+
+
 def microphone_responses(model: Model) -> list[MicrophoneResponse]:
     """Strongest response of every channel that reads a one-way bank, in the order of the outputs."""
     compiled = dict(zip(model.system.names, model.system.compiled, strict=True))
@@ -239,9 +255,10 @@ def microphone_responses(model: Model) -> list[MicrophoneResponse]:
             resonances = np.concatenate([basis.natural_freq for basis in own])
             freq = np.unique(np.concatenate([np.geomspace(20.0, 0.45 * model.fs, 500), resonances[resonances >= 20.0]]))
             by_connection: dict[str, Complexes] = {}
+            form = "accelerance" if readout.quantity == "acceleration" else "receptance"
             for drive in model.system.drives:
                 for probe in (probe for probe in probes if probe.component == drive.component):
-                    frf = compiled[probe.component].basis.frf(freq, probe.point, drive.point, "receptance")
+                    frf = compiled[probe.component].basis.frf(freq, probe.point, drive.point, form)
                     heard = by_connection.setdefault(drive.connection, np.zeros(freq.shape, dtype=np.complex128))
                     heard += probe.factor * drive.factor * frf
             size = np.max([np.abs(h) for h in by_connection.values()], axis=0, initial=0.0) * np.ones(freq.shape)

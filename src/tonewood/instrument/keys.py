@@ -28,7 +28,8 @@ from typing import Any
 
 from tonewood.errors import BundleError, ScoreError, TonewoodError
 from tonewood.instrument.files import Files
-from tonewood.instrument.schema import MOST_STRINGS, Bundle, PluginPart
+from tonewood.instrument.key_schema import MOST_STRINGS
+from tonewood.instrument.schema import Bundle, PluginPart
 from tonewood.score.scales import note_number
 from tonewood.validation_messages import did_you_mean
 

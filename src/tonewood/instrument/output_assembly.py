@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -27,8 +28,10 @@ class OutputGroup:
     channels : names, in order.
     readouts : their places among the system's readouts.
     quantity, unit : what is read.
-    full_scale : value at 0 dBFS, in `unit`.
+    full_scale : value at 0 dBFS, in `unit`, before gain and pan.
     note : for the user, one line.
+    gain_db, pan : dB, and -1 (left) to 1 (right); None where it is not placed.
+    delay : s.
     """
 
     name: str
@@ -38,6 +41,25 @@ class OutputGroup:
     unit: str
     full_scale: float
     note: str
+    gain_db: float = 0.0
+    pan: float | None = None
+    delay: float = 0.0
+
+    @property
+    def gains(self) -> tuple[float, ...]:
+        """Factor of each channel by gain and pan."""
+        alone = len(set(self.readouts)) == 1
+        places = (1.0,) * len(self.channels) if self.pan is None else pan_gains(self.pan, 1 if alone else 2)
+        return tuple(10 ** (self.gain_db / 20) * place for place in places)
+
+
+def pan_gains(pan: float, n_channels: int) -> tuple[float, float]:
+    """Factors left and right of a sound of one or two channels at a pan p from -1 to 1, at constant power.
+
+    One channel takes cos and sin of pi (1 + p) / 4, two are balanced by sqrt(2) times these: p = 0 leaves them.
+    """
+    angle, factor = math.pi * (1.0 + pan) / 4.0, 1.0 if n_channels == 1 else math.sqrt(2.0)
+    return factor * math.cos(angle), factor * math.sin(angle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +123,24 @@ def make_outputs(instrument: Instrument, wanted: Sequence[str] | None, scene: Sc
 
 def _group(instrument: Instrument, part: OutputPart, rows: PickupRows, first: int) -> OutputGroup:
     pickup = instrument.pickups[part.name]
+    channels, readouts = pickup.channels, tuple(range(first, first + len(rows.readouts)))
+    if part.pan is not None:
+        if len(channels) > 2:
+            reason = f"is for outputs of one or two channels; {part.name} has {len(channels)}"
+            raise BundleError(reason, file=instrument.folder / MANIFEST, key=f"outputs.{part.name}.pan")
+        if len(channels) == 1:
+            channels, readouts = ("left", "right"), readouts * 2
     return OutputGroup(
         name=part.name,
-        channels=pickup.channels,
-        readouts=tuple(range(first, first + len(rows.readouts))),
+        channels=channels,
+        readouts=readouts,
         quantity="pressure" if pickup.unit == "Pa" else rows.readouts[0].quantity,
         unit=pickup.unit,
         full_scale=part.full_scale,
         note=part.note or "",
+        gain_db=part.gain_db,
+        pan=part.pan,
+        delay=part.delay,
     )
 
 

@@ -15,15 +15,16 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from tonewood.instrument.directions import Direction
 from tonewood.instrument.gestures import StringPlace
+from tonewood.instrument.key_schema import MOST_STRINGS, Keys, Name
 from tonewood.params import Number, Parameters, Vector, described, quantity
 
 SCHEMA = "tonewood-instrument/2"
 
-#: parts of one kind that an instrument may have; a piano has 243 strings, with duplex segments some 400
-MOST_STRINGS, MOST_PARTS = 1024, 100
+#: parts of one kind that an instrument may have
+MOST_PARTS = 100
 
 _CC = r"^cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7])$"
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+_MOVED = r"^(channel_pressure|cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7]))$"
 
 
 class Source(Parameters):
@@ -205,62 +206,6 @@ class ConnectionPart(PluginPart):
     strings: list[Name] | None = described("those it touches; all where left out", default=None)
 
 
-class Damper(Parameters):
-    """A felt that rests on the strings of a key while the key is up, and is lifted with it."""
-
-    from_bridge: StringPlace = described("its middle: m, or {fraction: of the open speaking length}")
-    width: float = quantity("m", low=0.0, high=1.0, default=0.0, doc="over which it is spread")
-    resistance: float = quantity("N s/m", low=0.0, high=100.0, doc="of all of it, on each string")
-
-
-class KeyEntry(Parameters):
-    """A key, or a course: strings that one note plays together."""
-
-    note: str | Number = described("note name or MIDI number")
-    strings: list[Name] = described("its strings, the one that gives the pitch first", min_length=1, max_length=6)
-    una_corda: int | None = described(
-        "strings that its hammer meets while the una corda pedal is down; all where left out", default=None, ge=1, le=6
-    )
-    damper: Damper | None = described("felt that rests on them; none where left out", default=None)
-    exciter: dict[str, Any] = described("parameters of the exciter at this key, in place of its own", default={})
-    kind: Literal["measured", "published", "computed", "authored", "stand_in", "unknown"] | None = described(
-        "of the row's figures, as in `provenance`", default=None
-    )
-
-
-class Pedals(Parameters):
-    """Pedals of an instrument whose keys have dampers: sustain CC64, sostenuto CC66, una corda CC67."""
-
-    rises: float = quantity("1", low=0.0, high=1.0, default=0.3, doc="position of CC64 where dampers begin to rise")
-    free: float = quantity("1", low=0.0, high=1.0, default=0.7, doc="position of CC64 from which strings are free")
-    una_corda_stiffness: float = quantity(
-        "1", low=0.0, high=1.0, default=0.5, doc="factor on the felt's force while the una corda pedal is down"
-    )
-
-    @model_validator(mode="after")
-    def _order(self) -> Pedals:
-        if not self.rises < self.free:
-            raise ValueError("rises must be below free")
-        return self
-
-    def share(self, position: float) -> float:
-        """Share of the dampers' loss that is left at a position 0 .. 1 of the pedal: a square law, in 8 steps."""
-        way = min(max((position - self.rises) / (self.free - self.rises), 0.0), 1.0)
-        return (1.0 - round(8.0 * way) / 8.0) ** 2
-
-
-class Keys(Parameters):
-    """Keys of a piano, courses of a lute: from a table with one row a note, or one by one in `entries`."""
-
-    table: str | None = described("CSV file in the bundle; see Table of keys", default=None)
-    exciter: Name | None = described("exciter whose parameters the table gives", default=None)
-    damper: dict[str, Any] = described("what the rows do not say of dampers", default={})
-    pedals: Pedals = described("where keys have dampers", default=Pedals())
-    entries: dict[Name, KeyEntry] = described(
-        "name -> key, beside those of the table", default={}, max_length=MOST_STRINGS
-    )
-
-
 class Finger(Parameters):
     """A fingertip that stops a string: the skin, and behind it the mass that the hand presses down."""
 
@@ -344,6 +289,39 @@ class NoteEnd(Parameters):
 
     kind: Literal["ring", "damp"] = described("ring: nothing; damp: the string is damped", default="ring")
     t60: float = quantity("s", low=1e-3, high=100.0, default=0.12, doc="decay time of a damped string")
+    idle: Literal["ring", "damp"] = described(
+        "strings that no note is on: ring: they ring with the others; damp: a hand lies on them", default="ring"
+    )
+
+
+class HandNoises(Parameters):
+    """Exciters that play a hand's noises between the notes of a score; none where left out."""
+
+    on: bool = described("whether they are played", default=False, strict=True)
+    fretting: Name | None = described("as a finger comes to another stop, or leaves one", default=None)
+    touch: Name | None = described("as a note is damped", default=None)
+    squeak: Name | None = described("as the hand slides along a string to another stop", default=None)
+    least_shift: float = quantity("1", low=0.0, high=100.0, default=2.0, doc="steps of the scale of a hand that slides")
+
+    @property
+    def named(self) -> dict[str, str]:
+        """Noise -> exciter, of those that there are."""
+        return {k: v for k in ("fretting", "touch", "squeak") if (v := getattr(self, k)) is not None}
+
+
+class Slurs(Parameters):
+    """Exciters of notes that begin while the one before on their string still lasts in the score."""
+
+    overlap: float = quantity("s", low=0.0, high=10.0, default=0.02, doc="least time for which both last")
+    up: Name | None = described("of a higher note, e.g. a hammer-on; none: plucked", default=None)
+    down: Name | None = described("of a lower note, e.g. a pull-off; none: plucked", default=None)
+    far: Name | None = described("of one more than `reach` away, e.g. a slide; none: plucked", default=None)
+    reach: float = quantity("1", low=0.0, high=200.0, default=4.0, doc="steps of the scale that fingers span")
+
+    @property
+    def named(self) -> dict[str, str]:
+        """Way -> exciter, of those that are given."""
+        return {k: v for k in ("up", "down", "far") if (v := getattr(self, k)) is not None}
 
 
 class ControllerMap(Parameters):
@@ -376,7 +354,11 @@ class Playing(Parameters):
     velocity: Velocity = described("velocity curve", default=Velocity())
     note_end: NoteEnd = described("end of a note", default=NoteEnd())
     variation: HumanVariation = described("from note to note", default=HumanVariation())
-    controls: dict[Annotated[str, Field(pattern=_CC)], ControllerMap] = described("ccN -> parameter", default={})
+    noises: HandNoises = described("of a hand between notes", default=HandNoises())
+    slurs: Slurs = described("of notes that overlap on a string", default=Slurs())
+    controls: dict[Annotated[str, Field(pattern=_MOVED)], ControllerMap] = described(
+        "ccN or channel_pressure -> parameter", default={}
+    )
     keyswitches: dict[str, Name] = described("key -> exciter that notes after it ask for, on its channel", default={})
     switches: dict[Annotated[str, Field(pattern=_CC)], Name] = described(
         "ccN -> exciter that notes ask for while it is at 64 or more", default={}
@@ -393,6 +375,15 @@ class OutputPart(PluginPart):
 
     name: Name = described("of the group")
     full_scale: float = quantity("1", low=1e-12, high=1e12, doc="value at 0 dBFS, in the pickup's unit")
+    gain_db: float = quantity("dB", low=-120.0, high=60.0, default=0.0, doc="of its channels")
+    pan: float | None = quantity(
+        "1",
+        low=-1.0,
+        high=1.0,
+        default=None,
+        doc="-1 left to 1 right, at constant power: one channel becomes two, two are balanced",
+    )
+    delay: float = quantity("s", low=0.0, high=0.1, default=0.0, doc="of its channels, to the nearest frame")
     note: str | None = described("what this output is, and is not", default=None)
 
 

@@ -1,15 +1,10 @@
 """Several instruments that play the parts of one score: rendered in parallel, mixed to two channels.
 
-A part that has one channel is placed between both by its pan p from -1 (left) to 1 (right), at constant power,
-
-    left = cos(pi (1 + p) / 4),   right = sin(pi (1 + p) / 4),
-
-and one that has two is balanced by sqrt(2) times these, so that p = 0 leaves it as it is.
+A part that has one channel is placed between both by its pan, and one that has two is balanced, at constant power.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import tempfile
@@ -25,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import BundleError, NothingPlayedError, TonewoodError
+from tonewood.instrument.output_assembly import pan_gains
 from tonewood.output.options import RenderOptions
 from tonewood.output.render import Renderer, Summary
 from tonewood.params import Parameters, described, quantity, validated
@@ -172,9 +168,7 @@ def render_ensemble(
 
 def placed(samples: Floats, part: EnsemblePart) -> Floats:
     """Return a part's sound (n, 2) with its gain and pan."""
-    angle = math.pi * (1.0 + part.pan) / 4.0
-    gains = 10 ** (part.gain_db / 20) * np.array([math.cos(angle), math.sin(angle)])
-    return samples * gains if samples.shape[1] == 1 else samples * gains * math.sqrt(2.0)
+    return samples * (10 ** (part.gain_db / 20) * np.array(pan_gains(part.pan, samples.shape[1])))
 
 
 def _rendered(

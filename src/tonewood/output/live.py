@@ -15,7 +15,7 @@ from tonewood.blas import one_blas_thread
 from tonewood.engine.effects.base import EffectReport
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.live import LivePlayer
-from tonewood.engine.live_voices import Voice
+from tonewood.engine.live_state import Voice
 from tonewood.engine.timeline import Timeline
 from tonewood.errors import TonewoodError
 from tonewood.instrument.assembly import FREQ_LIMIT, assemble
@@ -24,12 +24,13 @@ from tonewood.output.audio import decibels
 from tonewood.output.inputs import InstrumentLike, as_instrument
 from tonewood.output.options import RenderOptions
 from tonewood.output.resampling import Resampler
+from tonewood.output.routing import Routing
 from tonewood.score.note import Dropped, Note
 
 Floats = NDArray[np.float64]
 
 #: options of a render that need its end or its past
-_NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy", "capo")
+_NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy")
 #: frames between two times that lists of the past are emptied
 _FORGET = 1 << 16
 #: s, shortest and longest preparation of a pluck
@@ -84,8 +85,8 @@ class Live:
     ----------
     instrument : a loaded instrument, or its name or folder.
     fs : sampling rate, Hz.
-    options : as for `Renderer`, single ones as keywords too; tail, lead-in, longest duration, capo and the account of
-        energy are for scores.
+    options : as for `Renderer`, single ones as keywords too; tail, lead-in, longest duration and the account of energy
+        are for scores.
     ramp : s, longest preparation of a pluck; a shorter one is heard as a thump.
     spacing : control intervals between the beginnings of notes that come together, 0 for none: a chord is strummed.
         One interval is 64 steps, 1.3 ms at 48 kHz; the default lets six notes cost no more than their time.
@@ -127,16 +128,18 @@ class Live:
         self.model = assemble(applied, engine_fs, freq_limit=limit, outputs=options.outputs)
         self.engine = Engine(self.model, Timeline((), ()))
         self.player = LivePlayer(
-            self.model, self.engine, ramp=ramp, spacing=spacing, channel_per_string=options.channel_per_string
+            self.model,
+            self.engine,
+            ramp=ramp,
+            spacing=spacing,
+            channel_per_string=options.channel_per_string,
+            capo=options.capo,
         )
-        groups = self.model.outputs
-        self._columns = [i for group in groups for i in group.readouts]
-        scales = [group.full_scale for group in groups for _ in group.channels]
-        self._scale = 10 ** (options.gain_db / 20) / np.array(scales)
-        self._resampler = Resampler(steps, len(self._columns))
+        self._routing = Routing(self.model, self.fs, options.gain_db)
+        self._resampler = Resampler(steps, len(self.channels))
         # frames that come out of the resampler before frame 0
         self._early = -self._resampler.frame(0)
-        self._pending = np.zeros((0, len(self._columns)))
+        self._pending = np.zeros((0, len(self.channels)))
         self._forget_at = _FORGET
         #: frames that were given out
         self.frames = 0
@@ -147,9 +150,7 @@ class Live:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the output channels."""
-        groups = self.model.outputs
-        alone = len(groups) == 1
-        return tuple(name if alone else f"{group.name}.{name}" for group in groups for name in group.channels)
+        return self._routing.channels
 
     @property
     def time(self) -> float:
@@ -225,10 +226,14 @@ class Live:
         self.player.control(f"cc{number}", value, channel)
 
     def pressure(self, value: float, channel: int = 0, note: float | None = None) -> None:
-        """Press on the keys of a channel, or on one, 0 to 1. A string that was plucked does not feel it: counted."""
+        """Press on the keys of a channel, or on one, 0 to 1.
+
+        Pressure on a channel moves what the bundle maps ``channel_pressure`` to, for the notes that follow; without
+        that, and on a single key, it has no effect and is counted.
+        """
         if not 0.0 <= value <= 1.0:
             raise TonewoodError(f"pressure of {value!r}: 0 to 1 is allowed")
-        self.player.control("channel pressure" if note is None else "polyphonic pressure", value, channel)
+        self.player.control("channel_pressure" if note is None else "polyphonic_pressure", value, channel)
 
     def bend(self, cents: float, channel: int | None = None) -> None:
         """Bend the strings of a channel, or all, to so many cents above their notes; followed at 40 cents per ms."""
@@ -279,7 +284,7 @@ class Live:
             sample = self.engine.state.sample
             points = int(-(-self._resampler.samples(frames - n + self._early) // GRID))
             sound = self.engine.advance(max(1, min(points, self.player.idle_points)))
-            sound = self._resampler(sound[:, self._columns] * self._scale, sample)
+            sound = self._routing.delayed(self._resampler(self._routing.scaled(sound), sample))
             if self._early:
                 early = min(self._early, len(sound))
                 sound, self._early = sound[early:], self._early - early

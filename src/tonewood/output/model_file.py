@@ -28,6 +28,7 @@ from tonewood.errors import OutputError, TonewoodError
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.contract import Event
 from tonewood.output.inputs import InstrumentLike, as_instrument
+from tonewood.output.routing import Routing
 from tonewood.stepping.kernel import KernelStepper
 from tonewood.whole_files import AtomicFile
 
@@ -85,12 +86,11 @@ def save_model(
         plays.append(Play(-gesture.start, gesture, string=name))
     system = engine.system.with_compiled(changes)
     plucks = [forces(play, model, system, 0) for play in plays]
-    groups = model.outputs
-    columns = [i for group in groups for i in group.readouts]
-    scales = [group.full_scale for group in groups for _ in group.channels]
-    if columns != list(range(len(system.readouts))):
-        raise TonewoodError("channels in another order than the readouts cannot be saved", key="outputs")
-    more = {"fs": float(system.dt) ** -1, "scale": 1.0 / np.array(scales)}
+    routing = Routing(model, float(system.dt) ** -1)
+    if not routing.whole or any(routing.delays):
+        reason = "channels in another order than the readouts, a single one with a pan, or delays cannot be saved"
+        raise TonewoodError(reason, key="outputs")
+    more = {"fs": float(system.dt) ** -1, "scale": routing.scale}
     write_arrays(path, recorded(system, plucks) | flat(more))
 
 

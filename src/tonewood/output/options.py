@@ -96,6 +96,9 @@ class RenderOptions(Parameters):
         default=None,
         ge=0,
     )
+    noises: bool | None = described(
+        "noises of the hands between notes, see playing.noises; default: the instrument's", default=None, strict=True
+    )
     energy: bool = described("keep an account of energy; many times slower, with the same samples", default=False)
 
     if not TYPE_CHECKING:  # checkers read the fields
@@ -152,14 +155,15 @@ class RenderOptions(Parameters):
         return {f"effects.{key}": value for key, value in given.items() if value is not None}
 
     def applied_to(self, instrument: Instrument) -> Instrument:
-        """Return the instrument with the effects, budgets and seed of variation that are given in place of its own.
+        """Return the instrument with effects, budgets, variation and noises that are given in place of its own.
 
         Raises
         ------
         TonewoodError : there is no effect of a name.
         """
         seed = {} if self.humanize is None else {"playing.variation.seed": self.humanize}
-        return instrument.replace(self.effect_changes | seed)
+        noises = {} if self.noises is None else {"playing.noises.on": self.noises}
+        return instrument.replace(self.effect_changes | seed | noises)
 
     def at(self, **settings: Any) -> Self:
         """Return a copy with settings that need no check, as other code has derived them."""

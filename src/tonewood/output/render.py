@@ -28,6 +28,7 @@ from tonewood.output.audio import Audio, decibels
 from tonewood.output.inputs import InstrumentLike, ScoreLike, as_instrument, as_score
 from tonewood.output.options import RenderOptions
 from tonewood.output.resampling import Resampler
+from tonewood.output.routing import Routing
 from tonewood.score.note import Dropped
 
 Floats = NDArray[np.float64]
@@ -87,7 +88,7 @@ class Checkpoint:
     """Snapshot of a renderer between two blocks."""
 
     engine: Snapshot
-    memory: Floats
+    memory: tuple[Floats, Floats]
     pending: Floats
     frames: int
     loudest: float
@@ -96,11 +97,16 @@ class Checkpoint:
     step: Floats | None
 
 
-def assembled(instrument: Instrument, options: RenderOptions) -> Model:
-    """The model that a `Renderer` steps: of an instrument, at the engine's rate of these options."""
+def assembled(instrument: Instrument, options: RenderOptions, *, by_string: bool = False) -> Model:
+    """The model that a `Renderer` steps: of an instrument, at the engine's rate of these options.
+
+    With `by_string` its outputs are split into what each string gives of them; see `assemble`.
+    """
     engine_fs = float(_steps(instrument, options) * options.fs)
     limit = None if options.freq_limit is None else min(options.freq_limit, FREQ_LIMIT * engine_fs)
-    return assemble(options.applied_to(instrument), engine_fs, freq_limit=limit, outputs=options.outputs)
+    return assemble(
+        options.applied_to(instrument), engine_fs, freq_limit=limit, outputs=options.outputs, by_string=by_string
+    )
 
 
 def _steps(instrument: Instrument, options: RenderOptions) -> Fraction:
@@ -155,22 +161,17 @@ class Renderer:
         )
         self.engine = Engine(self.model, self.performance.timeline, energy=options.energy)
         self.engine.tail_level = options.tail_level_db
-        groups = self.model.outputs
-        columns = [i for group in groups for i in group.readouts]
-        whole = columns == list(range(len(self.model.system.readouts)))
-        self._columns: slice | list[int] = slice(None) if whole else columns
-        gain = 10 ** (options.gain_db / 20)
-        scales = [group.full_scale for group in groups for _ in group.channels]
-        self._scale = gain / (scales[0] if len(set(scales)) == 1 else np.array(scales))
-        self._resampler = Resampler(steps, len(columns))
+        self._routing = Routing(self.model, self.fs, options.gain_db)
+        n_channels = len(self._routing.channels)
+        self._resampler = Resampler(steps, n_channels)
         earliest = self.performance.timeline.start
         auto = options.lead_in == "auto"
         self.zero_frame = math.ceil(-earliest * self.fs) if auto else round(float(options.lead_in) * self.fs)
         # the first frame out of the resampler, which looks ahead; silence before it where the lead-in is longer
         first = self._resampler.frame(self.engine.state.sample)
-        self._pending = np.zeros((max(0, first + self.zero_frame), len(columns)))
+        self._pending = np.zeros((max(0, first + self.zero_frame), n_channels))
         #: value of the first frame where earlier sound was discarded; None until that frame is computed
-        self._step: Floats | None = None if earliest * self.fs < -self.zero_frame else np.zeros(len(columns))
+        self._step: Floats | None = None if earliest * self.fs < -self.zero_frame else np.zeros(n_channels)
         n = round(_SMOOTHING * self.fs)
         self._fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(n) / n)
         self._frames, self._seconds, self._loudest = 0, 0.0, 0.0
@@ -186,9 +187,7 @@ class Renderer:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the output channels."""
-        groups = self.model.outputs
-        alone = len(groups) == 1
-        return tuple(name if alone else f"{group.name}.{name}" for group in groups for name in group.channels)
+        return self._routing.channels
 
     @property
     def energy(self) -> EnergyTrace | None:
@@ -251,7 +250,7 @@ class Renderer:
         """Copy of the whole state, to `restore` later in this renderer or in one made from the same arguments."""
         return Checkpoint(
             self.engine.snapshot(),
-            self._resampler.memory.copy(),
+            (self._resampler.memory.copy(), self._routing.memory.copy()),
             self._pending.copy(),
             self._frames,
             self._loudest,
@@ -263,7 +262,7 @@ class Renderer:
     def restore(self, checkpoint: Checkpoint) -> None:
         """Restore a snapshot; the samples that follow are the same to the last bit."""
         self.engine.restore(checkpoint.engine)
-        self._resampler.memory = checkpoint.memory.copy()
+        self._resampler.memory, self._routing.memory = (memory.copy() for memory in checkpoint.memory)
         self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
         self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
         self._step = checkpoint.step
@@ -279,7 +278,8 @@ class Renderer:
         wanted = self._resampler.samples(min(frames, room))
         spans = max(1, min(math.ceil(wanted / span), lively // span))
         began = time.perf_counter()
-        sound = self._resampler(self.engine.advance(spans * _TICKS)[:, self._columns] * self._scale, sample)
+        sound = self._resampler(self._routing.scaled(self.engine.advance(spans * _TICKS)), sample)
+        sound = self._routing.delayed(sound)
         self._seconds += time.perf_counter() - began
         sound = self._begun(sound, first + self.zero_frame)
         room += min(max(0, -first), self.zero_frame)  # counted from score time 0

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from tonewood.plate.outline import area, circle, crossing, guitar_outline, inside, refined, smooth_ring
     from tonewood.plate.plate import Edge
     from tonewood.plate.radiation import Sources
+    from tonewood.plate.two_oscillators import displaced_volumes, pressure_shapes
     from tonewood.plate.wood import SPECIES, Wood
 
 _MODULES = {
@@ -25,6 +26,7 @@ _MODULES = {
     "outline": ("area", "circle", "crossing", "guitar_outline", "inside", "refined", "smooth_ring"),
     "plate": ("Edge",),
     "radiation": ("Sources",),
+    "two_oscillators": ("displaced_volumes", "pressure_shapes"),
     "wood": ("SPECIES", "Wood"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
@@ -43,10 +45,12 @@ __all__ = [
     "body_modes",
     "circle",
     "crossing",
+    "displaced_volumes",
     "first_modes",
     "guitar_outline",
     "inside",
     "microphone",
+    "pressure_shapes",
     "refined",
     "smooth_ring",
 ]

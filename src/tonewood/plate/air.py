@@ -9,8 +9,16 @@ mean psi_m^2 = 1, all energies are squares,
 
 so that mass and stiffness are symmetric and positive, every mode is real and any truncation is passive. Eliminating
 p_m = -kappa (b_m q + psi_m Y - eta_m) gives the cavity's own p_m'' + omega_m^2 p_m = -kappa (b_m q'' + psi_m Y'').
+Plate modes that are left out yield to the pressures p by their static compliance C, outwards C p: in place of kappa I
+the last two sums have the symmetric positive matrix (I / kappa + C)^-1, and p = -(I / kappa + C)^-1 G x.
 With one plate mode and no cavity mode this is the two-oscillator model of O. Christensen and B. B. Vistisen, J. Acoust.
 Soc. Am. 68 (1980) 758.
+
+Friction of the air at the edge of the hole, of diameter d and wall t, is a resistance to the mean velocity there,
+
+    r = rho sqrt(8 nu omega) (1 + t / d)   Pa s/m
+
+(U. Ingard, J. Acoust. Soc. Am. 25 (1953) 1037: boundary layers of the wall and of both faces beside the edge).
 """
 
 from __future__ import annotations
@@ -29,6 +37,8 @@ Pair = tuple[float, float]
 
 #: kg/m^3 and m/s, air at 20 degrees Celsius
 AIR_DENSITY, SOUND_SPEED = 1.2, 343.0
+#: m^2/s, its kinematic viscosity nu
+VISCOSITY = 1.5e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +99,7 @@ class AirModes:
     cavity : (m, n) eta.
     kinetic : (3, n) shares of plates, hole and cavity in the kinetic energy; they add up to 1.
     stored : (n_q, n) share of each plate mode's own stiffness in the potential energy; air holds the rest.
+    pressure : (1 + m, n) Pa per unit of the mode's coordinate: mean of the cavity, then of each of its modes.
     """
 
     freq: Floats
@@ -97,6 +108,7 @@ class AirModes:
     cavity: Floats
     kinetic: Floats
     stored: Floats
+    pressure: Floats
 
 
 def air_matrices(
@@ -105,8 +117,9 @@ def air_matrices(
     volume: float,
     hole: tuple[float, float] | None,
     cavity: tuple[Floats, Floats, Floats],
-) -> tuple[Floats, Floats]:
-    """Mass (n,), a diagonal, and stiffness (n, n) of the coordinates q, Y (where there is a hole) and eta.
+    compliance: Floats | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """Mass (n,), a diagonal, stiffness (n, n) and pressures (1 + m, n) of the coordinates q, Y (with a hole) and eta.
 
     Parameters
     ----------
@@ -114,7 +127,10 @@ def air_matrices(
     volume : m^3.
     hole : area S (m^2) and length L (m) of the air that moves in it; None for a closed body.
     cavity : (m,) Hz, (m, n_q) b and (m,) psi at the hole.
+    compliance : (1 + m, 1 + m) m^3/Pa, C of plate modes left out; none where left out.
     """
+    from scipy.linalg import solve
+
     kappa = AIR_DENSITY * SOUND_SPEED**2 / volume
     cavity_freq, b, at_hole = cavity
     n, m, open_hole = len(freq), len(cavity_freq), int(hole is not None)
@@ -126,9 +142,13 @@ def air_matrices(
         rows[0, n], rows[1:, n] = 1.0, at_hole
         mass[n] = AIR_DENSITY * hole[1] / hole[0]
     mass[n + open_hole :] = kappa / (2 * np.pi * cavity_freq) ** 2
-    stiffness = kappa * (rows.T @ rows)
+    springs = kappa * rows
+    if compliance is not None:
+        springs = np.asarray(solve(np.eye(1 + m) / kappa + compliance, rows, assume_a="pos"), dtype=np.float64)
+    stiffness = rows.T @ springs
+    stiffness = 0.5 * (stiffness + stiffness.T)
     stiffness[np.arange(n), np.arange(n)] += (2 * np.pi * freq) ** 2
-    return mass, stiffness
+    return mass, stiffness, -springs
 
 
 def couple_air(
@@ -137,11 +157,12 @@ def couple_air(
     volume: float,
     hole: tuple[float, float] | None,
     cavity: tuple[Floats, Floats, Floats],
+    compliance: Floats | None = None,
 ) -> AirModes:
     """Modes of plates with their air; parameters as those of `air_matrices`."""
     from scipy.linalg import eigh
 
-    mass, stiffness = air_matrices(freq, outward, volume, hole, cavity)
+    mass, stiffness, pressure = air_matrices(freq, outward, volume, hole, cavity, compliance)
     scale = 1 / np.sqrt(mass)
     values, vectors = eigh(stiffness * np.outer(scale, scale))
     squares = vectors**2
@@ -157,4 +178,18 @@ def couple_air(
         shapes[n + open_hole :],
         np.array([part.sum(axis=0) for part in parts]),
         stored,
+        pressure @ shapes,
     )
+
+
+def hole_loss(freq: Floats, flow: Floats, opening: float, wall: float) -> Floats:
+    """(n,) loss factors of modes by friction in a round hole, r Y^2 / (S omega).
+
+    Parameters
+    ----------
+    freq, flow : (n,) Hz and Y of each mode.
+    opening, wall : m^2 and m, area S of the hole and thickness t.
+    """
+    omega = np.maximum(2 * np.pi * freq, 1e-9)
+    resistance = AIR_DENSITY * np.sqrt(8 * VISCOSITY * omega) * (1 + wall / np.sqrt(4 * opening / np.pi))
+    return np.asarray(resistance * flow**2 / (opening * omega))

@@ -2,10 +2,14 @@
 
 Plates in vacuum (`plate`), then their air (`air`), then their radiation resistance as a diagonal damping (`radiation`):
 
-    eta_k = sum_n (eta_n + extra) U_nk + eta_air (1 - sum_n U_nk) + R_k / omega_k
+    eta_k = sum_n (eta_n + extra) U_nk + eta_air (1 - sum_n U_nk) + R_k / omega_k + friction in the hole
 
 U_nk is the share of plate mode n's stiffness in the potential energy of mode k. Every contribution is positive, and so
 the body is passive with any number of modes.
+
+Plate modes above `fmax` have a static compliance [R_pp R_pv; R_vp R_vv] between the drawing's points and the volumes of
+the cavity's modes. R_vv is in the air's springs; a point moves by R_pv p besides its modes, and the residual at the
+points is R_pp - R_pv (I / kappa + R_vv)^-1 R_vp. Static compliances so do not depend on `fmax`.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.plate.air import AirModes, Cavity, cavity_modes, couple_air
+from tonewood.plate.air import AIR_DENSITY, SOUND_SPEED, AirModes, cavity_modes, couple_air, hole_loss
 from tonewood.plate.beams import Beam
 from tonewood.plate.outline import area, quadrature
 from tonewood.plate.plate import CLAMPED, Edge, Plate, PlateModes, Thickness, cell_size
@@ -182,13 +186,16 @@ def body_modes(drawing: BodyDrawing) -> BodyModes:
     top = _solved(rings, drawing.top, drawing.fmax)
     back = None if drawing.back is None else _solved([drawing.outline], drawing.back, drawing.fmax)
     plates = [top] if back is None else [top, back]
-    freq = np.concatenate([p.freq for p in plates])
     wood = np.concatenate([p.loss for p in plates]) + drawing.extra_loss
     faces = [_face(p) for p in plates]
     mouth = None if drawing.hole is None else _mouth(drawing.hole)
-    coupled, cavity = _with_air(drawing, freq, faces, mouth)
+    loads = _loads(top.plate, drawing)
+    coupled, cavity_freq, (residual, lever) = _with_air(drawing, plates, faces, mouth, loads)
     n = len(top.freq)
-    keep = np.flatnonzero(coupled.freq <= drawing.fmax)
+    few = coupled.freq <= drawing.fmax
+    keep = np.flatnonzero(few)
+    shapes = loads @ top.vectors @ coupled.plates[:n] + lever @ coupled.pressure
+    residual = residual + (shapes[:, ~few] / (2 * np.pi * coupled.freq[~few]) ** 2) @ shapes[:, ~few].T
     points, areas, squares = gathered_sources(*faces[0], SOURCE_SIZE)
     volumes, hole_from = squares @ coupled.plates[:n, keep], len(points)
     if mouth is not None and drawing.depth > 0:
@@ -205,14 +212,16 @@ def body_modes(drawing: BodyDrawing) -> BodyModes:
     omega = 2 * np.pi * coupled.freq[keep]
     radiated = np.where(omega > 0, resistance / np.where(omega > 0, omega, 1.0), 0.0)
     stored = coupled.stored[:, keep]
-    loads = _loads(top.plate, drawing)
+    rubbed = np.zeros(len(keep))
+    if (hole := _hole(drawing, mouth)) is not None:
+        rubbed = hole_loss(coupled.freq[keep], coupled.hole[keep], *hole)
     return BodyModes(
         freq=coupled.freq[keep],
-        loss=wood @ stored + drawing.air_loss * np.maximum(1 - stored.sum(axis=0), 0.0) + radiated,
+        loss=wood @ stored + drawing.air_loss * np.maximum(1 - stored.sum(axis=0), 0.0) + radiated + rubbed,
         radiation_loss=radiated,
         kinetic=coupled.kinetic[:, keep],
-        shapes=loads @ top.vectors @ coupled.plates[:n, keep],
-        residual=_semidefinite(top.plate.residual(loads, top)),
+        shapes=shapes[:, keep],
+        residual=_semidefinite(residual),
         sources=points,
         areas=areas,
         volumes=volumes,
@@ -220,7 +229,7 @@ def body_modes(drawing: BodyDrawing) -> BodyModes:
         back_sources=back_points,
         back_volumes=back_volumes,
         vacuum_freq=top.freq,
-        cavity_freq=cavity.freq if cavity is not None else np.zeros(0),
+        cavity_freq=cavity_freq,
         masses=np.array([top.plate.mass, 0.0 if back is None else back.plate.mass]),
     )
 
@@ -265,32 +274,57 @@ def _mouth(ring: Floats) -> tuple[Floats, Floats]:
     return quad.points, quad.weights
 
 
+def _hole(drawing: BodyDrawing, mouth: tuple[Floats, Floats] | None) -> tuple[float, float] | None:
+    """Area of the soundhole (m^2) and thickness of the top there (m); None without one."""
+    if mouth is None:
+        return None
+    thick = drawing.top.thickness
+    return float(mouth[1].sum()), thick if not callable(thick) else float(np.mean(thick(mouth[0])))
+
+
 def _with_air(
     drawing: BodyDrawing,
-    freq: Floats,
+    plates: Sequence[PlateModes],
     faces: Sequence[tuple[Floats, Floats, Floats]],
     mouth: tuple[Floats, Floats] | None,
-) -> tuple[AirModes, Cavity | None]:
-    """Join the plates' modes to their air."""
+    loads: Floats,
+) -> tuple[AirModes, Floats, tuple[Floats, Floats]]:
+    """Join the plates' modes to their air.
+
+    Returns
+    -------
+    modes; (m,) Hz of the cavity; for the plate modes left out, the residual (p, p) m/N and what the points (p,) move by
+    per pressure of each of the cavity's modes, m/Pa.
+    """
+    from scipy.linalg import solve
+
+    freq, top = np.concatenate([p.freq for p in plates]), plates[0]
     if drawing.depth == 0:
         n = len(freq)
         order = np.argsort(freq)
         alone = np.eye(n)[:, order]
         kinetic = np.zeros((3, n))
         kinetic[0] = 1.0
-        return AirModes(freq[order], alone, np.zeros(n), np.zeros((0, n)), kinetic, alone**2), None
+        modes = AirModes(freq[order], alone, np.zeros(n), np.zeros((0, n)), kinetic, alone**2, np.zeros((0, n)))
+        return modes, np.zeros(0), (top.plate.residual(loads, top), np.zeros((len(loads), 0)))
     cavity = cavity_modes(drawing.outline, drawing.depth, drawing.cavity_to)
-    outward = np.concatenate([weights @ shapes for _, weights, shapes in faces])
-    b = np.hstack([cavity.shapes(points).T @ (weights[:, None] * shapes) for points, weights, shapes in faces])
-    at_hole, hole = np.zeros(len(cavity.freq)), None
-    if mouth is not None:
-        points, weights = mouth
-        opening = float(weights.sum())
-        at_hole = weights @ cavity.shapes(points) / opening
-        thick = drawing.top.thickness
-        wall = thick if not callable(thick) else float(np.mean(thick(points)))
-        hole = (opening, wall + drawing.end_correction * float(np.sqrt(opening / np.pi)))
-    return couple_air(freq, outward, cavity.volume, hole, (cavity.freq, b, at_hole)), cavity
+    m = len(cavity.freq)
+    swept = [np.vstack([weights, weights * cavity.shapes(points).T]) for points, weights, _ in faces]
+    outward, b = np.split(np.hstack([w @ shapes for w, (_, _, shapes) in zip(swept, faces, strict=True)]), [1])
+    at_hole, hole = np.zeros(m), None
+    if mouth is not None and (opening := _hole(drawing, mouth)) is not None:
+        at_hole = mouth[1] @ cavity.shapes(mouth[0]) / opening[0]
+        hole = (opening[0], opening[1] + drawing.end_correction * float(np.sqrt(opening[0] / np.pi)))
+    volumes = [w @ modes.plate.operator(points) for w, modes, (points, _, _) in zip(swept, plates, faces, strict=True)]
+    rest = top.plate.residual(np.vstack([loads, volumes[0]]), top)
+    points = len(loads)
+    compliance, lever = rest[points:, points:], rest[:points, points:]
+    for back, own in zip(plates[1:], volumes[1:], strict=True):
+        compliance = compliance + back.plate.residual(own, back)
+    modes = couple_air(freq, outward[0], cavity.volume, hole, (cavity.freq, b, at_hole), compliance)
+    stiff = np.eye(1 + m) * cavity.volume / (AIR_DENSITY * SOUND_SPEED**2) + compliance
+    held = lever @ solve(stiff, lever.T, assume_a="pos")
+    return modes, cavity.freq, (rest[:points, :points] - held, lever)
 
 
 def _loads(plate: Plate, drawing: BodyDrawing) -> Floats:

@@ -5,9 +5,10 @@
     kappa = (w_xx, w_yy, 2 w_xy),    eps = (u_x, v_y, u_y + v_x)
 
 The in-plane motion (u, v) of the plate's middle surface is solved for where there are beams, which hang beside that
-surface; it carries no mass. The functions do not know the outline: it limits the integrals, and the edge is held by
-springs per length, k_w (N/m^2) against w and k_theta (N) against its slope across the edge. Frequencies are upper
-bounds of those of the plate on its springs, and move smoothly with every dimension, as nothing is meshed.
+surface, and so is the rotation of each beam's sections, which bend and shear; none of these carries mass. The functions
+do not know the outline: it limits the integrals, and the edge is held by springs per length, k_w (N/m^2) against w and
+k_theta (N) against its slope across the edge. Frequencies are upper bounds of those of the plate on its springs, and
+move smoothly with every dimension, as nothing is meshed.
 
 Loss factors are those of the energies: eta_k = phi_k^T K'' phi_k / omega_k^2, K'' of the imaginary parts.
 
@@ -25,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.plate.beams import Beam, beam_line, beam_matrices, line
+from tonewood.plate.beams import Beam, beam_line, beam_matrices, line, rotations
 from tonewood.plate.outline import Quadrature, quadrature, refined
 from tonewood.plate.splines import Order, SplineGrid
 from tonewood.plate.wood import Wood
@@ -118,6 +119,8 @@ class Plate:
         degree: int = 4,
         grain: float = 0.0,
     ):
+        from scipy.sparse import csr_matrix
+
         self.rings, self.wood, self.beams = tuple(rings), wood, tuple(beams)
         self.thickness: Thickness = thickness if callable(thickness) else _constant(thickness)
         self.grid = grid = SplineGrid.over(rings[0], size, degree)
@@ -130,14 +133,25 @@ class Plate:
             membrane = integrals(grid, quad, _strain, self.thickness, bending)
             stiffness = [_stacked(m, b) for m, b in zip(membrane, stiffness, strict=True)]
         stiffness = [inner + outer for inner, outer in zip(stiffness, self._edge(edge, quad), strict=True)]
-        for beam in beams:
+        counts = [rotations(grid, beam) for beam in beams]
+        before = sum(counts)
+        stiffness = [_stacked(csr_matrix((before, before)), matrix) for matrix in stiffness]
+        for i, beam in enumerate(beams):
             points, _, _ = beam_line(grid, beam)
-            rigid, inertia = beam_matrices(grid, beam, self.thickness(points))
-            stiffness = [stiffness[0] + rigid, stiffness[1] + beam.wood.loss_L * rigid]
+            *own, inertia = beam_matrices(grid, beam, self.thickness(points))
+            unknowns = np.concatenate(
+                [np.arange(counts[i]) + sum(counts[:i]), np.arange(before, stiffness[0].shape[0])]
+            )
+            place = csr_matrix(
+                (np.ones(len(unknowns)), (unknowns, np.arange(len(unknowns)))), (stiffness[0].shape[0], len(unknowns))
+            )
+            stiffness = [whole + place @ part @ place.T for whole, part in zip(stiffness, own, strict=True)]
             mass = mass + inertia
         diagonal = mass.diagonal()
         self._keep = np.flatnonzero(diagonal > _LEAST_MASS * diagonal.max())
-        every = np.concatenate([self._keep + i * grid.count for i in range(self.fields)])
+        # unknowns without mass: rotations of beams, and the motion in the plane
+        self._massless = before + (self.fields - 1) * len(self._keep)
+        every = np.concatenate([np.arange(before), *(before + self._keep + i * grid.count for i in range(self.fields))])
         self._stiffness: csc_matrix = stiffness[0].tocsr()[every][:, every].tocsc()
         self._losses: csc_matrix = stiffness[1].tocsr()[every][:, every].tocsc()
         self._mass: csc_matrix = mass.tocsr()[self._keep][:, self._keep].tocsc()
@@ -192,7 +206,7 @@ class Plate:
         The difference of two sums over modes of phi phi^T (1 / (omega^2 + s^2) + s^2 / (omega^2 + s^2)^2): all of them
         from the factored stiffness, less those that are kept. It is 1 / omega^2 but for (s / omega)^4, s the shift.
         """
-        n, before = self.functions, (self.fields - 1) * self.functions
+        n, before = self.functions, self._massless
         solve, scale = self._factored
         rhs = np.zeros((before + n, len(loads)))
         rhs[before:] = loads.T
@@ -223,10 +237,9 @@ class Plate:
     def _full_mass(self) -> csc_matrix:
         from scipy.sparse import block_diag, csc_matrix
 
-        if self.fields == 1:
+        if not self._massless:
             return self._mass
-        n = self.functions
-        return csc_matrix(block_diag([csc_matrix((2 * n, 2 * n)), self._mass]))
+        return csc_matrix(block_diag([csc_matrix((self._massless, self._massless)), self._mass]))
 
     def _solved(self, count: int) -> PlateModes:
         from scipy.sparse import diags

@@ -108,3 +108,15 @@ class SplineGrid:
         values, index = self.values(cell, p, order), self.index(cell)
         rows = np.repeat(np.arange(len(p)), self.alive)
         return csr_matrix((values.ravel(), (rows, index.ravel())), shape=(len(p), self.count))
+
+
+def line_functions(place: Floats, parts: int, degree: int, order: int = 0) -> csr_matrix:
+    """(n, parts + p) sparse: a derivative of every function on `parts` cells at places from 0 to 1, per place."""
+    from scipy.sparse import csr_matrix
+
+    cell = np.clip(np.floor(place * parts).astype(np.intp), 0, parts - 1)
+    powers = (place * parts - cell)[:, None] ** np.arange(degree + 1)
+    values = powers @ _pieces(degree, order).T * float(parts) ** order
+    index = cell[:, None] + np.arange(degree + 1)
+    rows = np.repeat(np.arange(len(place)), degree + 1)
+    return csr_matrix((values.ravel(), (rows, index.ravel())), shape=(len(place), parts + degree))

@@ -8,14 +8,13 @@ Decisions where the format leaves a choice, or files are often wrong:
   sounds longer.
 - Silence longer than `LONG_GAP` is reported; `MAX_SILENCE` of it in all is refused, and so is a piece beyond
   `MAX_TIME`. An excerpt (`start`, `stop`) is judged by itself, so it is always a way out.
-- Programs, pressure and system exclusive messages have no effect; they are counted in `Score.ignored`.
+- Programs, pressure on single keys and system exclusive messages have no effect; they are counted in `Score.ignored`.
 """
 
 from __future__ import annotations
 
 import math
 import os
-import stat
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -24,6 +23,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from tonewood.errors import OutputError, ScoreError
+from tonewood.score.file_bytes import file_bytes
 from tonewood.score.note import Control, Note, Score
 from tonewood.score.performance import ChannelReader, where
 from tonewood.score.smf import Findings, MidiFile, Track, parse_smf
@@ -61,7 +61,7 @@ def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float |
     if not (0.0 <= start < (math.inf if stop is None else stop)):
         raise ScoreError(f"excerpt from {start} s to {stop} s: 0 <= start < stop is needed", file=path)
     findings = Findings()
-    midi = parse_smf(_read_bytes(path), findings, file=os.fspath(path))
+    midi = parse_smf(file_bytes(path, MAX_BYTES), findings, file=os.fspath(path))
     performance = ChannelReader(findings)
     for messages, end in _played(midi, findings):
         performance.play(messages)
@@ -92,7 +92,7 @@ def read_messages(path: str | os.PathLike[str]) -> tuple[list[tuple[float, int, 
     ScoreError : one line, if the file cannot be read.
     """
     path, findings = Path(path), Findings()
-    midi = parse_smf(_read_bytes(path), findings, file=os.fspath(path))
+    midi = parse_smf(file_bytes(path, MAX_BYTES), findings, file=os.fspath(path))
     messages: list[tuple[float, int, int, int]] = []
     end = 0.0
     for pattern, until in _played(midi, findings):
@@ -119,18 +119,6 @@ def _texts(midi: MidiFile) -> dict[str, str]:
     for track in midi.tracks:
         texts = {**track.texts, **texts}
     return texts
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        info = path.stat()
-        if not stat.S_ISREG(info.st_mode):
-            raise ScoreError("not a regular file", file=path)
-        if info.st_size > MAX_BYTES:
-            raise ScoreError(f"{info.st_size} bytes: a MIDI file may have {MAX_BYTES}", file=path)
-        return path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise ScoreError(getattr(error, "strerror", None) or str(error), file=path) from None
 
 
 def _patterns(midi: MidiFile, findings: Findings) -> list[list[Track]]:
@@ -268,6 +256,8 @@ def _control_message(control: Control, number: int, semitones: int, path: str | 
     if control.kind == "bend" and semitones <= 127:
         pitch = round(control.value / (100 * semitones) * 8192)
         return mido.Message("pitchwheel", channel=number, pitch=min(pitch, 8191))
+    if control.kind == "channel_pressure":
+        return mido.Message("aftertouch", channel=number, value=round(control.value * 127))
     cc = control.kind[2:]
     if control.kind.startswith("cc") and cc.isdecimal() and int(cc) < 120 and 0 <= control.value <= 1:
         return mido.Message("control_change", channel=number, control=int(cc), value=round(control.value * 127))

@@ -115,9 +115,14 @@ class Note:
         return self.time + (self.duration if self.held is None else self.held)
 
 
+def ignored_name(kind: str) -> str:
+    """Name of a controller's kind among those that are counted as ignored: ``controller 1``, ``channel pressure``."""
+    return f"controller {kind[2:]}" if kind.startswith("cc") else kind.replace("_", " ")
+
+
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A controller's value from `time` on: `kind` is ``bend`` (value in cents) or ``ccN`` (value 0..1).
+    """A controller's value from `time` on: `kind` is ``bend`` (cents), ``ccN`` or ``channel_pressure`` (0..1).
 
     Raises
     ------

@@ -13,7 +13,7 @@ _PERCUSSION = 9
 _NOT_CONTROLS = {0, 32, 6, 38, 96, 97, 98, 99, 100, 101}
 _IGNORED_CONTROLLERS = {0: "bank select", 32: "bank select", 96: "data increment", 97: "data decrement"}
 #: upper four bits of the status byte
-_IGNORED = {0xA0: "polyphonic pressure", 0xC0: "program change", 0xD0: "channel pressure", 0xF0: "system exclusive"}
+_IGNORED = {0xA0: "polyphonic pressure", 0xC0: "program change", 0xF0: "system exclusive"}
 _NO_PARAMETER = (127, 127)
 _BEND_RANGE = (0, 0)
 
@@ -68,6 +68,8 @@ class ChannelReader:
                 case 0xE0:
                     channel.bend = (b << 7 | a) - 8192
                     self._bend(time, number, channel)
+                case 0xD0:
+                    self._control(time, number, "channel_pressure", a / 127)
                 case kind:
                     self.ignored.append((time, _IGNORED[kind]))
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import os
-import stat
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from tonewood.errors import ScoreError
+from tonewood.score.file_bytes import file_bytes
 from tonewood.score.guitar_pro import read_gpif, read_guitar_pro
 from tonewood.score.midi import read_midi
 from tonewood.score.musicxml import read_musicxml
@@ -62,7 +62,7 @@ def read_score(
 
 def read_written(path: Path) -> WrittenMusic | None:
     """Read a file of written music; None for anything else, which may be a MIDI file."""
-    data = _bytes(path)
+    data = file_bytes(path, MAX_BYTES)
     if data[:2] == b"PK":
         return read_gpif(data, path) if "Content/score.gpif" in members(data, path) else read_musicxml(data, path)
     if data[:4] in (b"BCFZ", b"BCFS"):
@@ -72,21 +72,12 @@ def read_written(path: Path) -> WrittenMusic | None:
     head = data[:512].lstrip(b"\xef\xbb\xbf \t\r\n")
     if head[:1] == b"<" or head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return read_musicxml(data, path)
-    if path.suffix.lower() in (".abc", ".mscz", ".mscx", ".ptb", ".tg", ".ly", ".sib"):
+    if path.suffix.lower() == ".abc" or head[:2] == b"X:":
+        reason = "ABC is not read; converted it is: by abc2midi (abcmidi) to .mid, or by abc2xml to .musicxml"
+        raise ScoreError(reason, file=path)
+    if path.suffix.lower() in (".mscz", ".mscx", ".ptb", ".tg", ".ly", ".sib"):
         raise ScoreError(f"{path.suffix} is not read; {FORMATS} are", file=path)
     return None
-
-
-def _bytes(path: Path) -> bytes:
-    try:
-        info = path.stat()
-        if not stat.S_ISREG(info.st_mode):
-            raise ScoreError("not a regular file", file=path)
-        if info.st_size > MAX_BYTES:
-            raise ScoreError(f"{info.st_size} bytes: a score may have {MAX_BYTES}", file=path)
-        return path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise ScoreError(getattr(error, "strerror", None) or str(error), file=path) from None
 
 
 def _channels(score: Score, tracks: Sequence[int]) -> Score:

@@ -36,7 +36,7 @@ def test_a_wrong_level_is_one_line(given: str, gain: float, said: str) -> None:
 
 
 def test_what_full_scale_is_after_a_gain() -> None:
-    group: Any = SimpleNamespace(full_scale=40.0, unit="Pa")
+    group: Any = SimpleNamespace(full_scale=40.0, unit="Pa", gain_db=0.0)
     assert meaning([group], 20.0) == "gain +20.0 dB, 0 dBFS is 4 Pa"
     assert meaning([group, group], -6.0206) == "gain -6.0 dB, 0 dBFS is 80 Pa, 80 Pa"
 

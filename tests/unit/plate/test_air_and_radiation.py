@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg as sla
 from scipy.special import j1
 
-from tonewood.plate.air import AIR_DENSITY, SOUND_SPEED, air_matrices, couple_air
+from tonewood.plate.air import AIR_DENSITY, SOUND_SPEED, air_matrices, couple_air, hole_loss
 from tonewood.plate.microphones import microphone, pressure
 from tonewood.plate.radiation import Sources
 
@@ -49,10 +49,37 @@ def test_the_cavity_obeys_its_wave_equation(rng: np.random.Generator) -> None:
 def test_air_stores_energy(rng: np.random.Generator) -> None:
     for _ in range(20):
         freq, outward, cavity = random_air(rng)
-        mass, stiffness = air_matrices(freq, outward, 0.0127, HOLE, cavity)
+        root = 1e-5 * rng.normal(size=(4, 4))
+        mass, stiffness, _ = air_matrices(freq, outward, 0.0127, HOLE, cavity, root @ root.T)
         assert mass.min() > 0
         assert np.abs(stiffness - stiffness.T).max() <= 1e-15 * np.abs(stiffness).max()
         assert sla.eigvalsh(stiffness).min() > -1e-9 * np.abs(stiffness).max()
+
+
+def test_modes_left_out_yield_to_the_air(rng: np.random.Generator) -> None:
+    """Plate modes at 20 kHz and more as a compliance in place of modes: the same frequencies and pressures."""
+    freq, outward, cavity = random_air(rng)
+    high, more = np.array([2e4, 3e4]), 40 * rng.normal(size=(4, 2))
+    whole = couple_air(np.append(freq, high), np.append(outward, more[0]), 0.0127, HOLE,
+                       (cavity[0], np.hstack([cavity[1], more[1:]]), cavity[2]))  # fmt: skip
+    compliance = (more / (2 * np.pi * high) ** 2) @ more.T
+    found = couple_air(freq, outward, 0.0127, HOLE, cavity, compliance)
+    bare = couple_air(freq, outward, 0.0127, HOLE, cavity)
+    n = 8
+    assert found.freq[:n] == pytest.approx(whole.freq[:n], rel=1e-3)
+    assert np.abs(bare.freq[:n] / whole.freq[:n] - 1).max() > 5e-3
+    assert np.abs(found.pressure[:, :4]) == pytest.approx(np.abs(whole.pressure[:, :4]), rel=2e-2)
+
+
+def test_friction_in_the_hole() -> None:
+    """Q of a Helmholtz resonator by it alone, omega rho L / r, with Stokes' boundary layer of half a millimetre."""
+    none = np.zeros(0)
+    found = couple_air(none, none, 0.0127, HOLE, (none, np.zeros((0, 0)), none))
+    (loss,) = hole_loss(found.freq, found.hole, HOLE[0], 0.0025)
+    omega = 2 * np.pi * found.freq[0]
+    layer = np.sqrt(2 * 1.5e-5 / omega)
+    assert loss == pytest.approx(2 * layer * (1 + 0.0025 / 0.085) / HOLE[1], rel=1e-9)
+    assert 100 < 1 / loss < 400
 
 
 def test_closed_body() -> None:

@@ -229,7 +229,7 @@ def test_files_that_cannot_be_read_are_one_line(tmp_path: Path) -> None:
     good = guitar_pro(tmp_path / "good.gp5").read_bytes()
     cases = {
         "six.gpx": (b"BCFZ1234", "Guitar Pro 6 is not read"),
-        "tune.abc": (b"X:1\nK:C\nCDE", ".abc is not read; .mid"),
+        "tune.abc": (b"X:1\nK:C\nCDE", "ABC is not read; converted it is: by abc2midi"),
         "cut.gp5": (good[: len(good) // 2], "damaged Guitar Pro file"),
         "cut.mxl": (b"PK\x03\x04 and so on", "damaged archive"),
         "empty.mxl": ((tmp_path / "empty.zip").read_bytes(), "has no META-INF/container.xml"),

@@ -8,10 +8,25 @@ from typing import Any
 from tonewood.engine.effects.base import RuntimeEffect
 from tonewood.engine.effects.longitudinal import LongitudinalEffect
 from tonewood.engine.effects.tension import TensionEffect
-from tonewood.engine.effects.unswitched import ContactEffect, DamperEffect, PickupEffect, SecondPolarizationEffect
+from tonewood.engine.effects.unswitched import (
+    ContactEffect,
+    DamperEffect,
+    GestureEffect,
+    PickupEffect,
+    SecondPolarizationEffect,
+)
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
-from tonewood.instrument.effects import DAMPERS, LONGITUDINAL, SECOND_POLARIZATION, TENSION_MODULATION, Effect
+from tonewood.instrument.effects import (
+    DAMPERS,
+    FRETTING_NOISE,
+    LONGITUDINAL,
+    SECOND_POLARIZATION,
+    SQUEAK,
+    TENSION_MODULATION,
+    TOUCH_NOISE,
+    Effect,
+)
 
 #: makes the runtime effect of a declared one, see `RuntimeEffect`
 Maker = Callable[[Model, Effect, Mapping[str, Plugin[Any]]], RuntimeEffect]
@@ -22,6 +37,9 @@ _BUILT_IN: Mapping[str, Maker] = {
     LONGITUDINAL.name: LongitudinalEffect,
     SECOND_POLARIZATION.name: SecondPolarizationEffect,
     DAMPERS.name: DamperEffect,
+    FRETTING_NOISE.name: GestureEffect,
+    TOUCH_NOISE.name: GestureEffect,
+    SQUEAK.name: GestureEffect,
 }
 #: kind of plugin -> what its effects are if nothing else is said; those of strings and bodies always run
 _BY_KIND: Mapping[str, Maker] = {"connection": ContactEffect, "exciter": ContactEffect, "pickup": PickupEffect}

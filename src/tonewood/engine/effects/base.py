@@ -117,6 +117,7 @@ class Run:
     acted : connections that had a force; linear ones may be left out.
     held : strings that a gesture's finger held.
     switchings : effect -> state of its switches.
+    plays : gestures in progress.
     """
 
     start: int
@@ -125,6 +126,7 @@ class Run:
     acted: NDArray[np.intp]
     held: Collection[str]
     switchings: Mapping[str, Switching]
+    plays: Sequence[Play] = ()
 
 
 @dataclass(frozen=True, slots=True)

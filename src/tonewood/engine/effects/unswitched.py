@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ from tonewood.engine.effects.base import EffectReport, Foreseen, PlannedEffect, 
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
 from tonewood.instrument.effects import Effect
+
+#: steps of one mode that take as long as compiling a gesture: a force on a few hundred modes at a place of its own
+GESTURE_COST = 3e6
 
 
 class SecondPolarizationEffect(RuntimeEffect):
@@ -98,6 +102,25 @@ class DamperEffect(OccasionalEffect):
     def running(self, run: Run) -> Collection[str]:
         """Strings that are held."""
         return run.held
+
+
+class GestureEffect(OccasionalEffect):
+    """Gestures that a player makes besides those of the notes: a hand's noises.
+
+    Compiling a gesture takes longer than its few ms of steps.
+    """
+
+    def running(self, run: Run) -> Collection[str]:
+        """Strings on which such a gesture is in progress."""
+        return {play.string for play in run.plays if play.string is not None and play.exciter in self.plugins}
+
+    def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
+        """When they will act, and what that will take."""
+        out = super().plan(foreseen)
+        if not self.chosen:
+            return out
+        each = GESTURE_COST * foreseen.usage.costs.rates().mode
+        return [replace(p, why=self.effect.before, predicted_s=len(p.spans_s) * each) for p in out]
 
 
 class ContactEffect(OccasionalEffect):

@@ -1,4 +1,4 @@
-"""Notes that sound live, the strings that they sound on, and counts of them."""
+"""State of an instrument that is played live: voices, strings, and counts of what was played."""
 
 from __future__ import annotations
 

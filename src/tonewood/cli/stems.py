@@ -1,0 +1,75 @@
+"""Stems of one instrument: a file per output group, or per string of each."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from tonewood.live.take import Replay
+    from tonewood.output.render import Renderer
+
+
+def write_output_stems(output: Path, folder: Path, subtype: str, renderer: Renderer | Replay) -> list[Path]:
+    """Cut the channels of a written file into one file per output group."""
+    import soundfile as sf
+
+    from tonewood.output.audio import SoundWriter
+
+    folder.mkdir(exist_ok=True)
+    files, first = [], 0
+    for group in renderer.model.outputs:
+        n = len(group.channels)
+        files.append(folder / f"{group.name}{output.suffix}")
+        with (
+            sf.SoundFile(output) as source,
+            SoundWriter(files[-1], renderer.fs, n, subtype, frames=source.frames) as writer,
+        ):
+            for block in source.blocks(65536, dtype="float64", always_2d=True):
+                writer.write(block[:, first : first + n])
+        first += n
+    return files
+
+
+def write_string_stems(
+    renderer: Renderer, output: Path, folder: Path, subtype: str, gain_db: float, frames: int
+) -> list[Path]:
+    """Write a file per string and output group, ``GROUP.STRING``, as long as the mix and at its gain.
+
+    Parameters
+    ----------
+    renderer : of a model whose outputs are by string.
+    output : file of the mix, whose suffix they have.
+    gain_db, frames : of the mix.
+    """
+    from contextlib import ExitStack
+
+    from tonewood.output.audio import SoundWriter
+
+    folder.mkdir(exist_ok=True)
+    groups = renderer.model.outputs
+    edges = np.cumsum([0, *(len(group.channels) for group in groups)])
+    files = [folder / f"{group.name}{output.suffix}" for group in groups]
+    written, factor = 0, 10 ** (gain_db / 20)
+    with ExitStack() as stack:
+        writers = [
+            stack.enter_context(SoundWriter(file, renderer.fs, len(group.channels), subtype, frames=frames))
+            for file, group in zip(files, groups, strict=True)
+        ]
+
+        def write(block: np.ndarray) -> None:
+            for writer, (first, last) in zip(writers, pairwise(edges), strict=True):
+                writer.write(block[:, first:last] * factor)
+
+        for block in renderer.blocks(4096):
+            write(block[: frames - written])
+            written += len(block[: frames - written])
+            if written == frames:
+                break
+        while written < frames:  # the mix rang on longer
+            write(np.zeros((min(65536, frames - written), int(edges[-1]))))
+            written += min(65536, frames - written)
+    return files

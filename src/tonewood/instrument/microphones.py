@@ -1,0 +1,60 @@
+"""Base class of pickups with a one-way bank of modes: sound pressure, one readout per channel."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import TypeVar
+
+from tonewood.coupling.layout import Drive, Probe, Readout
+from tonewood.instrument.contract import Pickup, PickupRows, Scene
+from tonewood.modal.modes import ModalBasis
+from tonewood.params import Parameters
+
+P = TypeVar("P", bound=Parameters)
+
+
+class Microphones(Pickup[P]):
+    """Microphones that hear through modes of their own, which the forces on the body drive and nothing acts back on."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> tuple[str, ...]:
+        """The microphones."""
+
+    @property
+    def unit(self) -> str:
+        """Sound pressure."""
+        return "Pa"
+
+    def bank_rows(
+        self,
+        name: str,
+        basis: ModalBasis,
+        drives: Sequence[Drive],
+        inputs: Mapping[str, tuple[tuple[str, str, float], ...]],
+        quantity: str = "displacement",
+    ) -> PickupRows:
+        """Rows of a bank with a point per channel.
+
+        Parameters
+        ----------
+        name : of the group, and of the bank's component.
+        drives : connections' forces on points of the bank; those without effect are left out.
+        inputs : body point -> (component, point, factor), where a known force on the body drives the bank.
+        quantity : of the bank's points that is pressure.
+        """
+        return PickupRows(
+            readouts=tuple(Readout(f"{name}.{c}", quantity, (Probe(name, c),)) for c in self.channels),
+            components={name: basis},
+            drives=tuple(drive for drive in drives if drive.factor != 0.0),
+            body_inputs=inputs,
+        )
+
+    def at_points(
+        self, name: str, scene: Scene
+    ) -> tuple[list[str], list[Drive], dict[str, tuple[tuple[str, str, float], ...]]]:
+        """Driven points of the body, and the drives and inputs of a bank that has a point ``at_POINT`` for each."""
+        driven = [point for point, place in scene.body_points.items() if place.driven]
+        drives = [Drive(name, f"at_{f.point}", f.connection, f.factor) for f in scene.bridge_forces]
+        return driven, drives, {point: ((name, f"at_{point}", 1.0),) for point in driven}
