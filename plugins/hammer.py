@@ -46,8 +46,8 @@ from tonewood.authoring import (
     unit_vector,
 )
 
-#: s after which a hammer that was thrown is away from the string for good
-_MEETS = 0.05
+#: periods of its suspension after which a hammer that was thrown is away from the string for good
+_FALLS = 2.0
 #: moments at which the force on a hammer that touches the string is known, and steps from one to the next
 _NODES, _STEPS = 32, 32
 
@@ -96,13 +96,15 @@ class Hammer(Exciter[HammerParameters]):
             raise self.fault(f"string {site.string} does not move in this direction", "direction")
         felt = Contact(p.stiffness, p.exponent, p.loss, offset=-p.clearance)
         connections = (Connection(f"{site.string}.{name}.felt", terms, felt),)
+        resting = tuple(c.name for c in connections) if site.group else ()
         if site.string != site.leader:
-            return Attached(connections=connections)
+            return Attached(connections=connections, resting=resting)
         omega = 2 * math.pi * p.return_freq
         return Attached(
             components={f"{own}.head": loose_mass(p.mass, omega, p.return_damping * omega)},
             connections=connections,
             inputs={f"{own}.push": ((f"{own}.head", "mass", 1.0),)},
+            resting=resting,
         )
 
     def gesture(self, event: Event, place: Place) -> Gesture:
@@ -130,10 +132,11 @@ class Hammer(Exciter[HammerParameters]):
             segments += smooth_step(0.0, p.press_time, 0.0, p.press)
             segments += (Segment(p.press_time, held, p.press),)
             segments += smooth_step(held, held + p.press_time, p.press, 0.0)
+        # of a key: its felts act until the hammer has fallen back
+        away = p.free_time + _FALLS / p.return_freq
         motions = tuple(
-            Motion(f"{string}.{self.name}.felt", "scale", (Segment(start, _MEETS, factor),))
+            Motion(f"{string}.{self.name}.felt", "scale", (Segment(start, away, factor),))
             for string, factor in place.strings
-            if factor != 1.0
         )
         return Gesture(segments, at, on=on, motions=motions)
 

@@ -69,7 +69,14 @@ inline CompiledSystem system_of(const File& file) {
     CompiledSystem s;
     for (std::size_t i = 0; file.has(entry("components", i) + "key"); ++i)
         s.components.push_back(component(file, entry("components", i)));
-    s.linear = {view(file, "linear/inverse"), view(file, "linear/gamma"), view(file, "linear/constant"), view(file, "linear/weights")};
+    s.linear.gamma = view(file, "linear/gamma"), s.linear.constant = view(file, "linear/constant");
+    s.linear.weights = view(file, "linear/weights");
+    if (file.has("linear/inverse")) s.linear.inverse = view(file, "linear/inverse");
+    for (std::size_t i = 0; file.has(entry("linear/parts", i) + "places"); ++i)
+        s.linear.parts.push_back({view(file, entry("linear/parts", i) + "places"), view(file, entry("linear/parts", i) + "inverses")});
+    if (file.has("linear/hub/slot"))
+        s.linear.hub = {int(file.integer("linear/hub/slot")), file.integers("linear/hub/ports"), file.integers("linear/hub/point"),
+                        view(file, "linear/hub/factor"), view(file, "linear/hub/span"), view(file, "linear/hub/joined")};
     s.nonlinear = nonlinear(file, "nonlinear/");
     for (std::size_t i = 0; file.has(entry("tensions/strings", i) + "0"); ++i) {
         const std::string at = entry("tensions/strings", i);

@@ -5,6 +5,7 @@
 #include "load/component.hpp"
 #include "load/contacts.hpp"
 #include "load/layout.hpp"
+#include "load/parts.hpp"
 #include "load/tension.hpp"
 
 namespace tonewood {
@@ -109,13 +110,16 @@ bool Kernel::load_components(const CompiledSystem& system, std::size_t m) {
 bool Kernel::load_linear(const LinearDescription& d) {
     const std::size_t m = d.gamma.size();
     expect("linear.gamma", d.gamma, {m});
-    expect("linear.inverse", d.inverse, {m, m});
     expect("linear.constant", d.constant, {m});
     expect("linear.weights", d.weights, {std::size_t(n_channels_), m});
     Solve& s = model_.solve;
     bool changed = s.m != int(m);
     s.m = int(m);
-    changed |= assign(s.g, d.inverse), changed |= assign(s.gamma, d.gamma), changed |= assign(s.constant, d.constant);
+    if (d.parts.empty()) expect("linear.inverse", d.inverse, {m, m});
+    changed |= load_parts(d, s, model_.components);
+    changed |= s.in_parts ? !s.g.empty() : assign(s.g, d.inverse);
+    if (s.in_parts) s.g.clear();
+    changed |= assign(s.gamma, d.gamma), changed |= assign(s.constant, d.constant);
     return assign(s.weights, d.weights) || changed;
 }
 
@@ -202,6 +206,8 @@ void Kernel::load(const CompiledSystem& system) {
     for (const Component& c : model.components) after.push_back(c.geometric), after.push_back(c.tension.on);
     const bool contacts = changed || laws || before != after || !(model.shortcuts == system.shortcuts);
     model.shortcuts = system.shortcuts;
+    require(!model.solve.in_parts || model.tensions.strings.empty(),
+            "linear.parts: with rising tensions the inverse is needed as one matrix");
     if (changed || linear) model.layout = make_layout(model.components, model.solve, n_channels_);
     if (contacts) {
         make_groups(model.components, model.nonlinear);

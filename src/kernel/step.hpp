@@ -17,7 +17,7 @@ namespace {
 inline std::unique_ptr<ConnectionStep> connection_step(Block& block, LawForces& laws) {
     const Model& m = block.model;
     if (!m.tensions.strings.empty()) return std::make_unique<TensionStep>(block, laws);
-    if (m.shortcuts.direct_step && int(m.layout.own_port.size()) == m.solve.m)
+    if (m.shortcuts.direct_step && (m.layout.in_parts || int(m.layout.own_port.size()) == m.solve.m))
         return std::make_unique<DirectStep>(block, laws);
     return std::make_unique<GeneralStep>(block, laws);
 }
@@ -28,16 +28,19 @@ inline Fault run(Model& model, const Job& job) {
     LawForces laws(block);
     const auto connections = connection_step(block, laws);
     Propagate propagate(model.layout);
-    FusedPass fused(block);
+    Resting resting(block);
+    FusedPass fused(block, resting);
     for (std::int64_t start = 0; start < job.n; start += kBlock) {
         block.begin(start, int(std::min<std::int64_t>(job.n - start, kBlock)));
-        if (const int i = free_motion(block, fused); i >= 0) return {i, start};
+        resting.begin_block();
+        if (const int i = free_motion(block, fused, resting); i >= 0) return {i, start};
         if (laws.any()) laws.cull.begin_block();
         connections->begin_block();
         for (int b = 0; b < block.nb; ++b) {
             double* now = block.force(b);
             if (!connections->sample(b, now, job.forces + (start + b) * model.solve.m)) return {Fault::kUnsolved, start + b};
             propagate(b, block.nb, block.forces.data(), block.history.data());
+            step_shapes(block, b);
             if (laws.any()) laws.rows.propagate(b, now);
         }
         connections->finish_block();
@@ -46,7 +49,7 @@ inline Fault run(Model& model, const Job& job) {
             for (std::int64_t b = start; b < start + block.nb; ++b)
                 job.out[b * job.n_channels + channel] += weight * job.forces[b * model.solve.m + connection];
         laws.add_outputs();
-        if (const int i = correct(block, laws.rows, fused); i >= 0) return {i, start};
+        if (const int i = correct(block, laws.rows, fused, resting); i >= 0) return {i, start};
     }
     laws.finish();
     for (int i = 0; i < int(model.components.size()); ++i)  // those without a readout are checked once per run

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from instruments import build, instruments
 
 from assembled import held_force, joined, merged, run_exact, run_held
-from tonewood.coupling.connections import Rigid, scaled_pinv
+from tonewood.coupling.connections import Rigid
+from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.system import BLOCK_SIZE, Injection
 from tonewood.stepping.kernel import KernelStepper
 

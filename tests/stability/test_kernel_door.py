@@ -17,7 +17,8 @@ from tonewood import _kernel
 PAD, BLOCK, CHANNELS, CAPACITY = _kernel.PADDING, _kernel.BLOCK_SIZE, 2, 4 * _kernel.PADDING
 CONNECTIONS = 2
 SHORTCUTS = (
-    "fused_pass", "direct_step", "block_culling", "group_bound", "fine_bound", "combined_pass", "kept_inverse",
+    "fused_pass", "direct_step", "block_culling", "group_bound", "fine_bound", "combined_pass", "at_rest",
+    "kept_inverse",
 )  # fmt: skip
 Path = tuple[str | int, ...]
 

@@ -159,7 +159,7 @@ NonlinearDescription nonlinear(const Reader& in) {
 Shortcuts shortcuts(const Reader& in) {
     return {in.get<bool>("fused_pass"), in.get<bool>("direct_step"), in.get<bool>("block_culling"),
             in.get<bool>("group_bound"), in.get<bool>("fine_bound"), in.get<bool>("combined_pass"),
-            in.get<bool>("kept_inverse")};
+            in.get<bool>("at_rest"), in.get<bool>("kept_inverse")};
 }
 
 void load(Kernel& kernel, nb::handle description) {
@@ -168,7 +168,17 @@ void load(Kernel& kernel, nb::handle description) {
     CompiledSystem system;
     for (const Reader& c : in.each("components")) system.components.push_back(component(c));
     const Reader linear = in.inner("linear"), tensions = in.inner("tensions");
-    system.linear = {linear.view("inverse"), linear.view("gamma"), linear.view("constant"), linear.view("weights")};
+    LinearDescription& to = system.linear;
+    to.gamma = linear.view("gamma"), to.constant = linear.view("constant"), to.weights = linear.view("weights");
+    if (!linear.has("parts"))
+        to.inverse = linear.view("inverse");
+    else
+        for (const Reader& part : linear.each("parts")) to.parts.push_back({part.view("places"), part.view("inverses")});
+    if (linear.has("hub")) {
+        const Reader hub = linear.inner("hub");
+        to.hub = {hub.get<int>("slot"), hub.get<std::vector<int>>("ports"), hub.get<std::vector<int>>("point"),
+                  hub.view("factor"), hub.view("span"), hub.view("joined")};
+    }
     system.nonlinear = nonlinear(in.inner("nonlinear"));
     using String = std::tuple<int, double, std::vector<int>>;
     for (auto& [index, kappa, slots] : tensions.get<std::vector<String>>("strings"))

@@ -24,6 +24,10 @@ public:
     // Forces of sample b in block.f and `now`; they are not final.
     // Flattened, because compilers do not inline products that several callers use.
     __attribute__((flatten)) bool forces(int b, double* now) {
+        if (laws_.parts.on()) {
+            laws_.parts(block_.line(b), block_.f.data(), now);
+            return laws_.any() ? laws_.forces(b, block_.f.data(), now) : true;
+        }
         const int n = int(layout_.port_rows.size());
         const double* line = block_.line(b);
         double* const f = block_.f.data();
@@ -56,8 +60,12 @@ public:
 
     bool sample(int b, double* now, double* f_out) override {
         const double* line = block_.line(b);
+        const auto direct = [&] {
+            if (laws_.parts.on()) laws_.parts(line, block_.f.data(), now);
+            else direct_(line, now);
+        };
         const bool may_skip = !laws_.any() || laws_.cull.contact_free_so_far();
-        if (may_skip) direct_(line, now);
+        if (may_skip) direct();
         if (may_skip && (!laws_.any() || laws_.cull.contact_free(b, now))) {
             laws_.commit_contact_free();
         } else {
@@ -66,9 +74,10 @@ public:
                 std::copy_n(block_.f.begin(), m_, f_out);
                 return true;
             }
-            direct_(line, now);  // no law acts: the same port forces as without laws
+            direct();  // no law acts: the same port forces as without laws
         }
-        own_forces(layout_, now, m_, f_out);
+        if (laws_.parts.on()) std::copy_n(block_.f.begin(), m_, f_out);
+        else own_forces(layout_, now, m_, f_out);
         return true;
     }
 

@@ -6,6 +6,7 @@
 
 #include "../cull/broad_phase.hpp"
 #include "newton.hpp"
+#include "parts.hpp"
 #include "series.hpp"
 #include "rising.hpp"
 
@@ -17,7 +18,7 @@ class LawForces {
 
 public:
     explicit LawForces(Block& block)
-        : rows(block), cull(block, rows), series(block.model.nonlinear, block.model.contacts), block_(block),
+        : parts(block.model.layout), rows(block), cull(block, rows), series(block.model.nonlinear, block.model.contacts), block_(block),
           components_(block.model.components), layout_(block.model.layout), solve_(block.model.solve),
           nl_(block.model.nonlinear), ws_(block.model.contacts), ts_(block.model.tension),
           reach_(block.model.nonlinear.n_contact), statistics_(block.model.statistics), job_(block.job) {
@@ -163,8 +164,12 @@ public:
 
     // Port forces of sample b from those of the linear connections and the active laws.
     void distribute(int b, const double* f, double* now) {
-        std::fill_n(now, layout_.force_width, 0.0);
-        add_product(layout_.scatter.data(), layout_.force_width, f, solve_.m, now);
+        if (parts.on()) {
+            parts.scatter(f, now);
+        } else {
+            std::fill_n(now, layout_.force_width, 0.0);
+            add_product(layout_.scatter.data(), layout_.force_width, f, solve_.m, now);
+        }
         rows.clear_forces(b);
         for (const int j : ws_.active) {
             const double force = ws_.law_force[j];
@@ -204,6 +209,7 @@ public:
     }
 
     RisingTensions* tensions = nullptr;
+    ForcesInParts parts;  // of the linear connections, where they are solved in parts
     ContactRows rows;
     BroadPhase cull;
     Series series;
@@ -223,7 +229,10 @@ private:
         const std::size_t width = layout_.f_width, k = nl_.k, m = solve_.m;
         double* const answer = ws_.answer.data() + j * width;
         const double* const moved = nl_.to_linear.data() + j * width;
-        for (std::size_t i = 0; i < m; ++i) answer[i] = dot(solve_.g.data() + i * m, moved, int(m));
+        if (parts.on())
+            parts.answer(moved, answer);
+        else
+            for (std::size_t i = 0; i < m; ++i) answer[i] = dot(solve_.g.data() + i * m, moved, int(m));
         for (std::size_t i = 0; i < k; ++i)
             ws_.z[i * k + j] = nl_.compliance[i * k + j] - dot(nl_.from_linear.data() + i * m, answer, int(m));
         ws_.has_response[j] = 1;

@@ -123,6 +123,10 @@ private:
         }
         for (const Layout::Several& c : l_.several) {
             const double* __restrict f = force + c.force;
+            if (c.stepped) {
+                add_product(c.response.data(), c.width, f, c.n_ports, history + c.row);
+                continue;
+            }
             const std::ptrdiff_t step = std::ptrdiff_t(c.n_ports) * c.width;
             for (int i = 0; i < c.width; i += S::width) {
                 const double* column = c.response.data() + i;
@@ -162,6 +166,7 @@ private:
             }
         }
         for (const Layout::Several& c : l_.several) {
+            if (c.stepped) continue;
             const std::ptrdiff_t step = std::ptrdiff_t(c.n_ports) * c.width;
             for (int i = 0; i < c.width; i += S::width) {
                 const double* h = c.response.data() + kSpan * step + i;

@@ -67,6 +67,17 @@ struct PortRecurrence {
     Array<double> basis;        // per chunk: (2, 2) from the modes' two numbers to the moving ones, (2, 2) back
 };
 
+// Ports of real modes (modal/shape_step.hpp): row of port p = phi_kp read, its state per force = phi_kp drive.
+constexpr int kLeastShapes = 16;  // ports from which on it is quicker to step them sample by sample
+
+struct Shapes {
+    bool on = false;
+    std::size_t width = 0;            // ports, padded
+    Array<double> phi;                // (n, width)
+    Array<double> read, read_next;    // (2, n), as a row of the component, and read E
+    Array<double> drive;              // (2, n), as its `w`
+};
+
 // A string's polarization under rising tension, in mass-normalised coordinates y (coupling/tension.py).
 constexpr int kMaxTensionPorts = 32;
 constexpr int kScaledNumbers = 4, kScaledState = 2;  // numbers per mode in `numbers` (one more per port) and in the state
@@ -109,6 +120,7 @@ struct Component {
     std::vector<int> channels;               // by readout row
     std::vector<char> difference;            // by readout row: y+ - y instead of y
     PortRecurrence recurrence;
+    Shapes shapes;
     ContactPorts contact;
     TensionModulation tension;
 };

@@ -34,6 +34,7 @@ struct Shortcuts {
     bool group_bound = true;       // one bound for all contacts of a group first
     bool fine_bound = true;        // a second bound about the middle of the block
     bool combined_pass = true;     // one modal pass finishes a tension-modulated step and begins the next
+    bool at_rest = true;           // components at rest that nothing can move are not stepped
     bool kept_inverse = true;      // the inverse for linear laws is kept until a slope changes
     bool operator==(const Shortcuts&) const = default;
 };

@@ -119,6 +119,40 @@ inline void derive_port_recurrence(Component& c) {
     c.recurrence = std::move(out);
 }
 
+// Derives the tables of modal/shape_step.hpp if every mode moves all ports by one number times its shape there.
+inline void derive_shapes(Component& c) {
+    const std::size_t n = c.n, p = c.n_ports;
+    if (c.driven || c.n_ports < kLeastShapes) return;
+    Shapes out;
+    out.on = true, out.width = padded(p);
+    out.phi.assign(n * out.width, 0.0);
+    out.read.assign(2 * n, 0.0), out.drive = out.read, out.read_next = out.read;
+    const auto largest = [&](const Array<double>& a, std::size_t k) {
+        std::size_t best = 0;
+        double most = -1.0;
+        for (std::size_t q = 0; q < p; ++q)
+            if (const double size = std::hypot(a[2 * q * n + k], a[(2 * q + 1) * n + k]); size > most) most = size, best = q;
+        return best;
+    };
+    for (std::size_t k = 0; k < n; ++k) {
+        const std::size_t best = largest(c.rows, k);
+        for (int i = 0; i < 2; ++i)
+            out.read[i * n + k] = c.rows[(2 * best + i) * n + k], out.drive[i * n + k] = c.w[(2 * best + i) * n + k];
+        const double rx = out.read[k], ry = out.read[n + k], wx = out.drive[k], wy = out.drive[n + k];
+        const double size = rx * rx + ry * ry;
+        for (std::size_t q = 0; q < p; ++q) {
+            const double x = c.rows[2 * q * n + k], y = c.rows[(2 * q + 1) * n + k];
+            const double phi = size > 0.0 ? (x * rx + y * ry) / size : 0.0;
+            const double off_row = std::hypot(x - phi * rx, y - phi * ry);
+            const double off_drive = std::hypot(c.w[2 * q * n + k] - phi * wx, c.w[(2 * q + 1) * n + k] - phi * wy);
+            if (!(off_row <= 1e-14 * std::sqrt(size) && off_drive <= 1e-14 * std::hypot(wx, wy))) return;
+            out.phi[k * out.width + q] = phi;
+        }
+        out.read_next[k] = rx * c.e[k] + ry * c.e[2 * n + k], out.read_next[n + k] = rx * c.e[n + k] + ry * c.e[3 * n + k];
+    }
+    c.shapes = std::move(out);
+}
+
 // (kBlock, ports, rows) with the samples last
 inline Array<double> by_pair(const View& h) {
     const std::size_t pairs = h.shape[1] * h.shape[2];
@@ -211,6 +245,7 @@ inline Component load_component(const ComponentDescription& d, std::size_t slot,
     c.e = d.e.copy(), c.rows = d.rows.copy(), c.w = d.w.copy(), c.response = d.response.copy();
     derive_recurrences(c);
     derive_port_recurrence(c);
+    derive_shapes(c);
     c.shares.resize(n_ports);
     for (std::size_t j = 0; j < n_connections; ++j)
         for (std::size_t p = 0; p < n_ports; ++p)

@@ -67,7 +67,16 @@ struct ComponentDescription {
 };
 
 struct LinearDescription {
-    View inverse;    // (m, m)
+    View inverse;    // (m, m), or
+    struct Part {
+        View places, inverses;  // (b, n), (b, n, n) of b parts of n connections
+    };
+    std::vector<Part> parts;
+    struct Hub {
+        int slot = -1;
+        std::vector<int> ports, point;  // (r), (m)
+        View factor, span, joined;      // (m), (points, r), (r, r)
+    } hub;
     View gamma;      // (m)
     View constant;   // (m)
     View weights;    // (channels, m)

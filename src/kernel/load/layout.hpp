@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "../data/layout.hpp"
+#include "parts.hpp"
 
 namespace tonewood {
 
@@ -13,7 +13,8 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
     const auto alone = [](const Component& c) { return !c.driven && c.n_ports == 1 && c.n_rows == 1; };
     const int m = solve.m;
     l.row.assign(components.size(), 0), l.port.assign(components.size(), 0);
-    l.driven_response.resize(components.size());
+    l.by_itself = without_neighbours(components, solve);
+    l.driven_response.resize(components.size()), l.stepped.assign(components.size(), 0);
     int n_ports = 0;
     for (std::size_t i = 0; i < components.size(); ++i)
         if (alone(components[i])) l.row[i] = l.port[i] = n_ports++;
@@ -38,10 +39,13 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
         const int width = int(padded(c.n_rows));
         l.row[i] = l.width, l.width += width;
         if (c.n_ports == 0) continue;
-        Array<double> response(std::size_t(kBlock) * c.n_ports * width, 0.0);
-        for (int kp = 0; kp < kBlock * c.n_ports; ++kp)
-            for (int r = 0; r < c.n_rows; ++r) response[std::size_t(kp) * width + r] = c.response[kp * c.n_rows + r];
-        l.several.push_back({l.row[i], l.port[i], c.n_ports, width, std::move(response)});
+        const bool stepped = c.shapes.on && !c.contact.n && !c.geometric && !c.tension.on;
+        if (stepped) l.stepped[i] = 1, l.sample_by_sample.push_back(int(i));
+        const int lags = stepped ? 1 : kBlock;
+        Array<double> response(std::size_t(lags) * c.n_ports * width, 0.0);
+        for (int kp = 0; kp < lags * c.n_ports; ++kp)
+            for (int r = 0; r < (stepped ? c.n_ports : c.n_rows); ++r) response[std::size_t(kp) * width + r] = c.response[kp * c.n_rows + r];
+        l.several.push_back({l.row[i], l.port[i], c.n_ports, width, stepped, std::move(response)});
     }
     l.f_width = int(padded(m)), l.force_width = int(padded(n_ports));
     for (int o = 0; o < n_channels; ++o)
@@ -49,6 +53,19 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
             if (const double w = solve.weights[std::size_t(o) * m + j]; w != 0.0) l.read_forces.push_back({o, j, w});
     l.constant = solve.constant;
     l.constant.resize(l.f_width, 0.0);
+    for (std::size_t i = 0; i < components.size(); ++i)
+        for (int p = 0; !components[i].driven && p < components[i].n_ports; ++p) {
+            const int row = l.row[i] + p;
+            if (!l.segments.empty() && row == l.port_rows.back() + 1)
+                ++l.segments.back().n;
+            else
+                l.segments.push_back({row, int(l.port_rows.size()), 1});
+            l.port_rows.push_back(row);
+        }
+    if ((l.in_parts = solve.in_parts)) {
+        l.parts = make_parts(components, solve, l);
+        return l;
+    }
     l.scatter.assign(std::size_t(m) * l.force_width, 0.0);
     Array<double> of_free;
     for (std::size_t i = 0; i < components.size(); ++i)
@@ -62,7 +79,6 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
                 }
             }
             if (components[i].driven) continue;
-            l.port_rows.push_back(l.row[i] + p);
             l.gather.insert(l.gather.end(), of_old.begin(), of_old.end());
             of_free.insert(of_free.end(), of_new.begin(), of_new.end());
         }
@@ -93,10 +109,6 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
         for (const double x : old) mixed_alike = mixed_alike && x == 0.0;
         scatter_to_ports(l.gather.data() + ((n_rows + p) * l.f_width), l.direct.data() + p * l.force_width);
         scatter_to_ports(old.data(), l.direct_old.data() + p * l.force_width);
-        if (p && l.port_rows[p] == l.port_rows[p - 1] + 1 && l.port_rows[p] == l.segments.back().row + l.segments.back().n)
-            ++l.segments.back().n;
-        else
-            l.segments.push_back({l.port_rows[p], int(p), 1});
     }
     if (mixed_alike) l.direct_old.clear();
     return l;

@@ -40,7 +40,7 @@ struct Block {
 
     Block(Model& m, const Job& j)
         : model(m), job(j), history(std::size_t(kBlock + 1) * m.layout.width),
-          forces(std::size_t(kBlock) * m.layout.force_width), f(m.layout.f_width), inputs(m.components.size()),
+          forces(std::size_t(kBlock) * m.layout.force_width + kLane), f(m.layout.f_width + kLane), inputs(m.components.size()),
           input_values(j.injections.size()) {}
 
     double* line(int b) { return history.data() + std::size_t(b) * model.layout.width; }

@@ -21,8 +21,8 @@
 #include <algorithm>
 #include <vector>
 
-#include "block.hpp"
 #include "pass.hpp"
+#include "resting.hpp"
 
 namespace tonewood {
 namespace {
@@ -194,8 +194,8 @@ void pass_chunks(const ChunkView* views, int n, int n_ports, std::ptrdiff_t stri
 // The components in port-recurrence form.
 class FusedPass {
 public:
-    explicit FusedPass(Block& block)
-        : block_(block), fused_(block.model.components.size(), 0), wanted_(fused_), sums_of_(fused_.size()),
+    FusedPass(Block& block, const Resting& resting)
+        : block_(block), resting_(resting), fused_(block.model.components.size(), 0), wanted_(fused_), sums_of_(fused_.size()),
           driven_(fused_.size()) {
         const auto& components = block.model.components;
         for (std::size_t i = 0; i < components.size(); ++i)
@@ -214,7 +214,7 @@ public:
         const bool whole = block_.model.shortcuts.fused_pass && block_.start + kWindow * kBlock <= block_.job.n;
         for (int i = 0; i < int(fused_.size()); ++i) {
             const Component& c = block_.model.components[i];
-            wanted_[i] = whole && !c.recurrence.chunks.empty() && c.contact.n == 0 && !c.tension.on && !c.geometric &&
+            wanted_[i] = whole && !resting_[i] && !c.recurrence.chunks.empty() && c.contact.n == 0 && !c.tension.on && !c.geometric &&
                          !block_.forced(i, kWindow * kBlock);
         }
         if (wanted_ != fused_) take(wanted_);
@@ -351,6 +351,7 @@ private:
     }
 
     Block& block_;
+    const Resting& resting_;
     std::vector<char> fused_, wanted_;
     int place_ = 0;  // of the block in its window
     std::vector<std::size_t> sums_of_;

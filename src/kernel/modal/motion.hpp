@@ -3,6 +3,7 @@
 
 #include "../cull/contact_rows.hpp"
 #include "fused_pass.hpp"
+#include "shape_step.hpp"
 
 namespace tonewood {
 namespace {
@@ -21,14 +22,18 @@ inline void add_readouts(const Component& c, const double* rows, int stride, int
 }
 
 // Free motion of the two-way components in the row history; a component that is no longer finite, or -1.
-inline int free_motion(Block& block, FusedPass& fused) {
+inline int free_motion(Block& block, FusedPass& fused, const Resting& resting) {
     fused.begin_block();
     const Layout& l = block.model.layout;
     for (int i = 0; i < int(block.model.components.size()); ++i) {
         const Component& c = block.model.components[i];
-        if (c.driven || c.tension.on || c.geometric) continue;
+        if (c.driven || c.tension.on || c.geometric || resting[i]) continue;
         const Rows rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, block.history.data() + l.row[i], l.width, 1};
         const auto& inputs = block.inputs[i];
+        if (l.stepped[i]) {
+            ShapeStep(c, block.x(i), block.y(i), inputs).begin(block.line(0) + l.row[i], block.line(1) + l.row[i]);
+            continue;
+        }
         if (!fused[i] && inputs.empty() && block.nb == kBlock)
             recur_read(c, block.x(i), block.y(i), rows);
         else if (!fused[i])
@@ -39,16 +44,26 @@ inline int free_motion(Block& block, FusedPass& fused) {
     return -1;
 }
 
+// Moves the components that are stepped sample by sample by sample b, whose forces are known.
+inline void step_shapes(Block& block, int b) {
+    const Layout& l = block.model.layout;
+    for (const int i : l.sample_by_sample)
+        ShapeStep(block.model.components[i], block.x(i), block.y(i), block.inputs[i])
+            .sample(b, block.force(b) + l.port[i], block.line(b + 1) + l.row[i],
+                    b + 1 < block.nb ? block.line(b + 2) + l.row[i] : nullptr);
+}
+
 // Moves the modes under the forces of the block and adds the readouts; a component that is no longer finite, or -1.
-inline int correct(Block& block, const ContactRows& contacts, FusedPass& fused) {
+inline int correct(Block& block, const ContactRows& contacts, FusedPass& fused, const Resting& resting) {
     const Layout& l = block.model.layout;
     for (int i = 0; i < int(block.model.components.size()); ++i) {
+        if (resting[i]) continue;
         const Component& c = block.model.components[i];
         double *x = block.x(i), *y = block.y(i);
         const double* forces = block.forces.data() + l.port[i];
         auto& inputs = block.inputs[i];
         const bool recurs = inputs.empty() && block.nb == kBlock;
-        const bool moved = c.tension.on || c.geometric || (fused[i] && !c.driven);
+        const bool moved = c.tension.on || c.geometric || l.stepped[i] || (fused[i] && !c.driven);
         double* const driven = c.driven ? fused.driven_rows(i) : nullptr;
         const Ports ports{c.w.data(), c.w_slope.data(), c.n_ports, nullptr, forces, l.force_width, 1};
         const Rows rows{c.rows.data(), c.slopes.data(), c.n_rows, nullptr, driven, 1, kBlock + 1};

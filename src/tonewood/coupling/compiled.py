@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lstsq, qr
 
 from tonewood.coupling.geometric import GeometricShare
 from tonewood.coupling.tension import TensionShare
@@ -63,12 +64,23 @@ class Compiled:
     tension: TensionShare | None = None
     geometric: GeometricShare | None = None
     _impulses: dict[str, Floats] = field(init=False, repr=False, default_factory=dict)
+    _motions: dict[bytes, tuple[NDArray[np.intp], Floats]] = field(init=False, repr=False, default_factory=dict)
 
     def impulses(self, point: str) -> Floats:
         """`propagator.impulse_series` of a named point, kept for use again."""
         if point not in self._impulses:
             self._impulses[point] = impulse_series(self.basis, self.form, self.basis.index(point), self.dt)
         return self._impulses[point]
+
+    def motions(self, ports: NDArray[np.intp]) -> tuple[NDArray[np.intp], Floats]:
+        """(r,) as few of some ports (p,) as move the others with them, and (p, r) how, u = span u_r.
+
+        Where p ports of a body move by r < p independent motions (a rigid bridge that heaves and rocks has two), r of
+        them span the rest in what they read and in what they push; a force on one is span^T f on those.
+        """
+        if (key := ports.tobytes()) not in self._motions:
+            self._motions[key] = _independent(self, ports)
+        return self._motions[key]
 
     @cached_property
     def gap_velocity(self) -> Floats:
@@ -86,6 +98,23 @@ class Compiled:
     def gap_mobility(self) -> Floats:
         """(g, g) m/s of each gap (first index) per impulse of 1 N s across another."""
         return np.asarray(self.gap_velocity @ self.gap_scatter.T)
+
+
+def _independent(compiled: Compiled, ports: NDArray[np.intp]) -> tuple[NDArray[np.intp], Floats]:
+    all_of_them = ports, np.eye(len(ports))
+    if len(ports) < 3:
+        return all_of_them
+    parts = [part[ports].reshape(len(ports), -1) for part in (compiled.rows, compiled.W)]
+    motion = np.hstack([part / (np.max(np.abs(part), initial=0.0) or 1.0) for part in parts])
+    _, R, order = qr(motion.T, mode="economic", pivoting=True)
+    rank = int(np.count_nonzero(np.abs(np.diag(R)) > 1e-13 * np.abs(R[0, 0]))) if R.size else 0
+    if rank in (0, len(ports)):
+        return all_of_them
+    chosen = np.sort(order[:rank])
+    span = lstsq(motion[chosen].T, motion.T)[0].T
+    if np.max(np.abs(motion - span @ motion[chosen])) > 1e-14 * rank:
+        return all_of_them
+    return ports[chosen], np.ascontiguousarray(span)
 
 
 @dataclass(eq=False)

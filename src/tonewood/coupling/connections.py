@@ -34,10 +34,9 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
+from tonewood.coupling.inverse import DenseInverse, InverseInParts, scaled_pinv
 from tonewood.coupling.laws import Contact, NonlinearLaw
 
 Floats = NDArray[np.float64]
@@ -113,17 +112,20 @@ class LinearSolve:
     Attributes
     ----------
     on : (k,) their places.
-    inverse : (k, k) N/m, what G is among them.
-    matrix : (k, k) m/N, S + Z among them, of which that is the inverse.
+    by : what G is among them: the inverse of S + Z.
     gamma : (m,) share of the old gap.
     offset : (m,) (1 + gamma) b, m.
     """
 
     on: NDArray[np.intp]
-    inverse: Floats
-    matrix: Floats
+    by: DenseInverse | InverseInParts
     gamma: Floats
     offset: Floats
+
+    @property
+    def inverse(self) -> Floats:
+        """(k, k) N/m, G among these."""
+        return self.by.dense
 
     @cached_property
     def G(self) -> Floats:
@@ -132,10 +134,18 @@ class LinearSolve:
         out[self.on[:, None], self.on] = self.inverse
         return out
 
-    @property
+    def apply(self, gaps: Floats) -> Floats:
+        """G times (m,) or (m, columns)."""
+        if isinstance(self.by, DenseInverse):
+            return np.asarray(self.G @ gaps)
+        out = np.zeros_like(gaps)
+        out[self.on] = self.by.apply(gaps[self.on])
+        return out
+
+    @cached_property
     def constant(self) -> Floats:
         """(m,) N, force from the offsets alone."""
-        return np.asarray(self.G @ self.offset)
+        return self.apply(self.offset)
 
 
 def linear_solve(laws: Sequence[Law], compliance: Floats, residual: Floats, dt: float) -> LinearSolve:
@@ -181,22 +191,32 @@ class LinearLaws:
         return cls(off, off, none, none, none).changed(dict(enumerate(laws)), dt)
 
     def changed(self, laws: Mapping[int, Law], dt: float) -> LinearLaws:
-        """These laws with others at some places."""
+        """These laws with others at some places; itself if their numbers are the same (other nonlinear laws)."""
+        numbers = {j: _numbers(law, dt) for j, law in laws.items()}
+        if all(self._at(j) == now for j, now in numbers.items()):
+            return self
         new = LinearLaws(
             self.rigid.copy(), self.active.copy(), self.softness.copy(), self.gamma.copy(), self.offset.copy()
         )
-        for j, law in laws.items():
-            new.rigid[j], new.active[j], new.softness[j], new.gamma[j], new.offset[j] = _numbers(law, dt)
+        for j, now in numbers.items():
+            new.rigid[j], new.active[j], new.softness[j], new.gamma[j], new.offset[j] = now
         return new
+
+    def _at(self, j: int) -> tuple[bool, bool, float, float, float]:
+        numbers = self.rigid[j], self.active[j], self.softness[j], self.gamma[j], self.offset[j]
+        return bool(numbers[0]), bool(numbers[1]), float(numbers[2]), float(numbers[3]), float(numbers[4])
 
     def solve(self, compliance: Floats, residual: Floats) -> LinearSolve:
         """Eliminate the forces; see `linear_solve`."""
-        yielding = self.rigid & (residual.diagonal() > 1e-14 * np.maximum(compliance.diagonal(), 0.0))
-        gamma = np.where(yielding, 1.0, self.gamma)
         entries, twice_rigid, softness = self._among
-        S = twice_rigid * residual.take(entries) + softness
-        matrix = compliance.take(entries) + S
-        return LinearSolve(self.on, scaled_pinv(matrix), matrix, gamma, (1 + gamma) * self.offset)
+        matrix = compliance.take(entries) + (twice_rigid * residual.take(entries) + softness)
+        return self.solved(DenseInverse(scaled_pinv(matrix)), compliance.diagonal(), residual.diagonal())
+
+    def solved(self, by: DenseInverse | InverseInParts, compliance: Floats, residual: Floats) -> LinearSolve:
+        """Return the solve by an inverse; (m,) m/N of the gaps tell which rigid connections give way."""
+        yielding = self.rigid & (residual > 1e-14 * np.maximum(compliance, 0.0))
+        gamma = np.where(yielding, 1.0, self.gamma)
+        return LinearSolve(self.on, by, gamma, (1 + gamma) * self.offset)
 
     @cached_property
     def on(self) -> NDArray[np.intp]:
@@ -321,7 +341,7 @@ class NonlinearSolve:
         """(m, k) G Z_ln: linear forces are -answer @ (nonlinear forces) besides."""
         # most connections are no linear ones: only those have a force to answer with
         on, out = self.linear.on, np.zeros_like(self.gaps.to_linear)
-        out[on] = self.linear.inverse @ self.gaps.to_linear[on]
+        out[on] = self.linear.by.apply(self.gaps.to_linear[on])
         return out
 
     @cached_property
@@ -365,27 +385,3 @@ def nonlinear_solve(
     """Eliminate the linear connections for the others; None if there are no others. Shapes as in `linear_solve`."""
     chosen = NonlinearLaws.of(laws, dt)
     return NonlinearSolve(NonlinearGaps.of(chosen, compliance, residual), linear) if chosen.laws else None
-
-
-def scaled_pinv(matrix: Floats, rtol: float = 1e-12) -> Floats:
-    """Pseudo-inverse of a square matrix after scaling it to unit diagonal (zero rows stay zero)."""
-    if not matrix.size:
-        return matrix
-    diagonal = np.abs(matrix.diagonal())
-    moves = diagonal > 0
-    d = moves / np.sqrt(np.where(moves, diagonal, 1.0))
-    scale = d[:, None] * d
-    scaled = matrix * scale
-    inverse = _inverse(scaled)
-    if inverse is None:
-        inverse = np.asarray(sla.pinv(scaled, rtol=rtol), dtype=np.float64)
-    return np.asarray(inverse * scale)
-
-
-def _inverse(matrix: Floats) -> Floats | None:
-    """Inverse by LU, several times quicker than the singular values; None unless the matrix is far from singular."""
-    lu, pivots, fault = lapack.dgetrf(matrix)
-    if fault != 0 or lapack.dgecon(lu, np.abs(matrix).sum(axis=0).max())[0] < 1e-8:
-        return None
-    inverse, _ = lapack.dgetri(lu, pivots)
-    return np.asarray(inverse)

@@ -18,9 +18,13 @@ from tonewood.coupling.connections import (
     NonlinearLaws,
     NonlinearSolve,
 )
+from tonewood.coupling.inverse import MOST_IN_PART, Hub, InverseInParts
 from tonewood.coupling.layout import Layout
 
 Floats = NDArray[np.float64]
+
+#: linear connections from which on their compliance is inverted in parts: below, one dense matrix is quicker
+LEAST_IN_PARTS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +33,7 @@ class GapCompliance:
 
     compiled: tuple[Compiled, ...]
     layout: Layout
+    solves: dict[LinearLaws, LinearSolve] = field(init=False, repr=False, default_factory=dict)
     _seen: dict[NonlinearLaws, NonlinearGaps] = field(init=False, repr=False, default_factory=dict)
 
     @cached_property
@@ -40,6 +45,52 @@ class GapCompliance:
     def residual(self) -> Floats:
         """(m, m) m/N, residual compliance."""
         return self.layout.gathered([c.residual for c in self.compiled])
+
+    def diagonal(self, which: str) -> Floats:
+        """(m,) m/N, diagonal of ``compliance`` or ``residual``."""
+        each = np.concatenate([np.zeros(0), *(getattr(c, which).diagonal() for c in self.compiled)])
+        m = len(self.layout.connections)
+        return np.asarray(np.bincount(self.layout.joints[1], each, m), dtype=np.float64)
+
+    def in_parts(self, laws: LinearLaws) -> InverseInParts | None:
+        """Invert what linear connections see, in parts; None where there are few, or no parts."""
+        if (k := len(laws.on)) < LEAST_IN_PARTS:
+            return None
+        place = np.full(len(self.layout.connections), -1)
+        place[laws.on] = np.arange(k)
+        slots, connections = self.layout.joints
+        met = np.bincount(slots[laws.active[connections]], minlength=len(self.compiled))
+        hub = int(np.argmax(met)) if met.max(initial=0) > MOST_IN_PART else -1
+        rows, columns = self.layout.entries
+        kept = self.layout.entry_slots != hub
+        compliance, residual = (
+            np.concatenate([np.zeros(0), *(getattr(c, which).ravel() for c in self.compiled)])
+            for which in ("compliance", "residual")
+        )
+        values = np.where(kept, compliance, 0.0) + 2 * residual * (laws.rigid[rows] & laws.rigid[columns])
+        wanted = laws.active[rows] & laws.active[columns] & (values != 0.0)
+        entries = (
+            np.concatenate([place[rows[wanted]], np.arange(k)]),
+            np.concatenate([place[columns[wanted]], np.arange(k)]),
+            np.concatenate([values[wanted], laws.softness[laws.on]]),
+        )
+        return InverseInParts.of(k, entries, None if hub < 0 else self._hub(hub, place))
+
+    def _hub(self, slot: int, place: NDArray[np.intp]) -> Hub:
+        """Motions of a component; `place` (m,) of each connection that can carry force, -1 of the others."""
+        compiled = self.compiled[slot]
+        gaps = np.flatnonzero(place[compiled.gaps] >= 0)
+        shares, at = compiled.shares[gaps], place[compiled.gaps[gaps]]
+        used = np.flatnonzero(np.any(shares != 0.0, axis=0))
+        ports, span = compiled.motions(used)
+        shares = shares[:, used]
+        point, factor = np.full(int(place.max()) + 1, -1), np.zeros(int(place.max()) + 1)
+        if np.all(np.count_nonzero(shares, axis=1) == 1):
+            point[at], factor[at] = np.argmax(shares != 0.0, axis=1), shares.sum(axis=1)
+        else:  # ends that several points share: every connection has a point of its own
+            point[at], factor[at], span = np.arange(len(at)), 1.0, shares @ span
+        compliance = compiled.history[0][ports][:, ports].T
+        return Hub(slot, ports, point, factor, span, np.ascontiguousarray(compliance))
 
     def seen_by(self, laws: NonlinearLaws) -> NonlinearGaps:
         """Compliance at the gaps of nonlinear laws; cached, as linear laws change more often."""
@@ -80,7 +131,18 @@ class Elimination:
 
     @cached_property
     def solve(self) -> LinearSolve:
-        """Of the linear connections."""
+        """Of the linear connections; found once for the same laws between the same components."""
+        known = self.gap.solves
+        if self.linear not in known:
+            known.clear()
+            known[self.linear] = self._solved()
+        return known[self.linear]
+
+    def _solved(self) -> LinearSolve:
+        if (by := self.gap.in_parts(self.linear)) is not None:
+            solve = self.linear.solved(by, self.gap.diagonal("compliance"), self.gap.diagonal("residual"))
+            if by.hub is None or np.ptp(solve.gamma[solve.on[by.hub.point >= 0]]) == 0.0:
+                return solve
         return self.linear.solve(self.gap.compliance, self.gap.residual)
 
     @cached_property

@@ -119,11 +119,16 @@ class Layout:
         return tuple(out)
 
     @cached_property
+    def touching(self) -> tuple[tuple[Places, Floats], ...]:
+        """Per component: (g,) connections that it has a share in, driven ones too, and (g, n_ports) these shares."""
+        found = [np.flatnonzero(np.any(a != 0.0, axis=1)) for a in self.incidence]
+        return tuple((on, a[on]) for on, a in zip(found, self.incidence, strict=True))
+
+    @cached_property
     def gaps(self) -> tuple[Places, ...]:
         """(g,) per component: connections that its ports have a share in; none for a driven one."""
         none = np.zeros(0, dtype=np.intp)
-        shares = zip(self.incidence, self.driven, strict=True)
-        return tuple(none if one_way else np.flatnonzero(np.any(a != 0.0, axis=1)) for a, one_way in shares)
+        return tuple(none if one_way else on for (on, _), one_way in zip(self.touching, self.driven, strict=True))
 
     @cached_property
     def force_weights(self) -> Floats:
@@ -137,11 +142,24 @@ class Layout:
     def gathered(self, shares: list[Floats]) -> Floats:
         """(m, m) sum of (g, g) matrices of the components' gaps."""
         m = len(self.connections)
+        rows, columns = self.entries
         each = np.concatenate([np.zeros(0), *(share.ravel() for share in shares)])
-        return np.asarray(np.bincount(self._entries, each, m * m).reshape(m, m), dtype=np.float64)
+        return np.asarray(np.bincount(rows * m + columns, each, m * m).reshape(m, m), dtype=np.float64)
 
     @cached_property
-    def _entries(self) -> Places:
-        """Flat indices of the entries of all components' gap matrices."""
-        m = len(self.connections)
-        return np.concatenate([np.zeros(0, dtype=np.intp), *((on[:, None] * m + on).ravel() for on in self.gaps)])
+    def entries(self) -> tuple[Places, Places]:
+        """Rows and columns of the entries of all components' gap matrices, one after another."""
+        none = np.zeros(0, dtype=np.intp)
+        rows = [none, *(np.repeat(on, len(on)) for on in self.gaps)]
+        return np.concatenate(rows), np.concatenate([none, *(np.tile(on, len(on)) for on in self.gaps)])
+
+    @cached_property
+    def entry_slots(self) -> Places:
+        """Component that each of `entries` belongs to."""
+        return np.repeat(np.arange(len(self.names)), [len(on) ** 2 for on in self.gaps])
+
+    @cached_property
+    def joints(self) -> tuple[Places, Places]:
+        """Component and connection of every share of a component in a gap."""
+        slots = np.repeat(np.arange(len(self.names)), [len(on) for on in self.gaps])
+        return slots, np.concatenate([np.zeros(0, dtype=np.intp), *self.gaps])

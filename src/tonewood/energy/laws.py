@@ -13,7 +13,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Rigid, SpringDashpot, scaled_pinv
+from tonewood.coupling.connections import Rigid, SpringDashpot
+from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.laws import Contact, Friction, NonlinearLaw
 from tonewood.coupling.system import System
 

@@ -85,7 +85,7 @@ def step_again(
         before, free = by_slot(path[t]), by_slot(path[t + 1])
         if rising is not None:
             linear = system.solve
-            alone = linear.constant - linear.G @ (system.gaps(free) + linear.gamma * system.gaps(before))
+            alone = linear.constant - linear.apply(system.gaps(free) + linear.gamma * system.gaps(before))
             over = rising.over(before, free, alone, tensions[t])
             mean = over.mean_under(forces[t])
         path[t + 1] += forced[t]

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Rigid, SpringDashpot, scaled_pinv
+from tonewood.coupling.connections import Rigid, SpringDashpot
 from tonewood.coupling.geometric_solve import rising_solve
+from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.laws import Friction
 from tonewood.coupling.system import State, System
 from tonewood.stepping.motion import to_motion

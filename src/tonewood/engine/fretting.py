@@ -9,7 +9,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, Rigid, scaled_pinv
+from tonewood.coupling.connections import Connection, Rigid
+from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.system import Compiled, State, System
 from tonewood.energy.stored import gaps
 from tonewood.engine.timeline import Change

@@ -128,7 +128,7 @@ def _string(
         touching=_touching(instrument, name, choice),
         pluck_from_bridge=_metres(getattr(exciter.parameters, "from_bridge", 0.1 * resonator.length), resonator),
         pluck_width=float(getattr(exciter.parameters, "felt_width", 0.0)),
-        group=next(strings for strings in instrument.groups.values() if name in strings),
+        group=next(s for s in instrument.groups.values() if name in s) if name in instrument.key_of else (),
         damper=None if damper is None else (damper.resistance, _metres(damper.from_bridge, resonator), damper.width),
         longitudinal=_longitudinal(part, name, resonator, body_points, choice),
     )

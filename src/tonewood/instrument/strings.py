@@ -79,6 +79,7 @@ class StringModel:
         self.open_note, self.stopping, self.points = open_note, stopping, dict(points)
         self.pluck_from_bridge, self.pluck_width = pluck_from_bridge, pluck_width
         self.group, self.damper = group or (name,), damper
+        self._of_key = bool(group)
         self._body, self._freq_upper, self._freq_limit = body, freq_upper, freq_limit
         self._end_compliance, self._tilt_deg = end_compliance, tilt_deg
         self._touching, self._scatter = dict(touching or {}), scatter
@@ -162,7 +163,8 @@ class StringModel:
         open_length = self.resonator.length
         stops = tuple(self.length(i) for i in range(self.n_stops + 1))
         polarizations = tuple((p.component, p.direction) for p in self.polarizations)
-        return Site(self.name, open_length, self.length(stop), stops, polarizations, self.group)
+        group = self.group if self._of_key else ()
+        return Site(self.name, open_length, self.length(stop), stops, polarizations, group)
 
     def attached(self, stop: float = 0) -> tuple[Attached, ...]:
         """Places, components and connections that attachments, exciters and a finger add to the string at a stop."""

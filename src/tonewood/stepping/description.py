@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lstsq, qr
 
 from tonewood import _kernel
+from tonewood.coupling.connections import LinearSolve
 from tonewood.coupling.geometric import GeometricStretch
+from tonewood.coupling.inverse import InverseInParts
 from tonewood.coupling.laws import (
     CompiledPotential,
     Contact,
@@ -32,15 +33,54 @@ Description = dict[str, Any]
 class Wiring:
     """Ports of one component that are always stepped, ports on which only contacts act, and their connections.
 
-    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a longitudinal motion; `key` tells
-    whether any of it changed.
+    `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a longitudinal motion; `is_hub`:
+    the linear connections are solved in parts that its motions join; `key` tells whether any of it changed.
     """
 
     fixed: NDArray[np.intp]
     contact: NDArray[np.intp]
     incidence: Floats
     coupled: bool
+    is_hub: bool
     key: bytes
+
+
+#: of a component's terms in nonlinear connections: its connection among those that touch it, port among its fixed or
+#: contact ports, whether it is a contact port, factor
+OwnTerms = Sequence[tuple[int, int, bool, float]]
+
+
+def wired(
+    shares: Floats, use: NDArray[np.intp], k: int, coupled: bool, one_way: bool, hub_ports: NDArray[np.intp] | None
+) -> tuple[Wiring, OwnTerms]:
+    """Sort a component's ports by the connections in use.
+
+    Parameters
+    ----------
+    shares : (g, n_ports) of its ports in the g connections that touch it.
+    use : (g, 2) place of each among the k linear ones that can carry force, -1 of others; 1 for a nonlinear one, 2 for
+        a contact, 0 for others.
+    coupled, one_way : to a longitudinal motion; a driven component.
+    hub_ports : of a hub, whose ports are its motions; else None.
+    """
+    place, kind = use.T
+    acts = shares != 0.0
+    touched, needed = np.any(acts[kind > 0], axis=0), np.any(acts[(place >= 0) | (kind == 1)], axis=0)
+    is_contact = touched & ~needed & (not one_way and not coupled)
+    contact, fixed = np.flatnonzero(is_contact), np.flatnonzero((touched | needed) & ~is_contact)
+    if hub_ports is not None:
+        fixed = np.union1d(hub_ports, np.flatnonzero(np.any(acts[kind == 1], axis=0)))
+    own = []
+    for i, port in zip(*np.nonzero(acts & (kind > 0)[:, None]), strict=True):
+        among = contact if is_contact[port] else fixed
+        own.append((int(i), int(np.searchsorted(among, port)), bool(is_contact[port]), float(shares[i, port])))
+    incidence = np.zeros((0 if hub_ports is not None else k, len(fixed)))  # the hub's is that of the parts
+    if hub_ports is None:
+        incidence[place[place >= 0]] = shares[place >= 0][:, fixed]
+    used = np.nonzero(incidence)
+    parts = [part.tobytes() for part in (*used, incidence[used], fixed, contact)]
+    parts.append(b"coupled" if coupled else b"" if hub_ports is None else b"hub")
+    return Wiring(fixed, contact, incidence, coupled, hub_ports is not None, b"|".join(parts)), own
 
 
 def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded: bool) -> Description:
@@ -48,8 +88,10 @@ def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded:
     # the motion of a driven component's ports is not needed
     readouts = np.arange(len(compiled.ports), len(compiled.rows))
     fixed, contact, incidence = wires.fixed, wires.contact, wires.incidence
-    if not (one_way or loaded or wires.coupled):
-        fixed, incidence = independent_ports(compiled, fixed, incidence)
+    if not (one_way or loaded or wires.coupled or wires.is_hub) and len(incidence):
+        fixed, span = compiled.motions(fixed)
+        if len(fixed) < len(wires.fixed):
+            incidence = np.ascontiguousarray(incidence @ span)
     rows = readouts if one_way else np.concatenate([fixed, readouts])
     response = compiled.history
     out: Description = {
@@ -84,6 +126,30 @@ def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded:
     return out
 
 
+def describe_linear(solve: LinearSolve, weights: Floats, wiring: Sequence[Wiring], in_parts: bool) -> Description:
+    """Describe the k linear connections that can carry force, their inverse dense or in parts."""
+    on, by = solve.on, solve.by
+    out: Description = {
+        "gamma": solve.gamma[on],
+        "constant": by.apply(solve.offset[on]),
+        "weights": np.ascontiguousarray(weights[:, on]),
+    }
+    if not (in_parts and isinstance(by, InverseInParts)):
+        return out | {"inverse": np.ascontiguousarray(by.dense)}
+    out["parts"] = [{"places": p.astype(np.float64), "inverses": np.ascontiguousarray(a)} for p, a in by.parts]
+    if (hub := by.hub) is not None:
+        places = np.searchsorted(wiring[hub.slot].fixed, hub.ports)
+        out["hub"] = {
+            "slot": hub.slot,
+            "ports": places.tolist(),
+            "point": hub.point.tolist(),
+            "factor": hub.factor,
+            "span": np.ascontiguousarray(hub.span),
+            "joined": np.ascontiguousarray(by.joined),
+        }
+    return out
+
+
 def describe_tensions(system: System) -> Description:
     """Describe the strings whose tension rises: (row of the state, EA/(4 L), components); their longitudinal motion."""
     on = [t for t, is_on in enumerate(system.is_on) if is_on]
@@ -113,29 +179,6 @@ def describe_stretch(system: System, slots: Sequence[int]) -> Description:
             for slot, part in parts
         ],
     }
-
-
-def independent_ports(
-    compiled: Compiled, ports: NDArray[np.intp], incidence: Floats
-) -> tuple[NDArray[np.intp], Floats]:
-    """As few ports as move the others with them, and how connections then use those.
-
-    Where p ports of a body move by r < p independent motions (a rigid bridge that heaves and rocks has two), r of them
-    span the rest, u = B u_r, in what they read and in what they push; a force on one is B^T f on those.
-    """
-    if len(ports) < 3 or not len(incidence):
-        return ports, incidence
-    parts = [part[ports].reshape(len(ports), -1) for part in (compiled.rows, compiled.W)]
-    motion = np.hstack([part / (np.max(np.abs(part), initial=0.0) or 1.0) for part in parts])
-    _, R, order = qr(motion.T, mode="economic", pivoting=True)
-    rank = int(np.count_nonzero(np.abs(np.diag(R)) > 1e-13 * np.abs(R[0, 0]))) if R.size else 0
-    if rank in (0, len(ports)):
-        return ports, incidence
-    chosen = np.sort(order[:rank])
-    span = lstsq(motion[chosen].T, motion.T)[0].T
-    if np.max(np.abs(motion - span @ motion[chosen])) > 1e-14 * rank:
-        return ports, incidence
-    return ports[chosen], np.ascontiguousarray(incidence @ span)
 
 
 def law_arrays(

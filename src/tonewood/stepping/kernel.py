@@ -18,16 +18,20 @@ from numpy.typing import NDArray
 
 from tonewood import _kernel
 from tonewood.coupling.connections import NonlinearGaps
+from tonewood.coupling.inverse import Hub, InverseInParts
 from tonewood.coupling.laws import NonlinearLaw
 from tonewood.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.errors import NumericalError, TonewoodError
 from tonewood.stepping.description import (
     Description,
+    OwnTerms,
     Wiring,
     describe_component,
+    describe_linear,
     describe_tensions,
     law_arrays,
     packed,
+    wired,
 )
 from tonewood.stepping.stepper import NumpyStepper, Statistics
 
@@ -78,6 +82,8 @@ class Shortcuts:
     fine_bound: bool = True
     #: one modal pass finishes a tension-modulated step and begins the next
     combined_pass: bool = True
+    #: components at rest that nothing can move are not stepped
+    at_rest: bool = True
     #: the inverse for linear laws is kept until a slope changes
     kept_inverse: bool = True
 
@@ -98,7 +104,7 @@ class KernelStepper:
         self._packed: dict[int, tuple[Injection, Floats, Floats]] = {}
         self._descriptions: WeakKeyDictionary[Compiled, dict[_Key, Description]] = WeakKeyDictionary()
         self._keys = count()
-        self._wirings: dict[tuple[bytes, bytes, bytes, frozenset[str]], tuple[list[Wiring], Terms]] = {}
+        self._wirings: dict[tuple[int, bytes, bytes], tuple[Wiring, OwnTerms]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
         self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
@@ -145,18 +151,15 @@ class KernelStepper:
 
     def _describe(self, system: System, cached: frozenset[int]) -> Description:
         """Describe a system; components with a key among `cached` come without arrays."""
-        solve, on = system.solve, self._active
-        wiring, terms = self._wired(system)
+        in_parts = not any(system.is_on)
+        by = system.solve.by
+        hub = by.hub if in_parts and isinstance(by, InverseInParts) else None
+        wiring, terms = self._wired(system, hub)
         weights = system.force_weights()
         components = self._components(system, wiring, terms)
         return {
             "components": [{"key": c["key"]} if c["key"] in cached else c for c in components],
-            "linear": {
-                "inverse": np.ascontiguousarray(solve.inverse),
-                "gamma": solve.gamma[on],
-                "constant": solve.inverse @ solve.offset[on],
-                "weights": np.ascontiguousarray(weights[:, on]),
-            },
+            "linear": describe_linear(system.solve, weights, wiring, in_parts),
             "nonlinear": self._laws_and_gaps(system, terms, np.ascontiguousarray(weights[:, self._nonlinear])),
             "tensions": describe_tensions(system),
             "shortcuts": self._shortcuts,
@@ -197,36 +200,35 @@ class KernelStepper:
             out.append(known[key])
         return out
 
-    def _wired(self, system: System) -> tuple[list[Wiring], Terms]:
-        """Sort the ports of every component by the connections now in use; once for each set of these."""
+    def _wired(self, system: System, hub: Hub | None) -> tuple[list[Wiring], Terms]:
+        """Sort the ports of every component by the connections now in use.
+
+        A component whose connections are used as before keeps its wiring: a note changes a few of hundreds.
+        """
+        m = len(system.connections)
         is_contact = system.elimination.others.is_contact
         coupled = {name for law in system.geometric for name in law.parts}
-        key = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), frozenset(coupled)
-        if key not in self._wirings:
-            always = np.concatenate([self._active, self._nonlinear[~is_contact]])
-            wiring: list[Wiring] = []
-            terms: list[tuple[int, int, int, bool]] = []
-            factors: list[float] = []
-            for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
-                incidence = system.incidence(slot)
-                acts = incidence != 0.0
-                touched = np.any(acts[self._nonlinear], axis=0)
-                needed = np.any(acts[always], axis=0)
-                may_be_culled = not one_way and name not in coupled
-                contact = np.flatnonzero(touched & ~needed & may_be_culled)
-                fixed = np.flatnonzero((touched | needed) & ~np.isin(np.arange(acts.shape[1]), contact))
-                for j, port in zip(*np.nonzero(acts[self._nonlinear]), strict=True):
-                    among = contact if port in contact else fixed
-                    terms.append((int(j), slot, int(np.searchsorted(among, port)), among is contact))
-                    factors.append(float(incidence[self._nonlinear[j], port]))
-                wires = np.ascontiguousarray(incidence[self._active][:, fixed])
-                wired = np.nonzero(wires)
-                parts = [part.tobytes() for part in (*wired, wires[wired], fixed, contact)]
-                parts.append(b"coupled" if name in coupled else b"")
-                wiring.append(Wiring(fixed, contact, wires, name in coupled, b"|".join(parts)))
-            index = np.array(terms, dtype=np.int64).reshape(-1, 4)
-            self._wirings[key] = wiring, (index, np.array(factors))
-        return self._wirings[key]
+        place, law, culled = np.full(m, -1), np.full(m, -1), np.zeros(m, dtype=bool)
+        place[self._active], law[self._nonlinear] = np.arange(len(self._active)), np.arange(len(self._nonlinear))
+        culled[self._nonlinear] = is_contact
+        use = np.stack([place, np.where(law < 0, 0, 1 + culled)], axis=1)
+        wiring: list[Wiring] = []
+        terms: list[tuple[int, int, int, bool]] = []
+        factors: list[float] = []
+        for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
+            at, shares = system.layout.touching[slot]
+            met = hub.ports if hub is not None and hub.slot == slot else None
+            used = use[at]
+            way = f"{len(self._active)} {one_way or name in coupled} {name in coupled}".encode()
+            key = slot, used.tobytes(), way + (b"" if met is None else met.tobytes())
+            if key not in self._wirings:
+                self._wirings[key] = wired(shares, used, len(self._active), name in coupled, one_way, met)
+            wires, own = self._wirings[key]
+            wiring.append(wires)
+            for i, port, on_contact, factor in own:
+                terms.append((int(law[at[i]]), slot, port, on_contact))
+                factors.append(factor)
+        return wiring, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))
 
     def run(
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[PrescribedMotion] = ()

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Rigid, scaled_pinv
+from tonewood.coupling.connections import Rigid
+from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.system import State, System
 from tonewood.modal.modes import ModalBasis
 

@@ -191,20 +191,20 @@ class NumpyStepper:
         s = self.system
         linear, nonlinear = s.solve, s.nonlinear
         gap, gap_free = s.gaps(x), s.gaps(free)
-        f = linear.constant - linear.G @ (gap_free + linear.gamma * gap)
+        f = linear.constant - linear.apply(gap_free + linear.gamma * gap)
         rising = self._tension.over(x, free, f, tension) if self._tension else None
         mean = np.zeros(0)
         if rising is not None:
             mean = rising.mean(f)
             gap_free = gap_free + rising.reach @ mean
-            f = f - linear.G @ (rising.reach @ mean)
+            f = f - linear.apply(rising.reach @ mean)
         series, slip = series.copy(), slip.copy()
         if nonlinear is not None:
             on, Z = nonlinear.index, nonlinear.Z
             lag = (1 - nonlinear.theta) / nonlinear.theta * series[on]
             here, before = gap_free[on] + nonlinear.from_linear @ f - lag, gap[on] + series[on]
             if rising is not None:
-                moved = rising.reach[on] - nonlinear.from_linear @ (linear.G @ rising.reach)
+                moved = rising.reach[on] - nonlinear.from_linear @ linear.apply(rising.reach)
                 answer = rising.answer(moved)
                 Z = Z + moved @ answer
             found = find_forces(
@@ -222,7 +222,7 @@ class NumpyStepper:
             if rising is not None:
                 more = answer @ found.forces
                 mean = mean + more
-                f = f - linear.G @ (rising.reach @ more)
+                f = f - linear.apply(rising.reach @ more)
             f[on] = found.forces
             series[on] = nonlinear.residual @ found.forces / nonlinear.theta - lag
             for i, friction in branches.items():

@@ -8,7 +8,8 @@ import scipy.linalg as sla
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tonewood.coupling.connections import Rigid, SpringDashpot, linear_solve, scaled_pinv
+from tonewood.coupling.connections import Rigid, SpringDashpot, linear_solve
+from tonewood.coupling.inverse import scaled_pinv
 
 DT = 1 / 48000
 

@@ -135,7 +135,7 @@ def test_many_exchanges_one_after_another_are_as_if_built_at_last():
         bases = {n: c.basis for n, c in zip(system.names, system.compiled, strict=True)}
         room = {"a": 10, "b": 10}
         built = System.build(bases, system.connections, system.readouts, dt=DT, capacities=room)
-        for name in ("on", "G", "matrix", "gamma", "offset", "constant"):
+        for name in ("on", "G", "inverse", "gamma", "offset", "constant"):
             np.testing.assert_array_equal(getattr(system.solve, name), getattr(built.solve, name))
         np.testing.assert_array_equal(system.gap_matrix("residual"), built.gap_matrix("residual"))
 

@@ -21,7 +21,7 @@ DT = 1 / 48000
 PAGE = Path(__file__).parents[3] / "docs" / "kernel.md"
 NAMES = [field.name for field in fields(Shortcuts)]
 #: shortcuts that skip work without another order of operations change no bit
-EXACT = {"block_culling", "group_bound", "fine_bound"}
+EXACT = {"block_culling", "group_bound", "fine_bound", "at_rest"}
 #: the same operations side by side, or interleaved; a compiler may fuse other products and sums
 ALIKE = {"tension_lanes", "combined_pass"}
 FRETS = {f"f{k}": LENGTH / 2 ** (k / 12) for k in range(1, 7)}

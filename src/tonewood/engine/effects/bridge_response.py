@@ -53,12 +53,12 @@ class BridgeResponse:
                     entry[i, body.index(term.point)] += term.factor
         added, gaps, impedance = _added(model, 1j * self.freq_rad)
         rows, direct = _readout_rows(system, "body", body)
-        respond = response(body, form, self.freq_rad, np.vstack([entry, gaps, rows]), entry)
+        respond = response(body, form, self.freq_rad, np.vstack([gaps, rows]), entry)
         n = len(ends)
-        self.mobility = np.abs(np.einsum("iif->if", respond[:n]) * self.freq_rad)
+        self.mobility = np.abs(_own_response(body, form, self.freq_rad, entry) * self.freq_rad)
         # forces of what is added to the body per force of a string
-        reaction = -impedance[:, None] * respond[n : n + len(added)]
-        heard = respond[n + len(added) :] * (1j * self.freq_rad) ** direct[:, None, None]
+        reaction = -impedance[:, None] * respond[: len(added)]
+        heard = respond[len(added) :] * (1j * self.freq_rad) ** direct[:, None, None]
         names = [end.name for end in ends]
         for r, readout in enumerate(system.readouts):
             for name, factor in readout.forces:
@@ -135,6 +135,16 @@ def response(basis: ModalBasis, form: RealForm, freq_rad: Floats, out: Floats, i
         combined = out[:, outs] @ points.transpose(0, 2, 1) @ into[:, ins].T
         whole[..., first : first + at_a_time] = combined.transpose(1, 2, 0)
     return whole + residual
+
+
+def _own_response(basis: ModalBasis, form: RealForm, freq_rad: Floats, rows: Floats) -> Complexes:
+    """(n_rows, f) displacement per force of each combination of points by itself, as `response` has it.
+
+    A response between all pairs of n rows would take n^2 f numbers: 240 strings, a gigabyte.
+    """
+    alike, which = np.unique(rows, axis=0, return_inverse=True)
+    own = [response(basis, form, freq_rad, row[None], row[None])[0, 0] for row in alike]
+    return np.array(own).reshape(len(alike), len(freq_rad))[which.ravel()]
 
 
 def _added(model: Model, s: Complexes) -> tuple[list[str], Floats, Complexes]:

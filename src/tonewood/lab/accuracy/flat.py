@@ -15,7 +15,8 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Term, scaled_pinv
+from tonewood.coupling.connections import Term
+from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.system import System
 from tonewood.lab.methods.problem import Problem
 from tonewood.modal.modes import PAIR

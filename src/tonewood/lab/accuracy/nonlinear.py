@@ -16,7 +16,8 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood import _methods
-from tonewood.coupling.connections import Connection, scaled_pinv
+from tonewood.coupling.connections import Connection
+from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.laws import Contact, HardeningSpring
 from tonewood.coupling.system import Probe, Readout, System
 from tonewood.coupling.tension import TensionModulation

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import scaled_pinv
+from tonewood.coupling.inverse import scaled_pinv
 from tonewood.lab.accuracy.flat import Flat, RealModes, inverses, product, through
 from tonewood.lab.accuracy.scheme import Scheme
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT, Newmark

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import scaled_pinv
+from tonewood.coupling.inverse import scaled_pinv
 from tonewood.lab.methods import forms
 from tonewood.lab.methods.problem import Problem, StepMap, system_map
 from tonewood.modal.propagator import flow

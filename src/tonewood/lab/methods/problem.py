@@ -9,7 +9,8 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.coupling.connections import Connection, Rigid, Term, scaled_pinv
+from tonewood.coupling.connections import Connection, Rigid, Term
+from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.system import Probe, Readout, System
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.propagator import RealForm, real_form
