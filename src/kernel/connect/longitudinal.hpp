@@ -1,13 +1,13 @@
 // Strings with longitudinal motion: their direction is the gradient of U; the equations are in tonewood.coupling.geometric.
 #pragma once
 
-#include <limits>
-
 #include "../modal/stretch_pass.hpp"
 #include "rising.hpp"
 
 namespace tonewood {
 namespace {
+
+constexpr double kLeastShift = 1e-8;  // part of EA L by which C exceeds the energy of a string
 
 class StretchedStrings final : public RisingTensions {
 public:
@@ -302,7 +302,7 @@ private:
         return sum;
     }
 
-    // C for the next steps: all energy of the string, or what U lacks if that is more.
+    // C for the next steps: all energy of the string, or what U lacks if that is more, and a little.
     double shift(int s, double stored) const {
         double modes = 0.0;
         for (const Part& part : strings_[s].parts) {
@@ -314,7 +314,7 @@ private:
                 modes += 0.5 * (v * v + part.given.stiffness[k] * displaced * displaced);
             }
         }
-        return std::max({modes + stored, -stored, 0.0}) * (1 + 1e-9) + std::numeric_limits<double>::min();
+        return std::max({modes + stored, -stored, 0.0}) + kLeastShift * strings_[s].given.scale;
     }
 
     std::vector<String> strings_;

@@ -27,8 +27,8 @@ sqrt(2 (U + C)),
 
 c_m the mean of the slopes before the step and of those free of this coupling after it, s_n the mean of both, and l_n
 the mean strain that the longitudinal modes have under s_n, the connections answering: without that answer the end of
-the string would give way. C is the energy of the string's modes when it was chosen, so that these never hold more than
-twice the energy that is there.
+the string would give way. C is the energy of the string when it was chosen and 1e-8 EA L more, so that modes never hold
+more than twice the energy that is there and that little.
 
 Left out: terms of fifth order, T0 beside EA (below 1 % for steel, 3 % for nylon), shear and rotation. Transverse modes
 above a frequency that the string's maker chooses do not take part in U; they are stepped as without it.

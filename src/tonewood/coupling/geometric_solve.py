@@ -14,6 +14,9 @@ from tonewood.coupling.tension_solve import RESET_STEPS, TensionSolve, TensionsO
 
 Floats = NDArray[np.float64]
 
+#: part of EA L by which C exceeds the energy of a string: psi must not pass zero where a string at rest begins to move
+LEAST_SHIFT = 1e-8
+
 
 class GeometricSolve:
     """Steps the strings of a system whose longitudinal motion is coupled; used as `tension_solve.TensionSolve` is.
@@ -119,9 +122,9 @@ class GeometricSolve:
         return shift, float(np.copysign(np.sqrt(2 * (stored + shift)), row[1]))
 
     def _shift(self, q: int, x: Sequence[Floats], stored: float) -> float:
-        """C for the next steps, J: all energy of the string, or what U lacks if that is more."""
+        """C for the next steps, J: all energy of the string, or what U lacks if that is more, and a little."""
         modes = sum(part.energy(x[slot]) for slot, part in zip(self.slots[q], self.strings[q].parts, strict=True))
-        return float(max(modes + stored, -stored, 0.0) * (1 + 1e-9) + np.finfo(np.float64).tiny)
+        return float(max(modes + stored, -stored, 0.0) + LEAST_SHIFT * self.strings[q].parts[-1].scale)
 
     def _places(self, q: int) -> list[tuple[GeometricShare, slice]]:
         """Parts of a string, and where their coordinates stand."""

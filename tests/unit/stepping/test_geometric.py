@@ -96,7 +96,7 @@ def test_modes_never_hold_more_than_twice_the_energy_that_is_there(height: float
         stepper.run(state, 37)
         now = stored_energy(system, state)
         assert now.total <= there * (1 + 1e-9)
-        assert now.modes <= 2 * there * (1 + 1e-6)
+        assert now.modes <= 2 * there * (1 + 1e-6) + 1e-8 * AXIAL * LENGTH
 
 
 def energy(system: System, state: State) -> float:
