@@ -52,6 +52,7 @@ class NoteFields(Section):
 
     time: float = Field(ge=0, le=3600)
     duration: float = Field(default=1.0, gt=0, le=3600)
+    held: float | None = Field(default=None, ge=0)
     note: float | None = Field(default=None, ge=0, le=127)
     freq: float | None = Field(default=None, gt=0)
     force: float | None = Field(default=None, ge=0)

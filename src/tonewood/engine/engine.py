@@ -38,6 +38,8 @@ Floats = NDArray[np.float64]
 
 #: points of the control grid after which the engine stops at the latest
 _LONGEST = 64
+#: steps of strings with longitudinal motion that an energy budget makes again at most
+_PIECE = 16
 
 
 @dataclass(eq=False)
@@ -172,7 +174,7 @@ class Engine:
             start = self.state.sample
             steps = min(self._next_event(), end) - start
             if self.energy_budget:  # it makes the motion again from the forces: what rounding adds must not grow long
-                steps = min(steps, GRID // 4 if self.system.geometric else GRID)
+                steps = min(steps, GRID)
             before = self.state.copy() if self.energy_budget else None
             if self.system is not self.stepper.system:
                 self.stepper.exchange(self.system)
@@ -184,8 +186,8 @@ class Engine:
             else:
                 sound, acted = self.stepper.advance(self.state, steps, self.injections, self.controls)
             stepped = time.thread_time()
-            if self.energy_budget and before and forces is not None:
-                self.energy_budget.follow(before, self.state, forces, self.injections, self.controls, self.active)
+            if before and forces is not None:
+                self._book(before, forces)
             added = quasi_static(self.active, self.model, self.system, start, steps)
             if added is not None:
                 sound = sound + added
@@ -200,6 +202,20 @@ class Engine:
             self.counters.stepping_s += stepped - ready
             self.counters.control_s += ready - began + time.thread_time() - stepped
         return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
+
+    def _book(self, before: State, forces: Floats) -> None:
+        """Enter a run into the energy budget.
+
+        With longitudinal motion rounding grows faster: the run is stepped again from a copy, in pieces short enough.
+        """
+        if (budget := self.energy_budget) is None:
+            return
+        while self.system.geometric and before.sample + _PIECE < self.state.sample:
+            after = before.copy()
+            _, piece = self.stepper.run(after, _PIECE, self.injections, self.controls)
+            budget.follow(before, after, piece, self.injections, self.controls, self.active)
+            before, forces = after, forces[_PIECE:]
+        budget.follow(before, self.state, forces, self.injections, self.controls, self.active)
 
     def _count(self, start: int, n: int, acted: NDArray[np.intp], seconds: float) -> None:
         """Enter a run into the usage of effects."""
