@@ -1,4 +1,5 @@
-// Strings with longitudinal motion: their direction is the gradient of U; the equations are in tonewood.coupling.geometric.
+// Strings with longitudinal motion, and strings without it beside them: their direction is the gradient of U; the
+// equations are in tonewood.coupling.geometric.
 #pragma once
 
 #include "../modal/stretch_pass.hpp"
@@ -284,7 +285,7 @@ private:
         }
     }
 
-    // U and the energy of the modes that take part, of the state of the run.
+    // U, in the state of the run.
     double potential(int s) {
         String& string = strings_[s];
         std::fill(string.squares.begin(), string.squares.end(), 0.0), std::fill(string.strain.begin(), string.strain.end(), 0.0);

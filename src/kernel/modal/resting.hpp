@@ -22,7 +22,7 @@ public:
 
     bool operator[](int i) const { return rests_[i]; }
 
-    // A block begins; in the first one of a window it is looked at which components rest.
+    // Begins a block; the first one of a window finds which components rest.
     void begin_block() {
         if (block_.start / kBlock % kWindow != 0) return;
         for (const int i : candidates_) {

@@ -6,7 +6,7 @@
 //     f_k = sum_p phi_kp F_p,    x+ = E x + f drive,    y_p = sum_k phi_kp (read E x+)_k,
 //
 // 2 n r multiply-adds of one matrix of n r numbers that is loaded once. By rows (pass.hpp) and with responses of 16 samples
-// (Propagate) it were 5 n r + 8 r^2, of 8 n r + 16 r^2 numbers.
+// (Propagate) it would take 5 n r + 8 r^2 multiply-adds and 8 n r + 16 r^2 numbers.
 #pragma once
 
 #include "pass.hpp"

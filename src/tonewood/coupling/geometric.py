@@ -1,11 +1,12 @@
 """Strings whose longitudinal motion is stepped too: phantom partials at sums of transverse ones.
 
-A string moves transversely by v and w and along itself by u. To fourth order in the motion, with the strain
+A string moves transversely by v and w and along itself by u. To fourth order in the motion its strain e stores V,
 
     e = u_x + (v_x^2 + w_x^2) / 2,        V = EA/2 int_0^L e^2 dx,
 
-beside its tension at rest (Bilbao, Numerical Sound Synthesis, 2009, ch. 8; Bank & Sujbert, J. Acoust. Soc. Am. 117,
-2005, Eqs 5-8; Chabassier & Joly, Comput. Methods Appl. Mech. Engrg 199, 2010, whose exact string it approximates).
+beside the energy that the tension at rest stores (Bilbao, Numerical Sound Synthesis, 2009, ch. 8; Bank & Sujbert,
+J. Acoust. Soc. Am. 117, 2005, Eqs 5-8; Chabassier & Joly, Comput. Methods Appl. Mech. Engrg 199, 2010, whose exact
+string it approximates).
 Slopes in cosines, v_x = sum c_i cos(i pi x / L), make the strain a series of cosines,
 
     e_n = s_n + l_n,   s_n = 1/2 sum over polarizations c^T H_n c,   l_n = strain of the longitudinal modes,
@@ -27,8 +28,8 @@ sqrt(2 (U + C)),
 
 c_m the mean of the slopes before the step and of those free of this coupling after it, s_n the mean of both, and l_n
 the mean strain that the longitudinal modes have under s_n, the connections answering: without that answer the end of
-the string would give way. C is the energy of the string when it was chosen and 1e-8 EA L more, so that modes never hold
-more than twice the energy that is there and that little.
+the string would give way. C is 1e-8 EA L more than the energy of the string when C was chosen, so that modes never hold
+more than twice the energy that is there and 1e-8 EA L.
 
 Left out: terms of fifth order, T0 beside EA (below 1 % for steel, 3 % for nylon), shear and rotation. Transverse modes
 above a frequency that the string's maker chooses do not take part in U; they are stepped as without it.

@@ -20,7 +20,7 @@ _SHARE = 0.4
 
 
 def slurred(line: Sequence[Assigned], playing: Playing) -> list[Assigned]:
-    """Return a string's notes, those that overlap the one before in the score with the technique of a slur.
+    """Return a string's notes; those that overlap the one before in the score get the technique of a slur.
 
     A note that names a technique keeps it.
     """
@@ -52,11 +52,12 @@ def laid_on(time: float, model: Model) -> list[Change]:
 
 
 def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: float) -> Iterator[Play]:
-    """Noises of the hands on one string: what fits between the gestures of its notes, in order of time.
+    """Yield the noises of the hands on one string that fit between the gestures of its notes, in order of time.
 
     Parameters
     ----------
     line, plays : notes of the string and their gestures.
+    capo : stop at which the string is held before its first note.
     """
     wanted, end = model.playing.noises, model.playing.note_end
     kept = {k: name for k, name in wanted.named.items() if model.choice.keeps(model.exciters[name])}

@@ -7,7 +7,7 @@ note                      of the key, e.g. ``C#4``; the key's name is the same w
 strings                   how many of them it has, 1 to 6; 1 without the column
 cents_1, cents_2, ...     by which each of them is tuned above the note
 una_corda                 how many of them the hammer meets while that pedal is down
-damped                    ``yes`` or ``no``: whether a damper rests on them
+damped                    ``yes`` or ``no``: whether a damper rests on them; yes without it if a damper is described
 string.PARAMETER          any key of its strings, dotted: ``string.length``, ``string.loss.sigma0``, ``string.end``
 string_2.PARAMETER, ...   of one of them, in place of that: ``string_2.note`` of an octave string
 EXCITER.PARAMETER         any parameter of the exciter that `keys` names, e.g. ``hammer.mass``
