@@ -235,11 +235,20 @@ def check_keys(spec: Bundle, file: Any) -> None:
 
     Raises
     ------
-    BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are.
+    BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are; a key's
+        note is none; or there is no table whose dampers `keys.damper` would describe.
     """
+    if spec.keys and spec.keys.damper and spec.keys.table is None:
+        reason = "is for the rows of a table, which gave them to its keys; keys.entries.NAME.damper is allowed"
+        raise BundleError(reason, file=file, key="keys.damper")
     taken: dict[str, str] = {}
     for name, key in (spec.keys.entries if spec.keys else {}).items():
         at = f"keys.entries.{name}"
+        try:
+            if isinstance(key.note, str):
+                note_number(key.note)
+        except ScoreError as fault:
+            raise BundleError(fault.reason, file=file, key=f"{at}.note") from None
         for string in key.strings:
             if string not in spec.strings:
                 known = f"{did_you_mean(string, spec.strings)}there are {', '.join(spec.strings)}"

@@ -129,6 +129,13 @@ def test_what_a_bundle_says_beside_its_table_is_named(tmp_path: Path, before: st
         tw.load_instrument(tmp_path / "bad")
 
 
+def test_what_would_have_no_effect_is_refused(few: tw.Instrument) -> None:
+    with pytest.raises(BundleError, match=r"keys\.damper: is for the rows of a table.*keys\.entries\.NAME\.damper"):
+        few.replace({"keys.damper.resistance": 5.0})
+    with pytest.raises(BundleError, match=r"keys\.entries\.C4\.note: 'H' is not a note"):
+        few.replace({"keys.entries.C4.note": "H"})
+
+
 def test_keys_may_stand_beside_those_of_the_table(tmp_path: Path) -> None:
     manifest = some_keys(tmp_path / "beside", ["C4"]) / "instrument.yaml"
     own = "  E5: {note: E5, length: 0.3, tension: 700.0, linear_density: 0.006, bending_stiffness: 0.01, end: body.E5}"
