@@ -235,8 +235,8 @@ def check_keys(spec: Bundle, file: Any) -> None:
 
     Raises
     ------
-    BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are; a key's
-        note is none; or there is no table whose dampers `keys.damper` would describe.
+    BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are; a
+        key's note is none; or there is no table whose dampers `keys.damper` would describe.
     """
     if spec.keys and spec.keys.damper and spec.keys.table is None:
         reason = "is for the rows of a table, which gave them to its keys; keys.entries.NAME.damper is allowed"
