@@ -22,6 +22,7 @@ An empty cell leaves the value of ``strings.defaults``, of the exciter or of ``k
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -36,6 +37,9 @@ from tonewood.validation_messages import did_you_mean
 _PLAIN = ("note", "strings", "una_corda", "damped", "kind")
 _YES_NO = {"yes": True, "no": False}
 _MOST = 6
+_WHOLE = re.compile(r"[+-]?[0-9]{1,15}")
+#: signs in names of notes, and what stands for them in the names of keys
+_SIGNS = str.maketrans({"#": "s", "\u266f": "s", "\u266d": "b", "-": "m"})
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
     places: dict[str, tuple[int, str]] = {}
     for line, cells in rows:
         row = _Row(file, line, dict(zip(header, cells, strict=True)))
-        name = row.text("note").replace("#", "s").replace("-", "m")
+        name = row.text("note").translate(_SIGNS)
         if name in entries:
             has = "`keys.entries` has, too" if isinstance(beside, Mapping) and name in beside else "an earlier row has"
             raise row.fault("note", f"is {row.text('note')!r}, which {has}; one row a note is allowed")
@@ -263,7 +267,9 @@ def check_keys(spec: Bundle, file: Any) -> None:
 
 
 def _value(text: str) -> Any:
-    """A number where the cell is one, else its text."""
+    """A number where the cell is one, whole where it is written so, else the text."""
+    if _WHOLE.fullmatch(text):
+        return int(text)
     try:
         return float(text)
     except ValueError:

@@ -129,6 +129,13 @@ def test_what_a_bundle_says_beside_its_table_is_named(tmp_path: Path, before: st
         tw.load_instrument(tmp_path / "bad")
 
 
+def test_cells_of_whole_numbers_and_printed_accidentals(tmp_path: Path) -> None:
+    cells = {"note": "D\u266f4", "string.stops": "3", "string.end": "body.Ds4"}
+    made = piano(tmp_path / "whole", ["C4"], cells)
+    assert made.spec.strings["Ds4_1"].stops == 3
+    assert made.open_note("Ds4_1") == 63
+
+
 def test_what_would_have_no_effect_is_refused(few: tw.Instrument) -> None:
     with pytest.raises(BundleError, match=r"keys\.damper: is for the rows of a table.*keys\.entries\.NAME\.damper"):
         few.replace({"keys.damper.resistance": 5.0})
