@@ -16,6 +16,7 @@ def some_keys(folder: Path, notes: Sequence[str], cells: Mapping[str, str] | Non
     lines = (source / "keys.csv").read_text(encoding="utf-8").splitlines()
     header, *rows = [line.split(",") for line in lines if not line.startswith("#")]
     kept = [dict(zip(header, row, strict=True)) | dict(cells or {}) for row in rows if row[0] in notes]
+    header += [name for name in cells or {} if name not in header]
     text = "\n".join([",".join(header), *(",".join(row[name] for name in header) for row in kept)])
     (folder / "keys.csv").write_text(text + "\n", encoding="utf-8")
     return folder

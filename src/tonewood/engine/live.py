@@ -88,6 +88,8 @@ class LivePlayer:
         self._held: dict[tuple[int, float], list[Voice]] = {}
         self._pedalled: dict[tuple[int, float], Voice] = {}
         self._ending: list[Voice] = []
+        #: notes that the pedal holds, released before their dampers were off the strings for the shortest time
+        self._falling: list[Voice] = []
         #: (string, stop, values) of ways to pluck that are compiled while nothing else is to be done
         self._to_compile: deque[tuple[str, int, Mapping[str, float]]] = deque()
         self._controls: dict[tuple[int, str], float] = {}
@@ -148,6 +150,7 @@ class LivePlayer:
                 self._end(before)
             voice.pedalled = True
             self._pedalled[channel, key] = voice
+            self._falling.append(voice)
         else:
             self._ending.append(voice)
 
@@ -194,6 +197,7 @@ class LivePlayer:
         busy = (
             self._waiting
             or self._ending
+            or self._falling
             or self._to_compile
             or self.dampers.pending
             or any(
@@ -214,6 +218,7 @@ class LivePlayer:
         for line in self._lines.values():
             if self._is_sustained(line.voice):
                 self._continue(line.voice, now)
+        self._let_fall(now)
         self.engine.schedule.add([replace(change, time=now * self.engine.dt) for change in self.dampers.pending])
         self.dampers.pending.clear()
         if self._waiting and now >= self._free_at:
@@ -233,6 +238,15 @@ class LivePlayer:
             line.cents = line.wanted = change.cents
         self._change(now, change)
         return True
+
+    def _let_fall(self, now: int) -> None:
+        """Let the dampers fall of notes that are released and held by the pedal, as far as it lets them."""
+        for voice in list(self._falling):
+            if voice in self._waiting or (voice.string is not None and self._is_young(voice, now)):
+                continue
+            self._falling.remove(voice)
+            if voice.string is not None:
+                self.dampers.release(voice.string)
 
     def _end_one(self, now: int) -> bool:
         """End the first of the notes that were let go; whether there was one that sounds."""

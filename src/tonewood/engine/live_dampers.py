@@ -23,7 +23,7 @@ class LiveDampers:
 
     def __init__(self, model: Model):
         keys = model.instrument.spec.keys
-        self._pedals = None if keys is None else keys.pedals
+        self._pedals = keys.pedals if keys is not None and keys.has_pedals else None
         self._groups = {
             leader: group for leader, group in model.groups.items() if model.strings[leader].damper is not None
         }

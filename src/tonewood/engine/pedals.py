@@ -26,13 +26,15 @@ class PedalCourses:
 
     Parameters
     ----------
-    model : the instrument; without keys nothing is done.
+    model : the instrument; without keys that have pedals nothing is done.
     controls : of the score.
     """
 
     def __init__(self, model: Model, controls: Sequence[Control]):
         self._model = model
-        self._steps = {kind: pressed_farthest(controls, kind) for kind in (SUSTAIN, SOSTENUTO, UNA_CORDA)}
+        keys = model.instrument.spec.keys
+        moved = controls if keys is not None and keys.has_pedals else ()
+        self._steps = {kind: pressed_farthest(moved, kind) for kind in (SUSTAIN, SOSTENUTO, UNA_CORDA)}
 
     def una_corda(self, time: float) -> bool:
         """Whether the una corda pedal is down."""

@@ -146,7 +146,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
 def _ignored(score: Score, model: Model) -> dict[str, int]:
     """Count events ignored while reading, and changes of controllers that neither the player nor the bundle reads."""
     read = {"bend", *_READ_CONTROLLERS, *model.playing.controls, *model.playing.switches}
-    if model.instrument.spec.keys is not None:
+    if (keys := model.instrument.spec.keys) is not None and keys.has_pedals:
         read |= {SOSTENUTO, UNA_CORDA}
     unread = Counter(ignored_name(c.kind) for c in score.controls if c.kind not in read)
     return dict(Counter(score.ignored) + unread)

@@ -19,7 +19,7 @@ from tonewood.instrument.bundle_code import code_hash, code_plugin, is_code
 from tonewood.instrument.contract import Attachment, Body, Exciter, Pickup, Plugin, Resonator
 from tonewood.instrument.directions import polarization_vectors
 from tonewood.instrument.files import Files
-from tonewood.instrument.keys import check_keys, groups, key_exciters, with_keys
+from tonewood.instrument.keys import check_keys, groups, key_exciters, merged, with_keys
 from tonewood.instrument.migration import bundle_edits
 from tonewood.instrument.overrides import apply_overrides
 from tonewood.instrument.schema import Bundle, OutputPart, PluginPart, Provenance
@@ -137,7 +137,7 @@ class Instrument(ModalViews):
         rows = with_keys(values, files)
         try:
             return cls._made_of(rows.values, files, granted, allow_code)
-        except BundleError as fault:
+        except (BundleError, PluginError) as fault:
             raise rows.located(fault) from None
 
     @classmethod
@@ -451,7 +451,7 @@ def _merged(values: Mapping[str, Any], files: Files) -> dict[str, Any]:
         raise BundleError("holds keys that are merged under every string", file=files.manifest, key="strings.defaults")
     rest = {name: part for name, part in strings.items() if name != "defaults"}
     out["strings"] = {
-        name: _merge(defaults, part) if isinstance(part, Mapping) else part for name, part in rest.items()
+        name: merged(defaults, part) if isinstance(part, Mapping) else part for name, part in rest.items()
     }
     return out
 
@@ -460,14 +460,6 @@ def _with_strings(values: dict[str, Any], files: Files) -> dict[str, Any]:
     """Put the string set that a bundle names under its strings."""
     name = values.get("strings_from")
     return values if not isinstance(name, str) else with_set(values, name, over=False, file=files.manifest)
-
-
-def _merge(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    out = dict(under)
-    for key, value in over.items():
-        below = out.get(key)
-        out[key] = _merge(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
-    return out
 
 
 def load_instrument(name_or_path: str | os.PathLike[str], *, allow_code: bool = False) -> Instrument:

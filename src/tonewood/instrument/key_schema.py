@@ -69,3 +69,8 @@ class Keys(Parameters):
     entries: dict[Name, KeyEntry] = described(
         "name -> key, beside those of the table", default={}, max_length=MOST_STRINGS
     )
+
+    @property
+    def has_pedals(self) -> bool:
+        """Whether there is something that pedals move: a damper, or a hammer that una corda shifts."""
+        return any(key.damper is not None or key.una_corda is not None for key in self.entries.values())

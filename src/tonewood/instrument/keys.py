@@ -22,6 +22,7 @@ An empty cell leaves the value of ``strings.defaults``, of the exciter or of ``k
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -36,6 +37,9 @@ from tonewood.validation_messages import did_you_mean
 _PLAIN = ("note", "strings", "una_corda", "damped", "kind")
 _YES_NO = {"yes": True, "no": False}
 _MOST = 6
+_WHOLE = re.compile(r"[+-]?[0-9]{1,15}")
+#: signs in names of notes, and what stands for them in the names of keys
+_SIGNS = str.maketrans({"#": "s", "\u266f": "s", "\u266d": "b", "-": "m"})
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,8 @@ class KeyRows:
     ----------
     values : of the bundle.
     file : of the table.
-    places : dotted path in `values` -> (line, column, or the words before the dots of the columns below it).
+    places : dotted path in `values` -> (line, column, or the words before the dots of the columns below it); line 0 for
+        what stands in the bundle itself, under that key.
     """
 
     values: Mapping[str, Any]
@@ -60,6 +65,8 @@ class KeyRows:
             if path in self.places:
                 line, column = self.places[path]
                 key = ".".join(part for part in (column, below) if part)
+                if not line:
+                    return type(fault)(fault.reason, file=fault.file, key=key)
                 return type(fault)(fault.reason, file=self.file, line=line, key=key)
             path, _, last = path.rpartition(".")
             below = f"{last}.{below}" if below else last
@@ -81,14 +88,18 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
     header, rows, file = files.cells(keys["table"], "keys.table")
     exciter = keys.get("exciter")
     _check_columns(header, rows[0][0] - 1, exciter, file)
-    entries: dict[str, Any] = {}
+    damper = keys["damper"] if isinstance(keys.get("damper"), Mapping) else {}
+    others = strings if isinstance(strings, Mapping) else {}
+    beside = keys.get("entries", {})
+    entries: dict[str, Any] = {**beside} if isinstance(beside, Mapping) else {}
     made: dict[str, Any] = {}
     places: dict[str, tuple[int, str]] = {}
     for line, cells in rows:
         row = _Row(file, line, dict(zip(header, cells, strict=True)))
-        name = row.text("note").replace("#", "s").replace("-", "m")
+        name = row.text("note").translate(_SIGNS)
         if name in entries:
-            raise row.fault("note", f"is {row.text('note')!r}, which an earlier row has; one row a note is allowed")
+            has = "`keys.entries` has, too" if isinstance(beside, Mapping) and name in beside else "an earlier row has"
+            raise row.fault("note", f"is {row.text('note')!r}, which {has}; one row a note is allowed")
         try:
             note_number(row.text("note"))
         except ScoreError as fault:
@@ -97,28 +108,33 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
         of = [name] if count == 1 else [f"{name}_{i + 1}" for i in range(count)]
         if len(made) + count > MOST_STRINGS:
             raise row.fault("strings", f"makes more than the {MOST_STRINGS} strings allowed")
+        for string in of:
+            if string in others:
+                raise row.fault("note", f"makes string {string}, which `strings` has, too; one of them is allowed")
+        row.check_strings(count)
         entry: dict[str, Any] = {"note": row.text("note"), "strings": of}
         if row.cells.get("una_corda"):
             entry["una_corda"] = row.whole("una_corda", 1)
         if row.cells.get("kind"):
             entry["kind"] = row.text("kind")
-        damper = {**keys["damper"]} if isinstance(keys.get("damper"), Mapping) else {}
-        damper |= row.below("damper")
-        if row.answer("damped", bool(damper)):
-            entry["damper"] = damper
+        own_damper = row.below("damper")
+        if row.answer("damped", bool(damper or own_damper)):
+            entry["damper"] = merged(damper, own_damper)
         if exciter is not None:
             entry["exciter"] = row.below(exciter)
         entries[name] = entry
         own = row.below("string")
         for i, string in enumerate(of):
             part = {"note": entry["note"], "cents": row.number(f"cents_{i + 1}", 0.0), **own}
-            part |= row.below(f"string_{i + 1}")
+            part = merged(part, row.below(f"string_{i + 1}"))
             if "end" not in part and not (isinstance(defaults, Mapping) and "end" in defaults):
                 part["end"] = f"body.{name}"
             made[string] = part
-        places |= _places(name, of, exciter, line)
-    others = strings if isinstance(strings, Mapping) else {}
-    expanded = {**keys, "table": None, "damper": {}, "entries": entries}
+        places |= _places(name, of, exciter, row, defaults, damper)
+    known = entries if isinstance(beside, Mapping) else beside
+    expanded = {**keys, "table": None, "damper": {}, "entries": known}
+    if not isinstance(keys.get("damper", {}), Mapping):
+        expanded["damper"] = keys["damper"]
     return KeyRows({**values, "keys": expanded, "strings": {**others, **made}}, file, places)
 
 
@@ -177,8 +193,19 @@ class _Row:
             holder = out
             for key in above:
                 holder = holder.setdefault(key, {})
+                if not isinstance(holder, dict):
+                    raise self.fault(column, f"has a value beside one of {key!r} itself; one of the two is allowed")
+            if last in holder:
+                raise self.fault(column, "has a value beside those of the columns below it; one of the two is allowed")
             holder[last] = _value(text)
         return out
+
+    def check_strings(self, count: int) -> None:
+        """Check that no cell is of a string that the key does not have."""
+        for column, text in self.cells.items():
+            number = column.partition(".")[0].rpartition("_")
+            if text and number[0] in ("cents", "string") and int(number[2]) > count:
+                raise self.fault(column, f"is of string {number[2]}; the row has {count}, by its column strings")
 
 
 def groups(spec: Bundle) -> dict[str, tuple[str, ...]]:
@@ -212,11 +239,20 @@ def check_keys(spec: Bundle, file: Any) -> None:
 
     Raises
     ------
-    BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are.
+    BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are; a
+        key's note is none; or there is no table whose dampers `keys.damper` would describe.
     """
+    if spec.keys and spec.keys.damper and spec.keys.table is None:
+        reason = "is for the rows of a table, which gave them to its keys; keys.entries.NAME.damper is allowed"
+        raise BundleError(reason, file=file, key="keys.damper")
     taken: dict[str, str] = {}
     for name, key in (spec.keys.entries if spec.keys else {}).items():
         at = f"keys.entries.{name}"
+        try:
+            if isinstance(key.note, str):
+                note_number(key.note)
+        except ScoreError as fault:
+            raise BundleError(fault.reason, file=file, key=f"{at}.note") from None
         for string in key.strings:
             if string not in spec.strings:
                 known = f"{did_you_mean(string, spec.strings)}there are {', '.join(spec.strings)}"
@@ -231,7 +267,9 @@ def check_keys(spec: Bundle, file: Any) -> None:
 
 
 def _value(text: str) -> Any:
-    """A number where the cell is one, else its text."""
+    """A number where the cell is one, whole where it is written so, else the text."""
+    if _WHOLE.fullmatch(text):
+        return int(text)
     try:
         return float(text)
     except ValueError:
@@ -253,11 +291,30 @@ def _check_columns(header: list[str], line: int, exciter: Any, file: str) -> Non
         raise BundleError("is missing among the columns", file=file, line=max(line, 1), key="note")
 
 
-def _places(name: str, strings: list[str], exciter: Any, line: int) -> dict[str, tuple[int, str]]:
+def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of `under` with those of `over` in their place, mapping by mapping."""
+    out = dict(under)
+    for key, value in over.items():
+        below = out.get(key)
+        out[key] = merged(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+    return out
+
+
+def _places(
+    name: str, strings: list[str], exciter: Any, row: _Row, defaults: Any, damper: Mapping[str, Any]
+) -> dict[str, tuple[int, str]]:
     """Dotted path of what a row gives -> its line, and the words in the header that stand for the path."""
-    out = {f"keys.entries.{name}": (line, ""), f"keys.{name}.{exciter}": (line, str(exciter))}
+    line, entry = row.line, f"keys.entries.{name}"
+    out = {entry: (line, ""), f"keys.{name}.{exciter}": (line, str(exciter))}
+    out |= {f"{entry}.damper.{key}": (0, f"keys.damper.{key}") for key in damper}
+    given = [column.partition(".") for column, text in row.cells.items() if text]
+    out |= {f"{entry}.damper.{path}": (line, f"damper.{path}") for head, _, path in given if head == "damper"}
     for i, string in enumerate(strings):
-        out[f"strings.{string}"] = line, "string"
-        out[f"strings.{string}.note"] = line, "note"
-        out[f"strings.{string}.cents"] = line, f"cents_{i + 1}"
+        at = f"strings.{string}"
+        out[at] = line, "string"
+        if isinstance(defaults, Mapping):
+            out |= {f"{at}.{key}": (0, f"strings.defaults.{key}") for key in defaults}
+        out |= {f"{at}.note": (line, "note"), f"{at}.cents": (line, f"cents_{i + 1}")}
+        for own in ("string", f"string_{i + 1}"):
+            out |= {f"{at}.{path}": (line, f"{own}.{path}") for head, _, path in given if head == own and path}
     return out

@@ -91,7 +91,7 @@ def make_outputs(instrument: Instrument, wanted: Sequence[str] | None, scene: Sc
 
     Raises
     ------
-    BundleError : there is no group of that name.
+    BundleError : there is no group of that name, or two channels of a group have one name.
     """
     names = list(instrument.pickups)
     chosen = names[:1] if wanted is None else list(wanted)
@@ -110,6 +110,10 @@ def make_outputs(instrument: Instrument, wanted: Sequence[str] | None, scene: Sc
     for part in instrument.spec.outputs:
         if part.name not in chosen:
             continue
+        channels = instrument.pickups[part.name].channels
+        if twice := [name for i, name in enumerate(channels) if name in channels[:i]]:
+            reason = f"has {twice[0]!r} twice; every channel has a name of its own"
+            raise BundleError(reason, file=instrument.folder / MANIFEST, key=f"outputs.{part.name}.channels")
         rows = instrument.pickups[part.name].rows(part.name, scene)
         groups.append(_group(instrument, part, rows, len(readouts)))
         readouts += rows.readouts

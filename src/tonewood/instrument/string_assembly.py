@@ -141,6 +141,13 @@ def _string(
                 file=instrument.folder / MANIFEST,
                 key=f"strings.{name}.points.{point}",
             )
+    if string.damper is not None and not 0 < string.damper[1] < shortest:
+        raise BundleError(
+            f"puts the damper of string {name} {string.damper[1]:g} m from the bridge; places between 0 and "
+            f"{shortest:g} m are allowed",
+            file=instrument.folder / MANIFEST,
+            key=f"keys.entries.{key}.damper.from_bridge",
+        )
     return string
 
 

@@ -61,7 +61,7 @@ def damper_rates(basis: ModalBasis, resistance: float, place: float, width: floa
     offsets = width * ((np.arange(_PLACES) + 0.5) / _PLACES - 0.5)
     shapes = np.array([basis.shape(place + x) for x in offsets])
     rates: Floats = 0.5 * resistance * np.mean(shapes**2, axis=0)
-    if basis.n_modes < 2:
+    if basis.n_modes < 2 or not rates.any():
         return rates
     held = HeldModes.of(basis, "bridge")
     wanted = 0.5 * resistance * np.mean((shapes @ held.vectors.T) ** 2, axis=0)

@@ -213,3 +213,13 @@ def test_a_snapshot_goes_on_to_the_last_bit(model: Model) -> None:
     first = engine.advance(40)
     engine.restore(kept)
     assert np.array_equal(np.concatenate([engine.advance(1) for _ in range(40)]), first)
+
+
+def test_pedals_of_courses_without_dampers_are_reported_as_ignored() -> None:
+    courses_only = ta.assemble(tw.load_instrument("twelve_string_guitar"), 8000)
+    pressed = [tw.Control(0.0, kind, 1.0) for kind in ("cc66", "cc67")]
+    found = perform(tw.Score([tw.Note(0.1, note=45)], pressed), courses_only)
+    assert sum(found.ignored.values()) == 2
+    live = tw.Live(tw.load_instrument("twelve_string_guitar"), prepare=False, fs=8000)
+    live.control(67, 1.0)
+    assert sum(live.summary().ignored.values()) == 1

@@ -77,10 +77,16 @@ def test_overrides_reach_what_a_table_gave(few: tw.Instrument) -> None:
         ({"damper.resistance": "-1"}, r"keys\.csv: line 2: damper\.resistance: .*at least 0"),
         ({"kind": "invented"}, r"keys\.csv: line 2: kind: .*published"),
         ({"string.loss.sigma0": "-1"}, r"keys\.csv: line 2: string\.loss\.sigma0: .*at least 0"),
+        ({"string.loss": "2"}, r"keys\.csv: line 2: string\.loss: has a value beside those of the columns below"),
+        ({"string.plugin": "nope"}, r"keys\.csv: line 2: string\.plugin: there is no plugin 'nope'"),
+        ({"string_2.end": "body.nix"}, r"keys\.csv: line 2: string_2\.end: there is no point 'body\.nix'"),
+        ({"cents_4": "1"}, r"keys\.csv: line 2: cents_4: is of string 4; the row has 3"),
+        ({"string_5.note": "C5"}, r"keys\.csv: line 2: string_5\.note: is of string 5; the row has 3"),
+        ({"damper.foo": "1"}, r"keys\.csv: line 2: damper\.foo: is not a known key; allowed: from_bridge, width"),
     ],
 )
 def test_a_bad_cell_is_named(tmp_path: Path, cells: dict[str, str], line: str) -> None:
-    with pytest.raises(BundleError, match=line):
+    with pytest.raises(tw.TonewoodError, match=line):
         piano(tmp_path / "bad", ["C4"], cells)
 
 
@@ -98,6 +104,72 @@ def test_a_bad_header_is_named(tmp_path: Path, before: str, after: str, line: st
     table.write_text(table.read_text().replace(before, after, 1))
     with pytest.raises(BundleError, match=line):
         tw.load_instrument(tmp_path / "bad")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "line"),
+    [
+        ("0.84}", "84}", r"instrument\.yaml: line \d+: keys\.damper\.from_bridge\.fraction: is 84; at most 1"),
+        ("  damper: {", "  pedal: {}\n  damper: {", r"yaml: line \d+: keys\.pedal: is not a known key; .*pedals"),
+        ("  damper: {from_bridge: {fraction: 0.84}}", "  damper: 5", r"keys\.damper: .*valid dictionary, not 5"),
+        (
+            "  damper: {",
+            "  entries: {C4: {note: E4, strings: [C4_1]}}\n  damper: {",
+            r"note: is 'C4', which `keys",
+        ),
+        ("strings:\n", "strings:\n  C4_2: {note: C4}\n", r"note: makes string C4_2, which `strings` has, too"),
+    ],
+)
+def test_what_a_bundle_says_beside_its_table_is_named(tmp_path: Path, before: str, after: str, line: str) -> None:
+    manifest = some_keys(tmp_path / "bad", ["C4"]) / "instrument.yaml"
+    text = manifest.read_text()
+    assert before in text
+    manifest.write_text(text.replace(before, after, 1))
+    with pytest.raises(BundleError, match=line):
+        tw.load_instrument(tmp_path / "bad")
+
+
+def test_cells_of_whole_numbers_and_printed_accidentals(tmp_path: Path) -> None:
+    cells = {"note": "D\u266f4", "string.stops": "3", "string.end": "body.Ds4"}
+    made = piano(tmp_path / "whole", ["C4"], cells)
+    assert made.spec.strings["Ds4_1"].stops == 3
+    assert made.open_note("Ds4_1") == 63
+
+
+def test_what_would_have_no_effect_is_refused(few: tw.Instrument) -> None:
+    with pytest.raises(BundleError, match=r"keys\.damper: is for the rows of a table.*keys\.entries\.NAME\.damper"):
+        few.replace({"keys.damper.resistance": 5.0})
+    with pytest.raises(BundleError, match=r"keys\.entries\.C4\.note: 'H' is not a note"):
+        few.replace({"keys.entries.C4.note": "H"})
+
+
+def test_keys_may_stand_beside_those_of_the_table(tmp_path: Path) -> None:
+    manifest = some_keys(tmp_path / "beside", ["C4"]) / "instrument.yaml"
+    own = "  E5: {note: E5, length: 0.3, tension: 700.0, linear_density: 0.006, bending_stiffness: 0.01, end: body.E5}"
+    text = manifest.read_text().replace("strings:\n", f"strings:\n{own}\n", 1)
+    manifest.write_text(text.replace("  exciter: h", "  entries: {X: {note: E5, strings: [E5]}}\n  exciter: h", 1))
+    made = tw.load_instrument(tmp_path / "beside")
+    assert set(made.spec.keys.entries) == {"C4", "X"}
+    assert set(made.groups) == {"C4_1", "E5"}
+
+
+def test_one_string_of_a_row_keeps_what_its_own_columns_leave(tmp_path: Path) -> None:
+    loss = piano(tmp_path / "own", ["C4"], {"string_2.loss.sigma0": "0.5"}).resonators["C4_2"].parameters.loss
+    assert (loss.sigma0, loss.sigma1) == (0.5, 0.00031)
+
+
+def test_a_damper_lies_on_its_string(tmp_path: Path) -> None:
+    away = piano(tmp_path / "away", ["C4"]).replace({"keys.entries.C4.damper.from_bridge": 3.0})
+    with pytest.raises(BundleError, match=r"keys\.entries\.C4\.damper\.from_bridge: puts .* 3 m.*0 and 0\.657 m"):
+        ta.assemble(away, 8000)
+
+
+def test_a_damper_without_resistance_takes_nothing(tmp_path: Path) -> None:
+    model = ta.assemble(piano(tmp_path / "soft", ["C4"], {"damper.resistance": "0"}), 8000)
+    string = model.strings["C4_1"]
+    bases = string.bases(0.0)
+    for name, basis in string.under_damper(bases, 1.0).items():
+        assert (basis.poles == bases[name].poles).all()
 
 
 def test_a_table_may_not_make_any_number_of_strings(tmp_path: Path) -> None:

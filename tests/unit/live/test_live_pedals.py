@@ -68,3 +68,13 @@ def test_blocks_change_nothing(grand: tw.Instrument) -> None:
     }
     first = played(grand, events, 0.5, 64)
     assert np.array_equal(first, played(grand, events, 0.5, 1000))
+
+
+def test_a_key_struck_and_released_at_once_does_not_lift_the_half_pressed_dampers(grand: tw.Instrument) -> None:
+    def struck(released: float) -> np.ndarray:
+        half = {0.0: lambda live: live.control(64, 0.5), 0.05: lambda live: live.note_on("C4", 90)}
+        return played(grand, half | {released: lambda live: live.note_off("C4")})
+
+    # 10 ms are shorter than the shortest note, 20 ms; 30 ms longer
+    short, longer = struck(0.06), struck(0.08)
+    assert level(short, 0.9, 1.2) == pytest.approx(level(longer, 0.9, 1.2), abs=1.0)

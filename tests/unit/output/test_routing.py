@@ -82,3 +82,9 @@ def test_more_than_two_channels_have_no_pan() -> None:
     )
     with pytest.raises(BundleError, match=r"outputs.microphones.pan: is for outputs of one or two channels; .* has 3"):
         tw.Renderer(SCORE, guitar, FS)
+
+
+@pytest.mark.parametrize("output", ["microphones", "listener"])
+def test_every_channel_has_a_name_of_its_own(output: str) -> None:
+    with pytest.raises(BundleError, match=rf"outputs\.{output}\.channels: has 'left' twice"):
+        rendered("classical_guitar", {f"outputs.{output}.channels": ["left", "left"]}, outputs=[output])
