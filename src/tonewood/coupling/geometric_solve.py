@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tonewood.coupling.geometric import GeometricShare, GeometricShares
 from tonewood.coupling.system import System
 from tonewood.coupling.tension import pay_from_motion
-from tonewood.coupling.tension_solve import RESET_STEPS, TensionSolve, TensionsOverStep
+from tonewood.coupling.tension_solve import RESET_STEPS, RisingSolve, TensionSolve, TensionsOverStep
 
 Floats = NDArray[np.float64]
 
@@ -18,8 +18,8 @@ Floats = NDArray[np.float64]
 LEAST_SHIFT = 1e-8
 
 
-class GeometricSolve:
-    """Steps the strings of a system whose longitudinal motion is coupled; used as `tension_solve.TensionSolve` is.
+class GeometricSolve(RisingSolve):
+    """Steps the strings of a system whose longitudinal motion is coupled, and those beside them.
 
     A row of a state's ``tension`` is the mean additional tension of the last step, N; the shift C, J, with the sign of
     psi; 0; and what V = psi^2 / 2 - C is beyond U, J. A row of zeros is a string whose C is still to be chosen.
@@ -38,14 +38,7 @@ class GeometricSolve:
         return part
 
     def over(self, x: Sequence[Floats], free: Sequence[Floats], forces: Floats, tension: Floats) -> TensionsOverStep:
-        """Prepare a step.
-
-        Parameters
-        ----------
-        x, free : states before, and after a step without connection forces.
-        forces : (m,) N, of the linear connections without this coupling.
-        tension : (n_strings, 4) of the state.
-        """
+        """See `RisingSolve`."""
         s, count = self.system, len(self.strings)
         driven = self._moved(free, forces)
         ends = [self._coordinates(q, x) for q in range(count)], [self._coordinates(q, driven) for q in range(count)]
@@ -79,20 +72,10 @@ class GeometricSolve:
         return TensionsOverStep(reach, own, start, s.solve.G, modal, per_mean)
 
     def carried(
-        self,
-        x: Sequence[Floats],
-        after: Sequence[Floats],
-        over: TensionsOverStep,
-        mean: Floats,
-        tension: Floats,
+        self, x: Sequence[Floats], after: Sequence[Floats], over: TensionsOverStep, mean: Floats, tension: Floats,
         step: int,
-    ) -> Floats:
-        """Rows of the state after a step, made by psi_m; resets `after` in place where the step calls for it.
-
-        Parameters
-        ----------
-        step : number of the step's end since time 0.
-        """
+    ) -> Floats:  # fmt: skip
+        """See `RisingSolve`."""
         out = np.zeros_like(tension)
         for q, (t, string) in enumerate(zip(self.index, self.strings, strict=True)):
             shift, psi = self._psi(q, x, tension[t])
@@ -101,13 +84,13 @@ class GeometricSolve:
             if step % RESET_STEPS == 0:
                 states = [after[slot] for slot in self.slots[q]]
                 excess += pay_from_motion([part.velocity[:, : part.n] for part in string.parts], states, -excess)
-                shift = np.copysign(self._shift(q, after, string.energy(self._coordinates(q, after)) + excess), 1.0)
-                psi = 1.0
+                shift = self._shift(q, after, string.energy(self._coordinates(q, after)) + excess)
+                psi = 1.0  # above zero where it begins anew
             out[t] = over.per_mean[q] * mean[q], np.copysign(shift, psi), 0.0, excess
         return out
 
     def energies(self, x: Sequence[Floats], tension: Floats) -> Floats:
-        """(n_strings,) V, J, of states by component slot; 0 of strings that are not coupled."""
+        """See `RisingSolve`."""
         out = np.zeros(len(self.system.rising))
         for q, (t, string) in enumerate(zip(self.index, self.strings, strict=True)):
             out[t] = string.energy(self._coordinates(q, x)) + (tension[t, 3] if tension.size else 0.0)
@@ -158,7 +141,7 @@ class GeometricSolve:
         return {i: free[i] + np.einsum("p,pmx->mx", s.incidence(i).T @ forces, s.compiled[i].W) for i in slots}
 
 
-def rising_solve(system: System) -> TensionSolve | GeometricSolve | None:
+def rising_solve(system: System) -> RisingSolve | None:
     """Solve for the strings of a system whose tension rises, if there are any."""
     if any(system.tension_on):
         return TensionSolve(system)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -65,11 +66,56 @@ class TensionsOverStep:
         return [xi + self.modal[i][2] * mean[self.modal[i][0]] if i in self.modal else xi for i, xi in enumerate(x)]
 
 
-class TensionSolve:
-    """Steps the tensions of a system that are on.
+class RisingSolve(ABC):
+    """Steps the strings of a system whose tension rises; a string has a row of the state's ``tension``.
 
-    A row of a state's ``tension`` is the mean additional tension of the last three steps, latest first, and
-    psi - sqrt(kappa) S.
+    Attributes
+    ----------
+    system : of which it steps them.
+    index : rows of the strings that are on.
+    slots : of the components of each of these strings.
+    """
+
+    system: System
+    index: list[int]
+    slots: list[list[int]]
+
+    @abstractmethod
+    def over(self, x: Sequence[Floats], free: Sequence[Floats], forces: Floats, tension: Floats) -> TensionsOverStep:
+        """Prepare a step.
+
+        Parameters
+        ----------
+        x, free : states by component slot before, and after a step without connection forces.
+        forces : (m,) N, of the linear connections without these strings.
+        tension : (n_strings, 4) of the state.
+        """
+
+    @abstractmethod
+    def carried(
+        self, x: Sequence[Floats], after: Sequence[Floats], over: TensionsOverStep, mean: Floats, tension: Floats,
+        step: int,
+    ) -> Floats:  # fmt: skip
+        """Rows of the state after a step, (n_strings, 4); resets `after` in place where the step calls for it.
+
+        Parameters
+        ----------
+        x, after : states by component slot before and after the step.
+        over : what `over` returned for the step, and `mean` (s,) its psi_m, sqrt(J).
+        tension : (n_strings, 4) of the state before the step.
+        step : number of the step's end since time 0.
+        """
+
+    @abstractmethod
+    def energies(self, x: Sequence[Floats], tension: Floats) -> Floats:
+        """(n_strings,) V, J, of states by component slot; 0 of strings that are off."""
+
+
+class TensionSolve(RisingSolve):
+    """Steps strings without longitudinal motion.
+
+    A row of a state's ``tension`` is the mean additional tension of the last three steps, latest first, N, and
+    psi - sqrt(kappa) S, sqrt(J).
     """
 
     def __init__(self, system: System):
@@ -85,14 +131,7 @@ class TensionSolve:
         self.roots = np.sqrt([string[0][1].kappa for string in self.strings])
 
     def over(self, x: Sequence[Floats], free: Sequence[Floats], forces: Floats, tension: Floats) -> TensionsOverStep:
-        """Prepare a step.
-
-        Parameters
-        ----------
-        x, free : states before, and after a step without connection forces.
-        forces : (m,) N, of the linear connections without tensions.
-        tension : (n_tensions, 4) of the state.
-        """
+        """See `RisingSolve`."""
         s, count = self.system, len(self.strings)
         reach, own, power = np.zeros((len(s.connections), count)), np.zeros(count), np.zeros(count)
         modal: dict[int, tuple[int, Floats, Floats]] = {}
@@ -112,20 +151,10 @@ class TensionSolve:
         return TensionsOverStep(reach, own, psi + 0.5 * power, s.solve.G, modal, 2 * self.roots)
 
     def carried(
-        self,
-        x: Sequence[Floats],
-        after: Sequence[Floats],
-        over: TensionsOverStep,
-        mean: Floats,
-        tension: Floats,
+        self, x: Sequence[Floats], after: Sequence[Floats], over: TensionsOverStep, mean: Floats, tension: Floats,
         step: int,
-    ) -> Floats:
-        """Rows of the state after a step, made by psi_m; resets `after` in place where the step calls for it.
-
-        Parameters
-        ----------
-        step : number of the step's end since time 0.
-        """
+    ) -> Floats:  # fmt: skip
+        """See `RisingSolve`."""
         out = np.zeros_like(tension)
         psi = self.roots * self._stretches(x) + tension[self.index, 3]
         excess = 2 * mean - psi - self.roots * self._stretches(after)
@@ -136,7 +165,7 @@ class TensionSolve:
         return out
 
     def energies(self, x: Sequence[Floats], tension: Floats) -> Floats:
-        """(n_tensions,) V, J, of states by component slot; 0 of tensions that are off."""
+        """See `RisingSolve`."""
         out = np.zeros(len(self.system.tensions))
         excess = tension[self.index, 3] if tension.size else 0.0
         out[self.index] = 0.5 * (self.roots * self._stretches(x) + excess) ** 2
