@@ -66,10 +66,11 @@ class Scene:
 
     def run(self, seconds: float) -> NDArray[np.float64]:
         """Return the time that each block takes."""
-        state = self.stepper.start()
+        state, left = self.stepper.start(), self.injections
         marks = [time.perf_counter()]
         for _ in range(int(seconds / self.stepper.system.dt) // BLOCK):
-            self.stepper.advance(state, BLOCK, self.injections)
+            self.stepper.advance(state, BLOCK, left)
+            left = [i for i in left if i.stop > state.sample]
             marks.append(time.perf_counter())
         return np.diff(marks)
 
