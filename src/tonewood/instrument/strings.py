@@ -31,6 +31,8 @@ Floats = NDArray[np.float64]
 _RETENSION = 5.0
 #: cached bases of stops between whole ones: a slide passes hundreds
 _PASSING_STOPS = 32
+#: bases with their named points that are kept for other tensions: of the last stops and places of a pluck
+_PLACED = 8
 
 
 class StringModel:
@@ -86,6 +88,8 @@ class StringModel:
         self._attached: dict[float, tuple[Attached, ...]] = {}
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._bases: dict[float, ModalBasis] = {}
+        #: stop, points, those that do not move, width of the pluck -> basis with them at the first guess of its tension
+        self._placed: dict[tuple[object, ...], ModalBasis] = {}
         self._gains: dict[float, float] = {}
         #: number of modes and length -> what the damper adds to their rates
         self._damper_rates: dict[tuple[int, float], Floats] = {}
@@ -251,16 +255,28 @@ class StringModel:
         if bend_cents:
             tension *= ratio_of_cents(bend_cents * self._bend_gain(end)) ** 2
         out: dict[str, ModalBasis] = {}
+        width = pluck_width or self.pluck_width
+        placed = self._with_points(end, here, beyond, width)
         for polarization in self.polarizations:
-            basis = self.resonator.detuned(base, tension * self._detune(polarization, end) ** 2)
-            if not whole:
-                basis = below(basis, self._freq_limit)
-            basis = with_still_points(basis.with_places(here), beyond)
-            width = pluck_width or self.pluck_width
-            out[polarization.component] = spread(basis, "pluck", width) if width else basis
+            own = tension * self._detune(polarization, end) ** 2
+            basis = self.resonator.detuned(placed, own)
+            if basis.points != placed.points or not (whole or np.all(basis.natural_freq < self._freq_limit)):
+                # modes above the limit leave their compliance at points that are read afterwards
+                basis = self.resonator.detuned(base, own)
+                basis = with_points(basis if whole else below(basis, self._freq_limit), here, beyond, width)
+            out[polarization.component] = basis
         if self.longitudinal:
             out[self.longitudinal.component] = self._longitudinal(end, self.longitudinal.motion)
         return damped(out, added_damping) if added_damping else out
+
+    def _with_points(self, end: float, here: Mapping[str, float], beyond: Sequence[str], width: float) -> ModalBasis:
+        """Return the basis of a stop at a first guess of its tension with these points; the last ones are cached."""
+        key = (end, tuple(here.items()), tuple(beyond), width)
+        if key not in self._placed:
+            if len(self._placed) >= _PLACED:
+                del self._placed[next(iter(self._placed))]
+            self._placed[key] = with_points(self._untuned(end), here, beyond, width)
+        return self._placed[key]
 
     def under_damper(self, bases: Mapping[str, ModalBasis], share: float) -> dict[str, ModalBasis]:
         """Return bases of the string with a share of its damper's loss added; see `tonewood.modal.damper`."""
@@ -450,6 +466,12 @@ def held_freq(basis: ModalBasis) -> float | None:
     octave = 2 * math.sqrt(float(basis.stiffness.min()))
     zero = Joint([ports]).newton(octave * complex(-1e-5, 1.0), steps=80)
     return None if zero is None else zero.imag / (2 * math.pi)
+
+
+def with_points(basis: ModalBasis, places: Mapping[str, float], still: Sequence[str], width: float) -> ModalBasis:
+    """Return a basis with points at places (m), points that do not move, and ``pluck`` as a mean over a width (m)."""
+    basis = with_still_points(basis.with_places(places), still)
+    return spread(basis, "pluck", width) if width else basis
 
 
 def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:

@@ -121,7 +121,7 @@ class Course:
         """Cut a force into steps; parameters as of `compile_force`."""
         earliest = -math.inf if first is None else first
         parts: list[tuple[int, float, float, tuple[float, float, float]]] = []
-        whole: list[tuple[int, Floats]] = []
+        whole: list[tuple[int, int, float, Segment]] = []
         for piece in pieces:
             begin, end = (time + piece.start) / dt, (time + piece.stop) / dt
             if not end > begin:
@@ -133,15 +133,17 @@ class Course:
                     parts.append((n, a * dt, b * dt, piece.shifted((n + a - begin) * dt)))
             full0 = full0 if first is None else max(full0, first)
             if full1 > full0:
-                at = (np.arange(full0, full1) - begin) * dt
-                values = np.empty((3, full1 - full0))
-                values[0] = piece.c0 + at * (piece.c1 + piece.c2 * at)
-                values[1], values[2] = piece.c1 + 2 * piece.c2 * at, piece.c2
-                whole.append((full0, values))
-        start, stop = min((n for n, _ in whole), default=0), max((n + c.shape[1] for n, c in whole), default=0)
+                whole.append((full0, full1, begin, piece))
+        start, stop = min((w[0] for w in whole), default=0), max((w[1] for w in whole), default=0)
         total = np.zeros((3, stop - start))
-        for n, values in whole:
-            total[:, n - start : n - start + values.shape[1]] += values
+        if whole:
+            n = [full1 - full0 for full0, full1, *_ in whole]
+            steps = np.concatenate([np.arange(full0, full1) for full0, full1, *_ in whole])
+            numbers = np.array([(begin, piece.c0, piece.c1, piece.c2) for *_, begin, piece in whole])
+            begins, c0, c1, c2 = np.repeat(numbers, n, axis=0).T
+            at = (steps - begins) * dt
+            for row, values in zip(total, (c0 + at * (c1 + c2 * at), c1 + 2 * c2 * at, c2), strict=True):
+                np.add.at(row, steps - start, values)
         return cls(dt, tuple(parts), start, total)
 
     @cached_property
@@ -175,8 +177,7 @@ class Course:
             if self.parts:
                 steps, begin, end, coefficients = zip(*self.parts, strict=True)
                 each = moments(np.array(begin), np.array(end), np.array(coefficients).T, self.dt, n_cells)
-                for step, moment in zip(steps, each, strict=True):
-                    out[self.steps.index(step)] += moment
+                np.add.at(out, np.searchsorted(self.steps, steps), each)
             self._known[n_cells] = out
         return self._known[n_cells]
 

@@ -350,7 +350,7 @@ class KernelStepper:
             state.modes,
             out,
             active_forces,
-            [self._pack_injection(i, state) for i in active],
+            self._pack_injections(active, state.sample),
             law_forces,
             list(self.system.controlled(controls, state.sample, n).items()),
             series,
@@ -380,11 +380,14 @@ class KernelStepper:
         """Return the state of rest."""
         return self.system.start()
 
-    def _pack_injection(self, injection: Injection, state: State) -> tuple[int, int, Floats, Floats]:
-        known = self._packed.get(id(injection))
-        if known is None or known[0] is not injection:
-            for key in [k for k, v in self._packed.items() if v[0].stop <= state.sample]:
-                del self._packed[key]
-            known = (injection, packed(injection.vectors), np.ascontiguousarray(injection.values))
+    def _pack_injections(self, active: Sequence[Injection], now: int) -> list[tuple[int, int, Floats, Floats]]:
+        """Return slot, first step, vectors and values of each; those of the run before are not packed again."""
+        before, self._packed = self._packed, {}
+        out = []
+        for injection in active:
+            known = before.get(id(injection))
+            if known is None or known[0] is not injection:
+                known = (injection, packed(injection.vectors), np.ascontiguousarray(injection.values))
             self._packed[id(injection)] = known
-        return self.system.slot(injection.component), injection.start - state.sample, known[1], known[2]
+            out.append((self.system.slot(injection.component), injection.start - now, known[1], known[2]))
+        return out
