@@ -16,6 +16,9 @@ from tonewood.modal.propagator import SERIES_TERMS, impulse_series, moments, rea
 
 Floats = NDArray[np.float64]
 
+#: steps with breakpoints that lie so far apart are injected one by one, others together
+_APART = 64
+
 
 @dataclass(frozen=True, slots=True)
 class Segment:
@@ -137,10 +140,10 @@ class Course:
         start, stop = min((w[0] for w in whole), default=0), max((w[1] for w in whole), default=0)
         total = np.zeros((3, stop - start))
         if whole:
-            n = [full1 - full0 for full0, full1, *_ in whole]
+            counts = [full1 - full0 for full0, full1, *_ in whole]
             steps = np.concatenate([np.arange(full0, full1) for full0, full1, *_ in whole])
             numbers = np.array([(begin, piece.c0, piece.c1, piece.c2) for *_, begin, piece in whole])
-            begins, c0, c1, c2 = np.repeat(numbers, n, axis=0).T
+            begins, c0, c1, c2 = np.repeat(numbers, counts, axis=0).T
             at = (steps - begins) * dt
             for row, values in zip(total, (c0 + at * (c1 + c2 * at), c1 + 2 * c2 * at, c2), strict=True):
                 np.add.at(row, steps - start, values)
@@ -161,8 +164,13 @@ class Course:
         n_cells, n_terms, n_modes, _ = impulses.shape
         added = factor * (self._moments(n_cells) @ impulses.reshape(n_cells * n_terms, 2 * n_modes))
         added = added.reshape(len(added), n_modes, 2)
-        one = np.ones((1, 1))
-        out = [Injection(component, n, added[i, None], one) for i, n in enumerate(self.steps)]
+        out, steps = [], np.array(self.steps, dtype=np.intp)
+        for group in np.split(np.arange(len(steps)), np.flatnonzero(np.diff(steps) >= _APART) + 1):
+            if group.size:
+                at = steps[group] - steps[group[0]]
+                values = np.zeros((len(group), int(at[-1]) + 1))
+                values[np.arange(len(group)), at] = 1.0
+                out.append(Injection(component, int(steps[group[0]]), added[group[0] : group[-1] + 1], values))
         if self.used.size:
             vectors = added[len(self.steps) + self.used]
             out.append(Injection(component, self.start, vectors, self.values[self.used]))

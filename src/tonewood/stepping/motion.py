@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Rigid
 from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.system import State, System
 from tonewood.modal.modes import ModalBasis
@@ -41,9 +40,9 @@ def share_velocities(system: System, state: State, joints: NDArray[np.bool_] | N
     ----------
     joints : (m,) connections to look at, all where left out; only rigid ones take part.
     """
-    rigid = np.array([isinstance(c.law, Rigid) for c in system.connections], dtype=bool)
+    rigid = system.elimination.linear.rigid
     if joints is not None:
-        rigid &= joints
+        rigid = rigid & joints
     if not rigid.any():
         return
     on = np.flatnonzero(rigid)
