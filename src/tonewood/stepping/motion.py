@@ -38,7 +38,8 @@ def share_velocities(system: System, state: State, joints: NDArray[np.bool_] | N
 
     Parameters
     ----------
-    joints : (m,) connections to look at, all where left out; only rigid ones take part.
+    joints : (m,) connections to look at, all where left out; only rigid ones take part. Drives with `impulses` pass
+        the impulses of theirs on.
     """
     rigid = system.elimination.linear.rigid
     if joints is not None:
@@ -59,3 +60,8 @@ def share_velocities(system: System, state: State, joints: NDArray[np.bool_] | N
         impulse = kick[compiled.gaps]
         if impulse.any():
             system.modes_of(state, name)[:] += (impulse @ compiled.gap_scatter).reshape(2, -1)
+    for drive in system.drives:
+        if drive.impulses and (impulse := kick[system.layout.places[drive.connection]]):
+            compiled = system.compiled[system.slot(drive.component)]
+            gained = drive.factor * impulse * compiled.form.B[compiled.basis.index(drive.point)]
+            system.modes_of(state, drive.component)[:] += gained.T
