@@ -358,8 +358,6 @@ class Exciter(Plugin[P]):
     """Turns each event into a gesture."""
 
     kind = "exciter"
-    #: values of the last event, which is asked about more than once, and the parameters with them
-    _adjusted: tuple[Mapping[str, float], P] | None = None
 
     @property
     def at(self) -> str | None:
@@ -384,11 +382,9 @@ class Exciter(Plugin[P]):
         """
         if not values:
             return self.parameters
-        if self._adjusted is None or self._adjusted[0] != values:
-            merged = {**self.parameters.model_dump(by_alias=True), **values}
-            checked = validated(type(self.parameters), merged, key=self.key, file=self.files.manifest)
-            self._adjusted = dict(values), checked
-        return self._adjusted[1]
+        merged = {**self.parameters.model_dump(by_alias=True), **values}
+        checked = validated(type(self.parameters), merged, key=self.key, file=self.files.manifest)
+        return checked
 
     def attach(self, name: str, site: Site) -> Attached | None:
         """Components and connections that an exciter adds to a string: a hammer's mass and felt, a bow's hair.
