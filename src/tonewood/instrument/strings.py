@@ -17,10 +17,11 @@ from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Resonator
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
+from tonewood.instrument.string_bases import below, damped, with_points
 from tonewood.instrument.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.tuning import StringOnBody, TunedStop, no_mode, tune
 from tonewood.modal.damper import damper_rates
-from tonewood.modal.modes import PAIR, ModalBasis
+from tonewood.modal.modes import ModalBasis
 from tonewood.modal.receptance import Joint, Ports
 from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.units import cents, ratio_of_cents
@@ -452,11 +453,6 @@ class StringModel:
         return self.resonator.fault(f"at stop {stop:g}: {reason}", "note")
 
 
-def damped(bases: Mapping[str, ModalBasis], added_damping: float) -> dict[str, ModalBasis]:
-    """A string's bases with every mode's damping rate raised (1/s)."""
-    return {c: retuned(b, np.sqrt(b.stiffness), b.damping_rate + added_damping) for c, b in bases.items()}
-
-
 def held_freq(basis: ModalBasis) -> float | None:
     """Lowest frequency (Hz) of a string held at its bridge, where the compliance of its free end vanishes.
 
@@ -466,53 +462,3 @@ def held_freq(basis: ModalBasis) -> float | None:
     octave = 2 * math.sqrt(float(basis.stiffness.min()))
     zero = Joint([ports]).newton(octave * complex(-1e-5, 1.0), steps=80)
     return None if zero is None else zero.imag / (2 * math.pi)
-
-
-def with_points(basis: ModalBasis, places: Mapping[str, float], still: Sequence[str], width: float) -> ModalBasis:
-    """Return a basis with points at places (m), points that do not move, and ``pluck`` as a mean over a width (m)."""
-    basis = with_still_points(basis.with_places(places), still)
-    return spread(basis, "pluck", width) if width else basis
-
-
-def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:
-    """Add points that do not move: places behind the stop, on which connections act at other stops."""
-    if not names:
-        return basis
-    rows = np.zeros((len(names), basis.n_modes), dtype=np.complex128)
-    return replace(
-        basis,
-        points=(*basis.points, *names),
-        right=np.vstack([basis.right, rows]),
-        left=np.vstack([basis.left, rows]),
-        residual=np.pad(basis.residual, (0, len(names))),
-    )
-
-
-def spread(basis: ModalBasis, point: str, width: float) -> ModalBasis:
-    """Let a point stand for the mean over `width` (m) of the string about it, by a Gauss rule of three places.
-
-    A force spread evenly acts on that mean. The residual compliance stays that of the place.
-    """
-    if basis.shape is None:
-        return basis
-    at, i = basis.places[point], basis.index(point)
-    offset = 0.5 * width * math.sqrt(0.6)
-    mean = (5 * basis.shape(at - offset) + 8 * basis.shape(at) + 5 * basis.shape(at + offset)) / 18
-    right, left = basis.right.copy(), basis.left.copy()
-    pair = basis.kind == PAIR
-    right[i], left[i] = mean, mean * np.where(pair, -0.5j / np.where(pair, basis.poles.imag, 1.0), 1.0)
-    return replace(basis, right=right, left=left)
-
-
-def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:
-    """Keep the modes below `freq_limit` (Hz), and put the static compliance of the others into the residual."""
-    keep = np.flatnonzero(basis.natural_freq < freq_limit)
-    if keep.size == basis.n_modes:
-        return basis
-    n = basis.n_modes
-    arrays = {
-        key: value[..., keep]
-        for key, value in basis.metadata.items()
-        if isinstance(value, np.ndarray) and value.shape[-1:] == (n,)
-    }
-    return replace(basis.select(keep), metadata={**basis.metadata, **arrays})
