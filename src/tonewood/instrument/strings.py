@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, cast
@@ -17,10 +17,11 @@ from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Resonator
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
+from tonewood.instrument.string_points import moved, spread, with_still_points
 from tonewood.instrument.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.tuning import StringOnBody, TunedStop, no_mode, tune
 from tonewood.modal.damper import damper_rates
-from tonewood.modal.modes import PAIR, ModalBasis
+from tonewood.modal.modes import ModalBasis
 from tonewood.modal.receptance import Joint, Ports
 from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.units import cents, ratio_of_cents
@@ -235,9 +236,7 @@ class StringModel:
         whole : keep also modes that the tension has raised above the limit.
         """
         length = self.length(stop)
-        pluck = min(self.pluck_from_bridge, 0.9 * length) if pluck_from_bridge is None else pluck_from_bridge
-        if not 0 <= pluck <= length:
-            raise ValueError(f"string {self.name} is {length:g} m long at stop {stop:g}; {pluck:g} m is not on it")
+        pluck = self._pluck(stop, pluck_from_bridge)
         places = {name: x for a in self.attached(stop) for name, x in a.places.items()} | dict(touches or {})
         beyond = [name for name, x in places.items() if not 0 <= x < length]
         here = {"pluck": pluck, **self.points, **{n: x for n, x in places.items() if n not in beyond}}
@@ -261,6 +260,23 @@ class StringModel:
         if self.longitudinal:
             out[self.longitudinal.component] = self._longitudinal(end, self.longitudinal.motion)
         return damped(out, added_damping) if added_damping else out
+
+    def plucked_at(
+        self, bases: Mapping[str, ModalBasis], stop: float, place: float | None, width: float
+    ) -> dict[str, ModalBasis]:
+        """Return bases of a stop with the point ``pluck`` elsewhere; `place` and `width` as those of `bases`."""
+        pluck, width, out = self._pluck(stop, place), width or self.pluck_width, dict(bases)
+        for name in (p.component for p in self.polarizations):
+            out[name] = moved(bases[name], "pluck", pluck, width)
+        return out
+
+    def _pluck(self, stop: float, place: float | None) -> float:
+        """Place of the pluck, m from the bridge; the usual one where none is given."""
+        length = self.length(stop)
+        pluck = min(self.pluck_from_bridge, 0.9 * length) if place is None else place
+        if not 0 <= pluck <= length:
+            raise ValueError(f"string {self.name} is {length:g} m long at stop {stop:g}; {pluck:g} m is not on it")
+        return pluck
 
     def under_damper(self, bases: Mapping[str, ModalBasis], share: float) -> dict[str, ModalBasis]:
         """Return bases of the string with a share of its damper's loss added; see `tonewood.modal.damper`."""
@@ -450,36 +466,6 @@ def held_freq(basis: ModalBasis) -> float | None:
     octave = 2 * math.sqrt(float(basis.stiffness.min()))
     zero = Joint([ports]).newton(octave * complex(-1e-5, 1.0), steps=80)
     return None if zero is None else zero.imag / (2 * math.pi)
-
-
-def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:
-    """Add points that do not move: places behind the stop, on which connections act at other stops."""
-    if not names:
-        return basis
-    rows = np.zeros((len(names), basis.n_modes), dtype=np.complex128)
-    return replace(
-        basis,
-        points=(*basis.points, *names),
-        right=np.vstack([basis.right, rows]),
-        left=np.vstack([basis.left, rows]),
-        residual=np.pad(basis.residual, (0, len(names))),
-    )
-
-
-def spread(basis: ModalBasis, point: str, width: float) -> ModalBasis:
-    """Let a point stand for the mean over `width` (m) of the string about it, by a Gauss rule of three places.
-
-    A force spread evenly acts on that mean. The residual compliance stays that of the place.
-    """
-    if basis.shape is None:
-        return basis
-    at, i = basis.places[point], basis.index(point)
-    offset = 0.5 * width * math.sqrt(0.6)
-    mean = (5 * basis.shape(at - offset) + 8 * basis.shape(at) + 5 * basis.shape(at + offset)) / 18
-    right, left = basis.right.copy(), basis.left.copy()
-    pair = basis.kind == PAIR
-    right[i], left[i] = mean, mean * np.where(pair, -0.5j / np.where(pair, basis.poles.imag, 1.0), 1.0)
-    return replace(basis, right=right, left=left)
 
 
 def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:
