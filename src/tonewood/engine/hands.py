@@ -59,9 +59,8 @@ def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: 
     line, plays : notes of the string and their gestures.
     capo : stop at which the string is held before its first note.
     """
-    wanted, end = model.playing.noises, model.playing.note_end
-    kept = {k: name for k, name in wanted.named.items() if model.choice.keeps(model.exciters[name])}
-    if not (wanted.on and kept):
+    wanted, end, kept = model.playing.noises, model.playing.note_end, _kept(model)
+    if not kept:
         return
     held, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
     for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
@@ -89,6 +88,30 @@ def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: 
             held = capo
 
 
+def touch_at_end(assigned: Assigned | None, play: Play | None, time: float, model: Model) -> list[Play]:
+    """Return the noise of the finger that ends a note at a time (s), as it is played live.
+
+    There is none where the noise is not wanted, or the string is still being plucked. It is the one noise that needs no
+    knowledge of the next note.
+    """
+    name = _kept(model).get("touch")
+    if name is None or assigned is None or (play is not None and play.stop > time):
+        return []
+    made = _noise(name, assigned, assigned.stop, time, math.inf, model)
+    return [] if made is None else [made]
+
+
+def not_live(model: Model) -> list[str]:
+    """Noises that are wanted and need a score that is known ahead, as keys of the bundle."""
+    return [f"playing.noises.{kind}" for kind in _kept(model) if kind != "touch"]
+
+
+def _kept(model: Model) -> dict[str, str]:
+    """Noise -> exciter, of those that are wanted and not left out."""
+    wanted = model.playing.noises
+    return {k: name for k, name in wanted.named.items() if wanted.on and model.choice.keeps(model.exciters[name])}
+
+
 def _noise(name: str, assigned: Assigned, held: float, time: float, longest: float, model: Model) -> Play | None:
     """Gesture of an exciter at a time; None if it does nothing, or would be prepared for longer than `longest` (s)."""
     string = model.strings[assigned.string]
@@ -98,4 +121,4 @@ def _noise(name: str, assigned: Assigned, held: float, time: float, longest: flo
         return None
     # all that changes at its beginning then changes at one point of the grid; the gesture after it cuts off its end
     late = -(time + gesture.start) * model.fs / GRID
-    return Play(time + round(late % 1.0, 6) * GRID / model.fs, gesture, string=assigned.string, exciter=name)
+    return Play(time + round(late, 6) % 1.0 * GRID / model.fs, gesture, string=assigned.string, exciter=name)
