@@ -17,7 +17,8 @@ from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Resonator
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
-from tonewood.instrument.string_points import moved, spread, with_still_points
+from tonewood.instrument.string_bases import below, damped, with_points
+from tonewood.instrument.string_points import moved
 from tonewood.instrument.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.tuning import StringOnBody, TunedStop, no_mode, tune
 from tonewood.modal.damper import damper_rates
@@ -254,9 +255,7 @@ class StringModel:
             basis = self.resonator.detuned(base, tension * self._detune(polarization, end) ** 2)
             if not whole:
                 basis = below(basis, self._freq_limit)
-            basis = with_still_points(basis.with_places(here), beyond)
-            width = pluck_width or self.pluck_width
-            out[polarization.component] = spread(basis, "pluck", width) if width else basis
+            out[polarization.component] = with_points(basis, here, beyond, pluck_width or self.pluck_width)
         if self.longitudinal:
             out[self.longitudinal.component] = self._longitudinal(end, self.longitudinal.motion)
         return damped(out, added_damping) if added_damping else out
@@ -452,11 +451,6 @@ class StringModel:
         return self.resonator.fault(f"at stop {stop:g}: {reason}", "note")
 
 
-def damped(bases: Mapping[str, ModalBasis], added_damping: float) -> dict[str, ModalBasis]:
-    """A string's bases with every mode's damping rate raised (1/s)."""
-    return {c: retuned(b, np.sqrt(b.stiffness), b.damping_rate + added_damping) for c, b in bases.items()}
-
-
 def held_freq(basis: ModalBasis) -> float | None:
     """Lowest frequency (Hz) of a string held at its bridge, where the compliance of its free end vanishes.
 
@@ -466,17 +460,3 @@ def held_freq(basis: ModalBasis) -> float | None:
     octave = 2 * math.sqrt(float(basis.stiffness.min()))
     zero = Joint([ports]).newton(octave * complex(-1e-5, 1.0), steps=80)
     return None if zero is None else zero.imag / (2 * math.pi)
-
-
-def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:
-    """Keep the modes below `freq_limit` (Hz), and put the static compliance of the others into the residual."""
-    keep = np.flatnonzero(basis.natural_freq < freq_limit)
-    if keep.size == basis.n_modes:
-        return basis
-    n = basis.n_modes
-    arrays = {
-        key: value[..., keep]
-        for key, value in basis.metadata.items()
-        if isinstance(value, np.ndarray) and value.shape[-1:] == (n,)
-    }
-    return replace(basis.select(keep), metadata={**basis.metadata, **arrays})

@@ -36,8 +36,6 @@ from tonewood.stepping.description import (
 from tonewood.stepping.stepper import NumpyStepper, Statistics
 
 Floats = NDArray[np.float64]
-#: sets of connections in use whose wiring is kept
-_WHOLES = 32
 _NONE = np.zeros(0, dtype=np.intp)
 _NO_MATRIX = np.zeros((0, 0))
 #: samples, at multiples of which a run may be cut without changing a bit
@@ -107,8 +105,6 @@ class KernelStepper:
         self._descriptions: WeakKeyDictionary[Compiled, dict[_Key, Description]] = WeakKeyDictionary()
         self._keys = count()
         self._wirings: dict[tuple[int, bytes, bytes], tuple[Wiring, OwnTerms]] = {}
-        #: all components' wiring with the connections then in use
-        self._wholes: dict[bytes, tuple[list[Wiring], Terms]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
         self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
@@ -212,10 +208,6 @@ class KernelStepper:
         m = len(system.connections)
         is_contact = system.elimination.others.is_contact
         coupled = {name for law in system.geometric for name in law.parts}
-        now = [self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), repr(sorted(coupled)).encode()]
-        whole = b"|".join(now if hub is None else [*now, str(hub.slot).encode(), hub.ports.tobytes()])
-        if whole in self._wholes:
-            return self._wholes[whole]
         place, law, culled = np.full(m, -1), np.full(m, -1), np.zeros(m, dtype=bool)
         place[self._active], law[self._nonlinear] = np.arange(len(self._active)), np.arange(len(self._nonlinear))
         culled[self._nonlinear] = is_contact
@@ -236,11 +228,7 @@ class KernelStepper:
             for i, port, on_contact, factor in own:
                 terms.append((int(law[at[i]]), slot, port, on_contact))
                 factors.append(factor)
-        out = wiring, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))
-        if len(self._wholes) >= _WHOLES:
-            del self._wholes[next(iter(self._wholes))]
-        self._wholes[whole] = out
-        return out
+        return wiring, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))
 
     def run(
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[PrescribedMotion] = ()
