@@ -65,7 +65,7 @@ def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: 
     held, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
     for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
         # a stop changes at the last point of the control grid before the gesture that needs it
-        until = math.floor(round(play.start * model.fs / GRID, 6)) * GRID / model.fs
+        until = _point_before(play.start, model.fs)
         for kind in ("fretting", "squeak"):
             far = abs(assigned.stop - held) >= wanted.least_shift and min(assigned.stop, held) > capo
             moves = assigned.stop != held and not play.gesture.stops and play.exciter not in slurs
@@ -80,7 +80,8 @@ def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: 
         if end.kind == "ring" or not math.isfinite(assigned.end) or assigned.end >= following - 1e-3:
             continue
         if "touch" in kept and assigned.end >= free_from:
-            made = _noise(kept["touch"], assigned, held, assigned.end, math.inf, model)
+            # as the string is damped
+            made = _noise(kept["touch"], assigned, held, _point_before(assigned.end, model.fs), math.inf, model)
             if made is not None and made.stop < following:
                 free_from = made.stop
                 yield made
@@ -110,6 +111,11 @@ def _kept(model: Model) -> dict[str, str]:
     """Noise -> exciter, of those that are wanted and not left out."""
     wanted = model.playing.noises
     return {k: name for k, name in wanted.named.items() if wanted.on and model.choice.keeps(model.exciters[name])}
+
+
+def _point_before(time: float, fs: float) -> float:
+    """Last point of the control grid, s, at or before a time (s)."""
+    return math.floor(round(time * fs / GRID, 6)) * GRID / fs
 
 
 def _noise(name: str, assigned: Assigned, held: float, time: float, longest: float, model: Model) -> Play | None:
