@@ -113,6 +113,45 @@ def neighbours(path: Path) -> None:
     figure.savefig(path / "playing_neighbours.png", dpi=70)
 
 
+def others() -> None:
+    """Pluck and dynamic range (frets lowered) from velocity 20 to 127, and the velocity that meets a fret."""
+    heads = ("from bridge, mm", "release at 20", "and 127, us", "peak, dB", "share > 3 kHz", "first contact")
+    print(f"{'instrument':16s}" + "".join(f"{head:>16s}" for head in heads))
+    no_frets = {"connections.frets.action_first": 0.02, "connections.frets.action_twelfth": 0.03}
+    for name in ("classical_guitar", "flamenco_guitar", "steel_guitar", "electric_bass", "african_harp"):
+        made = tw.load_instrument(name)
+        string = made.string_names[len(made.string_names) // 2]
+        free = made.replace(no_frets) if made.attachments else made
+        found = []
+        for velocity in (20, 127):
+            audio, release, _ = _one_note(free, string, velocity)
+            x = audio[4800:19200]
+            power, freq = np.abs(np.fft.rfft(x * np.hanning(len(x)))) ** 2, np.fft.rfftfreq(len(x), 1 / 48000)
+            share = 10 * np.log10(power[freq > 3000].sum() / power.sum())
+            found.append((1e6 * release, 20 * np.log10(np.abs(audio).max()), share))
+        place = tw.Renderer(_single(string, 90), made).engine.timeline.plays[0].gesture.from_bridge or 0.0
+        (slow, quiet, dark), (fast, loud, bright) = found
+        met = [v for v in range(60, 128, 4) if made.attachments and _one_note(made, string, v)[2]]
+        first = f"velocity {met[0]}" if met else "none" if made.attachments else "no frets"
+        numbers = 1e3 * place, slow, fast, loud - quiet, bright - dark
+        print(f"{name:16s}" + "".join(f"{x:16.1f}" for x in numbers) + f"{first:>16s}")
+
+
+def _single(string: str, velocity: int) -> tw.Score:
+    return tw.Score([tw.Note(0.1, 1.0, string=string, stop=0, velocity_midi=velocity)])
+
+
+def _one_note(instrument: tw.Instrument, string: str, velocity: int) -> tuple[Floats, float, bool]:
+    """Sound of 0.5 s, release from 90 to 10 % of the force (s), and whether a fret was met."""
+    renderer = tw.Renderer(_single(string, velocity), instrument, max_duration=0.5)
+    audio = np.concatenate(list(renderer.blocks(4096))).mean(axis=1)
+    gesture = renderer.engine.timeline.plays[0].gesture
+    t = np.linspace(0.0, gesture.stop, 20001)
+    f = course(gesture.segments, t)
+    release = float(t[np.argmax(f < 0.1 * f[0])] - t[np.argmax(f < 0.9 * f[0])])
+    return audio, release, renderer.engine.stepper.n_solves > 0
+
+
 def hands(path: Path) -> None:
     """Noises between notes: two shifts on the low E string, a stop and an end on the B string."""
     guitar = tw.load_instrument("classical_guitar")
@@ -140,7 +179,7 @@ def piece(path: Path) -> None:
         axis.set(title=title, ylim=(0, 12000), ylabel="Hz")
         level = _level(x, 0.02)
         below.plot(np.arange(len(x))[::96] / 48000, level[::96] - level.max(), label=title, lw=0.9)
-    below.set(ylim=(-40, 1), xlabel="s", ylabel="dB", title="level of 20 ms")
+    below.set(xlim=(0, 6), ylim=(-25, 1), xlabel="s", ylabel="dB", title="level of 20 ms")
     below.legend()
     figure.savefig(path / "playing_piece.png", dpi=70)
 
@@ -164,6 +203,7 @@ if __name__ == "__main__":
     release(folder)
     attacks(folder)
     dynamics()
+    others()
     neighbours(folder)
     hands(folder)
     piece(folder)

@@ -187,6 +187,24 @@ def test_a_hand_lies_on_idle_strings_where_the_bundle_asks_for_it(guitar: Instru
 _FORCE = '[{"name": "f", "plugin": "point_pickup", "quantity": "force", "at": "A2.bridge", "full_scale": 1.0}]'
 
 
-def test_live_playing_says_that_it_has_no_noises(guitar: Instrument) -> None:
-    for on, expected in ((False, {}), (True, {"playing.noises": 1})):
+def test_live_playing_says_which_noises_it_has_not(guitar: Instrument) -> None:
+    for on, expected in ((False, {}), (True, {"playing.noises.fretting": 1, "playing.noises.squeak": 1})):
         assert dict(tw.Live(guitar.replace({"playing.noises.on": on})).summary().ignored) == expected
+
+
+def test_a_finger_ends_a_note_that_is_played_live(guitar: Instrument) -> None:
+    """The noise begins as the key comes up, whatever the note was: the guitar is linear."""
+
+    def played(force: float, on: bool) -> np.ndarray:
+        live = tw.Live(guitar.replace({"playing.noises.on": on}), fs=24000)
+        voice = live.note_on(string="A2", stop=3, force=force)
+        before = live.process(6000)
+        assert voice is not None
+        live.release(voice)
+        return np.concatenate([before, live.process(6000)])
+
+    soft, loud = (played(force, True) - played(force, False) for force in (0.5, 2.0))
+    first = np.flatnonzero(np.any(soft != 0.0, axis=1))[0]
+    assert 6000 <= first <= 6000 + 128 + 2
+    assert np.abs(soft).max() > 1e-4 * np.abs(played(0.5, False)).max()
+    assert np.abs(soft - loud).max() < 1e-9 * np.abs(soft).max()

@@ -12,7 +12,7 @@ from scipy.linalg import lstsq, qr
 from tonewood.coupling.geometric import GeometricShare
 from tonewood.coupling.tension import TensionShare
 from tonewood.modal.modes import ModalBasis
-from tonewood.modal.propagator import RealForm, impulse_series
+from tonewood.modal.propagator import RealForm, apply, impulse_series
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +33,7 @@ class Compiled:
     form : their real 2 x 2 blocks.
     ports : (n_ports,) rows of `basis.points` that connections act on, in order of their names.
     E : (n_modes, 2, 2) propagator of one step.
+    held : (n_modes, 2, 2) dt phi_1(A dt): what a force that is held over one step adds to the state, per its B.
     W : (n_ports, n_modes, 2) state added by a unit force held over one step.
     rows : (n_rows, n_modes, 2) displacement rows of the ports, then the readouts' rows.
     history : (BLOCK_SIZE, n_ports, n_rows) response of every row k steps after a unit force held over one step;
@@ -52,6 +53,7 @@ class Compiled:
     form: RealForm
     ports: NDArray[np.intp]
     E: Floats
+    held: Floats
     W: Floats
     rows: Floats
     history: Floats
@@ -71,6 +73,10 @@ class Compiled:
         if point not in self._impulses:
             self._impulses[point] = impulse_series(self.basis, self.form, self.basis.index(point), self.dt)
         return self._impulses[point]
+
+    def held_force(self, point: str) -> Floats:
+        """(n_modes, 2) state added by a unit force at a named point held over one step."""
+        return apply(self.held, self.form.B[self.basis.index(point)])
 
     def motions(self, ports: NDArray[np.intp]) -> tuple[NDArray[np.intp], Floats]:
         """(r,) as few of some ports (p,) as move the others with them, and (p, r) how, u = span u_r.
@@ -173,7 +179,7 @@ class Injection:
     vectors: Floats
     values: Floats
 
-    @property
+    @cached_property
     def stop(self) -> int:
         """Absolute sample after the last step it acts in."""
         return self.start + int(self.values.shape[1])

@@ -119,6 +119,11 @@ class Elimination:
         """These connections between other components."""
         return Elimination(self.connections, self.linear, self.others, gap, self.dt)
 
+    @property
+    def laws_alone(self) -> Elimination:
+        """Its laws, between no components."""
+        return self.with_gap(GapCompliance((), self.gap.layout))
+
     def with_laws(self, laws: Mapping[int, Connection]) -> Elimination:
         """Other laws of connections at some places."""
         connections, new = list(self.connections), {j: connection.law for j, connection in laws.items()}

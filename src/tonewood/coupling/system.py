@@ -166,14 +166,20 @@ class System:
         """Points of a component that connections or drives act on, sorted; the same whatever its basis."""
         return list(self.layout.ports[name])
 
-    def compile(self, name: str, basis: ModalBasis) -> Compiled:
-        """Compile another basis of the component `name`; it may be kept and used again with `with_compiled`."""
+    def compile(self, name: str, basis: ModalBasis, *, like: Compiled | None = None) -> Compiled:
+        """Compile another basis of the component `name`; it may be kept and used again with `with_compiled`.
+
+        Where the basis has the very poles of `like`, which was compiled before, the propagator is taken from there.
+        """
         slot = self.slot(name)
         ports = np.array([basis.index(p) for p in self.layout.ports[name]], dtype=np.intp)
-        form = real_form(basis)
-        phi = flow(basis, self.dt)
-        held = self.dt * phi[1]
-        E, W = phi[0], apply(held, form.B[ports])
+        if like is not None and like.basis.poles is basis.poles:
+            E, held, form = like.E, like.held, real_form(basis, like.form.A)
+        else:
+            E, held = flow(basis, self.dt)
+            held *= self.dt
+            form = real_form(basis)
+        W = apply(held, form.B[ports])
         rows, readouts, difference = [form.C[ports]], [], []
         for channel, readout in enumerate(self.readouts):
             probes = [p for p in readout.probes if p.component == name]
@@ -197,7 +203,7 @@ class System:
         tension = next((t.part(name, basis, self.dt, held) for t in self.tensions if name in t.components), None)
         geometric = next((g.part(name, basis, held) for g in self.stretches if name in g.parts), None)
         return Compiled(
-            basis, self.dt, form, ports, E, W, all_rows, history,
+            basis, self.dt, form, ports, E, held, W, all_rows, history,
             np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, a, compliance, residual, tension,
             geometric,
         )  # fmt: skip
@@ -220,6 +226,10 @@ class System:
         places = self.layout.places
         changes = {places[name]: new for name, new in laws.items() if name in places}
         return self._with(self.compiled, self.elimination.with_laws(changes))
+
+    def with_laws_of(self, other: Elimination) -> System:
+        """Take over all laws from another elimination of the same connections."""
+        return self._with(self.compiled, other.with_gap(self.elimination.gap))
 
     def _with(self, compiled: tuple[Compiled, ...], elimination: Elimination) -> System:
         # what `replace` does; several of these are made for every note

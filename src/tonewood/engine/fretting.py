@@ -51,6 +51,11 @@ class Fretting:
     width: float = 0.0
     damper: float = 0.0
 
+    @property
+    def unplucked(self) -> Fretting:
+        """It with the usual place of the pluck."""
+        return replace(self, place=None, width=0.0)
+
     def changed(self, change: Change) -> Fretting:
         """Return it after a change of the left hand."""
         return replace(
@@ -79,6 +84,8 @@ class FrettedBases:
             (name, Fretting()): {c: system.compiled[system.slot(c)] for c in string.components}
             for name, string in model.strings.items()
         }
+        #: of each way to hold a string, wherever it is plucked: the last bases made
+        self._held: dict[tuple[str, Fretting], dict[str, Compiled]] = {}
         #: those that are kept for good
         self._prepared: dict[tuple[str, Fretting], dict[str, Compiled]] = {}
 
@@ -101,11 +108,25 @@ class FrettedBases:
         if (kept := self._prepared.get(key)) is not None:
             return kept
         if key not in self._compiled:
-            made = {c: self.model.system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
+            made = self._new(name, fretting)
             if len(self._compiled) >= self.room:
-                self._compiled.pop(next(iter(self._compiled)))
-            self._compiled[key] = made
+                oldest, way = next(iter(self._compiled))
+                dropped = self._compiled.pop((oldest, way))
+                if self._held.get((oldest, way.unplucked)) is dropped:
+                    del self._held[oldest, way.unplucked]
+            self._compiled[key] = self._held[name, fretting.unplucked] = made
         return self._compiled[key]
+
+    def _new(self, name: str, fretting: Fretting) -> dict[str, Compiled]:
+        """Compile the bases of a string; where only its pluck is elsewhere, from those that it had before."""
+        system, known = self.model.system, self._held.get((name, fretting.unplucked))
+        if known is None:
+            return {c: system.compile(c, basis) for c, basis in self._made(name, fretting).items()}
+        before = {c: part.basis for c, part in known.items()}
+        bases = self.model.strings[name].plucked_at(before, fretting.stop, fretting.place, fretting.width)
+        return {
+            c: known[c] if basis is before[c] else system.compile(c, basis, like=known[c]) for c, basis in bases.items()
+        }
 
     def _made(self, name: str, fretting: Fretting) -> dict[str, ModalBasis]:
         if fretting.damper:
@@ -185,11 +206,11 @@ def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, component: str, br
     displaced as the residual was under the `bridge_force` on the string's end (N), so that they bring no energy.
     """
     n = min(old.n_modes, new.n_modes)
-    if old is new:
+    if old.poles is new.poles or np.array_equal(old.poles, new.poles):
         return modes
     q, v = to_motion(old, modes)
     if old.n_modes == new.n_modes:
-        return modes if np.array_equal(old.poles, new.poles) else from_motion(new, q, v)
+        return from_motion(new, q, v)
     full_q, full_v = np.zeros(new.n_modes), np.zeros(new.n_modes)
     full_q[:n], full_v[:n] = q[:n], v[:n]
     if new.n_modes > n:

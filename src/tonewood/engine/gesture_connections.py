@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from tonewood.coupling.connections import Law, SpringDashpot
+from tonewood.coupling.connections import Connection, Law, SpringDashpot
+from tonewood.coupling.elimination import Elimination
 from tonewood.coupling.system import System
 from tonewood.engine.gestures import Active
 from tonewood.instrument.assembly import Model
+
+#: sets of laws that are kept
+_KEPT = 256
 
 
 def holds_at(active: Sequence[Active], now: int) -> dict[str, float]:
@@ -35,9 +39,34 @@ class GestureConnections:
         self._idle = [(j, c.law, model.resting[c.name]) for j, c in connections if c.name in model.resting]
         # place, law without a finger, and the string
         self._holds = [(j, c.law, c.owner) for j, c in connections if c.role == "hold"]
+        #: identity of connections -> these, and their laws without fingers
+        self._free: dict[int, tuple[tuple[Connection, ...], Elimination]] = {}
+        #: identity of laws without fingers, and the strings' dashpots -> laws with them
+        self._kept: dict[tuple[int, frozenset[tuple[str, float]]], Elimination] = {}
 
     def with_holds(self, system: System, holds: Mapping[str, float]) -> System:
-        """Return the system with fingers' dashpots as in `holds`; itself if they are so already."""
+        """Return the system with fingers' dashpots as in `holds`; itself if they are so already.
+
+        The same few dashpots come and go with every note: their laws are kept.
+        """
+        if len(self._kept) >= _KEPT:
+            self._free.clear()
+            self._kept.clear()
+        now = system.connections
+        if id(now) not in self._free:
+            free = self._held(system, {}).elimination.laws_alone
+            self._free[id(now)] = now, free
+            self._free[id(free.connections)] = free.connections, free
+            self._kept[id(free), frozenset()] = free
+        free = self._free[id(now)][1]
+        key = id(free), frozenset(holds.items())
+        if key not in self._kept:
+            self._kept[key] = laws = self._held(system, holds).elimination.laws_alone
+            self._free[id(laws.connections)] = laws.connections, free
+        laws = self._kept[key]
+        return system if laws.connections is now else system.with_laws_of(laws)
+
+    def _held(self, system: System, holds: Mapping[str, float]) -> System:
         laws = {string: SpringDashpot(damping=damping) for string, damping in holds.items()}
         return with_laws(system, [(j, laws.get(string, none)) for j, none, string in self._holds])
 

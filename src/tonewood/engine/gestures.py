@@ -53,6 +53,8 @@ def places(play: Play, model: Model) -> tuple[tuple[str, str, float], ...]:
 
 def forces(play: Play, model: Model, system: System, first: int) -> list[Injection]:
     """Compile a gesture's known forces from sample `first` on."""
+    if play.gesture.noise is not None and not play.gesture.segments:
+        return _sampled(play, play.gesture.noise.course(system.dt, time=play.time, first=first), model, system)
     known = Course.of(play.gesture.segments, system.dt, time=play.time, first=first)
     if play.gesture.noise is not None:
         known = _sum(known, play.gesture.noise.course(system.dt, time=play.time, first=first))
@@ -60,6 +62,17 @@ def forces(play: Play, model: Model, system: System, first: int) -> list[Injecti
     for component, point, factor in places(play, model):
         out += known.injections(component, system.compiled[system.slot(component)].impulses(point), factor)
     return out
+
+
+def _sampled(play: Play, known: Course, model: Model, system: System) -> list[Injection]:
+    """Compile a force that is constant in each step: one vector for each component."""
+    steps = known.values[:1]
+    if not steps.size:
+        return []
+    return [
+        Injection(c, known.start, factor * system.compiled[system.slot(c)].held_force(point)[None], steps)
+        for c, point, factor in places(play, model)
+    ]
 
 
 def _sum(a: Course, b: Course) -> Course:

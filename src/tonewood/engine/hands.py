@@ -59,14 +59,13 @@ def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: 
     line, plays : notes of the string and their gestures.
     capo : stop at which the string is held before its first note.
     """
-    wanted, end = model.playing.noises, model.playing.note_end
-    kept = {k: name for k, name in wanted.named.items() if model.choice.keeps(model.exciters[name])}
-    if not (wanted.on and kept):
+    wanted, end, kept = model.playing.noises, model.playing.note_end, _kept(model)
+    if not kept:
         return
     held, free_from, slurs = capo, -math.inf, model.playing.slurs.named.values()
     for i, (assigned, play) in enumerate(zip(line, plays, strict=True)):
         # a stop changes at the last point of the control grid before the gesture that needs it
-        until = math.floor(round(play.start * model.fs / GRID, 6)) * GRID / model.fs
+        until = _point_before(play.start, model.fs)
         for kind in ("fretting", "squeak"):
             far = abs(assigned.stop - held) >= wanted.least_shift and min(assigned.stop, held) > capo
             moves = assigned.stop != held and not play.gesture.stops and play.exciter not in slurs
@@ -81,12 +80,42 @@ def noises(line: Sequence[Assigned], plays: Sequence[Play], model: Model, capo: 
         if end.kind == "ring" or not math.isfinite(assigned.end) or assigned.end >= following - 1e-3:
             continue
         if "touch" in kept and assigned.end >= free_from:
-            made = _noise(kept["touch"], assigned, held, assigned.end, math.inf, model)
+            # as the string is damped
+            made = _noise(kept["touch"], assigned, held, _point_before(assigned.end, model.fs), math.inf, model)
             if made is not None and made.stop < following:
                 free_from = made.stop
                 yield made
         if assigned.end + LET_GO_AFTER * end.t60 < following - 0.1:
             held = capo
+
+
+def touch_at_end(assigned: Assigned | None, play: Play | None, time: float, model: Model) -> list[Play]:
+    """Return the noise of the finger that ends a note at a time (s), as it is played live.
+
+    There is none where the noise is not wanted, or the string is still being plucked. It is the one noise that needs no
+    knowledge of the next note.
+    """
+    name = _kept(model).get("touch")
+    if name is None or assigned is None or (play is not None and play.stop > time):
+        return []
+    made = _noise(name, assigned, assigned.stop, time, math.inf, model)
+    return [] if made is None else [made]
+
+
+def not_live(model: Model) -> list[str]:
+    """Noises that are wanted and need a score that is known ahead, as keys of the bundle."""
+    return [f"playing.noises.{kind}" for kind in _kept(model) if kind != "touch"]
+
+
+def _kept(model: Model) -> dict[str, str]:
+    """Noise -> exciter, of those that are wanted and not left out."""
+    wanted = model.playing.noises
+    return {k: name for k, name in wanted.named.items() if wanted.on and model.choice.keeps(model.exciters[name])}
+
+
+def _point_before(time: float, fs: float) -> float:
+    """Last point of the control grid, s, at or before a time (s)."""
+    return math.floor(round(time * fs / GRID, 6)) * GRID / fs
 
 
 def _noise(name: str, assigned: Assigned, held: float, time: float, longest: float, model: Model) -> Play | None:
@@ -98,4 +127,4 @@ def _noise(name: str, assigned: Assigned, held: float, time: float, longest: flo
         return None
     # all that changes at its beginning then changes at one point of the grid; the gesture after it cuts off its end
     late = -(time + gesture.start) * model.fs / GRID
-    return Play(time + round(late % 1.0, 6) * GRID / model.fs, gesture, string=assigned.string, exciter=name)
+    return Play(time + round(late, 6) % 1.0 * GRID / model.fs, gesture, string=assigned.string, exciter=name)

@@ -19,7 +19,7 @@ from dataclasses import replace
 
 from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.fretting import Fretting
-from tonewood.engine.hands import LET_GO_AFTER, damping, laid_on, let_go
+from tonewood.engine.hands import LET_GO_AFTER, damping, laid_on, let_go, not_live, touch_at_end
 from tonewood.engine.live_dampers import LiveDampers
 from tonewood.engine.live_state import LiveCounters, PlayedString, Voice
 from tonewood.engine.note_events import event_values, exciter_of, force_of, gripped, hurried, is_where_asked
@@ -72,8 +72,7 @@ class LivePlayer:
         self.model, self.engine = model, engine
         self.ramp, self.spacing, self.capo = ramp, spacing, capo
         self.counters = LiveCounters()
-        if model.playing.noises.on:
-            self.counters.ignored["playing.noises"] += 1
+        self.counters.ignored.update(not_live(model))
         self._assignment = CausalAssignment(
             playable(model, capo), channel_per_string=channel_per_string, tuning=model.instrument.tuning
         )
@@ -423,6 +422,7 @@ class LivePlayer:
             line.voice = None
         else:
             self._change(now, Change(time, voice.string, added_damping=damping(end)))
+            self.engine.schedule.add(plays=touch_at_end(voice.assigned, voice.play, time, self.model))
             free = math.ceil(LET_GO_AFTER * end.t60 / (GRID * self.engine.dt)) * GRID
             line.later.append((now + free, let_go(time, voice.string, self.capo, end)))
             line.voice, line.wanted = None, line.cents

@@ -61,7 +61,7 @@ class LiveCounters:
     cut : notes that ended because another one needed their string.
     dropped : reason -> notes that could not be played.
     latest : the last of these, at most 100.
-    ignored : kind of controller -> changes of it without effect; ``playing.noises`` where a score would have them.
+    ignored : kind of controller -> changes of it without effect; ``playing.noises.KIND`` where a score would have it.
     """
 
     notes: int = 0

@@ -18,6 +18,7 @@ from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Reso
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
 from tonewood.instrument.string_bases import below, damped, with_points
+from tonewood.instrument.string_points import moved
 from tonewood.instrument.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.tuning import StringOnBody, TunedStop, no_mode, tune
 from tonewood.modal.damper import damper_rates
@@ -240,9 +241,7 @@ class StringModel:
         whole : keep also modes that the tension has raised above the limit.
         """
         length = self.length(stop)
-        pluck = min(self.pluck_from_bridge, 0.9 * length) if pluck_from_bridge is None else pluck_from_bridge
-        if not 0 <= pluck <= length:
-            raise ValueError(f"string {self.name} is {length:g} m long at stop {stop:g}; {pluck:g} m is not on it")
+        pluck = self._pluck(stop, pluck_from_bridge)
         places = {name: x for a in self.attached(stop) for name, x in a.places.items()} | dict(touches or {})
         beyond = [name for name, x in places.items() if not 0 <= x < length]
         here = {"pluck": pluck, **self.points, **{n: x for n, x in places.items() if n not in beyond}}
@@ -269,6 +268,23 @@ class StringModel:
         if self.longitudinal:
             out[self.longitudinal.component] = self._longitudinal(end, self.longitudinal.motion)
         return damped(out, added_damping) if added_damping else out
+
+    def plucked_at(
+        self, bases: Mapping[str, ModalBasis], stop: float, place: float | None, width: float
+    ) -> dict[str, ModalBasis]:
+        """Return bases of a stop with the point ``pluck`` elsewhere; `place` and `width` as those of `bases`."""
+        pluck, width, out = self._pluck(stop, place), width or self.pluck_width, dict(bases)
+        for name in (p.component for p in self.polarizations):
+            out[name] = moved(bases[name], "pluck", pluck, width)
+        return out
+
+    def _pluck(self, stop: float, place: float | None) -> float:
+        """Place of the pluck, m from the bridge; the usual one where none is given."""
+        length = self.length(stop)
+        pluck = min(self.pluck_from_bridge, 0.9 * length) if place is None else place
+        if not 0 <= pluck <= length:
+            raise ValueError(f"string {self.name} is {length:g} m long at stop {stop:g}; {pluck:g} m is not on it")
+        return pluck
 
     def _with_points(self, end: float, here: Mapping[str, float], beyond: Sequence[str], width: float) -> ModalBasis:
         """Return the basis of a stop at a first guess of its tension with these points; the last ones are cached."""

@@ -85,21 +85,25 @@ class RealForm:
         return C if quantity == "displacement" else np.einsum("imx,mxy->imy", C, self.A)
 
 
-def real_form(basis: ModalBasis) -> RealForm:
-    """Write each mode of `basis` as a real 2 x 2 block."""
-    n = basis.n_modes
-    lam, block, pair = basis.poles, basis.kind == BLOCK, basis.kind == PAIR
-    A = np.empty((n, 2, 2))
-    A[:, 0, 0] = np.where(block, 0.0, lam.real)
-    A[:, 0, 1] = np.where(block, 1.0, -lam.imag)
-    A[:, 1, 0] = np.where(block, -basis.stiffness, lam.imag)
-    A[:, 1, 1] = np.where(block, -2 * basis.damping_rate, lam.real)
+def real_form(basis: ModalBasis, generators: Floats | None = None) -> RealForm:
+    """Write each mode of `basis` as a real 2 x 2 block; `generators` of the same modes may be given."""
+    block, pair = basis.kind == BLOCK, basis.kind == PAIR
+    A = _generators(basis, block) if generators is None else generators
     weight = np.where(pair, 2.0, 1.0)
     second = np.where(block, 1.0, np.where(pair, -2.0, 0.0))
     C = np.stack([weight * basis.right.real, second * basis.right.imag], axis=-1)
     ell = np.where(block, 1j * np.conj(basis.left), basis.left)
     B = np.stack([ell.real, ell.imag], axis=-1)
     return RealForm(A, B, C)
+
+
+def _generators(basis: ModalBasis, block: NDArray[np.bool_]) -> Floats:
+    lam, A = basis.poles, np.empty((basis.n_modes, 2, 2))
+    A[:, 0, 0] = np.where(block, 0.0, lam.real)
+    A[:, 0, 1] = np.where(block, 1.0, -lam.imag)
+    A[:, 1, 0] = np.where(block, -basis.stiffness, lam.imag)
+    A[:, 1, 1] = np.where(block, -2 * basis.damping_rate, lam.real)
+    return A
 
 
 def flow(basis: ModalBasis, dt: float, order: int = 1) -> Floats:
