@@ -1,6 +1,6 @@
 """YAML files that people write: read, with the values of files parsed before kept between runs.
 
-What a file may hold: `yaml_parser`, which is imported for files that are not kept yet.
+`yaml_parser` says which YAML is read; it is imported for files that are not kept yet.
 """
 
 from __future__ import annotations

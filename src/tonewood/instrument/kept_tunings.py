@@ -28,7 +28,7 @@ _SOURCES = ("instrument", "modal", "plate", "passivity", "score")
 
 
 class KeptTunings:
-    """What is known of an instrument's open strings from an earlier run, and what this one finds.
+    """Tunings of an instrument's open strings, from an earlier run and from this one.
 
     Parameters
     ----------

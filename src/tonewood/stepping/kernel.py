@@ -40,6 +40,8 @@ _NONE = np.zeros(0, dtype=np.intp)
 _NO_MATRIX = np.zeros((0, 0))
 #: samples, at multiples of which a run may be cut without changing a bit
 _CUT = 64
+#: ways in which all connections are used that are remembered
+_KEPT_WIRINGS = 64
 #: (n, 4): nonlinear connection, component, port among its fixed or contact ports, whether it is a contact port; factors
 Terms = tuple[NDArray[np.int64], Floats]
 #: slot of a component, whether laws act on its fixed ports, and how connections use it
@@ -105,6 +107,7 @@ class KernelStepper:
         self._descriptions: WeakKeyDictionary[Compiled, dict[_Key, Description]] = WeakKeyDictionary()
         self._keys = count()
         self._wirings: dict[tuple[int, bytes, bytes], tuple[Wiring, OwnTerms]] = {}
+        self._wired_as: dict[tuple[bytes, ...], tuple[list[Wiring], Terms]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
         self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
@@ -203,10 +206,20 @@ class KernelStepper:
     def _wired(self, system: System, hub: Hub | None) -> tuple[list[Wiring], Terms]:
         """Sort the ports of every component by the connections now in use.
 
-        A component whose connections are used as before keeps its wiring: a note changes a few of hundreds.
+        A component whose connections are used as before keeps its wiring: a note changes a few of hundreds. Where all
+        are used as some time before (a finger comes and goes), all of it is kept.
         """
-        m = len(system.connections)
         is_contact = system.elimination.others.is_contact
+        same = b"" if hub is None else b"%d" % hub.slot + hub.ports.tobytes()
+        use = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), same
+        if use not in self._wired_as:
+            while len(self._wired_as) >= _KEPT_WIRINGS:
+                del self._wired_as[next(iter(self._wired_as))]
+            self._wired_as[use] = self._wire(system, hub, is_contact)
+        return self._wired_as[use]
+
+    def _wire(self, system: System, hub: Hub | None, is_contact: NDArray[np.bool_]) -> tuple[list[Wiring], Terms]:
+        m = len(system.connections)
         coupled = {name for law in system.geometric for name in law.parts}
         place, law, culled = np.full(m, -1), np.full(m, -1), np.zeros(m, dtype=bool)
         place[self._active], law[self._nonlinear] = np.arange(len(self._active)), np.arange(len(self._nonlinear))
