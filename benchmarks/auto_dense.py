@@ -3,7 +3,7 @@
     python benchmarks/auto_dense.py [SCORE.mid ...] [--instrument steel_guitar] [--seconds 8] [--budget-db -80]
 
 Renders with effects `auto`, `all` and none but the second polarization (linear) take turns, a block each, on one core.
-A row has the processor time of `all` and `auto` over that of the linear one; the parts of the linear one's and of auto's
+A row has the processor time of `all` and `auto` over that of the linear one; the parts of the linear one and of auto
 that steps and the work between them take (stops, gestures, bounds); and the share of time in which so many strings'
 tensions rise. The table below it has what a step costs with so many: the least of some runs from one state, over that
 with none.

@@ -40,6 +40,8 @@ _NONE = np.zeros(0, dtype=np.intp)
 _NO_MATRIX = np.zeros((0, 0))
 #: samples, at multiples of which a run may be cut without changing a bit
 _CUT = 64
+#: linear and nonlinear connections in use, which of these are contacts, components of geometric strings; hub, its ports
+_Use = tuple[bytes, bytes, bytes, frozenset[str], tuple[int, bytes] | None]
 #: ways in which all connections are used that are remembered
 _KEPT_WIRINGS = 64
 #: (n, 4): nonlinear connection, component, port among its fixed or contact ports, whether it is a contact port; factors
@@ -107,7 +109,7 @@ class KernelStepper:
         self._descriptions: WeakKeyDictionary[Compiled, dict[_Key, Description]] = WeakKeyDictionary()
         self._keys = count()
         self._wirings: dict[tuple[int, bytes, bytes], tuple[Wiring, OwnTerms]] = {}
-        self._wired_as: dict[tuple[bytes, ...], tuple[list[Wiring], Terms]] = {}
+        self._wired_as: dict[_Use, tuple[list[Wiring], Terms]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
         self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
@@ -210,17 +212,19 @@ class KernelStepper:
         are used as some time before (a finger comes and goes), all of it is kept.
         """
         is_contact = system.elimination.others.is_contact
-        same = b"" if hub is None else b"%d" % hub.slot + hub.ports.tobytes()
-        use = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), same
+        coupled = frozenset(name for law in system.geometric for name in law.parts)
+        met = None if hub is None else (hub.slot, hub.ports.tobytes())
+        use = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), coupled, met
         if use not in self._wired_as:
             while len(self._wired_as) >= _KEPT_WIRINGS:
                 del self._wired_as[next(iter(self._wired_as))]
-            self._wired_as[use] = self._wire(system, hub, is_contact)
+            self._wired_as[use] = self._wire(system, hub, is_contact, coupled)
         return self._wired_as[use]
 
-    def _wire(self, system: System, hub: Hub | None, is_contact: NDArray[np.bool_]) -> tuple[list[Wiring], Terms]:
+    def _wire(
+        self, system: System, hub: Hub | None, is_contact: NDArray[np.bool_], coupled: frozenset[str]
+    ) -> tuple[list[Wiring], Terms]:
         m = len(system.connections)
-        coupled = {name for law in system.geometric for name in law.parts}
         place, law, culled = np.full(m, -1), np.full(m, -1), np.zeros(m, dtype=bool)
         place[self._active], law[self._nonlinear] = np.arange(len(self._active)), np.arange(len(self._nonlinear))
         culled[self._nonlinear] = is_contact
