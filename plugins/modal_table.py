@@ -290,9 +290,7 @@ class ModalTable(Body[ModalTableParameters]):
             )
         if np.abs(out).max(initial=0.0) > MOST_COMPLIANCE:
             raise self.fault(f"up to {MOST_COMPLIANCE:g} m/N is allowed", "truncation.residual_compliance")
-        import scipy.linalg as sla
-
-        smallest = sla.eigvalsh(out)[0]
+        smallest = np.linalg.eigvalsh(out)[0]
         if smallest < -1e-9 * np.abs(out).max(initial=0.0):
             raise self.fault("is not positive semidefinite: it would create energy", "truncation.residual_compliance")
         return out

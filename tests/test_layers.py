@@ -14,10 +14,10 @@ SOURCES = ROOT / "src" / "tonewood"
 
 #: bottom to top; what stands in one set may not import each other
 LAYERS = (
-    {"errors", "validation_messages", "_kernel", "_methods"},
-    {"cache_folder", "whole_files"},
+    {"errors", "garbage", "validation_messages", "_kernel", "_methods"},
+    {"cache_folder", "whole_files", "yaml_parser"},
     {"units", "params", "yaml_io", "blas"},
-    {"yaml_edit", "plotting", "tables"},
+    {"yaml_edit", "plotting", "tables", "scipy_linalg"},
     {"modal", "plate"},
     {"coupling", "passivity"},
     {"stepping"},

@@ -16,6 +16,8 @@ import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from tonewood.garbage import without_collecting
+
 if TYPE_CHECKING:
     from tonewood.errors import DroppedNotesWarning as DroppedNotesWarning
     from tonewood.errors import TonewoodError as TonewoodError
@@ -102,7 +104,7 @@ def __getattr__(name: str) -> Any:
 
         value: Any = version("tonewood")
     elif name in _HOME:
-        value = getattr(import_module(f"tonewood.{_HOME[name]}"), name)
+        value = getattr(without_collecting(import_module)(f"tonewood.{_HOME[name]}"), name)
     else:
         raise AttributeError(f"module 'tonewood' has no attribute {name!r}")
     globals()[name] = value

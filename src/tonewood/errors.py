@@ -20,6 +20,10 @@ class OldFormatWarning(FutureWarning):
     """A file of an earlier schema was read; the next version will refuse it. The text says what to run."""
 
 
+class DamagedCacheWarning(UserWarning):
+    """A file that is kept between runs is damaged; what it held is computed again."""
+
+
 class TonewoodError(Exception):
     """A fault the user can mend, in one line.
 

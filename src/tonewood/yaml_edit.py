@@ -8,9 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.nodes import MappingNode
-
 from tonewood.errors import TonewoodError
 from tonewood.yaml_io import parse_yaml
 
@@ -84,8 +81,10 @@ def _edited(text: str, edit: Edit) -> str:
     return text[: text.rfind("\n", 0, start) + 1] + (text[line_end + 1 :] if line_end >= 0 else "")
 
 
-def _entry(text: str, path: str) -> tuple[MappingNode, int, Any]:
+def _entry(text: str, path: str) -> tuple[Any, int, Any]:
     """Mapping that holds the last key of `path`, the key's place in it, and its value's node."""
+    from ruamel.yaml import YAML
+
     node: Any = YAML(typ="rt", pure=True).compose(text)
     parent, at = node, 0
     for key in path.split("."):

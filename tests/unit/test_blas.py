@@ -92,3 +92,30 @@ def test_samples_do_not_depend_on_the_number_of_blas_threads() -> None:
     if found[1][0] == 1:
         pytest.skip("BLAS has one thread here, whatever is asked for")
     assert found[0][1] == found[1][1]
+
+
+LATE = """
+from threadpoolctl import threadpool_info
+from tonewood.blas import one_blas_thread
+
+def threads():
+    return {i["num_threads"] for i in threadpool_info() if i["user_api"] == "blas"}
+
+@one_blas_thread
+def inside():
+    few = len(threadpool_info())
+    from tonewood.scipy_linalg import sla
+    return few, len(threadpool_info()), threads()
+
+few, more, limited = inside()
+print(more > few, sorted(limited), max(threads()))
+"""
+
+
+def test_a_library_that_is_loaded_within_the_limit_obeys_it() -> None:
+    environment = os.environ | dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "2")
+    done = subprocess.run([sys.executable, "-c", LATE], env=environment, capture_output=True, check=True, text=True)
+    late, limited, after = done.stdout.split()
+    if late == "False" or after == "1":
+        pytest.skip("SciPy has no BLAS library of its own here, or BLAS has one thread")
+    assert (limited, after) == ("[1]", "2")

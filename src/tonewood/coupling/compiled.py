@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lstsq, qr
 
 from tonewood.coupling.geometric import GeometricShare
 from tonewood.coupling.tension import TensionShare
@@ -112,15 +111,29 @@ def _independent(compiled: Compiled, ports: NDArray[np.intp]) -> tuple[NDArray[n
         return all_of_them
     parts = [part[ports].reshape(len(ports), -1) for part in (compiled.rows, compiled.W)]
     motion = np.hstack([part / (np.max(np.abs(part), initial=0.0) or 1.0) for part in parts])
-    _, R, order = qr(motion.T, mode="economic", pivoting=True)
-    rank = int(np.count_nonzero(np.abs(np.diag(R)) > 1e-13 * np.abs(R[0, 0]))) if R.size else 0
-    if rank in (0, len(ports)):
+    chosen = _pivots(motion, 1e-13)
+    if len(chosen) in (0, len(ports)):
         return all_of_them
-    chosen = np.sort(order[:rank])
-    span = lstsq(motion[chosen].T, motion.T)[0].T
-    if np.max(np.abs(motion - span @ motion[chosen])) > 1e-14 * rank:
+    span = np.linalg.lstsq(motion[chosen].T, motion.T, rcond=None)[0].T
+    if np.max(np.abs(motion - span @ motion[chosen])) > 1e-14 * len(chosen):
         return all_of_them
     return ports[chosen], np.ascontiguousarray(span)
+
+
+def _pivots(rows: Floats, least: float) -> NDArray[np.intp]:
+    """Rows that span all of them, sorted: Gram-Schmidt with the largest rest first, down to `least` of the largest."""
+    rest, chosen, first = rows.copy(), list[int](), 0.0
+    for _ in range(min(rows.shape)):
+        sizes = np.sqrt(np.einsum("ij,ij->i", rest, rest))
+        sizes[chosen] = 0.0
+        k = int(np.argmax(sizes))
+        first = first or float(sizes[k])
+        if sizes[k] <= least * first:
+            break
+        chosen.append(k)
+        unit = rest[k] / sizes[k]
+        rest -= np.outer(rest @ unit, unit)
+    return np.sort(np.array(chosen, dtype=np.intp))
 
 
 @dataclass(eq=False)

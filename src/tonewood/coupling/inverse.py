@@ -17,9 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
@@ -43,17 +41,18 @@ def scaled_pinv(matrix: Floats, rtol: float = 1e-12) -> Floats:
     scaled = matrix * scale
     inverse = _inverse(scaled)
     if inverse is None:
-        inverse = np.asarray(sla.pinv(scaled, rtol=rtol), dtype=np.float64)
+        inverse = np.asarray(np.linalg.pinv(scaled, rtol=rtol), dtype=np.float64)
     return np.asarray(inverse * scale)
 
 
 def _inverse(matrix: Floats) -> Floats | None:
     """Inverse by LU, several times quicker than the singular values; None unless the matrix is far from singular."""
-    lu, pivots, fault = lapack.dgetrf(matrix)
-    if fault != 0 or lapack.dgecon(lu, np.abs(matrix).sum(axis=0).max())[0] < 1e-8:
+    try:
+        inverse = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+    except np.linalg.LinAlgError:
         return None
-    inverse, _ = lapack.dgetri(lu, pivots)
-    return np.asarray(inverse)
+    condition = np.abs(matrix).sum(axis=0).max() * np.abs(inverse).sum(axis=0).max()  # in the 1-norm
+    return inverse if condition < 1e8 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +143,7 @@ class InverseInParts:
     def joined(self) -> Floats:
         """(r, r) m/N, K: how the motions answer with the other components on the hub."""
         assert self.hub is not None
-        return np.asarray(sla.solve(self._loop, self.hub.compliance))
+        return np.asarray(np.linalg.solve(self._loop, self.hub.compliance))
 
     def apply(self, x: Floats) -> Floats:
         """Multiply (k,) or (k, columns)."""

@@ -236,7 +236,7 @@ def _find_friction(
     The residual of a friction force is the force that `FrictionBranch.meet` gives for the motion, less that force; it
     answers a change of friction forces through the compliance that contacts leave, at their slopes.
     """
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     potentials = [laws[j] for j in stored]
     sliding = np.array(list(branches), dtype=np.intp)
@@ -292,7 +292,7 @@ def newton(
     noise: float,
 ) -> tuple[Floats, int, bool]:  # fmt: skip
     """Solve f = scale f_law(p), p = free - Z f; see the module. `noise` : m, rounding of `free`."""
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     def evaluate(p: Floats) -> tuple[Floats, Floats]:
         pairs = [law.force(float(a), float(b), dt) for law, a, b in zip(laws, p, old, strict=True)]

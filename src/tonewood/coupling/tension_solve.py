@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.coupling.system import System
@@ -51,7 +50,7 @@ class TensionsOverStep:
     def mean(self, forces: Floats) -> Floats:
         """(s,) psi_m, sqrt(J), if `forces` (m,) are those of the linear connections without tensions."""
         right = self.start - 0.5 * self.reach.T @ forces
-        return np.asarray(sla.solve(self.matrix, right, assume_a="pos"))
+        return np.asarray(np.linalg.solve(self.matrix, right))
 
     def mean_under(self, forces: Floats) -> Floats:
         """(s,) psi_m, sqrt(J), if `forces` (m,) are those of all connections."""
@@ -59,7 +58,7 @@ class TensionsOverStep:
 
     def answer(self, moved: Floats) -> Floats:
         """(s, k) psi_m per force of nonlinear connections, of whose gaps `moved` (k, s) are reached by psi_m."""
-        return np.asarray(-0.5 * sla.solve(self.matrix, moved.T, assume_a="pos")) if moved.size else moved.T
+        return np.asarray(-0.5 * np.linalg.solve(self.matrix, moved.T)) if moved.size else moved.T
 
     def after(self, x: Sequence[Floats], mean: Floats) -> list[Floats]:
         """States x with what psi_m adds."""

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -92,7 +91,7 @@ def not_negative(matrix: Floats, right: Floats) -> Floats:
             on = np.array(chosen)
             d = scale[on]
             x = np.zeros(right.size)
-            x[on] = d * sla.solve(d[:, None] * matrix[on[:, None], on] * d, d * right[on], assume_a="pos")
+            x[on] = d * np.linalg.solve(d[:, None] * matrix[on[:, None], on] * d, d * right[on])
             value = -0.5 * float(right @ x)  # of a stationary point
             if np.all(x >= 0.0) and value < least:
                 best, least = x, value

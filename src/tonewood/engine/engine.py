@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ from tonewood.coupling.system import Compiled, Injection, PrescribedMotion, Stat
 from tonewood.engine.effect_usage import EffectUsage
 from tonewood.engine.effects import runtime_effects
 from tonewood.engine.effects.base import Moment, Run, SwitchedEffect, Switching, switch
-from tonewood.engine.energy_budget import EnergyBudget
 from tonewood.engine.fretting import FrettedBases, Fretting, at_rest, bridge_forces
 from tonewood.engine.gesture_connections import GestureConnections, holds_at
 from tonewood.engine.gestures import Active, courses, cut, forces, hold_steps, quasi_static, samples
@@ -33,6 +33,9 @@ from tonewood.stepping.motion import share_velocities
 from tonewood.units import decibel
 
 __all__ = ["GRID", "Counters", "Engine", "Snapshot"]
+
+if TYPE_CHECKING:
+    from tonewood.engine.energy_budget import EnergyBudget
 
 Floats = NDArray[np.float64]
 
@@ -133,7 +136,12 @@ class Engine:
         self.schedule.add(timeline.changes, timeline.plays)
         self._dampers = all(model.choice.keeps(e, "dampers") for e in model.exciters.values())
         self.state.sample = int(np.floor(timeline.start / self.dt / GRID)) * GRID
-        self.energy_budget = EnergyBudget(self.system, self.state, model) if energy else None
+        self.energy_budget: EnergyBudget | None = self._new_budget() if energy else None
+
+    def _new_budget(self) -> EnergyBudget:
+        from tonewood.engine.energy_budget import EnergyBudget  # few renders keep one
+
+        return EnergyBudget(self.system, self.state, self.model)
 
     @property
     def done(self) -> bool:
@@ -162,7 +170,7 @@ class Engine:
         system = self._with_effects(self._fretted(self.system, self.frettings, self.frettings))
         self.system = self.connections.with_holds(self.connections.with_moved(system, self.active), self.holds)
         if self.energy_budget:
-            self.energy_budget = EnergyBudget(self.system, self.state, self.model)
+            self.energy_budget = self._new_budget()
 
     @one_blas_thread
     def advance(self, n_ticks: int) -> Floats:

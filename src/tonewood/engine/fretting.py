@@ -15,9 +15,9 @@ from tonewood.coupling.system import Compiled, State, System
 from tonewood.energy.stored import gaps
 from tonewood.engine.timeline import Change
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.string_bases import damped
 from tonewood.instrument.strings import StringModel
 from tonewood.modal.modes import ModalBasis
+from tonewood.modal.points import damped
 from tonewood.stepping.motion import from_motion, to_motion
 
 Floats = NDArray[np.float64]

@@ -23,6 +23,7 @@ from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.choice import Choice, declared
 from tonewood.instrument.contract import BodyPoint, Exciter, Place
 from tonewood.instrument.gestures import places
+from tonewood.instrument.kept_tunings import KeptTunings
 from tonewood.instrument.output_assembly import OutputGroup, make_outputs, make_scene
 from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import Playing
@@ -153,7 +154,8 @@ def assemble(
     choice = Choice.of(instrument.spec.effects, declared(instrument.plugins))
     body, body_points = instrument.body.basis(limit), instrument.body.points()
     added = body_parts(instrument.spec.body.added, body, body_points, instrument.folder / MANIFEST)
-    strings = string_models(instrument, added.body, body_points, limit, choice)
+    kept = KeptTunings(instrument, limit)
+    strings = string_models(instrument, added.body, body_points, limit, choice, kept)
     _check_places(instrument, strings)
     _check_body(instrument, strings, body, 1.0 / fs)
     attached = [a for string in strings.values() for a in string.attached()]
@@ -174,6 +176,7 @@ def assemble(
         geometric=geometric,
         owners=owners,
     )
+    kept.save()
     inputs: dict[str, tuple[tuple[str, str, float], ...]] = {
         f"body.{point}": (("body", point, 1.0), *made.body_inputs.get(point, ())) for point in body_points
     }

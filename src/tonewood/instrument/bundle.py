@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError, TonewoodError, kind_of
+from tonewood.garbage import without_collecting
 from tonewood.instrument import registry
 from tonewood.instrument.added import body_parts
 from tonewood.instrument.bundle_code import code_hash, code_plugin, is_code
@@ -462,6 +463,7 @@ def _with_strings(values: dict[str, Any], files: Files) -> dict[str, Any]:
     return values if not isinstance(name, str) else with_set(values, name, over=False, file=files.manifest)
 
 
+@without_collecting
 def load_instrument(name_or_path: str | os.PathLike[str], *, allow_code: bool = False) -> Instrument:
     """Load an installed instrument by name, or a folder with an ``instrument.yaml``; see `Instrument.load`."""
     return Instrument.load(name_or_path, allow_code=allow_code)

@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.coupling.connections import Connection, SpringDashpot, Term
@@ -73,5 +72,5 @@ def laid_down(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         return same, same
     held = np.stack([here, new.right[new.index("bridge")].real])
     softened = held / new.stiffness
-    taken = sla.solve(held @ softened.T, np.stack([here - before, np.zeros(new.n_modes)]), assume_a="sym")
+    taken = np.linalg.solve(held @ softened.T, np.stack([here - before, np.zeros(new.n_modes)]))
     return same - softened.T @ taken @ same, same

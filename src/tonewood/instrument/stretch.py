@@ -27,7 +27,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sla
 
 from tonewood.instrument.contract import Resonator
 
@@ -71,7 +70,7 @@ def octave_stretch(notes: Mapping[str, float], freqs: Mapping[str, float], B: Ma
         wanted[row] = weight * value
         for column, factor in terms.items():
             matrix[row, column] = weight * factor
-    found = sla.lstsq(matrix, wanted)[0]
+    found = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
     return {name: float(found[i] - found[reference]) for i, name in enumerate(order)}
 
 

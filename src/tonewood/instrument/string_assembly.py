@@ -12,6 +12,7 @@ from tonewood.instrument.choice import Choice
 from tonewood.instrument.contract import Attachment, BodyPoint, Exciter, Longitudinal, Resonator, dot
 from tonewood.instrument.directions import unit_vector
 from tonewood.instrument.gestures import Fraction
+from tonewood.instrument.kept_tunings import KeptTunings
 from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import StringPart
 from tonewood.instrument.stretch import inharmonicity, octave_stretch
@@ -29,7 +30,12 @@ STRETCH_ROOM = 1.06
 
 
 def string_models(
-    instrument: Instrument, body: ModalBasis, body_points: Mapping[str, BodyPoint], limit: float, choice: Choice
+    instrument: Instrument,
+    body: ModalBasis,
+    body_points: Mapping[str, BodyPoint],
+    limit: float,
+    choice: Choice,
+    kept: KeptTunings | None = None,
 ) -> dict[str, StringModel]:
     """Make every string of an instrument.
 
@@ -38,6 +44,7 @@ def string_models(
     body, body_points : the body's modes below the limit, and its points.
     limit : Hz, no mode is stepped above it.
     choice : effects that may run.
+    kept : tunings of open strings from an earlier run.
 
     Returns
     -------
@@ -60,7 +67,7 @@ def string_models(
         for name in instrument.groups[leader]
     }
     return {
-        name: _string(instrument, name, body, body_points, limit, choice, stretch.get(name, 0.0), copies[name])
+        name: _string(instrument, name, body, body_points, limit, choice, stretch.get(name, 0.0), copies[name], kept)
         for name in instrument.string_names
         if name not in beyond
     }
@@ -96,6 +103,7 @@ def _string(
     choice: Choice,
     stretch_cents: float,
     copies: int,
+    kept: KeptTunings | None,
 ) -> StringModel:
     part, resonator = instrument.spec.strings[name], instrument.resonators[name]
     polarizations = tuple(
@@ -131,6 +139,7 @@ def _string(
         group=next(s for s in instrument.groups.values() if name in s) if name in instrument.key_of else (),
         damper=None if damper is None else (damper.resistance, _metres(damper.from_bridge, resonator), damper.width),
         longitudinal=_longitudinal(part, name, resonator, body_points, choice),
+        kept=kept,
     )
     shortest = string.length(string.n_stops)
     for point, x in points.items():

@@ -16,13 +16,13 @@ from tonewood.errors import BundleError
 from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Resonator
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
+from tonewood.instrument.kept_tunings import KeptTunings
 from tonewood.instrument.schema import Finger
-from tonewood.instrument.string_bases import below, damped, with_points
-from tonewood.instrument.string_points import moved
 from tonewood.instrument.string_setup import GivenTension, LongitudinalMotion, Polarization, Stopping
 from tonewood.instrument.tuning import StringOnBody, TunedStop, no_mode, tune
 from tonewood.modal.damper import damper_rates
 from tonewood.modal.modes import ModalBasis
+from tonewood.modal.points import below, damped, moved, with_points
 from tonewood.modal.receptance import Joint, Ports
 from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.units import cents, ratio_of_cents
@@ -54,6 +54,7 @@ class StringModel:
     Parameters
     ----------
     scatter : stop -> cents by which the second polarization is sharper than its `detune` says.
+    kept : tunings of open strings from an earlier run.
     """
 
     def __init__(
@@ -77,13 +78,14 @@ class StringModel:
         pluck_width: float = 0.0,
         group: tuple[str, ...] = (),
         damper: tuple[float, float, float] | None = None,
+        kept: KeptTunings | None = None,
     ):
         self.name, self.resonator, self.polarizations = name, resonator, polarizations
         self.longitudinal = longitudinal
         self.open_note, self.stopping, self.points = open_note, stopping, dict(points)
         self.pluck_from_bridge, self.pluck_width = pluck_from_bridge, pluck_width
         self.group, self.damper = group or (name,), damper
-        self._of_key = bool(group)
+        self._of_key, self._kept = bool(group), kept
         self._body, self._freq_upper, self._freq_limit = body, freq_upper, freq_limit
         self._end_compliance, self._tilt_deg = end_compliance, tilt_deg
         self._touching, self._scatter = dict(touching or {}), scatter
@@ -404,7 +406,7 @@ class StringModel:
         """Basis of a stop at a first guess of its tension, cached; `detuned` takes it to any other tension."""
         if stop not in self._bases:
             # the open string's tension, once known, is the best guess for every stop
-            guess = self._tuned[0.0][1] if 0.0 in self._tuned else self._first_guess()
+            guess = self._tuned[0.0][1] if stop > 0.0 and 0.0 in self._tuned else self._first_guess()
             basis = self.resonator.basis(self._freq_upper, stop=self.position(stop), tension=guess)
             if basis.n_modes < 2:  # a single mode moves with the bridge: a string held there would have none
                 raise self.resonator.fault(
@@ -423,6 +425,8 @@ class StringModel:
 
     def _first_guess(self) -> float:
         """Tension of a rigidly held string of this pitch: f is proportional to the root of the tension."""
+        if self._kept is not None and self.name in self._kept.known:
+            return self._kept.known[self.name][0]
         nominal = self.resonator.tension
         if self._tension_held or self.stopping.compensate == "none":
             return nominal
@@ -457,12 +461,18 @@ class StringModel:
                 tension = self.tension(0.0)
                 self._tuned[stop] = (self.under(tension, stop), tension)
             else:
+                if stop == 0 and self._kept is not None and self.name in self._kept.known:
+                    found = self._kept.known[self.name][1]
+                    self._tuned[stop] = (found, found.tension)
+                    return self._tuned[stop]
                 guess = self.tension(0.0) if stop > 0 else self._first_guess()
                 try:
                     found = tune(self.coupled(stop), self.freq(stop), guess)
                 except ValueError as fault:
                     raise self._without_mode(stop, str(fault)) from None
                 self._tuned[stop] = (found, found.tension)
+                if stop == 0 and self._kept is not None:
+                    self._kept.add(self.name, guess, found)
         return self._tuned[stop]
 
     def _without_mode(self, stop: float, reason: str) -> BundleError:

@@ -64,7 +64,7 @@ def complex_modes(
     ------
     ValueError : a rigid-body motion that damping neither brakes nor leaves alone: C~ is not positive semi-definite.
     """
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     order = np.argsort(omega == 0, kind="stable")
     P, damping, sign, omega = P[:, order], damping[np.ix_(order, order)], sign[order], omega[order]
@@ -127,7 +127,7 @@ def complex_modes(
 
 def _split(S: Floats, damping: Floats, omega: Floats, e: int) -> tuple[Floats, Floats]:
     """Orthonormal null vectors of S, steady motion of rigid bodies that nothing brakes, and the rest of the space."""
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     if e == omega.size:
         return np.zeros((S.shape[0], 0)), np.eye(S.shape[0])
@@ -150,7 +150,7 @@ def _rigid_modes(P: Floats, omega: Floats, e: int, steady: Floats, slip: Floats)
     `slip` (n_rigid, n_dof) that unit impulses leave behind in the rigid bodies goes along the steady motions as far as
     it can, and the rest of it is real poles at 0: bodies that damping brings to rest elsewhere.
     """
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     travel, bent = steady[2 * e :], steady[:e] / omega[:e, None]
     carried, slid = P[:, e:] @ travel, sla.pinv(travel) @ slip if travel.size else np.zeros((0, P.shape[0]))
@@ -189,7 +189,7 @@ def _inverse_root(pairing: Complexes) -> Complexes:
 
     It turns every vector as little as possible, so that each keeps its pole.
     """
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     W = 0.5 * (pairing + pairing.T)
     if np.abs(W.imag).max() <= 1e-12 * np.abs(W).max():
@@ -200,7 +200,7 @@ def _inverse_root(pairing: Complexes) -> Complexes:
 
 def _real_span(A: Floats, lam: Complexes) -> Floats:
     """(n, 2) orthonormal basis of the motion of two poles near one another on or about the real axis."""
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     centre = complex(lam.mean())
     reach = float(np.abs(lam - centre).max()) + 0.25 * _NEAR * abs(centre)
@@ -213,7 +213,7 @@ def _real_span(A: Floats, lam: Complexes) -> Floats:
 
 def _companion(T: Floats, motion: Floats, inputs: Floats, lam: Complexes) -> _Mode:
     """The block z' = T z + inputs f, y' = motion z as a ``BLOCK``: z = H (q, p), T H = H [[0, 1], [-w^2, -2 s]]."""
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     trace, determinant = float(np.trace(T)), float(T[0, 0] * T[1, 1] - T[0, 1] * T[1, 0])
     trial = [np.array([np.cos(angle), np.sin(angle)]) for angle in np.linspace(0, np.pi, 8, endpoint=False)]

@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.modal.modes import PAIR, ModalBasis
@@ -111,7 +110,7 @@ def with_damping_case(basis: ModalBasis, case: str, threshold: float = 0.2) -> M
     # rows in other units than the rest must not outweigh them when shapes are moved "as little as possible"
     weight = np.ones((len(sign), 1))
     if (sign < 0).any() and (sign > 0).any():
-        weight[sign < 0] = sla.norm(normal[sign > 0]) / (sla.norm(normal[sign < 0]) or 1.0)
+        weight[sign < 0] = np.linalg.norm(normal[sign > 0]) / (np.linalg.norm(normal[sign < 0]) or 1.0)
     flat = weight * normal / turn
     if case == "proportional":
         groups = [np.array([k]) for k in pairs]
@@ -196,13 +195,13 @@ def proper_shapes(shapes: Complexes) -> ProperShapes:
         Re(psi sqrt(2j omega)) / sqrt(2j omega).
     """
     X, Y = shapes.real, shapes.imag
-    P, s, Qh = sla.svd(X.T @ Y)
+    P, s, Qh = np.linalg.svd(X.T @ Y)
     used = s > 1e-13 * max(float(s.max(initial=0.0)), np.finfo(float).tiny)
     U = P[:, used] @ Qh[used]
     rest_p, rest_q = P[:, ~used], Qh[~used].T
     if rest_p.size:
         # not seen at the points: as near to proportional damping (U = -I) as can be
-        a, _, bh = sla.svd(rest_q.T @ rest_p)
+        a, _, bh = np.linalg.svd(rest_q.T @ rest_p)
         U = U - rest_p @ bh.T @ a.T @ rest_q.T
     return ProperShapes(np.asarray(0.5 * (X + Y @ U.T)), np.asarray(U))
 
@@ -237,10 +236,12 @@ def principal_form(poles: Complexes, proper: ProperShapes) -> PrincipalForm:
     def moment(power: int) -> Floats:
         return np.asarray(2 * ((Q * poles**power) @ Q.T).real, dtype=np.float64)
 
+    from tonewood.scipy_linalg import sla
+
     try:
-        M = np.asarray(sla.inv(moment(1)))
-        omega2, V = sla.eigh(np.asarray(sla.inv(-moment(-1))), M)
-    except sla.LinAlgError:
+        M = np.asarray(np.linalg.inv(moment(1)))
+        omega2, V = sla.eigh(np.asarray(np.linalg.inv(-moment(-1))), M)
+    except np.linalg.LinAlgError:
         raise ValueError("these modes belong to no second-order system of positive mass") from None
     if omega2[0] <= 0:
         raise ValueError("these modes belong to no second-order system of positive stiffness")
@@ -269,10 +270,10 @@ def hermitian_mass_inverse(shapes: Complexes, poles: Complexes, norm: ArrayLike 
     ValueError : the shapes are not of full column rank.
     """
     psi = np.asarray(shapes, dtype=np.complex128)
-    values = sla.svdvals(psi)
+    values = np.linalg.svdvals(psi)
     if psi.shape[0] < psi.shape[1] or values[-1] <= 1e-12 * values[0]:
         raise ValueError("the modal mass matrix needs at least as many independent points as modes")
     inverse_mass = 2 * ((psi * (poles / np.asarray(norm, dtype=np.complex128))) @ psi.T).real
-    pinv = sla.pinv(psi)
+    pinv = np.linalg.pinv(psi)
     out = pinv @ inverse_mass @ pinv.conj().T
     return np.asarray(0.5 * (out + out.conj().T))

@@ -52,7 +52,7 @@ def loaded(basis: ModalBasis, rows: ArrayLike, mass: ArrayLike, damping: ArrayLi
     ------
     ValueError : a number is negative, or modes coincide so that they cannot be distinguished.
     """
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     P = np.atleast_2d(np.asarray(rows, dtype=np.float64))
     M, D, K = (np.broadcast_to(np.asarray(x, dtype=np.float64), len(P)) for x in (mass, damping, stiffness))
@@ -88,7 +88,7 @@ def loaded(basis: ModalBasis, rows: ArrayLike, mass: ArrayLike, damping: ArrayLi
 
 def _with_residual_modes(basis: ModalBasis) -> tuple[ModalBasis, float]:
     """The basis with undamped modes in place of its residual compliance, and their frequency, Hz."""
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     omega = _FAR * float(np.sqrt(basis.stiffness.max()))
     values, vectors = sla.eigh(basis.residual)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg
 
 from tonewood.modal.conjugates import Complexes, Floats, extend
 
@@ -60,7 +59,7 @@ def port_directions(right: Complexes, left: Complexes) -> tuple[Floats, Floats]:
     """Orthonormal directions (n_ports, rank) in which ports move or are driven, and how much, (rank,)."""
     if right.size == 0:
         return np.zeros((right.shape[0], 0)), np.zeros(0)
-    basis, values, _ = linalg.svd(
+    basis, values, _ = np.linalg.svd(
         np.concatenate([right.real, right.imag, left.real, left.imag], axis=1), full_matrices=False
     )
     rank = int(np.sum(values > PORT_RANK * values[0]))
@@ -79,4 +78,4 @@ def smallest_hermitian(matrix: NDArray[np.float64] | Complexes) -> float:
     """Smallest eigenvalue of the Hermitian part; 0 for an empty matrix."""
     if matrix.size == 0:
         return 0.0
-    return float(linalg.eigvalsh(0.5 * (matrix + matrix.conj().T), check_finite=False)[0])
+    return float(np.linalg.eigvalsh(0.5 * (matrix + matrix.conj().T))[0])

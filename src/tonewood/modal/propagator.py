@@ -120,7 +120,7 @@ def flow(basis: ModalBasis, dt: float, order: int = 1) -> Floats:
 
 def _block_flow(stiffness: Floats, damping_rate: Floats, dt: float, order: int) -> Floats:
     """Blocks of [[0, 1], [-omega^2, -2 sigma]] dt: first block row of the exponential of an augmented matrix."""
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     n, m = stiffness.size, 2 * (order + 1)
     big = np.zeros((n, m, m))
@@ -218,8 +218,6 @@ def moments(begin: Floats, end: Floats, coefficients: Floats, dt: float, n_cells
 @cache
 def _gauss() -> tuple[Floats, Floats]:
     """Nodes and weights on [0, 1], exact for the last term of a series times a parabola (Golub & Welsch 1969)."""
-    import scipy.linalg as sla
-
     k = np.arange(1, SERIES_TERMS // 2 + 1)
-    nodes, vectors = sla.eigh_tridiagonal(np.zeros(k.size + 1), k / np.sqrt(4.0 * k**2 - 1.0))
+    nodes, vectors = np.linalg.eigh(np.diag(k / np.sqrt(4.0 * k**2 - 1.0), -1))  # of the lower triangle
     return (nodes + 1) / 2, vectors[0] ** 2

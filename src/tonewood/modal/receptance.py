@@ -147,9 +147,7 @@ class Joint:
             i, j = np.unravel_index(int(np.argmax(np.abs(adjugate))), (2, 2))
             v, w = adjugate[:, j], adjugate[i]
             return v / np.sqrt(np.vdot(v, v).real), w / np.sqrt(np.vdot(w, w).real)
-        import scipy.linalg as sla
-
-        U, _, Vh = sla.svd(M)
+        U, _, Vh = np.linalg.svd(M)
         return np.asarray(Vh[-1].conj()), np.asarray(U[:, -1].conj())
 
     def shares(self, s: complex) -> Floats:
@@ -206,21 +204,19 @@ class Joint:
 
         Source: W.-J. Beyn, Linear Algebra and its Applications 436 (2012) 3839, section 5.
         """
-        import scipy.linalg as sla
-
         u = np.exp(2j * np.pi * (np.arange(places) + 0.5) / places)
-        inverse = np.array([sla.inv(M) for M in self.receptances(centre + radius * u)])
+        inverse = np.array([np.linalg.inv(M) for M in self.receptances(centre + radius * u)])
         scale = np.abs(inverse).max()
         moments = [np.einsum("j,jab->ab", u ** (k + 1), inverse / scale) / places for k in range(2 * _MOMENTS)]
 
         def hankel(first: int) -> Complexes:
             return np.block([[moments[first + i + j] for j in range(_MOMENTS)] for i in range(_MOMENTS)])
 
-        U, size, Vh = sla.svd(hankel(0))
+        U, size, Vh = np.linalg.svd(hankel(0))
         rank = int(np.count_nonzero(size > _RANK * size[0]))
         small = (U[:, :rank].conj().T @ hankel(1) @ Vh[:rank].conj().T) / size[:rank]
         found: list[complex] = []
-        for start in centre + radius * sla.eigvals(small):
+        for start in centre + radius * np.linalg.eigvals(small):
             s = self.newton(complex(start))
             if s is not None and abs(s - centre) <= radius and all(abs(s - other) > 1e-9 * abs(s) for other in found):
                 found.append(s)

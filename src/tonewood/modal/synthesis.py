@@ -187,7 +187,7 @@ def real_modes(M: Floats, K: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     ------
     ValueError : M or K is indefinite, or a direction has neither mass nor stiffness.
     """
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     n = M.shape[0]
     scale = 1 / np.sqrt(np.where(np.diag(M) > 0, np.diag(M), 1.0))
@@ -242,7 +242,7 @@ def _check_symmetric(name: str, A: Floats) -> None:
 
 def _aligned_with_damping(P: Floats, omega: Floats, C: Floats, sign: Floats) -> Floats:
     """Turn the shapes of equal frequencies, which are free, so that their own damping is diagonal."""
-    import scipy.linalg as sla
+    from tonewood.scipy_linalg import sla
 
     P = P.copy()
     start = 0

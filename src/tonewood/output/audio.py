@@ -12,7 +12,6 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 import numpy as np
-import soundfile as sf
 from numpy.typing import NDArray
 
 from tonewood.energy.trace import EnergyTrace
@@ -122,6 +121,8 @@ class Audio:
 
 def flac_bytes(samples: Floats, fs: int) -> bytes:
     """(n, n_channels) samples as a FLAC file of 16 bits, which browsers play; cut at full scale."""
+    import soundfile as sf
+
     stream = io.BytesIO()
     sf.write(stream, np.clip(samples, -1.0, 1.0), fs, format="FLAC", subtype="PCM_16")
     return stream.getvalue()
@@ -171,6 +172,8 @@ class SoundWriter:
     def __init__(
         self, path: str | os.PathLike[str], fs: int, n_channels: int, subtype: str | None = None, *, frames: int = 0
     ):
+        import soundfile as sf
+
         self.path = Path(path)
         container, self.subtype = file_format(path, subtype, float(frames) * n_channels)
         self.clipped, self.frames, self.peak = 0, 0, 0.0
@@ -197,6 +200,8 @@ class SoundWriter:
         ------
         OutputError : the disk is full, or a sample is not a number.
         """
+        import soundfile as sf
+
         if not np.all(np.isfinite(block)):
             raise OutputError("a sample is not a finite number; nothing was written", file=self.path)
         over = np.abs(block) > 1.0
@@ -213,6 +218,8 @@ class SoundWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        import soundfile as sf
+
         try:
             self._file.close()
             # libsndfile does not report a disk that is full when it writes its last buffer

@@ -7,7 +7,6 @@ import os
 from tonewood.errors import BundleError, ScoreError, kind_of
 from tonewood.instrument.bundle import Instrument
 from tonewood.score.note import Score
-from tonewood.score.reading import read_score
 
 ScoreLike = Score | str | os.PathLike[str]
 InstrumentLike = Instrument | str | os.PathLike[str]
@@ -23,6 +22,8 @@ def as_score(score: ScoreLike) -> Score:
     if isinstance(score, Score):
         return score
     if isinstance(score, str | os.PathLike):
+        from tonewood.score.reading import read_score  # scores of MIDI files and written music are not always read
+
         return read_score(score)
     raise ScoreError(f"is {kind_of(score)}; a Score or the path of a score's file is allowed", key="score")
 

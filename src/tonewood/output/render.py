@@ -20,6 +20,7 @@ from tonewood.engine.effects.base import EffectReport
 from tonewood.engine.engine import GRID, Engine, Snapshot
 from tonewood.engine.playing import Performance, perform
 from tonewood.errors import DroppedNotesWarning, TonewoodError
+from tonewood.garbage import without_collecting
 from tonewood.instrument.assembly import FREQ_LIMIT, Model, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.string_setup import GivenTension
@@ -140,6 +141,7 @@ class Renderer:
     TonewoodError : something is out of range; one line.
     """
 
+    @without_collecting
     @one_blas_thread
     def __init__(
         self,

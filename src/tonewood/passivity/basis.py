@@ -79,7 +79,5 @@ def _rows(basis: ModalBasis, driven: Sequence[str]) -> NDArray[np.intp]:
 
 
 def _eigenvalues(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    import scipy.linalg as sla
-
-    values, vectors = sla.eigh(matrix) if matrix.size else (np.zeros(0), np.zeros((0, 0)))
+    values, vectors = np.linalg.eigh(matrix) if matrix.size else (np.zeros(0), np.zeros((0, 0)))
     return np.asarray(values), np.asarray(vectors)

@@ -32,7 +32,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg
 
 from tonewood.errors import PassivityError
 from tonewood.modal.conjugates import Complexes, Floats, conjugate_weights, extend, halve, real_form
@@ -190,10 +189,10 @@ def check(
         faults.append(f"{len(unstable)} pole(s) grow, fastest {freq:.6g} Hz at {rate:.3g} 1/s")
 
     weight = conjugate_weights(lam)
-    sizes = weight * linalg.norm(r, axis=0) * linalg.norm(l_, axis=0) if lam.size else np.zeros(0)
+    sizes = weight * np.linalg.norm(r, axis=0) * np.linalg.norm(l_, axis=0) if lam.size else np.zeros(0)
     total = float(np.sum(sizes)) or 1.0
     direct = ((r * weight) @ l_.T).real
-    direct_term = float(linalg.norm(direct)) / total
+    direct_term = float(np.linalg.norm(direct)) / total
     direct_min = smallest_hermitian(direct) / total
     if direct_min < -tolerance:
         faults.append(f"direct term 2 Re sum r l^T is negative, {direct_min:.3g} of sum 2 |r||l|")
@@ -260,7 +259,7 @@ def _rank(shapes: Complexes, floor: float) -> int:
     """Dimension of the real port space that shapes span."""
     if shapes.size == 0:
         return 0
-    return int(np.sum(linalg.svdvals(np.concatenate([shapes.real, shapes.imag], axis=1)) > floor))
+    return int(np.sum(np.linalg.svdvals(np.concatenate([shapes.real, shapes.imag], axis=1)) > floor))
 
 
 def _undamped_residues(poles: Complexes, right: Complexes, left: Complexes, tolerance: float) -> tuple[Violation, ...]:
@@ -272,8 +271,8 @@ def _undamped_residues(poles: Complexes, right: Complexes, left: Complexes, tole
         group = [k for k in left_over if abs(poles[k] - first) <= 10 * UNDAMPED * abs(first)]
         left_over = [k for k in left_over if k not in group]
         residue = 1j * (right[:, group] @ left[:, group].T)  # of Y, without the positive factor |lambda|
-        size = float(linalg.norm(residue)) or 1.0
-        skew = float(linalg.norm(residue - residue.conj().T)) / (2 * size)
+        size = float(np.linalg.norm(residue)) or 1.0
+        skew = float(np.linalg.norm(residue - residue.conj().T)) / (2 * size)
         worst = max(-smallest_hermitian(residue) / size, skew)
         if worst > tolerance:
             freq = float(first.imag / (2 * np.pi))
@@ -291,7 +290,7 @@ def _bands(
         return ()
 
     full_poles, full_right, full_left = extend(lam, r, l_)
-    sizes = linalg.norm(full_right, axis=0) * linalg.norm(full_left, axis=0)
+    sizes = np.linalg.norm(full_right, axis=0) * np.linalg.norm(full_left, axis=0)
 
     def excess(omega: Floats) -> Floats:
         """Smallest eigenvalue of the Hermitian part relative to |Y|, above the tolerance and the rounding."""
@@ -340,17 +339,17 @@ def signature_changes(poles: Complexes, right: Complexes, left: Complexes) -> Fl
     for shift in (middle, 0.6180339887 * middle, 1.6180339887 * middle):
         solved = _solve_blocks(poles, shift, big_b, n)
         G = D + D.T - big_c @ solved
-        condition = 1.0 / max(float(linalg.svdvals(G)[-1]), np.finfo(np.float64).tiny) * float(linalg.norm(G, 2))
+        condition = 1.0 / max(float(np.linalg.svdvals(G)[-1]), np.finfo(np.float64).tiny) * float(np.linalg.norm(G, 2))
         if best is None or condition < best[0]:
             best = condition, shift, G
     assert best is not None
     condition, shift, G = best
     if condition > 1e14:
         # a singular pencil: a generic small change keeps its regular eigenvalues (Hochstenbach, Mehl & Plestenjak 2019)
-        G = G + 1e-13 * float(linalg.norm(G, 2)) * np.diag(np.linspace(1.0, 2.0, G.shape[0]))
+        G = G + 1e-13 * float(np.linalg.norm(G, 2)) * np.diag(np.linspace(1.0, 2.0, G.shape[0]))
     F = _solve_blocks(poles, shift, np.eye(2 * n), n)
-    T = F + (F @ big_b) @ linalg.solve(G, big_c @ F)
-    mu = linalg.eigvals(T, overwrite_a=True, check_finite=False)
+    T = F + (F @ big_b) @ np.linalg.solve(G, big_c @ F)
+    mu = np.linalg.eigvals(T)
     mu = mu[np.abs(mu) > 1e-12 * np.abs(mu).max()]
     return np.asarray(np.unique(np.abs((shift + 1.0 / mu).imag)))
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 from tonewood.errors import PassivityError
 from tonewood.modal.conjugates import Complexes, Floats, extend, halve, real_form
@@ -104,7 +103,7 @@ def mechanical_storage(poles: Complexes, right: Complexes, left: Complexes, M: F
     P = 0.5 * (speed.conj().T @ M @ speed + psi.conj().T @ K @ psi)
     Q = speed.conj().T @ C @ speed
     supplied, stored = 0.5 * speed.conj().T, P @ psi_left.T
-    if float(linalg.norm(stored - supplied)) > _EXACT * float(linalg.norm(supplied)):
+    if float(np.linalg.norm(stored - supplied)) > _EXACT * float(np.linalg.norm(supplied)):
         raise PassivityError("the modes are not the complete list of these mass, damping and stiffness matrices")
     n_dof = psi.shape[0]
     return Storage(P, Q, np.zeros((lam.size, n_dof), dtype=np.complex128), np.zeros((n_dof, n_dof)), "mechanical")
@@ -172,7 +171,7 @@ def _of_complex_modes(poles: Complexes, right: Complexes, left: Complexes) -> St
         # P l = (r lambda)^H / 2 with one number for P: l = -i a conj(r), a > 0
         r, l_ = right[:, k] / scale[:, 0], left[:, k] / scale[:, 0]
         a = complex(1j * np.sum(r * l_)).real / sizes[0][k] ** 2
-        if not a > 0.0 or float(linalg.norm(l_ + 1j * a * r.conj())) > _EXACT * sizes[1][k]:
+        if not a > 0.0 or float(np.linalg.norm(l_ + 1j * a * r.conj())) > _EXACT * sizes[1][k]:
             raise PassivityError("no storage function: an undamped mode is not passive by itself")
         second = poles.size + int(pairs[:k].sum())
         P[k, k] = P[second, second] = 0.5 * abs(poles[k]) / a
@@ -193,21 +192,24 @@ def _of_riccati(poles: Complexes, right: Complexes, left: Complexes) -> Complexe
     right, left = (ports / values).T @ right, (ports / values).T @ left
     # states in which P is about 1/2, time in units of a middle frequency
     unit = float(np.exp(np.mean(np.log(np.abs(poles)))))
-    gain = np.sqrt(linalg.norm(left, axis=0) / (linalg.norm(right, axis=0) * np.abs(poles)))
+    gain = np.sqrt(np.linalg.norm(left, axis=0) / (np.linalg.norm(right, axis=0) * np.abs(poles)))
     form = real_form(poles / unit, right * gain, left / (gain * unit))
     A, B, R, C = form.A, form.B, form.R, form.C
     m = R.shape[0]
-    if float(linalg.norm(form.D + form.D.T)) > 1e-7 * float(linalg.norm(R) * linalg.norm(B)):
+    if float(np.linalg.norm(form.D + form.D.T)) > 1e-7 * float(np.linalg.norm(R) * np.linalg.norm(B)):
         raise PassivityError("no storage function: the direct term 2 Re sum r l^T is not zero")
 
     # known part: on V = [B, A^-1 B], whose complement are the states with ports at rest, Gamma x = 0
     gamma = np.concatenate([C, R])
-    V = np.concatenate([B, linalg.solve(A, B)], axis=1)
-    W = linalg.null_space(gamma, rcond=1e-12)
+    V = np.concatenate([B, np.linalg.solve(A, B)], axis=1)
+    from tonewood.scipy_linalg import sla
+
+    W = sla.null_space(gamma, rcond=1e-12)
     ports_of = gamma @ V  # [[C B, D], [D, -H(0)]]
-    if W.shape[1] != A.shape[0] - 2 * m or float(linalg.svdvals(ports_of)[-1]) < 1e-12 * float(linalg.norm(ports_of)):
+    least = 1e-12 * float(np.linalg.norm(ports_of))
+    if W.shape[1] != A.shape[0] - 2 * m or float(np.linalg.svdvals(ports_of)[-1]) < least:
         raise PassivityError("no storage function: mass or stiffness at the ports is singular")
-    coordinates = linalg.solve(ports_of, gamma)
+    coordinates = np.linalg.solve(ports_of, gamma)
     known = 0.5 * np.concatenate([C, -R]).T @ coordinates
     rest = W.T @ (np.eye(A.shape[0]) - V @ coordinates)
 
@@ -215,12 +217,12 @@ def _of_riccati(poles: Complexes, right: Complexes, left: Complexes) -> Complexe
     if W.shape[1]:
         damping = -0.5 * (C @ A @ B + (C @ A @ B).T)
         P = P + rest.T @ _riccati(rest @ A @ W, rest @ A @ B, 0.5 * C @ A @ W, damping) @ rest
-    if float(linalg.norm(P @ B - 0.5 * C.T)) > _EXACT * float(linalg.norm(C)):
+    if float(np.linalg.norm(P @ B - 0.5 * C.T)) > _EXACT * float(np.linalg.norm(C)):
         raise PassivityError("no storage function: masses at the ports are not symmetric")
 
     lost = -(A.T @ P + P @ A)
     for name, matrix in (("energy", P), ("dissipation", lost)):
-        if float(linalg.eigvalsh(matrix)[0]) < -_EXACT * float(linalg.norm(matrix, 2)):
+        if float(np.linalg.eigvalsh(matrix)[0]) < -_EXACT * float(np.linalg.norm(matrix, 2)):
             raise PassivityError(f"no storage function: its {name} would be negative somewhere")
     gains = np.concatenate([gain, gain[poles.imag > 0.0]])
     return np.asarray(form.to_full @ P @ form.to_full.conj().T / np.outer(gains, gains), dtype=np.complex128)
@@ -231,22 +233,22 @@ def _riccati(A: Floats, B: Floats, S: Floats, R: Floats) -> Floats:
 
     The extreme ones lose nothing in some directions; their mean loses something in all, clear of rounding.
     """
+    from tonewood.scipy_linalg import sla
+
     try:
-        factor = linalg.cho_factor(R)
-    except linalg.LinAlgError:
+        factor = sla.cho_factor(R)
+    except np.linalg.LinAlgError:
         raise PassivityError("no storage function: motion of some port is not damped at high frequencies") from None
-    closed = A + B @ linalg.cho_solve(factor, S)
-    hamiltonian = np.block(
-        [[closed, B @ linalg.cho_solve(factor, B.T)], [-S.T @ linalg.cho_solve(factor, S), -closed.T]]
-    )
+    closed = A + B @ sla.cho_solve(factor, S)
+    hamiltonian = np.block([[closed, B @ sla.cho_solve(factor, B.T)], [-S.T @ sla.cho_solve(factor, S), -closed.T]])
     n = A.shape[0]
     solutions = []
     for half_plane in ("lhp", "rhp"):
-        _, vectors, count = linalg.schur(hamiltonian, sort=half_plane)
+        _, vectors, count = sla.schur(hamiltonian, sort=half_plane)
         if count != n:
             raise PassivityError(
                 "no storage function: the basis is passive only just, or not at all; repair it to get one"
             )
-        P = linalg.solve(vectors[:n, :n].T, vectors[n:, :n].T)
+        P = np.linalg.solve(vectors[:n, :n].T, vectors[n:, :n].T)
         solutions.append(0.5 * (P + P.T))
     return 0.5 * (solutions[0] + solutions[1])

@@ -7,15 +7,16 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tonewood.errors import ScoreError
 from tonewood.score.file_bytes import file_bytes
-from tonewood.score.guitar_pro import read_gpif, read_guitar_pro
 from tonewood.score.midi import read_midi
-from tonewood.score.musicxml import read_musicxml
 from tonewood.score.note import Control, Note, Score
-from tonewood.score.written import WrittenMusic, performed
 from tonewood.score.xml_files import MAX_BYTES, members
+
+if TYPE_CHECKING:
+    from tonewood.score.written import WrittenMusic
 
 FORMATS = ".mid, .musicxml, .mxl, .gp3, .gp4, .gp5, .gp"
 
@@ -55,6 +56,8 @@ def read_score(
         score = read_midi(path, start=start, stop=stop)
         score = score if tracks is None else _channels(score, tracks)
     else:
+        from tonewood.score.written import performed
+
         score = performed(music, tracks)
         score = score if not start and stop is None else _excerpt(score, start, stop)
     return score if transpose == 0.0 and tempo == 1.0 else _moved(score, transpose, tempo)
@@ -63,6 +66,12 @@ def read_score(
 def read_written(path: Path) -> WrittenMusic | None:
     """Read a file of written music; None for anything else, which may be a MIDI file."""
     data = file_bytes(path, MAX_BYTES)
+    if data[:4] == b"MThd":
+        return None
+    # most scores are MIDI files: readers of the others are imported when they are needed
+    from tonewood.score.guitar_pro import read_gpif, read_guitar_pro
+    from tonewood.score.musicxml import read_musicxml
+
     if data[:2] == b"PK":
         return read_gpif(data, path) if "Content/score.gpif" in members(data, path) else read_musicxml(data, path)
     if data[:4] in (b"BCFZ", b"BCFS"):

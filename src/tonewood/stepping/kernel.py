@@ -38,10 +38,12 @@ from tonewood.stepping.stepper import NumpyStepper, Statistics
 Floats = NDArray[np.float64]
 _NONE = np.zeros(0, dtype=np.intp)
 _NO_MATRIX = np.zeros((0, 0))
-#: sets of connections in use whose wirings are kept
-_WIRINGS = 64
 #: samples, at multiples of which a run may be cut without changing a bit
 _CUT = 64
+#: linear and nonlinear connections in use, which of these are contacts, components of geometric strings; hub, its ports
+_Use = tuple[bytes, bytes, bytes, frozenset[str], tuple[int, bytes] | None]
+#: ways in which all connections are used that are remembered
+_KEPT_WIRINGS = 64
 #: (n, 4): nonlinear connection, component, port among its fixed or contact ports, whether it is a contact port; factors
 Terms = tuple[NDArray[np.int64], Floats]
 #: slot of a component, whether laws act on its fixed ports, and how connections use it
@@ -107,8 +109,7 @@ class KernelStepper:
         self._descriptions: WeakKeyDictionary[Compiled, dict[_Key, Description]] = WeakKeyDictionary()
         self._keys = count()
         self._wirings: dict[tuple[int, bytes, bytes], tuple[Wiring, OwnTerms]] = {}
-        #: connections in use -> wiring of all components
-        self._wired_before: dict[tuple[object, ...], tuple[list[Wiring], Terms]] = {}
+        self._wired_as: dict[_Use, tuple[list[Wiring], Terms]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
         self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
@@ -207,15 +208,23 @@ class KernelStepper:
     def _wired(self, system: System, hub: Hub | None) -> tuple[list[Wiring], Terms]:
         """Sort the ports of every component by the connections now in use.
 
-        A component whose connections are used as before keeps its wiring: a note changes a few of hundreds.
+        A component whose connections are used as before keeps its wiring: a note changes a few of hundreds. Where all
+        are used as some time before (a finger comes and goes), all of it is kept.
         """
-        m = len(system.connections)
         is_contact = system.elimination.others.is_contact
-        coupled = {name for law in system.geometric for name in law.parts}
+        coupled = frozenset(name for law in system.geometric for name in law.parts)
         met = None if hub is None else (hub.slot, hub.ports.tobytes())
-        used_now = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), frozenset(coupled), met
-        if (known := self._wired_before.get(used_now)) is not None:
-            return known
+        use = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), coupled, met
+        if use not in self._wired_as:
+            while len(self._wired_as) >= _KEPT_WIRINGS:
+                del self._wired_as[next(iter(self._wired_as))]
+            self._wired_as[use] = self._wire(system, hub, is_contact, coupled)
+        return self._wired_as[use]
+
+    def _wire(
+        self, system: System, hub: Hub | None, is_contact: NDArray[np.bool_], coupled: frozenset[str]
+    ) -> tuple[list[Wiring], Terms]:
+        m = len(system.connections)
         place, law, culled = np.full(m, -1), np.full(m, -1), np.zeros(m, dtype=bool)
         place[self._active], law[self._nonlinear] = np.arange(len(self._active)), np.arange(len(self._nonlinear))
         culled[self._nonlinear] = is_contact
@@ -236,10 +245,7 @@ class KernelStepper:
             for i, port, on_contact, factor in own:
                 terms.append((int(law[at[i]]), slot, port, on_contact))
                 factors.append(factor)
-        if len(self._wired_before) >= _WIRINGS:
-            self._wired_before.clear()
-        self._wired_before[used_now] = wiring, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))
-        return self._wired_before[used_now]
+        return wiring, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))
 
     def run(
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[PrescribedMotion] = ()

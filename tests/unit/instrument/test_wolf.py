@@ -59,7 +59,7 @@ def test_the_share_is_that_of_two_oscillators(tmp_path: Path, values: dict[str, 
     pull = rad**2 / math.pi * math.sqrt(2 * string_mass / mass)
     for offset, share in zip(x, found, strict=True):
         own = (rad * 2 ** (offset / 1200)) ** 2
-        vectors = np.linalg.eigh(np.array([[own, pull], [pull, rad**2]]))[1]  # noqa: TID251  # a check of scipy's
+        vectors = np.linalg.eigh(np.array([[own, pull], [pull, rad**2]]))[1]
         assert share == pytest.approx(min(vectors[0] ** 2), abs=0.025)
 
 

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.connections import Rigid
 from tonewood.coupling.system import State, System
 from tonewood.engine.effect_usage import Bound, EffectUsage
 from tonewood.engine.fretting import Fretting
@@ -33,7 +34,8 @@ from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
 from tonewood.instrument.effects import Effect
-from tonewood.stepping.motion import from_motion, share_velocities, to_motion
+from tonewood.modal.modes import ModalBasis
+from tonewood.stepping.motion import from_motion, to_motion
 from tonewood.units import decibel
 
 Floats = NDArray[np.float64]
@@ -364,23 +366,36 @@ def switch(effect: SwitchedEffect, moment: Moment, before: Switching, found: Wat
 def pay(effect: SwitchedEffect, moment: Moment, component: str, on: bool) -> bool:
     """Debit what a switch costs from kinetic energy, in the moment's state; returns whether there was enough.
 
-    Velocities of the effect's `payers` are scaled by sqrt(1 - cost / kinetic energy), displacements stay. Rigid
-    connections at these components then share their velocities again, which only takes energy away.
+    Displacements stay, and so do the velocities of points that rigid connections join: the rest v of the velocities of
+    the effect's `payers`, orthogonal to these points' shapes, is scaled by sqrt(1 - cost / (v^2 / 2)). Nothing of the
+    switch so reaches the body at once. (An impulse that makes joined velocities equal would be heard at -60 dB: they
+    differ from sample to sample by what a force that is constant over a step leaves.)
     """
     cost, system, state = effect.cost(moment, component, on), moment.system, moment.state
     if cost <= 0.0:
         return True
-    payers = effect.payers(component)
-    motions = [(name, system.compiled[system.slot(name)].basis, *motion(system, state, name)) for name in payers]
-    kinetic = sum(0.5 * float(v @ v) for *_, v in motions)
+    motions = []
+    for name in effect.payers(component):
+        basis = system.compiled[system.slot(name)].basis
+        q, v = motion(system, state, name)
+        motions.append((name, basis, q, v, free_velocity(system, name, basis, v)))
+    kinetic = sum(0.5 * float(free @ free) for *_, free in motions)
     if cost > _PAYABLE * kinetic:
         return False
-    less = math.sqrt(1.0 - cost / kinetic)
-    for name, basis, q, v in motions:
-        system.modes_of(state, name)[:] = from_motion(basis, q, less * v)
-    touched = [any(term.component in payers for term in c.terms) for c in system.connections]
-    share_velocities(system, state, np.array(touched, dtype=bool))
+    taken = 1.0 - math.sqrt(1.0 - cost / kinetic)
+    for name, basis, q, v, free in motions:
+        system.modes_of(state, name)[:] = from_motion(basis, q, v - taken * free)
     return True
+
+
+def free_velocity(system: System, component: str, basis: ModalBasis, v: Floats) -> Floats:
+    """Part of a component's velocities (n_modes,) that moves none of its rigidly joined points."""
+    terms = (term for c in system.connections if isinstance(c.law, Rigid) for term in c.terms)
+    rows = [basis.right[basis.index(term.point)].real for term in terms if term.component == component]
+    if not rows:
+        return v
+    directions, _ = np.linalg.qr(np.stack(rows).T)
+    return np.asarray(v - directions @ (directions.T @ v))
 
 
 def motion(system: System, state: State, component: str) -> tuple[Floats, Floats]:

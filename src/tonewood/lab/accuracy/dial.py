@@ -85,8 +85,9 @@ BUDGET_TEXT = f"""\
 ## Effects and their budgets
 
 The same comparison for `--effects`: a string of the steel-string guitar plucked with {FORCE:g} N, against all effects.
-Auto leaves out what stays within `--budget-cents` and `--budget-db`; these are bounds on each effect (for high
-modes an estimate), so the differences measured here lie below them."""
+Auto leaves out what stays within `--budget-cents` and `--budget-db`, bounds on pitch and on what is added, so
+differences of the pitch lie below them. A rise that is left out turns the phase of partials: that is the difference of
+waveforms, which no budget bounds, and in two planes that beat the one of decay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,6 +269,6 @@ def _table(points: Sequence[DialPoint], heading: str, unit: str, truth: str) -> 
 
 
 def middle_string(instrument: Instrument) -> str:
-    """Name of one in the middle."""
-    names = list(instrument.string_names)
+    """Name of one in the middle; of a key with several strings the first, which its note plays."""
+    names = list(instrument.groups)
     return names[len(names) // 2]

@@ -1,4 +1,4 @@
-"""Bases of a string with named points, with a pluck of some width, below a limit, and damped."""
+"""A string's basis with other points, means over a width of it, modes left out, and damping added."""
 
 from __future__ import annotations
 
@@ -10,11 +10,6 @@ import numpy as np
 
 from tonewood.modal.modes import PAIR, ModalBasis
 from tonewood.modal.string_transfer import retuned
-
-
-def damped(bases: Mapping[str, ModalBasis], added_damping: float) -> dict[str, ModalBasis]:
-    """A string's bases with every mode's damping rate raised (1/s)."""
-    return {c: retuned(b, np.sqrt(b.stiffness), b.damping_rate + added_damping) for c, b in bases.items()}
 
 
 def with_points(basis: ModalBasis, places: Mapping[str, float], still: Sequence[str], width: float) -> ModalBasis:
@@ -65,3 +60,30 @@ def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:
         if isinstance(value, np.ndarray) and value.shape[-1:] == (n,)
     }
     return replace(basis.select(keep), metadata={**basis.metadata, **arrays})
+
+
+def damped(bases: Mapping[str, ModalBasis], added_damping: float) -> dict[str, ModalBasis]:
+    """A string's bases with every mode's damping rate raised (1/s)."""
+    return {c: retuned(b, np.sqrt(b.stiffness), b.damping_rate + added_damping) for c, b in bases.items()}
+
+
+def moved(basis: ModalBasis, point: str, place: float, width: float) -> ModalBasis:
+    """Put a point at another place (m) of a string; all else, the poles among it, is that of `basis`.
+
+    The basis is the same as one that is made with the point there, and then `spread` where `width` (m) is not 0.
+    """
+    assert basis.shape is not None
+    i, residual, places = basis.points.index(point), basis.residual.copy(), {**basis.places, point: place}
+    if (between := basis.residual_at) is not None:
+        at, xs = [basis.points.index(name) for name in places], np.array(list(places.values()))
+        compliance = between(xs, place)
+        if len(at) > 2:  # other points than the bridge: the mean of both, as where they are made together
+            added = np.array([name != "bridge" for name in places])
+            compliance = np.where(added, 0.5 * (compliance + between(place, xs)), compliance)
+        residual[at, i] = residual[i, at] = compliance
+    if width:
+        return spread(replace(basis, residual=residual, places=places), point, width)
+    right, left, pair = basis.right.copy(), basis.left.copy(), basis.kind == PAIR
+    right[i] = shape = basis.shape(place)
+    left[i] = shape * np.where(pair, -0.5j / np.where(pair, basis.poles.imag, 1.0), 1.0)
+    return replace(basis, right=right, left=left, residual=residual, places=places)
