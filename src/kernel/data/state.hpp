@@ -3,6 +3,7 @@
 
 #include "laws.hpp"
 #include "layout.hpp"
+#include "phantoms.hpp"
 #include "tension.hpp"
 
 namespace tonewood {
@@ -95,6 +96,7 @@ struct Job {
     double *series, *slip, *last_force;  // (k), moved
     std::vector<Control> controls;
     double* tension;     // (n_tensions, 4), moved
+    double* phantoms = nullptr;  // (n_strings, kPhantomMemory), moved
     int phase = 0;       // samples since the last multiple of kResetSteps; with tensions and above 0, n ends at the next one
 };
 
@@ -112,6 +114,7 @@ struct Model {
     Solve solve;
     Nonlinear nonlinear;
     Tensions tensions;
+    std::vector<PhantomString> phantoms;
     Shortcuts shortcuts;
     ContactState contacts;
     TensionState tension;

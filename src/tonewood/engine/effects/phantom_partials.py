@@ -1,0 +1,151 @@
+"""Phantom partials that are driven one way, switched on and off string by string.
+
+They run from any gesture on a string until a bound on what would be missing (`effects.phantoms`, from the string's
+partials and the body's response) is within half of the budget. Of the strings on which they are off, the four that hold
+most energy are looked at. The transverse motion is the same on or off, so that a switch costs no energy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.coupling.geometric import GeometricStretch
+from tonewood.coupling.system import State, System
+from tonewood.engine.effect_usage import Bound, EffectUsage
+from tonewood.engine.effects.base import Moment, SwitchedEffect, Switching, Watched, motion, next_multiple
+from tonewood.engine.effects.bridge_response import BridgeResponse
+from tonewood.engine.effects.phantoms import Phantoms
+from tonewood.engine.fretting import Fretting
+from tonewood.engine.timeline import GRID
+from tonewood.instrument.assembly import Model
+from tonewood.instrument.contract import Plugin
+from tonewood.instrument.effects import Effect
+from tonewood.modal.string_modes import string_basis
+
+Floats = NDArray[np.float64]
+
+#: points of the control grid between two looks
+_SELDOM = 64
+#: share of the additive budget that missing phantom partials may take
+_SHARE = 0.5
+#: share of that below which they are left out; above the whole of it, they come back
+_LEAVE = 0.9
+#: strings without them that are looked at
+_LOUDEST = 4
+#: re full scale, the loudest sample before there is any
+_SILENT = 1e-150
+
+
+class PhantomPartialsEffect(SwitchedEffect):
+    """Decides which strings' longitudinal forces act."""
+
+    def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
+        super().__init__(model, effect, plugins)
+        self.budget = _SHARE * 10 ** (model.choice.budget_db / 20)
+        self._laws = {p.name: p for p in model.system.phantoms}
+        self._response: BridgeResponse | None = None
+        self._bounds: dict[tuple[str, float], Phantoms] = {}
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Strings whose longitudinal motion is driven."""
+        return tuple(self._laws) if self.chosen else tuple(self.plugins)
+
+    def next_watch(self, sample: int, switching: Switching) -> int:
+        """Every 4096 samples."""
+        return next_multiple(sample, _SELDOM)
+
+    def watch(self, moment: Moment, switching: Switching) -> Watched | None:
+        """Wanted where a gesture acts or begins, and where the bound is beyond the budget."""
+        groups = (self.model.strings[play.string].group for play in moment.fresh if play.string is not None)
+        played = {name for group in groups for name in group} & self._laws.keys()
+        if moment.sample % (GRID * _SELDOM):
+            wanted = switching.on | played
+            return Watched(wanted) if wanted != switching.on else None
+        busy = {name for string in moment.busy if string for name in self.model.strings[string].group}
+        held = (busy | played) & self._laws.keys()
+        peak = np.maximum(moment.peak, _SILENT)
+        energies = {name: self._energy(moment, name) for name in self._laws if name not in held}
+        levels = {name: self._level(moment, name, peak) for name in energies if name in switching.on}
+        off = sorted((name for name in energies if name not in switching.on), key=lambda name: -energies[name])[
+            :_LOUDEST
+        ]
+        levels |= {name: self._level(moment, name, peak) for name in off if energies[name] > 0.0}
+        wanted = set(held)
+        for name, level in levels.items():
+            if level > self.budget * (_LEAVE if name in switching.on else 1.0):
+                wanted.add(name)
+        bounds = [(name, Bound(level=level), name not in wanted) for name, level in levels.items()]
+        return Watched(frozenset(wanted), bounds)
+
+    def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
+        """Switch the forces of these strings on, and all others off."""
+        same = all((p.name in on) == is_on for p, is_on in zip(system.phantoms, system.phantoms_on, strict=True))
+        return system if same else system.with_phantoms(on)
+
+    def reset(self, system: System, state: State, changed: Collection[str]) -> None:
+        """Clear what the longitudinal modes remember."""
+        if state.phantoms.size:
+            state.phantoms[[p.name in changed for p in system.phantoms]] = 0.0
+
+    def load(self, component: str) -> float:
+        """Modes that drive."""
+        system = self.model.system
+        parts = (system.compiled[system.slot(c)].phantom for c in self._planes(component))
+        return float(sum(part.weights.shape[1] for part in parts if part is not None))
+
+    def why(self, usage: EffectUsage, component: str) -> str:
+        """One line."""
+        if self.model.choice.mode != "auto":
+            return super().why(usage, component)
+        return f"from a gesture until what would be missing is below {self.model.choice.budget_db:g} dB"
+
+    def _planes(self, name: str) -> Sequence[str]:
+        return [p.component for p in self.model.strings[name].polarizations]
+
+    def _stop(self, moment: Moment, name: str) -> float:
+        return moment.frettings[name].stop
+
+    def _energy(self, moment: Moment, name: str) -> float:
+        total = 0.0
+        for component in self._planes(name):
+            q, v = motion(moment.system, moment.state, component)
+            basis = moment.system.compiled[moment.system.slot(component)].basis
+            total += 0.5 * float(v @ v + basis.stiffness @ (q * q))
+        return total
+
+    def _level(self, moment: Moment, name: str, peak: Floats) -> float:
+        """Bound on the largest sample that is missing without it, re the loudest one."""
+        moving = {c: motion(moment.system, moment.state, c) for c in self._planes(name)}
+        bound = self._phantoms(moment, name)
+        level = bound.level(bound.slopes(moving), peak)
+        return level if math.isfinite(level) else math.inf
+
+    def _phantoms(self, moment: Moment, name: str) -> Phantoms:
+        """The bound of a string at its stop, from the coupled string's."""
+        key = name, self._stop(moment, name)
+        if key not in self._bounds:
+            if self._response is None:
+                self._response = BridgeResponse(self.model)
+            law, system, along = self._laws[name], moment.system, f"{name}.longitudinal"
+            planes = self._planes(name)
+            compiled = {c: system.compiled[system.slot(c)] for c in planes}
+            known = compiled[planes[0]].basis.metadata
+            motion_along = string_basis(
+                cast(float, known["length"]), law.axial_stiffness, cast(float, known["linear_density"]), 0.0,
+                lambda freq_rad, k: np.full_like(freq_rad, law.loss), freq_upper=0.45 / system.dt,
+            )  # fmt: skip
+            stretch = GeometricStretch(name, tuple(planes), along, law.axial_stiffness, law.freq_coupled)
+            shares = {
+                c: replace(part, geometric=stretch.part(c, part.basis, np.zeros_like(part.E)))
+                for c, part in compiled.items()
+            }
+            shares[along] = replace(compiled[planes[0]], basis=motion_along)
+            self._bounds[key] = Phantoms.of(stretch, shares, self.model.strings[name].tension(key[1]), self._response)
+        return self._bounds[key]
