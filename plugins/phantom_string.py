@@ -26,7 +26,7 @@ class PhantomStringParameters(StiffStringParameters):
         "Hz", low=20.0, high=1e5, default=3000.0, doc="transverse modes below it drive the longitudinal ones"
     )
     longitudinal_loss: float = quantity(
-        "1", low=0.0, high=1.0, default=2e-3, doc="loss factor of longitudinal modes, 2 sigma / omega"
+        "1", low=0.0, high=1.0, default=0.01, doc="loss factor of longitudinal modes, 2 sigma / omega"
     )
     bridge_leverage: float = quantity(
         "1", low=-2.0, high=2.0, default=0.1, doc="force on the body's point per tension at the bridge"

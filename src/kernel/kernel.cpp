@@ -97,7 +97,9 @@ void Kernel::load_phantoms(const std::vector<PhantomDescription>& strings) {
         expect(name + "vector", d.vector, {2, std::size_t(components[d.target].n)});
         PhantomString string;
         string.index = d.index, string.target = d.target, string.order = int(order), string.scale = d.scale;
-        string.vector = d.vector.copy(), string.steps = d.steps.copy();
+        string.vector = d.vector.copy(), string.steps.assign(4 * kPhantomModes, 0.0);
+        for (std::size_t m = 0; m < order; ++m)
+            for (std::size_t i = 0; i < 4; ++i) string.steps[i * kPhantomModes + m] = d.steps[4 * m + i];
         for (const auto& p : d.parts) {
             const bool known = p.slot >= 0 && std::size_t(p.slot) < components.size() && p.weights.ndim == 2;
             const std::size_t n = known ? p.weights.shape[1] : 0, wide = (n + kPadding - 1) / kPadding * kPadding;
@@ -107,9 +109,12 @@ void Kernel::load_phantoms(const std::vector<PhantomDescription>& strings) {
             expect(name + "weights", p.weights, {order + 1, n});
             expect(name + "mirrored", p.mirrored, {order + 1, order});
             PhantomString::Part part;
-            part.slot = p.slot, part.n = int(n), part.mirrored = p.mirrored.copy();
-            part.weights.assign((order + 1) * wide, 0.0);
-            for (std::size_t m = 0; m <= order; ++m) std::copy_n(p.weights.data + m * n, n, part.weights.data() + m * wide);
+            part.slot = p.slot, part.wide = int(wide);
+            part.weights.assign(padded(order + 1) * wide, 0.0), part.mirrored.assign((order + 1) * kPhantomModes, 0.0);
+            for (std::size_t m = 0; m <= order; ++m) {
+                std::copy_n(p.weights.data + m * n, n, part.weights.data() + m * wide);
+                std::copy_n(p.mirrored.data + m * order, order, part.mirrored.data() + m * kPhantomModes);
+            }
             string.parts.push_back(std::move(part));
         }
         out.push_back(std::move(string));

@@ -10,9 +10,9 @@ constexpr int kPhantomMemory = kBlock + 2 * kPhantomModes;   // numbers of a str
 
 struct PhantomString {
     struct Part {  // a polarization: its lowest n modes
-        int slot = 0, n = 0;
-        Array<double> weights;   // (order + 1, n, padded as modes are)
-        Array<double> mirrored;  // (order + 1, order)
+        int slot = 0, wide = 0;  // component; these modes, padded as all are
+        Array<double> weights;   // (order + 1, padded to kLane; wide)
+        Array<double> mirrored;  // (order + 1, kPhantomModes)
         bool operator==(const Part&) const = default;
     };
     int index = 0;               // of its row in the state
@@ -20,7 +20,7 @@ struct PhantomString {
     int order = 0;               // longitudinal modes
     double scale = 0;            // EA
     Array<double> vector;        // (2, n) state that 1 N, held over a step, adds there
-    Array<double> steps;         // (order, 4)
+    Array<double> steps;         // (4, kPhantomModes)
     std::vector<Part> parts;
     bool operator==(const PhantomString&) const = default;
 };

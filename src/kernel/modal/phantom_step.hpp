@@ -22,7 +22,7 @@ public:
     explicit PhantomStep(Block& block) : block_(block), due_(block.model.phantoms.size() * kBlock) {
         for (const PhantomString& string : block.model.phantoms) {
             block_.known.push_back(string.target);
-            for (const auto& part : string.parts) copies_.emplace_back(2 * part.weights.size() / (string.order + 1));
+            for (const auto& part : string.parts) copies_.emplace_back(2 * part.wide);
         }
         int most = 0;
         for (const PhantomString& string : block.model.phantoms)
@@ -56,31 +56,32 @@ public:
             std::fill_n(squares_, kBlock * kOrder, 0.0);
             for (const auto& part : string.parts) {
                 step(part, string.order, copies_[at++], contacts);
-                for (int b = 0; b < nb; ++b) add_squares(part, string.order, path_.data() + b * width(part, string.order), squares_ + b * kOrder);
+                const int line = width(part, string.order);
+                for (int b = 0; b < nb; ++b) add_squares(part, string.order, path_.data() + b * line, squares_ + b * kOrder);
             }
             double *const row = memory(string), *const a = row + kBlock, *const v = a + kPhantomModes;
             std::copy(row + nb, row + kBlock, row);
             for (int b = 0; b < nb; ++b) {
                 const double* const s = squares_ + b * kOrder;
-                double sum = s[0];
-                for (int m = 0; m < string.order; ++m) {
-                    const double e = a[m] + s[m + 1], moving = v[m], *const to = string.steps.data() + 4 * m;
+                const double* const to = string.steps.data();
+                S::V sum{};
+                for (int m = 0; m < kPhantomModes && m < string.order; m += S::width) {
+                    const S::V square = S::load(s + m + 1), e = S::load(a + m) + square, moving = S::load(v + m);
                     sum += e;
-                    a[m] = to[0] * e + to[1] * moving - s[m + 1], v[m] = to[2] * e + to[3] * moving;
+                    S::store(a + m, S::load(to + m) * e + S::load(to + kPhantomModes + m) * moving - square);
+                    S::store(v + m, S::load(to + 2 * kPhantomModes + m) * e + S::load(to + 3 * kPhantomModes + m) * moving);
                 }
-                row[kBlock - nb + b] = string.scale * sum;
+                row[kBlock - nb + b] = string.scale * (s[0] + S::sum(sum));
             }
         }
     }
 
 private:
-    static constexpr int kOrder = kPhantomModes + 1;
+    static constexpr int kOrder = kPhantomModes + kLane;  // s_0, and those of the modes, padded
 
     double* memory(const PhantomString& string) const { return block_.job.phantoms + std::size_t(string.index) * kPhantomMemory; }
     // Modes of a part in a line of the path, and room for those that are read `order` places further.
-    static int width(const PhantomString::Part& part, int order) {
-        return int(part.weights.size()) / (order + 1) + (order + kPadding) / kPadding * kPadding;
-    }
+    static int width(const PhantomString::Part& part, int order) { return part.wide + (order + 2 * kPadding) / kPadding * kPadding; }
 
     // Steps the copy of a part's modes over the block; their first numbers go to path_.
     void step(const PhantomString::Part& part, int order, Array<double>& copy, const ContactRows& contacts) {
@@ -113,15 +114,33 @@ private:
         }
     }
 
-    static void add_squares(const PhantomString::Part& part, int order, const double* x, double* squares) {
-        const int n = int(part.weights.size()) / (order + 1);
-        for (int m = 0; m <= order; ++m) {
-            const double *const w = part.weights.data() + std::ptrdiff_t(m) * n, *const other = part.mirrored.data() + std::ptrdiff_t(m) * order;
-            S::V sum{};
-            for (int k = 0; k < n; k += S::width) sum += S::load(w + k) * S::load(x + k) * S::load(x + k + m);
-            double all = S::sum(sum);
-            for (int k = 0; k < m; ++k) all += other[k] * x[k] * x[m - 1 - k];
-            squares[m] += all;
+    // Adds the s_m of a line x to `squares`, kLane of them at a time.
+    void add_squares(const PhantomString::Part& part, int order, const double* x, double* squares) {
+        const int n = part.wide;
+        for (int k = 0; k < kPhantomModes; ++k) backwards_[kPhantomModes - 1 - k] = k < n ? x[k] : 0.0;
+        alignas(64) double lanes[kLane * S::width];
+        for (int first = 0; first <= order; first += kLane) {
+            const int count = std::min(kLane, order + 1 - first);
+            const double *const w = part.weights.data() + std::ptrdiff_t(first) * n, *const y = x + first;
+            const auto add = [&]<int Count>() {
+                S::V sum[Count] = {};
+                for (int k = 0; k < n; k += S::width) {
+                    const S::V at = S::load(x + k);
+                    for (int m = 0; m < Count; ++m) sum[m] += S::load(w + std::ptrdiff_t(m) * n + k) * at * S::load(y + k + m);
+                }
+                for (int m = 0; m < Count; ++m) S::store(lanes + m * S::width, sum[m]);
+            };
+            if (count == kLane) add.template operator()<kLane>();
+            else if (count > 2) add.template operator()<kLane - 1>();  // rows beyond the last one are padding
+            else add.template operator()<2>();
+            for (int m = 0; m < count; ++m) {
+                // pairs k and first + m - 1 - k
+                const double* const other = part.mirrored.data() + std::ptrdiff_t(first + m) * kPhantomModes;
+                S::V sum = S::load(lanes + m * S::width);
+                for (int k = 0; k < first + m; k += S::width)
+                    sum += S::load(other + k) * S::load(x + k) * S::load(backwards_ + kPhantomModes - first - m + k);
+                squares[first + m] += S::sum(sum);
+            }
         }
     }
 
@@ -130,7 +149,7 @@ private:
     std::vector<Array<double>> copies_;  // by part: (2, n)
     Array<double> path_;                 // (kBlock, width): first numbers of a part's modes
     std::vector<Input> inputs_;
-    double squares_[kBlock * kOrder];
+    alignas(64) double squares_[kBlock * kOrder], backwards_[2 * kPhantomModes] = {};  // the lowest modes, the last one first
 };
 
 }  // namespace

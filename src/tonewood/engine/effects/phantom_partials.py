@@ -66,8 +66,7 @@ class PhantomPartialsEffect(SwitchedEffect):
         groups = (self.model.strings[play.string].group for play in moment.fresh if play.string is not None)
         played = {name for group in groups for name in group} & self._laws.keys()
         if moment.sample % (GRID * _SELDOM):
-            wanted = switching.on | played
-            return Watched(wanted) if wanted != switching.on else None
+            return None if played <= switching.on else Watched(switching.on | played)
         busy = {name for string in moment.busy if string for name in self.model.strings[string].group}
         held = (busy | played) & self._laws.keys()
         peak = np.maximum(moment.peak, _SILENT)
