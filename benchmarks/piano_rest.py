@@ -1,4 +1,4 @@
-"""What strings that nobody plays are worth: time of a piano's score, and the difference that stand-ins for them make.
+"""Time of a piano's score, and the difference that stand-ins for strings make which nobody plays.
 
     python benchmarks/piano_rest.py [--notes dense | --score examples/scores/prelude.mid]
 
@@ -82,7 +82,7 @@ def one_for_three(system: System, strings: Mapping[str, StringModel], names: Col
         n = min(basis.n_modes for basis in each)
         first, share = each[0].select(np.arange(n)), 1 / np.sqrt(len(group))
         freq_rad = np.mean([np.sqrt(basis.stiffness[:n]) for basis in each], axis=0)
-        merged = tw.ModalBasis.real(
+        merged = ModalBasis.real(
             freq_rad,
             first.damping_rate,
             {point: share * first.right[i].real for i, point in enumerate(first.points)},

@@ -19,7 +19,7 @@ from tonewood.coupling.elimination import Elimination, GapCompliance
 from tonewood.coupling.geometric import GeometricStretch
 from tonewood.coupling.laws import Friction
 from tonewood.coupling.layout import Drive, Layout, Probe, Readout
-from tonewood.coupling.phantoms import MEMORY, PhantomString
+from tonewood.coupling.phantoms import MEMORY, DrivenLongitudinal
 from tonewood.coupling.tension import TensionModulation
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.propagator import apply, flow, powers, real_form
@@ -56,7 +56,7 @@ class System:
     tensions: tuple[TensionModulation, ...] = ()
     stretches: tuple[GeometricStretch, ...] = ()
     is_on: tuple[bool, ...] = ()
-    phantoms: tuple[PhantomString, ...] = ()
+    phantoms: tuple[DrivenLongitudinal, ...] = ()
     phantoms_on: tuple[bool, ...] = ()
 
     def __repr__(self) -> str:
@@ -79,7 +79,7 @@ class System:
         tensions: Sequence[TensionModulation] = (),
         geometric: Sequence[GeometricStretch] = (),
         owners: Mapping[str, str] | None = None,
-        phantoms: Sequence[PhantomString] = (),
+        phantoms: Sequence[DrivenLongitudinal] = (),
     ) -> System:
         """Compile.
 

@@ -241,11 +241,11 @@ class EnergyAccount:
             held = np.zeros((T, len(energy.points)))
             ports = [energy.points.index(p) for p in self.system.ports_of(name)]
             held[:, ports] = forces @ self.system.incidence(self.system.slot(name))
-            for label, point, along in self._longitudinal(name, again):
+            for label, point, tension in self._longitudinal(name, again):
                 column = energy.points.index(point)
-                held[:, column] += along
+                held[:, column] += tension
                 moved = np.diff(self._displacement(name, point, x))
-                supplied[label] = supplied.get(label, np.zeros(T)) + along * moved
+                supplied[label] = supplied.get(label, np.zeros(T)) + tension * moved
             mine = [k for k in known if k.component == name]
             lost[name], sound, works = over_steps(energy, x[:-1], held, modal_forces.get(name), mine, sample, dt)
             if energy.radiated is not None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.coupling.geometric_solve import rising_solve
-from tonewood.coupling.phantoms import PhantomForces
+from tonewood.coupling.phantom_solve import PhantomForces
 from tonewood.coupling.system import Injection, System
 
 Floats = NDArray[np.float64]
@@ -84,17 +84,17 @@ def step_again(
     if tension.size:
         tensions[0] = tension
     slots_on = sorted(slot for string in rising.slots for slot in string) if rising else []
-    along = PhantomForces(system)
-    memory, phantoms = memory.copy(), np.zeros((T, len(along.on)))
+    driven = PhantomForces(system)
+    memory, phantoms = memory.copy(), np.zeros((T, len(driven.on)))
     modal_forces = {system.names[i]: np.zeros((T, system.compiled[i].basis.n_modes)) for i in slots_on}
     for t in range(T):
         x, y = path[t, :, 0], path[t, :, 1]
         path[t + 1, :, 0] += e00 * x + e01 * y
         path[t + 1, :, 1] += e10 * x + e11 * y
         before, free = by_slot(path[t]), by_slot(path[t + 1])
-        if along.on:
-            phantoms[t] = along.advance(before, memory)
-            for slot, vector, force in zip(along.targets, along.vectors, phantoms[t], strict=True):
+        if driven.on:
+            phantoms[t] = driven.advance(before, memory)
+            for slot, vector, force in zip(driven.targets, driven.vectors, phantoms[t], strict=True):
                 free[slot] += force * vector  # a view of the path
         if rising is not None:
             linear = system.solve

@@ -14,7 +14,7 @@ from typing import Any
 from tonewood.blas import one_blas_thread
 from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.coupling.geometric import GeometricStretch
-from tonewood.coupling.phantoms import PhantomString
+from tonewood.coupling.phantoms import DrivenLongitudinal
 from tonewood.coupling.system import System
 from tonewood.coupling.tension import TensionModulation
 from tonewood.errors import BundleError
@@ -262,10 +262,10 @@ def _stretches(
     return [TensionModulation(s.name, s.components, s.resonator.axial_stiffness) for s in stretching], []
 
 
-def _phantoms(strings: Iterable[StringModel]) -> list[PhantomString]:
+def _phantoms(strings: Iterable[StringModel]) -> list[DrivenLongitudinal]:
     """Strings whose longitudinal motion is driven one way."""
     return [
-        PhantomString(
+        DrivenLongitudinal(
             s.name,
             tuple(p.component for p in s.polarizations),
             tuple(("body", point, share) for point, share in s.phantoms.ends.items()),

@@ -22,7 +22,7 @@ from tonewood.coupling.laws import (
     SampledPotential,
     Scalar,
 )
-from tonewood.coupling.phantoms import force_vector
+from tonewood.coupling.phantom_solve import force_vector
 from tonewood.coupling.system import Compiled, System
 
 Floats = NDArray[np.float64]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tonewood.coupling.geometric_solve import rising_solve
 from tonewood.coupling.law_solve import FrictionBranch, Partners, find_forces, solve_branches
 from tonewood.coupling.laws import Friction
-from tonewood.coupling.phantoms import PhantomForces
+from tonewood.coupling.phantom_solve import PhantomForces
 from tonewood.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.coupling.tension_solve import TensionsOverStep
 from tonewood.errors import NumericalError
@@ -112,8 +112,8 @@ class NumpyStepper:
                     free[s.slot(injection.component)] += np.einsum(
                         "v,vmx->mx", injection.values[:, k], injection.vectors
                     )
-            along = self._phantoms.advance(x, memory)
-            for slot, vector, force in zip(self._phantoms.targets, self._phantoms.vectors, along, strict=True):
+            due = self._phantoms.advance(x, memory)
+            for slot, vector, force in zip(self._phantoms.targets, self._phantoms.vectors, due, strict=True):
                 free[slot] += force * vector
             self._check(free, time)  # before connections spread the fault to other components
             partners = self._partners({j: a[:, step] for j, a in moving.items()})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,7 +36,6 @@ class BridgeResponse:
         way; C of them.
     freq_rad : (f,) rad/s, the body's resonances among them.
     heard : (n_readouts, C, f) of each readout per N.
-    mobility : (C, f) m/s of each end along its polarization per N there.
     stopped : (n_readouts, C, f) bound on the click when a force of each frequency stops at once, of each readout per N.
     """
 
@@ -61,7 +62,7 @@ class BridgeResponse:
         rows, direct = _readout_rows(system, "body", body)
         respond = response(body, form, self.freq_rad, np.vstack([gaps, rows]), entry)
         n = len(self.components)
-        self.mobility = np.abs(_own_response(body, form, self.freq_rad, entry) * self.freq_rad)
+        self._own = body, form, entry
         # forces of what is added to the body per force of a string
         reaction = -impedance[:, None] * respond[: len(added)]
         heard = respond[len(added) :] * (1j * self.freq_rad) ** direct[:, None, None]
@@ -84,6 +85,12 @@ class BridgeResponse:
                 heard += whole * (1j * self.freq_rad) ** power[:, None, None]
         self.heard = np.abs(heard)
         self.stopped = _stopped(self.heard, self.freq_rad)
+
+    @cached_property
+    def mobility(self) -> Floats:
+        """(C, f) m/s of each end along its polarization per N there; found when first wanted."""
+        body, form, entry = self._own
+        return np.asarray(np.abs(_own_response(body, form, self.freq_rad, entry) * self.freq_rad))
 
     def heard_at(self, component: str, freq_rad: Floats) -> Floats:
         """(n_readouts, n) of each readout per N from a string's component, at frequencies of (n,)."""

@@ -1,8 +1,9 @@
 """Phantom partials that are driven one way, switched on and off string by string.
 
 They run from any gesture on a string until a bound on what would be missing (`effects.phantoms`, from the string's
-partials and the body's response) is within half of the budget. Of the strings on which they are off, the four that hold
-most energy are looked at. The transverse motion is the same on or off, so that a switch costs no energy.
+partials and the body's response) is within half of the budget. Strings on which they are off are looked at where they
+hold a thousandth of the energy of the one that holds most: otherwise their phantom partials, which go with the energy,
+are some 60 dB below those of that one. The transverse motion is the same on or off, so that a switch costs no energy.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ from tonewood.modal.string_modes import string_basis
 Floats = NDArray[np.float64]
 
 #: points of the control grid between two looks
-_SELDOM = 64
+_SELDOM = 256
 #: share of the additive budget that missing phantom partials may take
 _SHARE = 0.5
 #: share of that below which they are left out; above the whole of it, they come back
 _LEAVE = 0.9
-#: strings without them that are looked at
-_LOUDEST = 4
+#: share of the largest energy of a string from which on strings without them are looked at
+_FAINT = 1e-3
 #: re full scale, the loudest sample before there is any
 _SILENT = 1e-150
 
@@ -58,7 +59,7 @@ class PhantomPartialsEffect(SwitchedEffect):
         return tuple(self._laws) if self.chosen else tuple(self.plugins)
 
     def next_watch(self, sample: int, switching: Switching) -> int:
-        """Every 4096 samples."""
+        """Every 16,384 samples."""
         return next_multiple(sample, _SELDOM)
 
     def watch(self, moment: Moment, switching: Switching) -> Watched | None:
@@ -70,12 +71,12 @@ class PhantomPartialsEffect(SwitchedEffect):
         busy = {name for string in moment.busy if string for name in self.model.strings[string].group}
         held = (busy | played) & self._laws.keys()
         peak = np.maximum(moment.peak, _SILENT)
-        energies = {name: self._energy(moment, name) for name in self._laws if name not in held}
+        every = {name: self._energy(moment, name) for name in self._laws}
+        energies = {name: energy for name, energy in every.items() if name not in held}
         levels = {name: self._level(moment, name, peak) for name in energies if name in switching.on}
-        off = sorted((name for name in energies if name not in switching.on), key=lambda name: -energies[name])[
-            :_LOUDEST
-        ]
-        levels |= {name: self._level(moment, name, peak) for name in off if energies[name] > 0.0}
+        least = _FAINT * max(every.values(), default=0.0)
+        off = (name for name, energy in energies.items() if name not in switching.on and energy > least)
+        levels |= {name: self._level(moment, name, peak) for name in off}
         wanted = set(held)
         for name, level in levels.items():
             if level > self.budget * (_LEAVE if name in switching.on else 1.0):
@@ -132,19 +133,19 @@ class PhantomPartialsEffect(SwitchedEffect):
         if key not in self._bounds:
             if self._response is None:
                 self._response = BridgeResponse(self.model)
-            law, system, along = self._laws[name], moment.system, f"{name}.longitudinal"
+            law, system, component = self._laws[name], moment.system, f"{name}.longitudinal"
             planes = self._planes(name)
             compiled = {c: system.compiled[system.slot(c)] for c in planes}
             known = compiled[planes[0]].basis.metadata
-            motion_along = string_basis(
+            lengthwise = string_basis(
                 cast(float, known["length"]), law.axial_stiffness, cast(float, known["linear_density"]), 0.0,
                 lambda freq_rad, k: np.full_like(freq_rad, law.loss), freq_upper=0.45 / system.dt,
             )  # fmt: skip
-            stretch = GeometricStretch(name, tuple(planes), along, law.axial_stiffness, law.freq_coupled)
+            stretch = GeometricStretch(name, tuple(planes), component, law.axial_stiffness, law.freq_coupled)
             shares = {
                 c: replace(part, geometric=stretch.part(c, part.basis, np.zeros_like(part.E)))
                 for c, part in compiled.items()
             }
-            shares[along] = replace(compiled[planes[0]], basis=motion_along)
+            shares[component] = replace(compiled[planes[0]], basis=lengthwise)
             self._bounds[key] = Phantoms.of(stretch, shares, self.model.strings[name].tension(key[1]), self._response)
         return self._bounds[key]
