@@ -23,7 +23,7 @@ from tonewood.engine.effects.base import Moment, SwitchedEffect, Switching, Watc
 from tonewood.engine.effects.bridge_response import BridgeResponse
 from tonewood.engine.effects.phantoms import Phantoms
 from tonewood.engine.fretting import Fretting
-from tonewood.engine.timeline import GRID
+from tonewood.engine.timeline import GRID, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
 from tonewood.instrument.effects import Effect
@@ -57,6 +57,13 @@ class PhantomPartialsEffect(SwitchedEffect):
     def components(self) -> tuple[str, ...]:
         """Strings whose longitudinal motion is driven."""
         return tuple(self._laws) if self.chosen else tuple(self.plugins)
+
+    def prepare(self, timeline: Timeline) -> None:
+        """Find the bounds of the strings that will be played; of all where nothing of that is known."""
+        if self.watched:
+            plays = {play.string for play in timeline.plays if play.string is not None}
+            for name in {self._alike(name) for name in self._laws if not plays or name in plays}:
+                self._bound(self.model.system, name, 0.0)
 
     def next_watch(self, sample: int, switching: Switching) -> int:
         """Every 16,384 samples."""
@@ -109,9 +116,6 @@ class PhantomPartialsEffect(SwitchedEffect):
     def _planes(self, name: str) -> Sequence[str]:
         return [p.component for p in self.model.strings[name].polarizations]
 
-    def _stop(self, moment: Moment, name: str) -> float:
-        return moment.frettings[name].stop
-
     def _energy(self, moment: Moment, name: str) -> float:
         total = 0.0
         for component in self._planes(name):
@@ -122,19 +126,29 @@ class PhantomPartialsEffect(SwitchedEffect):
 
     def _level(self, moment: Moment, name: str, peak: Floats) -> float:
         """Bound on the largest sample that is missing without it, re the loudest one."""
-        moving = {c: motion(moment.system, moment.state, c) for c in self._planes(name)}
-        bound = self._phantoms(moment, name)
-        level = bound.level(bound.slopes(moving), peak)
+        like = self._alike(name)
+        planes = zip(self._planes(like), self._planes(name), strict=True)
+        bound = self._bound(moment.system, like, moment.frettings[name].stop)
+        level = bound.level(bound.slopes({a: motion(moment.system, moment.state, b) for a, b in planes}), peak)
         return level if math.isfinite(level) else math.inf
 
-    def _phantoms(self, moment: Moment, name: str) -> Phantoms:
-        """The bound of a string at its stop, from the coupled string's."""
-        key = name, self._stop(moment, name)
+    def _alike(self, name: str) -> str:
+        """The first string of its key if that is the same but for some cents, else itself."""
+        first = self.model.strings[name].group[0]
+        pair = [self.model.strings[s] for s in (first, name)]
+        system, known = self.model.system, []
+        for s in pair:
+            sizes = [system.compiled[system.slot(c)].basis.n_modes for c in self._planes(s.name)]
+            known.append((s.resonator.parameters, sizes, s.name in self._laws))
+        return first if known[0] == known[1] else name
+
+    def _bound(self, system: System, name: str, stop: float) -> Phantoms:
+        """The bound of a string at a stop: that of the string whose motion along itself is coupled both ways."""
+        key = name, stop
         if key not in self._bounds:
             if self._response is None:
                 self._response = BridgeResponse(self.model)
-            law, system, component = self._laws[name], moment.system, f"{name}.longitudinal"
-            planes = self._planes(name)
+            law, component, planes = self._laws[name], f"{name}.longitudinal", self._planes(name)
             compiled = {c: system.compiled[system.slot(c)] for c in planes}
             known = compiled[planes[0]].basis.metadata
             lengthwise = string_basis(
@@ -147,5 +161,5 @@ class PhantomPartialsEffect(SwitchedEffect):
                 for c, part in compiled.items()
             }
             shares[component] = replace(compiled[planes[0]], basis=lengthwise)
-            self._bounds[key] = Phantoms.of(stretch, shares, self.model.strings[name].tension(key[1]), self._response)
+            self._bounds[key] = Phantoms.of(stretch, shares, self.model.strings[name].tension(stop), self._response)
         return self._bounds[key]
