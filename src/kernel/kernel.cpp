@@ -265,6 +265,7 @@ void Kernel::load(const CompiledSystem& system) {
     if (changed || linear || contacts || tensions) {
         make_tensions(model.components, model.layout, model.tensions, capacity_, model.nonlinear, model.tension);
         reset_responses(model.nonlinear, model.layout, model.contacts);
+        model.linear_laws.known = false;
     }
     loaded_ = true;
 }

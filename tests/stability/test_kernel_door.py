@@ -18,7 +18,7 @@ PAD, BLOCK, CHANNELS, CAPACITY = _kernel.PADDING, _kernel.BLOCK_SIZE, 2, 4 * _ke
 CONNECTIONS = 2
 SHORTCUTS = (
     "fused_pass", "direct_step", "block_culling", "group_bound", "fine_bound", "combined_pass", "at_rest",
-    "kept_inverse",
+    "linear_laws",
 )  # fmt: skip
 Path = tuple[str | int, ...]
 

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "connection_step.hpp"
-#include "law_forces.hpp"
+#include "linear_laws.hpp"
 
 namespace tonewood {
 namespace {
@@ -56,13 +56,19 @@ class DirectStep : public ConnectionStep {
 public:
     DirectStep(Block& block, LawForces& laws)
         : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws), general_(block, laws),
-          direct_(layout_) {}
+          direct_(layout_), linear_laws_(block, laws) {}
+
+    void begin_block() override { linear_laws_.begin_block(); }
 
     bool sample(int b, double* now, double* f_out) override {
+        if (linear_laws_.on()) {
+            linear_laws_.forces(b);
+            if (linear_laws_.commit(b, now, f_out)) return true;
+        }
         const double* line = block_.line(b);
         const auto direct = [&] {
             if (laws_.parts.on()) laws_.parts(line, block_.f.data(), now);
-            else direct_(line, now);
+            else direct_(layout_.direct, line, now);
         };
         const bool may_skip = !laws_.any() || laws_.cull.contact_free_so_far();
         if (may_skip) direct();
@@ -88,6 +94,7 @@ private:
     LawForces& laws_;
     GeneralStep general_;
     DirectForces direct_;
+    LinearLawForces linear_laws_;
 };
 
 }  // namespace

@@ -208,6 +208,31 @@ public:
         return true;
     }
 
+    // Makes forces of these laws alone final in sample b, whose port forces are written; false, with nothing made, if a
+    // culled contact could touch.
+    bool commit_alone(int b, const std::vector<int>& laws, const double* force) {
+        open_sample(b);
+        rows.clear_forces(b);
+        for (std::size_t i = 0; i < laws.size(); ++i) {
+            const int j = laws[i];
+            ws_.law_force[j] = force[i], ws_.is_active[j] = 1;
+            ws_.active.push_back(j);
+            if (ws_.law_force[j] != 0.0) series.start(j);
+        }
+        bound_excursions(b);
+        const std::size_t before = cull.candidates().size();
+        cull.add_candidates(b, series.find(), [](int) {});
+        if (cull.candidates().size() != before) return false;
+        ++statistics_.solves;
+        commit(b);
+        return true;
+    }
+
+    // Derives what connection j needs to act.
+    void need_response(int j) {
+        if (!ws_.has_response[j]) find_response(j);
+    }
+
     RisingTensions* tensions = nullptr;
     ForcesInParts parts;  // of the linear connections, where they are solved in parts
     ContactRows rows;
@@ -218,7 +243,7 @@ private:
     bool is_contact(int j) const { return nl_.laws[j].kind == Law::contact; }
 
     void activate(int j) {
-        if (!ws_.has_response[j]) find_response(j);
+        need_response(j);
         ws_.is_active[j] = 1;
         ws_.active.push_back(j);
         ws_.law_force[j] = ws_.last_force[j];
@@ -243,7 +268,7 @@ private:
         const double* const z = tensions ? ts_.z.data() : ws_.z.data();
         const auto find = [&] {
             int iterations = 0;
-            const bool done = find_forces(nl_, block_.model.shortcuts, ws_, z, iterations);
+            const bool done = find_forces(nl_, ws_, z, iterations);
             return count(done, iterations);
         };
         const bool done = converge_branches(nl_, ws_, find);

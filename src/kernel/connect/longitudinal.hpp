@@ -201,7 +201,7 @@ private:
                 }
             power += S::sum(along), own += S::sum(size_);
             ports(part, part.direction.data(), [&](int port, double moved) {
-                ws_.reach[port] = moved, answered += ws_.driven[port] * moved;
+                ws_.reach[port] = moved, answered += ws_.answering[port] * moved;
             });
         }
         own_[s] = own;

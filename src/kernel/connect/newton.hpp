@@ -17,65 +17,21 @@ inline double mutual(const double* z, int k, int i, int j) {
     return 0.5 * (z[std::size_t(i) * k + j] + z[std::size_t(j) * k + i]);
 }
 
-// Whether a law's force is linear in its compressions.
-inline bool is_linear(const Law& law) { return law.kind == Law::spring && law.a[1] == 0.0 && law.a[2] == 0.0; }
-
-// -s (I + s Z s)^-1 s for slopes s^2 of n laws, Z (n, wide(n)): (n, wide(n)) in ws.inverse. Uses ws.lower to ws.over.
-inline void invert_laws(ContactState& ws, const double* z, const double* slope, int n) {
+// -s (I + s Z s)^-1 s for slopes s^2 of n laws, Z (n, wide(n)): (n, wide(n)) in `inverse`. Uses ws.lower to ws.over.
+inline void invert_laws(ContactState& ws, const double* z, const double* slope, int n, Array<double>& inverse) {
     const std::size_t w = wide(n);
+    inverse.assign(n * w, 0.0);
     double *root = ws.x[4].data(), *lower = ws.lower.data();
     for (int i = 0; i < n; ++i) root[i] = std::sqrt(slope[i]);
     for (int i = 0; i < n; ++i)
         for (int j = 0; j <= i; ++j) lower[i * w + j] = root[i] * z[i * w + j] * root[j] + (i == j ? 1.0 : 0.0);
     factorize(lower, n, ws.upper.data(), ws.over.data());
     for (int i = 0; i < n; ++i) {
-        double* row = ws.inverse.data() + i * w;
-        std::fill_n(row, w, 0.0);
+        double* row = inverse.data() + i * w;
         row[i] = root[i];
         solve_definite(lower, ws.upper.data(), ws.over.data(), n, row);
         for (int j = 0; j < n; ++j) row[j] *= -root[j];
     }
-}
-
-// The forces f (n) of linear laws, in one step from where they stand: with force = slope p + f_0 it is
-// r - s (I + s Z s)^-1 s Z r, s^2 = slope and r the residual. With `keep` the inverse is kept until a slope changes.
-inline bool solve_linear_laws(const Nonlinear& nl, ContactState& ws, const double* free, double* f, bool keep) {
-    const int n = int(ws.stored.size());
-    const std::size_t w = wide(n);
-    const double* z = ws.matrix.data();
-    double *p = ws.x[0].data(), *r = ws.x[1].data(), *slope = ws.x[2].data(), *zr = ws.x[3].data();
-    double* step = ws.x[5].data();
-    std::fill_n(p, w, 0.0);
-    add_product(z, int(w), f, n, p);
-    for (int i = 0; i < n; ++i) {
-        const int j = ws.stored[i];
-        const LawForce out = evaluate_law(nl.laws[j], free[i] - p[i], ws.old_p[j], nl.dt);
-        r[i] = out.force * ws.scale[j] - f[i];
-        const double now = out.slope * ws.scale[j];
-        ws.factored = ws.factored && slope[i] == now;
-        slope[i] = now;
-    }
-    std::fill_n(zr, w, 0.0);
-    add_product(z, int(w), r, n, zr);
-    if (keep) {
-        if (!ws.factored) invert_laws(ws, z, slope, n);
-        ws.factored = true;
-        std::copy_n(r, n, step);
-        add_product(ws.inverse.data(), int(w), zr, n, step);
-    } else {
-        double *root = ws.x[4].data(), *lower = ws.lower.data();
-        for (int i = 0; i < n; ++i) root[i] = std::sqrt(slope[i]);
-        for (int i = 0; i < n; ++i)
-            for (int j = 0; j <= i; ++j) lower[i * w + j] = root[i] * z[i * w + j] * root[j] + (i == j ? 1.0 : 0.0);
-        factorize(lower, n, ws.upper.data(), ws.over.data());
-        std::fill_n(step, w, 0.0);
-        for (int i = 0; i < n; ++i) step[i] = root[i] * zr[i];
-        solve_definite(lower, ws.upper.data(), ws.over.data(), n, step);
-        for (int i = 0; i < n; ++i) step[i] = r[i] - root[i] * step[i];
-    }
-    double check = 0.0;
-    for (int i = 0; i < n; ++i) check += f[i] += step[i];
-    return std::isfinite(check);
 }
 
 // Newton's method for the active laws with a potential: ws.stored, with the compliances in ws.matrix. `free` (n) holds the
@@ -128,7 +84,6 @@ inline bool newton(const Nonlinear& nl, ContactState& ws, const double* free, do
         for (int i = 0; i < n; ++i)
             for (int j = 0; j <= i; ++j) lower[i * w + j] = s[i] * z[i * w + j] * s[j] + (i == j ? 1.0 : 0.0);
         factorize(lower, n, ws.upper.data(), ws.over.data());
-        ws.factored = false;
         std::fill_n(step, w, 0.0);
         for (int i = 0; i < n; ++i) step[i] = s[i] * zr[i];
         solve_definite(lower, ws.upper.data(), ws.over.data(), n, step);
@@ -152,7 +107,7 @@ inline bool newton(const Nonlinear& nl, ContactState& ws, const double* free, do
 
 // Finds ws.law_force of the connections in ws.active, starting from its values; friction keeps the branches of ws.branch,
 // and open ones are decided. `z` (k, k): gaps per force.
-inline bool find_forces(const Nonlinear& nl, const Shortcuts& on, ContactState& ws, const double* z, int& iterations) {
+inline bool find_forces(const Nonlinear& nl, ContactState& ws, const double* z, int& iterations) {
     const int k = nl.k, n = int(ws.active.size());
     double* f = ws.law_force.data();
     ws.stored.clear(), ws.sliding.clear();
@@ -167,12 +122,9 @@ inline bool find_forces(const Nonlinear& nl, const Shortcuts& on, ContactState& 
         const std::size_t w = wide(n_stored);
         for (int i = 0; i < n_stored; ++i)
             for (int j = 0; j < n_stored; ++j) ws.matrix[i * w + j] = mutual(z, k, ws.stored[i], ws.stored[j]);
-        ws.factored = false;
         if (at_rest) ws.gathered = ws.stored;
         else ws.gathered.clear();
     }
-    bool linear = on.kept_inverse && n_stored <= kMostLinear;
-    for (int i = 0; i < n_stored && linear; ++i) linear = is_linear(nl.laws[ws.stored[i]]);
     double *free = ws.x[9].data(), *g = ws.x[10].data(), *before = ws.x[11].data();
     for (int sweep = 0; sweep < kMaxSweeps; ++sweep) {
         for (int i = 0; i < n; ++i) before[i] = f[ws.active[i]];
@@ -205,12 +157,7 @@ inline bool find_forces(const Nonlinear& nl, const Shortcuts& on, ContactState& 
                 free[i] = ws.free_p[j], g[i] = f[j];
                 for (const int q : ws.sliding) free[i] -= z[std::size_t(j) * k + q] * f[q];
             }
-            if (linear) {
-                ++iterations;
-                if (!solve_linear_laws(nl, ws, free, g, at_rest)) return false;
-            } else if (!newton(nl, ws, free, g, noise, iterations)) {
-                return false;
-            }
+            if (!newton(nl, ws, free, g, noise, iterations)) return false;
             for (int i = 0; i < n_stored; ++i) f[ws.stored[i]] = g[i];
         }
         if (ws.sliding.empty() || n == 1) return true;

@@ -52,26 +52,26 @@ inline double dot(const double* a, const double* b, int n) {
     return n < S::width ? rest : S::sum(sums) + rest;
 }
 
-// Port forces of sample b from lines b and b + 1 if only linear connections act; see Layout::direct.
+// Port forces of sample b from lines b and b + 1; see PortForces.
 class DirectForces {
     using S = Simd;
 
 public:
     explicit DirectForces(const Layout& layout)
-        : l_(layout), now_(layout.width + S::width), before_(layout.direct_old.empty() ? 0 : layout.width + S::width) {}
+        : l_(layout), now_(layout.width + S::width), before_(layout.width + S::width) {}
 
     // flattened, because compilers do not inline products that several callers use
-    __attribute__((flatten)) void operator()(const double* __restrict line, double* __restrict force) {
+    __attribute__((flatten)) void operator()(const PortForces& by, const double* __restrict line, double* __restrict force) {
         // rows that are no port's, and padding, are overwritten by the next segment or lie beyond the last one
         for (const Layout::Segment& segment : l_.segments)
             for (int i = 0; i < segment.n; i += S::width) {
                 const double* at = line + segment.row + i;
-                S::store(now_.data() + segment.port + i, S::load(at + l_.width) + S::load(at) * l_.mix);
-                if (!before_.empty()) S::store(before_.data() + segment.port + i, S::load(at));
+                S::store(now_.data() + segment.port + i, S::load(at + l_.width) + S::load(at) * by.mix);
+                if (!by.old.empty()) S::store(before_.data() + segment.port + i, S::load(at));
             }
         const int n = int(l_.port_rows.size());
-        add_product(l_.direct.data(), l_.force_width, now_.data(), n, l_.direct_constant.data(), force);
-        if (!before_.empty()) add_product(l_.direct_old.data(), l_.force_width, before_.data(), n, force);
+        add_product(by.free.data(), by.width, now_.data(), n, by.constant.data(), force);
+        if (!by.old.empty()) add_product(by.old.data(), by.width, before_.data(), n, force);
     }
 
 private:

@@ -66,9 +66,14 @@ public:
 
     // Finds the directions, M and psi_m without nonlinear connections from the port forces (force_width) of the linear
     // connections without these strings.
-    void couple(const double* alone) {
+    void couple(const double* alone) { couple(alone, alone, t_.onto_ports.data()); }
+
+    // As above, where linear laws answer too: `answering` are the port forces with them, and (ports, width) those forces
+    // per displacement of the ports. The directions are those of the linear connections `alone`.
+    void couple(const double* alone, const double* answering, const double* onto_ports) {
         const int n = int(t_.ports.size());
-        for (int p = 0; p < n; ++p) ws_.driven[p] = alone[t_.ports[p].force];
+        for (int p = 0; p < n; ++p)
+            ws_.driven[p] = alone[t_.ports[p].force], ws_.answering[p] = answering[t_.ports[p].force];
         direct();
         const int strings = n_strings();
         const std::size_t w = wide(strings);
@@ -76,7 +81,7 @@ public:
             const Tensions::String& string = t_.strings[s];
             double* const stiff = ws_.stiff.data() + std::size_t(s) * t_.width;
             std::fill_n(stiff, t_.width, 0.0);
-            add_product(t_.onto_ports.data() + std::size_t(string.first) * t_.width, t_.width, ws_.reach.data() + string.first,
+            add_product(onto_ports + std::size_t(string.first) * t_.width, t_.width, ws_.reach.data() + string.first,
                         string.n, stiff);
             for (int q = 0; q <= s; ++q) {
                 const Tensions::String& other = t_.strings[q];
@@ -98,6 +103,12 @@ public:
     // Adds the answer of the linear connections to psi_m: port forces `now`, or the connections' own forces f.
     void add_to_ports(double* now) { add(t_.onto_forces.data(), layout_.force_width, now); }
     void add_to_linear(double* f) { add(t_.onto_linear.data(), layout_.f_width, f); }
+
+    // Adds what displacements -psi_m C of the ports move, by a matrix (ports, width).
+    void add(const double* matrix, int width, double* to) {
+        for (std::size_t p = 0; p < t_.ports.size(); ++p) moved_[p] = -ws_.mean[t_.ports[p].string] * ws_.reach[p];
+        add_product(matrix, width, moved_.data(), int(t_.ports.size()), to);
+    }
 
     // Largest psi_m sqrt(sum g^2 / a) of component i in the sample.
     virtual double excursion(int i) const = 0;
@@ -247,12 +258,6 @@ private:
         make(part);
         scaled_.invalidate(part.part->component);
         part.pending = false;
-    }
-
-    // Adds what displacements -psi_m C of the ports move, by a matrix (ports, width).
-    void add(const double* matrix, int width, double* to) {
-        for (std::size_t p = 0; p < t_.ports.size(); ++p) moved_[p] = -ws_.mean[t_.ports[p].string] * ws_.reach[p];
-        add_product(matrix, width, moved_.data(), int(t_.ports.size()), to);
     }
 
     // Rows of a component from the first-th on.

@@ -89,7 +89,8 @@ private:
     // Finds own_ and ws.reach of string s along its direction, and the right side of its equation in ws.alone.
     void direct(int s) {
         const Tensions::String& string = t_.strings[s];
-        const double *const f = ws_.driven.data() + string.first, T = now_[s].ahead, root = string.root;
+        const double *const f = ws_.driven.data() + string.first, *const answering = ws_.answering.data() + string.first;
+        const double T = now_[s].ahead, root = string.root;
         double* const reach = ws_.reach.data() + string.first;
         double power = 0.0, own = 0.0, spread = 0.0, bound = 0.0, answered = 0.0;
         for (int i = string.first_part; i < string.first_part + int(string.components.size()); ++i) {
@@ -107,7 +108,7 @@ private:
                     crossed += f[q] * (twice[0] + T * (twice[1] + T * twice[2]));
                 }
                 power += f[p] * sum[2], own += f[p] * crossed;
-                reach[p] = root * moved, answered += f[p] * reach[p];
+                reach[p] = root * moved, answered += answering[p] * reach[p];
                 bound += std::abs(f[p]) * string.steady[p];
             }
         }

@@ -4,7 +4,7 @@
 #include <memory>
 
 #include "connection_step.hpp"
-#include "law_forces.hpp"
+#include "linear_laws.hpp"
 #include "longitudinal.hpp"
 #include "tension.hpp"
 
@@ -15,18 +15,25 @@ class TensionStep : public ConnectionStep {
 public:
     TensionStep(Block& block, LawForces& laws)
         : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws), made_(make(block)),
-          tensions_(*made_), direct_(layout_), y_(2 * layout_.port_rows.size()) {
+          tensions_(*made_), direct_(layout_), linear_laws_(block, laws), y_(2 * layout_.port_rows.size()) {
         laws_.tensions = &tensions_;
         tensions_.loads = [this](int i) { return laws_.loads(i, sample_); };
     }
 
-    void begin_block() override { tensions_.begin_block(); }
+    void begin_block() override {
+        tensions_.begin_block();
+        linear_laws_.begin_block();
+    }
     void finish_block() override { tensions_.finish_block(); }
 
     bool sample(int b, double* now, double* f_out) override {
         sample_ = b;
         tensions_.begin_sample(b);
-        direct_(block_.line(b), now);
+        direct_(layout_.direct, block_.line(b), now);
+        if (linear_laws_.on() && with_linear_laws(b, now, f_out)) {
+            tensions_.finish_sample(now);
+            return true;
+        }
         tensions_.couple(now);
         if (laws_.any() && !laws_.idle(b, [&] { tensions_.add_to_ports(now); })) {
             linear_forces(b);
@@ -36,7 +43,7 @@ public:
                 tensions_.finish_sample(now);
                 return true;
             }
-            direct_(block_.line(b), now);  // no law acts: the same forces as without laws
+            direct_(layout_.direct, block_.line(b), now);  // no law acts: the same forces as without laws
             tensions_.add_to_ports(now);
         } else if (!laws_.any()) {
             tensions_.add_to_ports(now);
@@ -58,6 +65,14 @@ private:
         return std::make_unique<StretchedStrings>(block);
     }
 
+    // Linear laws answer as linear connections do; the strings' directions are those without laws, in `now`.
+    bool with_linear_laws(int b, double* now, double* f_out) {
+        double* const answering = linear_laws_.forces(b);
+        tensions_.couple(now, answering, linear_laws_.onto_ports());
+        tensions_.add(linear_laws_.onto_forces(), linear_laws_.width(), answering);
+        return linear_laws_.commit(b, now, f_out);
+    }
+
     // Forces of the linear connections without tensions in block.f.
     __attribute__((flatten)) void linear_forces(int b) {
         const int n = int(layout_.port_rows.size());
@@ -77,6 +92,7 @@ private:
     const std::unique_ptr<RisingTensions> made_;
     RisingTensions& tensions_;
     DirectForces direct_;
+    LinearLawForces linear_laws_;
     int sample_ = 0;
     Array<double> y_;  // port displacements before the step, then free ones after it
 };

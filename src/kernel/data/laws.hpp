@@ -24,7 +24,6 @@ struct Law {
 };
 
 constexpr double kCoarse = 0.8;    // share of the clearances up to which one bound culls a whole group
-constexpr int kMostLinear = 16;    // laws, if all are linear, whose inverse is kept
 
 // Which approximation-free shortcuts a run takes; docs/kernel.md derives each one.
 struct Shortcuts {
@@ -35,7 +34,7 @@ struct Shortcuts {
     bool fine_bound = true;        // a second bound about the middle of the block
     bool combined_pass = true;     // one modal pass finishes a tension-modulated step and begins the next
     bool at_rest = true;           // components at rest that nothing can move are not stepped
-    bool kept_inverse = true;      // the inverse for linear laws is kept until a slope changes
+    bool linear_laws = true;       // laws with a linear force are solved with the linear connections
     bool operator==(const Shortcuts&) const = default;
 };
 

@@ -67,6 +67,13 @@ struct Solve {
     Hub hub;
 };
 
+// Port forces = constant + free^T (y_free(b + 1) + mix y(b)) + old^T y(b), y the displacements of two-way ports.
+struct PortForces {
+    int width = 0;
+    double mix = 0;
+    Array<double> constant, free, old;  // (width), (port_rows, width) twice; `old` is empty if it is zero
+};
+
 // The row history of a block is (kBlock + 1, width): one line of numbers per sample. Components of one port and one row
 // stand first, side by side, so that one vector serves several; every other component begins at a multiple of kLane. The
 // port forces stand side by side in the same order. The connections are folded into two matrices:
@@ -90,14 +97,11 @@ struct Layout {
     Array<double> constant;                // (f_width)
     Array<double> gather;                  // (2 port_rows, f_width)
     Array<double> scatter;                 // (m, force_width)
-    // both products in one: port forces = direct_constant + direct^T (y_free(b + 1) + mix y(b)) + direct_old^T y(b);
-    // direct_old is empty if all connections have gamma = mix
+    PortForces direct;                     // both products in one
     struct Segment {
         int row, port, n;  // n ports, the first one at a row of the line
     };
     std::vector<Segment> segments;
-    double mix = 0.0;
-    Array<double> direct_constant, direct, direct_old;  // (force_width), (port_rows, force_width) twice
     // a connection's force is that of a port on which it alone acts, times own_factor; empty if a connection has none
     std::vector<int> own_port;                          // (m)
     Array<double> own_factor;                           // (m)

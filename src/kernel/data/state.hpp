@@ -52,8 +52,17 @@ struct ContactState {
     Array<double> x[12], matrix, f0;
     std::vector<int> gathered;             // connections whose compliances at rest stand in matrix
     Array<double> lower, upper, over;      // factors of a symmetric matrix, one over their diagonal
-    bool factored = false;                 // the inverse is that for linear laws of the slopes in x[2]
-    Array<double> inverse;
+};
+
+// Tables of the laws solved with the linear connections (connect/linear_laws.hpp).
+struct LinearLaws {
+    bool known = false;                     // derived for these laws and factors on them
+    std::vector<int> laws;                  // connections
+    Array<double> scale;
+    std::vector<Entry> shared;              // (connections, laws): share of a law in the force read off a port
+    PortForces forces;                      // on all ports, then those of the laws
+    Array<double> memory;                   // (n, forces.width): the same per displacement of a residual compliance
+    Array<double> onto_forces, onto_ports;  // as in Tensions; (ports, forces.width), (ports, width)
 };
 
 struct Statistics {
@@ -117,6 +126,7 @@ struct Model {
     std::vector<PhantomString> phantoms;
     Shortcuts shortcuts;
     ContactState contacts;
+    LinearLaws linear_laws;
     TensionState tension;
     Statistics statistics;
 };

@@ -62,7 +62,8 @@ struct TensionState {
     // by string: psi and its mean over the step, with and without nonlinear connections; sizes of the direction (excursion);
     // mean tensions of the last steps
     Array<double> psi, mean, alone, spread, bound, past[3];
-    Array<double> reach, driven;        // (ports): displacement per mean psi; forces of the linear connections alone
+    // (ports): displacement per mean psi; forces of the linear connections alone, and of those that answer to psi
+    Array<double> reach, driven, answering;
     Array<double> forces;               // (ports): of the last step found
     Array<double> stiff;                // (strings, width)
     Array<double> matrix, upper, over;  // of the equations of the means, factors (dense.hpp)

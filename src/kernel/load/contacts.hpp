@@ -153,7 +153,6 @@ inline void make_buffers(const std::vector<Component>& components, const Nonline
     const std::size_t wide = padded(k);
     for (Array<double>& a : ws.x) a.assign(wide, 0.0);
     for (Array<double>* a : {&ws.matrix, &ws.lower, &ws.upper}) a->assign(k * wide, 0.0);
-    ws.inverse.assign(std::size_t(kMostLinear) * kMostLinear, 0.0);
     ws.over.assign(wide, 0.0), ws.gathered.clear(), ws.gathered.reserve(k);
 }
 

@@ -87,8 +87,9 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
         for (int j = 0; j < m; ++j)
             for (int p = 0; p < n_ports; ++p) to[p] += f[j] * l.scatter[std::size_t(j) * l.force_width + p];
     };
-    l.direct_constant.assign(l.force_width, 0.0);
-    scatter_to_ports(l.constant.data(), l.direct_constant.data());
+    l.direct.width = l.force_width;
+    l.direct.constant.assign(l.force_width, 0.0);
+    scatter_to_ports(l.constant.data(), l.direct.constant.data());
     l.own_port.assign(m, -1), l.own_factor.assign(m, 0.0);
     for (std::size_t i = 0; i < components.size(); ++i)
         for (int p = 0; p < components[i].n_ports; ++p)
@@ -100,17 +101,17 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
     l.own_in_order = true;
     for (int j = 0; j < m && !l.own_port.empty(); ++j) l.own_in_order = l.own_in_order && l.own_port[j] == j;
     const std::size_t n_rows = l.port_rows.size();
-    l.mix = m ? solve.gamma[0] : 0.0;
-    l.direct.assign(n_rows * l.force_width, 0.0), l.direct_old.assign(n_rows * l.force_width, 0.0);
+    l.direct.mix = m ? solve.gamma[0] : 0.0;
+    l.direct.free.assign(n_rows * l.force_width, 0.0), l.direct.old.assign(n_rows * l.force_width, 0.0);
     bool mixed_alike = true;
     for (std::size_t p = 0; p < n_rows; ++p) {
         Array<double> old(l.gather.data() + p * l.f_width, l.gather.data() + ((p + 1) * l.f_width));
-        for (int j = 0; j < m; ++j) old[j] -= l.mix * l.gather[(n_rows + p) * l.f_width + j];
+        for (int j = 0; j < m; ++j) old[j] -= l.direct.mix * l.gather[(n_rows + p) * l.f_width + j];
         for (const double x : old) mixed_alike = mixed_alike && x == 0.0;
-        scatter_to_ports(l.gather.data() + ((n_rows + p) * l.f_width), l.direct.data() + p * l.force_width);
-        scatter_to_ports(old.data(), l.direct_old.data() + p * l.force_width);
+        scatter_to_ports(l.gather.data() + ((n_rows + p) * l.f_width), l.direct.free.data() + p * l.force_width);
+        scatter_to_ports(old.data(), l.direct.old.data() + p * l.force_width);
     }
-    if (mixed_alike) l.direct_old.clear();
+    if (mixed_alike) l.direct.old.clear();
     return l;
 }
 

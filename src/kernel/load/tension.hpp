@@ -62,7 +62,7 @@ inline void make_tensions(const std::vector<Component>& components, const Layout
     t.onto_forces.assign(n * l.force_width, 0.0), t.onto_ports.assign(n * width, 0.0), t.onto_linear.assign(n * l.f_width, 0.0);
     for (std::size_t p = 0; p < n; ++p) {
         const std::size_t from = t.ports[p].place;
-        const double *linear = l.gather.data() + ((n_places + from) * l.f_width), *forces = l.direct.data() + from * l.force_width;
+        const double *linear = l.gather.data() + ((n_places + from) * l.f_width), *forces = l.direct.free.data() + from * l.force_width;
         std::copy_n(linear, l.f_width, t.onto_linear.data() + p * l.f_width);
         std::copy_n(forces, l.force_width, t.onto_forces.data() + p * l.force_width);
         for (std::size_t q = 0; q < n; ++q) t.onto_ports[p * width + q] = forces[t.ports[q].force];
@@ -72,7 +72,7 @@ inline void make_tensions(const std::vector<Component>& components, const Layout
     ws.lanes.assign(n_sums * 8, 0.0), ws.sums.assign(n_sums, 0.0);
     for (Array<double>* a : {&ws.psi, &ws.mean, &ws.alone, &ws.spread, &ws.bound, &ws.past[0], &ws.past[1], &ws.past[2], &ws.over})
         a->assign(lane, 0.0);
-    for (Array<double>* a : {&ws.reach, &ws.driven, &ws.forces}) a->assign(width, 0.0);
+    for (Array<double>* a : {&ws.reach, &ws.driven, &ws.answering, &ws.forces}) a->assign(width, 0.0);
     ws.stiff.assign(strings * width, 0.0);
     for (Array<double>* a : {&ws.matrix, &ws.upper}) a->assign(strings * lane, 0.0);
     ws.linear.assign(l.f_width, 0.0), ws.y.assign(2 * n_places, 0.0);

@@ -86,8 +86,8 @@ class Shortcuts:
     combined_pass: bool = True
     #: components at rest that nothing can move are not stepped
     at_rest: bool = True
-    #: the inverse for linear laws is kept until a slope changes
-    kept_inverse: bool = True
+    #: laws with a linear force are solved with the linear connections while no other law can act
+    linear_laws: bool = True
 
 
 class KernelStepper:

@@ -1,0 +1,170 @@
+// Laws whose force is linear in their compressions, solved with the linear connections: no search, no step of their own.
+//
+// With p the compression, rho the displacement of the residual compliance in series, s and r the slopes of the law with
+// the compression after and before the step,
+//     f = s p+ + r p,     p = o - g - rho,     p+ = o - g_free - z f + (1 - theta) / theta rho,
+// z the gaps per force with the linear connections answering, so that for all such laws at once
+//     (z + 1/s) f = (1 + r/s) o - g_free - (r/s) g + ((1 - theta)/theta - r/s) rho.
+// g_free is that under the linear connections alone, linear in the displacements of the ports: the port forces of all are
+// one product. While no other law can act it replaces the solve for the laws; a law's factor must stay within the block.
+#pragma once
+
+#include "law_forces.hpp"
+
+namespace tonewood {
+namespace {
+
+// Whether a law's force is linear in its compressions.
+inline bool is_linear(const Law& law) { return law.kind == Law::spring && law.a[1] == 0.0 && law.a[2] == 0.0; }
+
+class LinearLawForces {
+public:
+    LinearLawForces(Block& block, LawForces& laws)
+        : block_(block), layout_(block.model.layout), nl_(block.model.nonlinear), ws_(block.model.contacts),
+          to_(block.model.linear_laws), laws_(laws), direct_(layout_) {}
+
+    // Decides for a block whether its candidates can be solved so.
+    void begin_block() {
+        on_ = false;
+        const auto& candidates = laws_.cull.candidates();
+        if (!block_.model.shortcuts.linear_laws || candidates.empty() || laws_.parts.on() || layout_.own_port.empty()) return;
+        for (const int j : candidates)
+            if (!is_linear(nl_.laws[j])) return;
+        scale_.assign(candidates.size(), 1.0);
+        for (const Control& control : block_.job.controls)
+            if (!is_steady(control)) return;
+        if (!to_.known || to_.laws != candidates || to_.scale != scale_) derive();
+        found_.resize(to_.forces.width), rho_.resize(candidates.size());
+        on_ = true;
+    }
+
+    // Whether none but these laws can act so far in the block.
+    bool on() const { return on_ && laws_.cull.candidates().size() == to_.laws.size(); }
+
+    // Forces of sample b by the linear connections and these laws, on all ports and of the laws: (width).
+    double* forces(int b) {
+        direct_(to_.forces, block_.line(b), found_.data());
+        for (std::size_t i = 0; i < to_.laws.size(); ++i) rho_[i] = ws_.series[to_.laws[i]];
+        add_product(to_.memory.data(), to_.forces.width, rho_.data(), int(to_.laws.size()), found_.data());
+        return found_.data();
+    }
+
+    // Makes the forces of sample b final, those on all ports in `now`, of the linear connections in `f`; false, with
+    // nothing made final, if a contact could touch.
+    bool commit(int b, double* now, double* f) {
+        const double* const force = found_.data() + layout_.force_width;
+        std::copy_n(found_.begin(), layout_.force_width, now);
+        if (!laws_.commit_alone(b, to_.laws, force)) return false;
+        own_forces(layout_, now, block_.model.solve.m, f);
+        for (const auto& [connection, law, factor] : to_.shared) f[connection] -= factor * force[law];
+        return true;
+    }
+
+    int width() const { return to_.forces.width; }
+    const double* onto_forces() const { return to_.onto_forces.data(); }
+    const double* onto_ports() const { return to_.onto_ports.data(); }
+
+private:
+    // Whether a control keeps its connection, if it is one of these, at the law's offset and at one factor over the block.
+    bool is_steady(const Control& control) {
+        const auto& candidates = laws_.cull.candidates();
+        const auto at = std::lower_bound(candidates.begin(), candidates.end(), control.connection);
+        if (at == candidates.end() || *at != control.connection) return false;
+        const double *from = control.values + block_.start, *scale = from + 3 * block_.job.n;
+        const double offset = nl_.laws[control.connection].offset;
+        for (int b = 0; b < block_.nb; ++b)
+            if (from[b] != offset || from[block_.job.n + b] != offset || scale[b] != scale[0]) return false;
+        scale_[std::size_t(at - candidates.begin())] = scale[0];
+        return true;
+    }
+
+    void derive() {
+        to_.known = true, to_.laws = laws_.cull.candidates(), to_.scale = scale_;
+        const std::size_t n = to_.laws.size(), m = block_.model.solve.m, ports = layout_.port_rows.size();
+        const std::size_t all = layout_.force_width, width = all + wide(int(n)), f_width = layout_.f_width, w = wide(int(n));
+        to_.shared.clear();
+        Array<double> gap(n * ports, 0.0), load(n * width, 0.0);  // share of two-way ports in each gap; all forces per force
+        for (std::size_t i = 0; i < n; ++i) {
+            const int j = to_.laws[i];
+            double *const loads = load.data() + i * width, *const shares = gap.data() + i * ports;
+            laws_.need_response(j);
+            const double* const answer = ws_.answer.data() + std::size_t(j) * f_width;
+            for (std::size_t q = 0; q < m; ++q)
+                for (std::size_t p = 0; p < all; ++p) loads[p] -= answer[q] * layout_.scatter[q * all + p];
+            for (const Nonlinear::Term& t : nl_.driven[j]) loads[layout_.port[t.component] + t.port] += t.factor;
+            for (const Nonlinear::Term& t : nl_.terms[j]) {
+                const auto& rows = layout_.port_rows;
+                shares[std::find(rows.begin(), rows.end(), layout_.row[t.component] + t.port) - rows.begin()] += t.factor;
+                const int port = layout_.port[t.component] + t.port;
+                loads[port] += t.factor;
+                for (std::size_t q = 0; q < m; ++q)
+                    if (layout_.own_port[q] == port) to_.shared.push_back({int(q), int(i), layout_.own_factor[q] * t.factor});
+            }
+            loads[all + i] = 1.0;
+        }
+        // -(z + 1/s)^-1 = -sqrt(s) (1 + sqrt(s) z sqrt(s))^-1 sqrt(s)
+        Array<double> slope(n), ratio(n), z(n * w, 0.0);
+        for (std::size_t i = 0; i < n; ++i) {
+            const Law& law = nl_.laws[to_.laws[i]];
+            const double spring = 0.5 * law.a[0], dashpot = law.damping / nl_.dt;
+            slope[i] = (spring + dashpot) * scale_[i];
+            ratio[i] = spring + dashpot > 0.0 ? (spring - dashpot) / (spring + dashpot) : 0.0;
+            for (std::size_t q = 0; q < n; ++q) z[i * w + q] = mutual(ws_.z.data(), nl_.k, to_.laws[i], to_.laws[q]);
+        }
+        Array<double> inverse;
+        invert_laws(ws_, z.data(), slope.data(), int(n), inverse);
+        // what the right side is per displacement of a two-way port after the step without forces, and before it
+        const double theta = nl_.theta, kept = (1 - theta) / theta;
+        const PortForces& plain = layout_.direct;
+        PortForces& out = to_.forces;
+        out = {int(width), plain.mix, Array<double>(width), Array<double>(ports * width), Array<double>(ports * width)};
+        std::copy_n(plain.constant.begin(), all, out.constant.begin());
+        for (std::size_t p = 0; p < ports; ++p) {
+            std::copy_n(plain.free.data() + p * all, all, out.free.data() + p * width);
+            if (!plain.old.empty()) std::copy_n(plain.old.data() + p * all, all, out.old.data() + p * width);
+        }
+        to_.memory.assign(n * width, 0.0);
+        // adds to a row of `matrix` the loads of the forces that a right side `sides`(i) makes
+        const auto add_loads = [&](const auto& side, double* row) {
+            for (std::size_t q = 0; q < n; ++q) {
+                double force = 0.0;
+                for (std::size_t i = 0; i < n; ++i) force -= inverse[q * w + i] * side(i);
+                for (std::size_t p = 0; p < width; ++p) row[p] += force * load[q * width + p];
+            }
+        };
+        const auto linear = [&](std::size_t i, const double* f) {
+            return dot(nl_.from_linear.data() + std::size_t(to_.laws[i]) * m, f, int(m));
+        };
+        for (std::size_t p = 0; p < ports; ++p) {
+            const double *before = layout_.gather.data() + p * f_width, *after = layout_.gather.data() + (ports + p) * f_width;
+            const auto free = [&](std::size_t i) { return -gap[i * ports + p] - linear(i, after); };
+            add_loads(free, out.free.data() + p * width);
+            add_loads([&](std::size_t i) { return -ratio[i] * gap[i * ports + p] - linear(i, before) - plain.mix * free(i); },
+                      out.old.data() + p * width);
+        }
+        add_loads([&](std::size_t i) { return (1 + ratio[i]) * nl_.laws[to_.laws[i]].offset - linear(i, layout_.constant.data()); },
+                  out.constant.data());
+        for (std::size_t q = 0; q < n; ++q)
+            add_loads([&](std::size_t i) { return i == q ? kept - ratio[i] : 0.0; }, to_.memory.data() + q * width);
+        const Tensions& t = block_.model.tensions;
+        to_.onto_forces.assign(t.ports.size() * width, 0.0), to_.onto_ports.assign(t.ports.size() * t.width, 0.0);
+        for (std::size_t p = 0; p < t.ports.size(); ++p) {
+            const double* const forces = out.free.data() + t.ports[p].place * width;
+            std::copy_n(forces, width, to_.onto_forces.data() + p * width);
+            for (std::size_t q = 0; q < t.ports.size(); ++q) to_.onto_ports[p * t.width + q] = forces[t.ports[q].force];
+        }
+    }
+
+    Block& block_;
+    const Layout& layout_;
+    const Nonlinear& nl_;
+    ContactState& ws_;
+    LinearLaws& to_;
+    LawForces& laws_;
+    DirectForces direct_;
+    bool on_ = false;
+    Array<double> scale_, rho_, found_;  // factors; displacements of the residual compliances; forces
+};
+
+}  // namespace
+}  // namespace tonewood
