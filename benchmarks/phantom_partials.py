@@ -4,8 +4,8 @@
 
 One key at a time, velocity 120 and 60, 48 kHz, first channel: the difference of sounds with and without the
 longitudinal forces of the key's strings, from 0.2 to 2.2 s after the blow. Columns: the sum of two neighbouring
-partials and its level re the loudest partial; the strongest one. The last lines are time of the process per sample with no
-string's force, with the key's, and with all strings', each the least of three runs of 0.5 s.
+partials and its level re the loudest partial; the strongest one. The last lines are time of the process per sample
+with no string's force, with the key's, and with all strings', each the least of three runs of 0.5 s.
 """
 
 from __future__ import annotations
