@@ -207,6 +207,8 @@ def test_every_array_of_a_wrong_form_is_refused_by_its_name(which: str, path: Pa
             continue  # the last connections do not act on this component
         if path[-1] == "slopes" and np.ndim(wrong) == 2 and wrong.shape[1] == 1:
             continue  # any number of cosines
+        if path[0] == "phantoms" and path[-1] == "weights" and np.ndim(wrong) == 2 and len(wrong) == len(given):
+            continue  # any number of modes
         if isinstance(wrong, np.ndarray) and wrong.shape == given.shape and wrong.dtype == given.dtype:
             continue
         made = MADE[which]()
