@@ -189,11 +189,11 @@ def roughness(segments: tuple[Segment, ...], share: float, seed: int) -> Sampled
     start, stop = segments[0].start, segments[-1].stop
     n = max(math.ceil((stop - start) * _NOISE_FS), 2)
     times = start + np.arange(n + 1) * (stop - start) / n
-    level = np.zeros(n + 1)
-    for s in segments:
-        here = slice(*np.searchsorted(times, (s.start, s.stop)))
-        u = times[here] - s.start
-        level[here] = s.c0 + u * (s.c1 + u * s.c2)
+    numbers = np.array([(s.start, s.stop, s.c0, s.c1, s.c2) for s in segments])
+    own = numbers[np.minimum(np.searchsorted(numbers[:, 1], times, side="right"), len(segments) - 1)]
+    begin, end, c0, c1, c2 = own.T
+    u = times - begin
+    level = np.where((begin <= times) & (times < end), c0 + u * (c1 + u * c2), 0.0)
     white = np.random.Generator(np.random.PCG64(seed)).standard_normal(n + 1)
     values = share * level * white
     values[0] = values[-1] = 0.0

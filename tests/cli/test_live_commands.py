@@ -137,6 +137,7 @@ def test_a_take_is_rendered_again(tonewood: Run, tmp_path: Path) -> None:
         (("-i", "monochord", "--keyboard", "--ramp", "0"), "--ramp: is 0 ms; 1 to 100 are allowed"),
         (("-i", "monochord", "--keyboard", "--limiter"), "--level: a look-ahead limiter"),
         (("-i", "monochord", "--keyboard", "--record", "none/a.mid"), "--record: there is no folder none"),
+        (("-i", "monochord", "--keyboard", "--record", "."), "--record: . cannot be written"),
         (("-i", "monochord", "--keyboard", "--tail", "3"), "tail: is for scores that are known before"),
     ],
 )

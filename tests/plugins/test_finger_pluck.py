@@ -15,7 +15,7 @@ import tonewood as tw
 from tonewood.instrument.assembly import assemble
 from tonewood.instrument.contract import Event, Exciter, Gesture, Place
 from tonewood.instrument.registry import plugin
-from tonewood.instrument.strings import spread
+from tonewood.instrument.string_bases import spread
 from tonewood.stepping.forcing import SampledForce, course
 
 LENGTH, TENSION, FREQ = 0.65, 70.0, 220.0

@@ -30,6 +30,6 @@ def record(system: System, n: int, injections: Sequence[Injection]) -> Arrays:
     """Description of `system` for the kernel, and the n samples that it gives from rest (in the baseline set)."""
     stepper = KernelStepper(system, isa="baseline")
     state = stepper.start()
-    packed = [stepper._pack_injection(injection, state) for injection in injections]
+    packed = stepper.pack_injections(injections, state.sample)
     more = {"injections": packed, "samples": stepper.run(state, n, injections)[0]}
     return recorded(system, isa="baseline") | flat(more)

@@ -70,11 +70,14 @@ struct Block {
             values.assign(std::size_t(in.n_vectors) * kBlock, 0.0);
             const std::size_t size = 2 * std::size_t(model.components[in.slot].n);
             for (int v = 0; v < in.n_vectors; ++v) {
+                bool acts = false;
                 for (int b = 0; b < nb; ++b) {
                     const std::int64_t at = start + b - in.first;
-                    if (at >= 0 && at < in.length) values[v * kBlock + b] = in.values[v * in.length + at];
+                    if (at < 0 || at >= in.length) continue;
+                    values[v * kBlock + b] = in.values[v * in.length + at];
+                    acts = acts || values[v * kBlock + b] != 0.0;
                 }
-                inputs[in.slot].push_back({in.vectors + v * size, values.data() + v * kBlock});
+                if (acts) inputs[in.slot].push_back({in.vectors + v * size, values.data() + v * kBlock});
             }
         }
     }

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tonewood.cli.common import print_json, progress, warn
+from tonewood.cli.common import dropped_notes_listed, print_json, progress, warn
 from tonewood.units import counted, decibel
 
 if TYPE_CHECKING:
@@ -48,7 +48,8 @@ def render_parts(
             done[0] += 1
             advance(done[0])
 
-        rendered = render_ensemble(score, parts, options=options, progress=one_more, reading=dict(reading))
+        with dropped_notes_listed():
+            rendered = render_ensemble(score, parts, options=options, progress=one_more, reading=dict(reading))
     fs = options.fs
     mix = np.sum([stem.samples for stem in rendered], axis=0)
     peak = true_peak(mix)

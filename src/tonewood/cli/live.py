@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -50,8 +51,8 @@ def play_live(
     from tonewood.output.live import Live
 
     take = Take(options.fs) if record is not None else None
-    if record is not None and not record.parent.is_dir():
-        raise TonewoodError(f"there is no folder {record.parent}", key="--record")
+    if record is not None:
+        _check_record(record)
     sources: list[EventSource] = []
     try:
         if port is not None:
@@ -69,13 +70,26 @@ def play_live(
             print(f"  {meaning(live.model.outputs, live.options.gain_db)}")
             if keys is not None:
                 print(f"  {HELP}")
-        played = session.run(device, stream, _meter(session, duration, lambda: keys is not None and keys.ended))
+        try:
+            played = session.run(device, stream, _meter(session, duration, lambda: keys is not None and keys.ended))
+        except BaseException:
+            if record is not None and take is not None and take.messages:
+                take.save(record, live, live.frames)
+            raise
     finally:
         for source in sources:
             source.close()
     if record is not None and take is not None:
         take.save(record, live, live.frames)
     _tell(session, played, record, as_json=as_json)
+
+
+def _check_record(record: Path) -> None:
+    """Refuse a file that cannot be written when the session is over."""
+    if not record.parent.is_dir():
+        raise TonewoodError(f"there is no folder {record.parent}", key="--record")
+    if record.is_dir() or not os.access(record if record.exists() else record.parent, os.W_OK):
+        raise TonewoodError(f"{record} cannot be written", key="--record")
 
 
 def _gain(instrument: Instrument, options: RenderOptions) -> float:

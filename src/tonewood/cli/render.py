@@ -215,7 +215,7 @@ def render(
     if room is not None:
         print(f"  room {room}: not measured")
     if summary.ignored:
-        print(f"  ignored MIDI: {', '.join(f'{n} {kind}' for kind, n in summary.ignored.items())}")
+        print(f"  without effect: {', '.join(f'{n} {kind}' for kind, n in summary.ignored.items())}")
     for tension in summary.tensions:
         print(f"  {tension.line()}")
     if summary.zero_frame:

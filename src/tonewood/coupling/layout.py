@@ -46,12 +46,16 @@ class Readout:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A one-way input: `point` of a driven component receives `factor` times the force of a connection."""
+    """A one-way input: `point` of a driven component receives `factor` times the force of a connection.
+
+    With `impulses` it receives also those by which joined points are given one velocity (`stepping.motion`).
+    """
 
     component: str
     point: str
     connection: str
     factor: float = 1.0
+    impulses: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,13 +9,14 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, Rigid
+from tonewood.coupling.connections import Connection
 from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.system import Compiled, State, System
 from tonewood.energy.stored import gaps
 from tonewood.engine.timeline import Change
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.strings import StringModel, damped
+from tonewood.instrument.string_bases import damped
+from tonewood.instrument.strings import StringModel
 from tonewood.modal.modes import ModalBasis
 from tonewood.stepping.motion import from_motion, to_motion
 
@@ -168,7 +169,7 @@ def bridge_forces(system: System, state: State) -> BridgeForce:
 
     @cache
     def found() -> dict[str, float]:
-        rigid = np.array([isinstance(c.law, Rigid) for c in system.connections], dtype=bool)
+        rigid = system.elimination.linear.rigid
         R = system.gap_matrix("residual")[np.ix_(rigid, rigid)]
         force = -scaled_pinv(R) @ gaps(system, state)[rigid]
         held = [c.terms[0].component for c, on in zip(system.connections, rigid, strict=True) if on]

@@ -3,8 +3,8 @@
 Body and microphones are linear, so that a readout is the sum of what each connection's force gives of it. Each string
 has copies of the microphones' banks, and of the body where it is read, driven one way by the connections that the
 string owns; readouts of strings keep their own probes. The rest, of known forces on the body and of parts joined to it,
-is the stem ``body``. All stems of a microphone add up to it; of a pickup on the body they lack the impulses by which a
-string that is stopped anew moves the bridge at once (-56 to -84 dB of the peak in the tests).
+is the stem ``body``. All stems of a channel add up to it, also where a string that is stopped anew gives the bridge an
+impulse: the copies of the body receive it, too.
 """
 
 from __future__ import annotations
@@ -43,7 +43,10 @@ def outputs_by_string(
     owner = {c.name: c.owner or BODY for c in connections}
     copied = {BODY: body} | dict(outputs.components)
     drives = [
-        Drive(BODY, term.point, c.name, term.factor) for c in connections for term in c.terms if term.component == BODY
+        Drive(BODY, term.point, c.name, term.factor, impulses=True)
+        for c in connections
+        for term in c.terms
+        if term.component == BODY
     ]
     components = {_copy(name, stem): basis for name, basis in copied.items() for stem in stems}
     driven = tuple(

@@ -17,10 +17,11 @@ from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.contract import Attachment, Exciter, Longitudinal, Resonator
 from tonewood.instrument.finger import POINT, compliance, fingertips, laid_down
 from tonewood.instrument.schema import Finger
+from tonewood.instrument.string_bases import below, damped, with_points
 from tonewood.instrument.string_setup import GivenTension, LongitudinalMotion, PhantomMotion, Polarization, Stopping
 from tonewood.instrument.tuning import StringOnBody, TunedStop, no_mode, tune
 from tonewood.modal.damper import damper_rates
-from tonewood.modal.modes import PAIR, ModalBasis
+from tonewood.modal.modes import ModalBasis
 from tonewood.modal.receptance import Joint, Ports
 from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.units import cents, ratio_of_cents
@@ -31,6 +32,8 @@ Floats = NDArray[np.float64]
 _RETENSION = 5.0
 #: cached bases of stops between whole ones: a slide passes hundreds
 _PASSING_STOPS = 32
+#: bases with their named points that are kept for other tensions: of the last stops and places of a pluck
+_PLACED = 8
 
 
 class StringModel:
@@ -87,6 +90,8 @@ class StringModel:
         self._attached: dict[float, tuple[Attached, ...]] = {}
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._bases: dict[float, ModalBasis] = {}
+        #: stop, points, those that do not move, width of the pluck -> basis with them at the first guess of its tension
+        self._placed: dict[tuple[object, ...], ModalBasis] = {}
         self._gains: dict[float, float] = {}
         #: number of modes and length -> what the damper adds to their rates
         self._damper_rates: dict[tuple[int, float], Floats] = {}
@@ -252,16 +257,28 @@ class StringModel:
         if bend_cents:
             tension *= ratio_of_cents(bend_cents * self._bend_gain(end)) ** 2
         out: dict[str, ModalBasis] = {}
+        width = pluck_width or self.pluck_width
+        placed = self._with_points(end, here, beyond, width)
         for polarization in self.polarizations:
-            basis = self.resonator.detuned(base, tension * self._detune(polarization, end) ** 2)
-            if not whole:
-                basis = below(basis, self._freq_limit)
-            basis = with_still_points(basis.with_places(here), beyond)
-            width = pluck_width or self.pluck_width
-            out[polarization.component] = spread(basis, "pluck", width) if width else basis
+            own = tension * self._detune(polarization, end) ** 2
+            basis = self.resonator.detuned(placed, own)
+            if basis.points != placed.points or not (whole or np.all(basis.natural_freq < self._freq_limit)):
+                # modes above the limit leave their compliance at points that are read afterwards
+                basis = self.resonator.detuned(base, own)
+                basis = with_points(basis if whole else below(basis, self._freq_limit), here, beyond, width)
+            out[polarization.component] = basis
         if self.longitudinal:
             out[self.longitudinal.component] = self._longitudinal(end, self.longitudinal.motion)
         return damped(out, added_damping) if added_damping else out
+
+    def _with_points(self, end: float, here: Mapping[str, float], beyond: Sequence[str], width: float) -> ModalBasis:
+        """Return the basis of a stop at a first guess of its tension with these points; the last ones are cached."""
+        key = (end, tuple(here.items()), tuple(beyond), width)
+        if key not in self._placed:
+            if len(self._placed) >= _PLACED:
+                del self._placed[next(iter(self._placed))]
+            self._placed[key] = with_points(self._untuned(end), here, beyond, width)
+        return self._placed[key]
 
     def under_damper(self, bases: Mapping[str, ModalBasis], share: float) -> dict[str, ModalBasis]:
         """Return bases of the string with a share of its damper's loss added; see `tonewood.modal.damper`."""
@@ -437,11 +454,6 @@ class StringModel:
         return self.resonator.fault(f"at stop {stop:g}: {reason}", "note")
 
 
-def damped(bases: Mapping[str, ModalBasis], added_damping: float) -> dict[str, ModalBasis]:
-    """A string's bases with every mode's damping rate raised (1/s)."""
-    return {c: retuned(b, np.sqrt(b.stiffness), b.damping_rate + added_damping) for c, b in bases.items()}
-
-
 def held_freq(basis: ModalBasis) -> float | None:
     """Lowest frequency (Hz) of a string held at its bridge, where the compliance of its free end vanishes.
 
@@ -451,47 +463,3 @@ def held_freq(basis: ModalBasis) -> float | None:
     octave = 2 * math.sqrt(float(basis.stiffness.min()))
     zero = Joint([ports]).newton(octave * complex(-1e-5, 1.0), steps=80)
     return None if zero is None else zero.imag / (2 * math.pi)
-
-
-def with_still_points(basis: ModalBasis, names: Sequence[str]) -> ModalBasis:
-    """Add points that do not move: places behind the stop, on which connections act at other stops."""
-    if not names:
-        return basis
-    rows = np.zeros((len(names), basis.n_modes), dtype=np.complex128)
-    return replace(
-        basis,
-        points=(*basis.points, *names),
-        right=np.vstack([basis.right, rows]),
-        left=np.vstack([basis.left, rows]),
-        residual=np.pad(basis.residual, (0, len(names))),
-    )
-
-
-def spread(basis: ModalBasis, point: str, width: float) -> ModalBasis:
-    """Let a point stand for the mean over `width` (m) of the string about it, by a Gauss rule of three places.
-
-    A force spread evenly acts on that mean. The residual compliance stays that of the place.
-    """
-    if basis.shape is None:
-        return basis
-    at, i = basis.places[point], basis.index(point)
-    offset = 0.5 * width * math.sqrt(0.6)
-    mean = (5 * basis.shape(at - offset) + 8 * basis.shape(at) + 5 * basis.shape(at + offset)) / 18
-    right, left = basis.right.copy(), basis.left.copy()
-    pair = basis.kind == PAIR
-    right[i], left[i] = mean, mean * np.where(pair, -0.5j / np.where(pair, basis.poles.imag, 1.0), 1.0)
-    return replace(basis, right=right, left=left)
-
-
-def below(basis: ModalBasis, freq_limit: float) -> ModalBasis:
-    """Keep the modes below `freq_limit` (Hz), and put the static compliance of the others into the residual."""
-    keep = np.flatnonzero(basis.natural_freq < freq_limit)
-    if keep.size == basis.n_modes:
-        return basis
-    n = basis.n_modes
-    arrays = {
-        key: value[..., keep]
-        for key, value in basis.metadata.items()
-        if isinstance(value, np.ndarray) and value.shape[-1:] == (n,)
-    }
-    return replace(basis.select(keep), metadata={**basis.metadata, **arrays})

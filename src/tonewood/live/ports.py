@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 from tonewood.errors import TonewoodError
@@ -31,11 +33,30 @@ def midi_inputs() -> list[str]:
     import mido
 
     try:
-        return list(dict.fromkeys(mido.get_input_names()))
+        with _library_silent():
+            return list(dict.fromkeys(mido.get_input_names()))
     except ImportError as error:
         raise TonewoodError(f"MIDI inputs need {error.name or 'python-rtmidi'}: pip install 'tonewood[live]'") from None
     except (OSError, RuntimeError) as error:  # rtmidi's errors are RuntimeErrors
         raise TonewoodError(f"MIDI inputs cannot be listed: {str(error).strip()}", key="--midi-in") from None
+
+
+@contextmanager
+def _library_silent() -> Iterator[None]:
+    """Keep what a C library prints off the standard error: its error comes as an exception, too."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is no standard error
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 class MidiInput:

@@ -71,7 +71,7 @@ class ModalBasis(ModalViews):
         if not shapes_ok or not (self.kind.shape == self.stiffness.shape == self.damping_rate.shape == (n,)):
             raise ValueError(f"arrays of a basis of {n} modes at {p} points do not fit together")
         for name in ("poles", "stiffness", "damping_rate", "right", "left", "residual"):
-            if not np.all(np.isfinite(getattr(self, name))):
+            if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"{name} of a basis must be finite")
         if len(set(self.points)) != p:
             raise ValueError("two points of a basis have the same name")

@@ -177,10 +177,18 @@ class _Sines:
         angles = self.a[:, None] * self.length, self.b[:, None] * self.length
         return tuple((np.sin(angle), np.cos(angle)) for angle in angles)
 
-    def _with_close(self, out: Floats, c: Floats, sign: float) -> Floats:
+    @cached_property
+    def _close_sinc(self) -> tuple[Floats, Floats]:
+        """Of pairs of nearly one wavenumber: sinc of their difference and of their sum."""
         i, j = self.close
         difference, total = ((f(self.a[i], self.b[j])) * self.length / np.pi for f in (np.subtract, np.add))
-        out[i] += (self.length / 2 * (np.sinc(difference) + sign * np.sinc(total)))[:, None] * c[j]
+        return np.sinc(difference), np.sinc(total)
+
+    def _with_close(self, out: Floats, c: Floats, sign: float) -> Floats:
+        i, j = self.close
+        if i.size:
+            difference, total = self._close_sinc
+            out[i] += (self.length / 2 * (difference + sign * total))[:, None] * c[j]
         return out
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -19,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.errors import BundleError, NothingPlayedError, TonewoodError
+from tonewood.errors import BundleError, DroppedNotesWarning, NothingPlayedError, TonewoodError
 from tonewood.instrument.output_assembly import pan_gains
 from tonewood.output.options import RenderOptions
-from tonewood.output.render import Renderer, Summary
+from tonewood.output.render import Renderer, Summary, warn_of_dropped_notes
 from tonewood.params import Parameters, described, quantity, validated
 from tonewood.score.reading import read_score
 from tonewood.yaml_io import parse_yaml
@@ -154,6 +155,7 @@ def render_ensemble(
                     raise TonewoodError(
                         f"the process that rendered {job[1].instrument} ended: out of memory?"
                     ) from None
+                warn_of_dropped_notes(summary.notes_dropped)
                 found.append((np.load(file), summary))
                 if progress is not None:
                     progress(job[1].instrument)
@@ -189,6 +191,8 @@ def _rendered(
 
 
 def _to_file(file: str, score: str, part: EnsemblePart, options: RenderOptions, reading: dict[str, Any]) -> Summary:
-    samples, summary = _rendered(score, part, options, reading)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DroppedNotesWarning)  # the process that asked for the part issues it
+        samples, summary = _rendered(score, part, options, reading)
     np.save(file, samples)
     return replace(summary, effects=())

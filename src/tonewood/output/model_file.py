@@ -108,7 +108,7 @@ def recorded(system: System, plucks: Sequence[Sequence[Injection]] = (), isa: st
         raise TonewoodError("a law that is a function in memory cannot be saved", key="connections")
     description["capacity"] = state.modes.shape[1]
     description["n_channels"] = len(system.readouts)
-    description["plucks"] = [[stepper._pack_injection(one, state) for one in pluck] for pluck in plucks]
+    description["plucks"] = [stepper.pack_injections(pluck, state.sample) for pluck in plucks]
     return flat(description)
 
 

@@ -177,7 +177,7 @@ class Renderer:
         self._frames, self._seconds, self._loudest = 0, 0.0, 0.0
         self._recent: list[tuple[int, float]] = []
         self._end = ""
-        _warn_of(self.dropped)
+        warn_of_dropped_notes(self.dropped)
 
     @property
     def dropped(self) -> tuple[Dropped, ...]:
@@ -316,7 +316,7 @@ class Renderer:
             self._end = "tail cap"
 
 
-def _warn_of(dropped: Sequence[Dropped]) -> None:
+def warn_of_dropped_notes(dropped: Sequence[Dropped]) -> None:
     """Issue one warning, at the line outside this package that called the render."""
     if not dropped:
         return

@@ -8,6 +8,7 @@ Source: MusicXML 4.0, W3C Music Notation Community Group, 2021.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,7 +18,7 @@ from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
 from tonewood.score.written import Curve, Measure, WrittenMusic, WrittenNote, WrittenPart, bend_curve
-from tonewood.score.xml_files import member, number_of, parsed, text_of
+from tonewood.score.xml_files import as_number, member, number_of, parsed, text_of
 
 _STEPS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
 _DYNAMICS = {"pppp": 8, "ppp": 20, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126, "ffff": 127}
@@ -157,7 +158,7 @@ class _PartReader:
                 pitch = _pitch(line, "tuning-step", "tuning-alter", "tuning-octave")
                 if pitch is not None:
                     # lines count from the lowest, strings from the highest
-                    self.tuning[len(lines) + 1 - int(line.get("line", "1"))] = pitch
+                    self.tuning[len(lines) + 1 - int(as_number(line.get("line", ""), 1.0))] = pitch
 
     def _direction(self, element: Element, now: Fraction, measure: Measure) -> None:
         sound = element if element.tag == "sound" else element.find("sound")
@@ -168,11 +169,15 @@ class _PartReader:
             unit *= 1.5 if metronome.find("beat-unit-dot") is not None else 1.0
             bpm = number_of(metronome, "per-minute", 0.0) * unit
         if sound is not None:
-            try:
-                bpm = float(sound.get("tempo", bpm or 0.0))
-                self.velocity = min(max(round(float(sound.get("dynamics", self.velocity / 0.9)) * 0.9), 1), 127)
-            except ValueError:
-                self.music.ignored["tempo or dynamics that is no number"] += 1
+            for name in ("tempo", "dynamics"):
+                if (said := sound.get(name)) is None:
+                    continue
+                if (number := as_number(said, math.nan)) != number:
+                    self.music.ignored["tempo or dynamics that is no number"] += 1
+                elif name == "tempo":
+                    bpm = number
+                else:
+                    self.velocity = min(max(round(number * 0.9), 1), 127)
             jumps = {"segno": "segno", "coda": "coda", "fine": "fine", "tocoda": "to_coda", "dacapo": "da_capo"}
             measure.signs |= {sign for name, sign in (jumps | {"dalsegno": "dal_segno"}).items() if sound.get(name)}
             mute = text_of(sound, "play/mute")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from io import BytesIO
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,6 +13,10 @@ from tonewood.errors import ScoreError
 
 #: bytes of a file, and of what is in an archive
 MAX_BYTES = 64 * 2**20
+#: largest number in a score
+MOST = 1e9
+#: raised by zipfile for what is no archive, or damaged
+_BROKEN_ARCHIVE = (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
 
 
 def parsed(data: bytes, path: Path) -> Element:
@@ -45,7 +50,7 @@ def member(data: bytes, name: str, path: Path) -> bytes:
             return archive.read(name)
     except KeyError:
         raise ScoreError(f"has no {name}", file=path) from None
-    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
+    except _BROKEN_ARCHIVE as error:
         raise ScoreError(f"damaged archive: {error}", file=path) from None
 
 
@@ -54,7 +59,7 @@ def members(data: bytes, path: Path) -> list[str]:
     try:
         with zipfile.ZipFile(BytesIO(data)) as archive:
             return archive.namelist()
-    except (zipfile.BadZipFile, OSError, EOFError, ValueError) as error:
+    except _BROKEN_ARCHIVE as error:
         raise ScoreError(f"damaged archive: {error}", file=path) from None
 
 
@@ -66,7 +71,13 @@ def text_of(element: Element | None, path: str, default: str = "") -> str:
 
 def number_of(element: Element | None, path: str, default: float) -> float:
     """Number in a descendant's text; the default where there is none or it is none."""
+    return as_number(text_of(element, path), default)
+
+
+def as_number(text: str, default: float) -> float:
+    """Number that a text says; the default where it says none, or one beyond `MOST`."""
     try:
-        return float(text_of(element, path))
+        number = float(text)
     except ValueError:
         return default
+    return number if abs(number) <= MOST else default

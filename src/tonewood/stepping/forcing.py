@@ -16,6 +16,9 @@ from tonewood.modal.propagator import SERIES_TERMS, impulse_series, moments, rea
 
 Floats = NDArray[np.float64]
 
+#: steps with breakpoints that lie so far apart are injected one by one, others together
+_APART = 64
+
 
 @dataclass(frozen=True, slots=True)
 class Segment:
@@ -121,7 +124,7 @@ class Course:
         """Cut a force into steps; parameters as of `compile_force`."""
         earliest = -math.inf if first is None else first
         parts: list[tuple[int, float, float, tuple[float, float, float]]] = []
-        whole: list[tuple[int, Floats]] = []
+        whole: list[tuple[int, int, float, Segment]] = []
         for piece in pieces:
             begin, end = (time + piece.start) / dt, (time + piece.stop) / dt
             if not end > begin:
@@ -133,15 +136,17 @@ class Course:
                     parts.append((n, a * dt, b * dt, piece.shifted((n + a - begin) * dt)))
             full0 = full0 if first is None else max(full0, first)
             if full1 > full0:
-                at = (np.arange(full0, full1) - begin) * dt
-                values = np.empty((3, full1 - full0))
-                values[0] = piece.c0 + at * (piece.c1 + piece.c2 * at)
-                values[1], values[2] = piece.c1 + 2 * piece.c2 * at, piece.c2
-                whole.append((full0, values))
-        start, stop = min((n for n, _ in whole), default=0), max((n + c.shape[1] for n, c in whole), default=0)
+                whole.append((full0, full1, begin, piece))
+        start, stop = min((w[0] for w in whole), default=0), max((w[1] for w in whole), default=0)
         total = np.zeros((3, stop - start))
-        for n, values in whole:
-            total[:, n - start : n - start + values.shape[1]] += values
+        if whole:
+            counts = [full1 - full0 for full0, full1, *_ in whole]
+            steps = np.concatenate([np.arange(full0, full1) for full0, full1, *_ in whole])
+            numbers = np.array([(begin, piece.c0, piece.c1, piece.c2) for *_, begin, piece in whole])
+            begins, c0, c1, c2 = np.repeat(numbers, counts, axis=0).T
+            at = (steps - begins) * dt
+            for row, values in zip(total, (c0 + at * (c1 + c2 * at), c1 + 2 * c2 * at, c2), strict=True):
+                np.add.at(row, steps - start, values)
         return cls(dt, tuple(parts), start, total)
 
     @cached_property
@@ -159,8 +164,13 @@ class Course:
         n_cells, n_terms, n_modes, _ = impulses.shape
         added = factor * (self._moments(n_cells) @ impulses.reshape(n_cells * n_terms, 2 * n_modes))
         added = added.reshape(len(added), n_modes, 2)
-        one = np.ones((1, 1))
-        out = [Injection(component, n, added[i, None], one) for i, n in enumerate(self.steps)]
+        out, steps = [], np.array(self.steps, dtype=np.intp)
+        for group in np.split(np.arange(len(steps)), np.flatnonzero(np.diff(steps) >= _APART) + 1):
+            if group.size:
+                at = steps[group] - steps[group[0]]
+                values = np.zeros((len(group), int(at[-1]) + 1))
+                values[np.arange(len(group)), at] = 1.0
+                out.append(Injection(component, int(steps[group[0]]), added[group[0] : group[-1] + 1], values))
         if self.used.size:
             vectors = added[len(self.steps) + self.used]
             out.append(Injection(component, self.start, vectors, self.values[self.used]))
@@ -175,8 +185,7 @@ class Course:
             if self.parts:
                 steps, begin, end, coefficients = zip(*self.parts, strict=True)
                 each = moments(np.array(begin), np.array(end), np.array(coefficients).T, self.dt, n_cells)
-                for step, moment in zip(steps, each, strict=True):
-                    out[self.steps.index(step)] += moment
+                np.add.at(out, np.searchsorted(self.steps, steps), each)
             self._known[n_cells] = out
         return self._known[n_cells]
 

@@ -40,6 +40,8 @@ from tonewood.stepping.stepper import NumpyStepper, Statistics
 Floats = NDArray[np.float64]
 _NONE = np.zeros(0, dtype=np.intp)
 _NO_MATRIX = np.zeros((0, 0))
+#: sets of connections in use whose wirings are kept
+_WIRINGS = 64
 #: samples, at multiples of which a run may be cut without changing a bit
 _CUT = 64
 #: (n, 4): nonlinear connection, component, port among its fixed or contact ports, whether it is a contact port; factors
@@ -107,6 +109,8 @@ class KernelStepper:
         self._descriptions: WeakKeyDictionary[Compiled, dict[_Key, Description]] = WeakKeyDictionary()
         self._keys = count()
         self._wirings: dict[tuple[int, bytes, bytes], tuple[Wiring, OwnTerms]] = {}
+        #: connections in use -> wiring of all components
+        self._wired_before: dict[tuple[object, ...], tuple[list[Wiring], Terms]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
         self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
@@ -211,6 +215,10 @@ class KernelStepper:
         m = len(system.connections)
         is_contact = system.elimination.others.is_contact
         coupled = {name for law in system.geometric for name in law.parts}
+        met = None if hub is None else (hub.slot, hub.ports.tobytes())
+        used_now = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), frozenset(coupled), met
+        if (known := self._wired_before.get(used_now)) is not None:
+            return known
         place, law, culled = np.full(m, -1), np.full(m, -1), np.zeros(m, dtype=bool)
         place[self._active], law[self._nonlinear] = np.arange(len(self._active)), np.arange(len(self._nonlinear))
         culled[self._nonlinear] = is_contact
@@ -220,18 +228,21 @@ class KernelStepper:
         factors: list[float] = []
         for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
             at, shares = system.layout.touching[slot]
-            met = hub.ports if hub is not None and hub.slot == slot else None
+            ports = hub.ports if hub is not None and hub.slot == slot else None
             used = use[at]
             way = f"{len(self._active)} {one_way or name in coupled} {name in coupled}".encode()
-            key = slot, used.tobytes(), way + (b"" if met is None else met.tobytes())
+            key = slot, used.tobytes(), way + (b"" if ports is None else ports.tobytes())
             if key not in self._wirings:
-                self._wirings[key] = wired(shares, used, len(self._active), name in coupled, one_way, met)
+                self._wirings[key] = wired(shares, used, len(self._active), name in coupled, one_way, ports)
             wires, own = self._wirings[key]
             wiring.append(wires)
             for i, port, on_contact, factor in own:
                 terms.append((int(law[at[i]]), slot, port, on_contact))
                 factors.append(factor)
-        return wiring, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))
+        if len(self._wired_before) >= _WIRINGS:
+            self._wired_before.clear()
+        self._wired_before[used_now] = wiring, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))
+        return self._wired_before[used_now]
 
     def run(
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[PrescribedMotion] = ()
@@ -356,7 +367,7 @@ class KernelStepper:
             state.modes,
             out,
             active_forces,
-            [self._pack_injection(i, state) for i in active],
+            self.pack_injections(active, state.sample),
             law_forces,
             list(self.system.controlled(controls, state.sample, n).items()),
             series,
@@ -387,11 +398,14 @@ class KernelStepper:
         """Return the state of rest."""
         return self.system.start()
 
-    def _pack_injection(self, injection: Injection, state: State) -> tuple[int, int, Floats, Floats]:
-        known = self._packed.get(id(injection))
-        if known is None or known[0] is not injection:
-            for key in [k for k, v in self._packed.items() if v[0].stop <= state.sample]:
-                del self._packed[key]
-            known = (injection, packed(injection.vectors), np.ascontiguousarray(injection.values))
+    def pack_injections(self, active: Sequence[Injection], now: int) -> list[tuple[int, int, Floats, Floats]]:
+        """Return slot, first step, vectors and values of each; those of the run before are not packed again."""
+        before, self._packed = self._packed, {}
+        out = []
+        for injection in active:
+            known = before.get(id(injection))
+            if known is None or known[0] is not injection:
+                known = (injection, packed(injection.vectors), np.ascontiguousarray(injection.values))
             self._packed[id(injection)] = known
-        return self.system.slot(injection.component), injection.start - state.sample, known[1], known[2]
+            out.append((self.system.slot(injection.component), injection.start - now, known[1], known[2]))
+        return out

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Rigid
 from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.system import State, System
 from tonewood.modal.modes import ModalBasis
@@ -39,11 +38,12 @@ def share_velocities(system: System, state: State, joints: NDArray[np.bool_] | N
 
     Parameters
     ----------
-    joints : (m,) connections to look at, all where left out; only rigid ones take part.
+    joints : (m,) connections to look at, all where left out; only rigid ones take part. Drives with `impulses` pass
+        the impulses of theirs on.
     """
-    rigid = np.array([isinstance(c.law, Rigid) for c in system.connections], dtype=bool)
+    rigid = system.elimination.linear.rigid
     if joints is not None:
-        rigid &= joints
+        rigid = rigid & joints
     if not rigid.any():
         return
     on = np.flatnonzero(rigid)
@@ -60,3 +60,8 @@ def share_velocities(system: System, state: State, joints: NDArray[np.bool_] | N
         impulse = kick[compiled.gaps]
         if impulse.any():
             system.modes_of(state, name)[:] += (impulse @ compiled.gap_scatter).reshape(2, -1)
+    for drive in system.drives:
+        if drive.impulses and (impulse := kick[system.layout.places[drive.connection]]):
+            compiled = system.compiled[system.slot(drive.component)]
+            gained = drive.factor * impulse * compiled.form.B[compiled.basis.index(drive.point)]
+            system.modes_of(state, drive.component)[:] += gained.T

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tonewood.cli.main import run
+from tonewood.errors import OutputError
 
 
 class Card:
@@ -59,4 +60,24 @@ def test_a_session_from_the_command_line(
         assert "without effect: 1 program change" in out
         assert "not played: no string plays D#-1" in err
     assert ports.OPEN == {}
+    assert len([m for m in mido.MidiFile(tmp_path / "take.mid") if not m.is_meta]) == 3
+
+
+def test_a_session_that_fails_keeps_its_take(
+    ports: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Unplugged(Card):
+        def __exit__(self, *_: object) -> None:
+            raise OutputError("the sound card has gone")
+
+    def card(**options: Any) -> Card:
+        Card.port = ports.OPEN["Keys A"]
+        return Unplugged(**options)
+
+    monkeypatch.setattr("tonewood.output.stream._output_stream", lambda: card)
+    words = ["play", "-i", "monochord", "--midi-in", "--duration", "0", "--record", str(tmp_path / "take.mid")]
+    with pytest.raises(SystemExit) as ended:
+        run(words)
+    assert ended.value.code == 2
+    assert "the sound card has gone" in capsys.readouterr().err
     assert len([m for m in mido.MidiFile(tmp_path / "take.mid") if not m.is_meta]) == 3

@@ -56,6 +56,14 @@ def test_stems_are_the_parts_alone(duo: Path) -> None:
     assert all(np.array_equal(a.samples, b.samples) for a, b in zip(stems, apart, strict=True))
 
 
+def test_the_process_that_asked_warns_of_dropped_notes(duo: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    parts = [parse_part("1=electric_bass"), parse_part("1=electric_bass@pan0.5")]
+    with pytest.warns(tw.DroppedNotesWarning, match="1 note cannot be played") as issued:
+        render_ensemble(duo, parts, workers=2, reading={"transpose": 2}, fs=8000, max_duration=0.1)
+    assert len(issued) == 2
+    assert capfd.readouterr().err == ""
+
+
 def test_wrong_parts_are_one_line(duo: Path, tmp_path: Path) -> None:
     file = tmp_path / "band.yaml"
     file.write_text("parts:\n  - {part: 1, instrument: monochord, gain: 3}\n", encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 from fractions import Fraction
 from pathlib import Path
@@ -265,6 +266,34 @@ def test_damaged_files_are_read_or_refused(tmp_path: Path, seed: int) -> None:
             except ScoreError as error:
                 lines = str(error).splitlines()
             assert len(lines) < 2
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "1e308", "-1e9", "9" * 5000, "", "six"])
+def test_numbers_that_are_none_keep_the_other_notes(tmp_path: Path, number: str) -> None:
+    """One number of a MusicXML file after another replaced: notes, or one line of a ScoreError."""
+    text = FOUR_XML.replace("</direction-type>", '</direction-type><sound tempo="90" dynamics="80"/>', 1)
+    damaged = [text[: m.start()] + number + text[m.end() :] for m in re.finditer(r"(?<=[>\"])\d+(?=[<\"])", text)]
+    assert len(damaged) > 30
+    lines, n_read = [], 0
+    for one in damaged:
+        try:
+            n_read += len(tw.read_score(write(tmp_path / "a.xml", one)).notes) >= 6
+        except ScoreError as error:
+            lines += str(error).splitlines()
+    assert n_read + len(lines) <= len(damaged)
+    assert n_read > 0.9 * len(damaged)
+
+
+def test_a_damaged_archive_is_one_line(tmp_path: Path) -> None:
+    good = mxl(tmp_path / "good.mxl", FOUR_XML).read_bytes()
+    for at in range(0, len(good), 7):
+        (tmp_path / "bad.mxl").write_bytes(good[:at] + bytes([good[at] ^ 0x7D]) + good[at + 1 :])
+        lines = []
+        try:
+            tw.read_score(tmp_path / "bad.mxl")
+        except ScoreError as error:
+            lines = str(error).splitlines()
+        assert len(lines) < 2
 
 
 def test_a_capo_raises_the_open_strings() -> None:

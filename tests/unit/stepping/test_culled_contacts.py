@@ -11,7 +11,7 @@ from tonewood.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.coupling.laws import Contact
 from tonewood.coupling.system import PrescribedMotion, Probe, Readout, System
 from tonewood.coupling.tension import TensionModulation
-from tonewood.instrument.strings import with_still_points
+from tonewood.instrument.string_bases import with_still_points
 from tonewood.modal.string_modes import string_basis
 from tonewood.stepping.forcing import Segment, compile_force
 from tonewood.stepping.kernel import KernelStepper, Shortcuts
