@@ -92,6 +92,17 @@ inline CompiledSystem system_of(const File& file) {
         }
         s.tensions.stretches.push_back(std::move(d));
     }
+    for (std::size_t i = 0; file.has(entry("phantoms", i) + "index"); ++i) {
+        const std::string string = entry("phantoms", i);
+        PhantomDescription d;
+        d.index = int(file.integer(string + "index")), d.target = int(file.integer(string + "target"));
+        d.scale = file[string + "scale"].f8[0], d.vector = view(file, string + "vector"), d.steps = view(file, string + "steps");
+        for (std::size_t p = 0; file.has(entry(string + "parts", p) + "slot"); ++p) {
+            const std::string at = entry(string + "parts", p);
+            d.parts.push_back({int(file.integer(at + "slot")), view(file, at + "weights"), view(file, at + "mirrored")});
+        }
+        s.phantoms.push_back(std::move(d));
+    }
     return s;  // all shortcuts on
 }
 
@@ -105,7 +116,7 @@ public:
         kernel_.load(system_);
         const std::size_t k = system_.nonlinear.laws.size();
         modes_.resize(2 * capacity_), series_.resize(k), slip_.resize(k), last_.resize(k);
-        tension_.resize(8 * kernel_.n_tensions());
+        tension_.resize(8 * kernel_.n_tensions()), phantoms_.resize(kPhantomMemory * kernel_.n_phantoms());
         for (std::size_t i = 0; file_.has("plucks/" + std::to_string(i) + "/0/0"); ++i) ++n_plucks_;
     }
     SavedModel(const SavedModel&) = delete;
@@ -136,7 +147,7 @@ public:
         job.modes[0] = modes_.data(), job.modes[1] = modes_.data() + capacity_;
         job.n = std::int64_t(n), job.out = out, job.forces = linear_.data(), job.n_channels = n_channels_;
         job.law_forces = laws_.data(), job.series = series_.data(), job.slip = slip_.data();
-        job.last_force = last_.data(), job.tension = tension_.data();
+        job.last_force = last_.data(), job.tension = tension_.data(), job.phantoms = phantoms_.data();
         for (const Force& f : forces_)
             job.injections.push_back({f.slot, f.start, std::int64_t(f.values.shape[1]), int(f.values.shape[0]),
                                       f.vectors->f8.data(), f.values.f8.data()});
@@ -157,7 +168,7 @@ private:
     std::size_t capacity_, n_plucks_ = 0;
     int n_channels_;
     Kernel kernel_;
-    std::vector<double> modes_, series_, slip_, last_, tension_, linear_, laws_;
+    std::vector<double> modes_, series_, slip_, last_, tension_, phantoms_, linear_, laws_;
     std::vector<Force> forces_;
 };
 

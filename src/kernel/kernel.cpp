@@ -74,6 +74,54 @@ std::size_t Kernel::n_tensions() const {
     return n;
 }
 
+std::size_t Kernel::n_phantoms() const {
+    std::size_t n = 0;
+    for (const auto& string : model_.phantoms) n = std::max(n, std::size_t(string.index) + 1);
+    return n;
+}
+
+void Kernel::load_phantoms(const std::vector<PhantomDescription>& strings) {
+    const auto& components = model_.components;
+    std::vector<PhantomString> out;
+    for (std::size_t q = 0; q < strings.size(); ++q) {
+        const PhantomDescription& d = strings[q];
+        const std::string name = "phantoms[" + std::to_string(q) + "].";
+        require(d.index >= 0, name + "index is negative");
+        require(d.target >= 0 && std::size_t(d.target) < components.size() && !components[d.target].driven &&
+                    !components[d.target].geometric && !components[d.target].tension.on,
+                name + "target: no force can act on component " + std::to_string(d.target));
+        require(d.steps.ndim == 2 && d.steps.shape[0] >= 1 && d.steps.shape[0] <= kPhantomModes,
+                name + "steps: 1 to " + std::to_string(kPhantomModes) + " modes are allowed");
+        const std::size_t order = d.steps.shape[0];
+        expect(name + "steps", d.steps, {order, 4});
+        expect(name + "vector", d.vector, {2, std::size_t(components[d.target].n)});
+        PhantomString string;
+        string.index = d.index, string.target = d.target, string.order = int(order), string.scale = d.scale;
+        string.vector = d.vector.copy(), string.steps.assign(4 * kPhantomModes, 0.0);
+        for (std::size_t m = 0; m < order; ++m)
+            for (std::size_t i = 0; i < 4; ++i) string.steps[i * kPhantomModes + m] = d.steps[4 * m + i];
+        for (const auto& p : d.parts) {
+            const bool known = p.slot >= 0 && std::size_t(p.slot) < components.size() && p.weights.ndim == 2;
+            const std::size_t n = known ? p.weights.shape[1] : 0, wide = (n + kPadding - 1) / kPadding * kPadding;
+            require(known && n <= std::size_t(components[p.slot].n) && !components[p.slot].driven &&
+                        !components[p.slot].geometric && !components[p.slot].tension.on,
+                    name + "parts: one does not fit component " + std::to_string(p.slot));
+            expect(name + "weights", p.weights, {order + 1, n});
+            expect(name + "mirrored", p.mirrored, {order + 1, order});
+            PhantomString::Part part;
+            part.slot = p.slot, part.wide = int(wide);
+            part.weights.assign(padded(order + 1) * wide, 0.0), part.mirrored.assign((order + 1) * kPhantomModes, 0.0);
+            for (std::size_t m = 0; m <= order; ++m) {
+                std::copy_n(p.weights.data + m * n, n, part.weights.data() + m * wide);
+                std::copy_n(p.mirrored.data + m * order, order, part.mirrored.data() + m * kPhantomModes);
+            }
+            string.parts.push_back(std::move(part));
+        }
+        out.push_back(std::move(string));
+    }
+    model_.phantoms = std::move(out);
+}
+
 bool Kernel::load_components(const CompiledSystem& system, std::size_t m) {
     auto& components = model_.components;
     require(system.components.size() == components.size(),
@@ -204,6 +252,7 @@ void Kernel::load(const CompiledSystem& system) {
     const bool tensions = load_tensions(system.tensions, changed);
     std::vector<bool> after;
     for (const Component& c : model.components) after.push_back(c.geometric), after.push_back(c.tension.on);
+    load_phantoms(system.phantoms);
     const bool contacts = changed || laws || before != after || !(model.shortcuts == system.shortcuts);
     model.shortcuts = system.shortcuts;
     require(!model.solve.in_parts || model.tensions.strings.empty(),

@@ -37,12 +37,14 @@ public:
     int n_modes(std::size_t slot) const { return model_.components[slot].n; }
     int n_linear() const { return model_.solve.m; }
     int n_nonlinear() const { return model_.nonlinear.k; }
+    std::size_t n_phantoms() const;  // rows that the state of the longitudinal motion has at least
     std::size_t n_tensions() const;  // rows that the state of the tensions has at least
 
 private:
     bool load_components(const CompiledSystem& system, std::size_t m);
     bool load_linear(const LinearDescription& d);
     bool load_nonlinear(const NonlinearDescription& d);
+    void load_phantoms(const std::vector<PhantomDescription>& strings);
     bool load_tensions(const TensionsDescription& d, bool components_changed);
 
     const Table& table_;

@@ -10,6 +10,7 @@
 #include "connect/general_step.hpp"
 #include "connect/tension_step.hpp"
 #include "modal/motion.hpp"
+#include "modal/phantom_step.hpp"
 
 namespace tonewood {
 namespace {
@@ -28,10 +29,12 @@ inline Fault run(Model& model, const Job& job) {
     LawForces laws(block);
     const auto connections = connection_step(block, laws);
     Propagate propagate(model.layout);
+    PhantomStep phantoms(block);
     Resting resting(block);
     FusedPass fused(block, resting);
     for (std::int64_t start = 0; start < job.n; start += kBlock) {
         block.begin(start, int(std::min<std::int64_t>(job.n - start, kBlock)));
+        phantoms.begin_block();
         resting.begin_block();
         if (const int i = free_motion(block, fused, resting); i >= 0) return {i, start};
         if (laws.any()) laws.cull.begin_block();
@@ -49,6 +52,7 @@ inline Fault run(Model& model, const Job& job) {
             for (std::int64_t b = start; b < start + block.nb; ++b)
                 job.out[b * job.n_channels + channel] += weight * job.forces[b * model.solve.m + connection];
         laws.add_outputs();
+        phantoms.finish_block(laws.rows);
         if (const int i = correct(block, laws.rows, fused, resting); i >= 0) return {i, start};
     }
     laws.finish();

@@ -27,6 +27,7 @@ class Kernel:
         slip: NDArray[np.float64],
         last_force: NDArray[np.float64],
         tension: NDArray[np.float64],
+        phantoms: NDArray[np.float64],
         phase: int,
     ) -> tuple[int, int]: ...
     def acted(self) -> list[int]: ...

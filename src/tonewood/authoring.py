@@ -20,6 +20,7 @@ from tonewood import plate as plate
 from tonewood.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.coupling.layout import Drive, Probe, Readout
+from tonewood.coupling.phantoms import PhantomPartials
 from tonewood.engine.effect_usage import Bound
 from tonewood.engine.effects.base import Moment, RuntimeEffect, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.engine.effects.connections import SwitchedConnections
@@ -50,6 +51,7 @@ from tonewood.instrument.effects import (
     DAMPERS,
     FRETTING_NOISE,
     LONGITUDINAL,
+    PHANTOM_PARTIALS,
     SQUEAK,
     TENSION_MODULATION,
     TOUCH_NOISE,
@@ -74,6 +76,7 @@ __all__ = [
     "DAMPERS",
     "FRETTING_NOISE",
     "LONGITUDINAL",
+    "PHANTOM_PARTIALS",
     "SQUEAK",
     "TENSION_MODULATION",
     "TOUCH_NOISE",
@@ -108,6 +111,7 @@ __all__ = [
     "Number",
     "Parameters",
     "PassivityError",
+    "PhantomPartials",
     "Pickup",
     "PickupRows",
     "Place",

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tonewood import _kernel
+from tonewood.coupling.phantoms import MEMORY
 
 PAD, BLOCK, CHANNELS, CAPACITY = _kernel.PADDING, _kernel.BLOCK_SIZE, 2, 4 * _kernel.PADDING
 CONNECTIONS = 2
@@ -61,6 +62,7 @@ def described(k: int = 0) -> dict[str, Any]:
             "to_linear": np.zeros((m, k)), "residual": np.zeros((k, k)),
         },
         "tensions": {"strings": [], "stretches": []},
+        "phantoms": [],
         "shortcuts": dict.fromkeys(SHORTCUTS, True),
     }  # fmt: skip
 
@@ -102,11 +104,20 @@ def longitudinal() -> dict[str, Any]:
     return made
 
 
+def phantoms() -> dict[str, Any]:
+    """The first component drives longitudinal modes whose force acts on the second one."""
+    made = described()
+    parts = [{"slot": 0, "weights": np.full((3, 2), 1.0), "mirrored": np.full((3, 2), 1.0)}]
+    string = {"index": 0, "target": 1, "scale": 1e-3, "vector": np.full((2, PAD), 1e-6), "steps": np.full((2, 4), 0.1)}
+    made["phantoms"] = [string | {"parts": parts}]
+    return made
+
+
 def job(k: int = 0, n: int = 40) -> list[Any]:
     injection = (0, 3, np.ones((1, 2, PAD)), np.ones((1, 5)))
     return [
         np.zeros((2, CAPACITY)), np.zeros((n, CHANNELS)), np.zeros((n, CONNECTIONS)), [injection], np.zeros((n, k)), [],
-        np.zeros(k), np.zeros(k), np.zeros(k), np.zeros((1, 4)), 0,
+        np.zeros(k), np.zeros(k), np.zeros(k), np.zeros((1, 4)), np.zeros((1, MEMORY)), 0,
     ]  # fmt: skip
 
 
@@ -129,6 +140,7 @@ MADE = {
     "ports": contact_ports,
     "tension": stretched,
     "longitudinal": longitudinal,
+    "phantoms": phantoms,
 }
 
 
@@ -195,6 +207,8 @@ def test_every_array_of_a_wrong_form_is_refused_by_its_name(which: str, path: Pa
             continue  # the last connections do not act on this component
         if path[-1] == "slopes" and np.ndim(wrong) == 2 and wrong.shape[1] == 1:
             continue  # any number of cosines
+        if path[0] == "phantoms" and path[-1] == "weights" and np.ndim(wrong) == 2 and len(wrong) == len(given):
+            continue  # any number of modes
         if isinstance(wrong, np.ndarray) and wrong.shape == given.shape and wrong.dtype == given.dtype:
             continue
         made = MADE[which]()
@@ -279,10 +293,32 @@ def test_a_state_of_the_tensions_that_is_too_small_is_refused() -> None:
             through(stretched(), arguments)
 
 
+@pytest.mark.parametrize(
+    ("path", "wrong"),
+    [
+        (("index",), -1), (("target",), 3), (("target",), 2), (("target",), -1), (("parts", 0, "slot"), 2),
+        (("parts", 0, "slot"), 3), (("steps",), np.zeros((33, 4))), (("steps",), np.zeros((0, 4))),
+    ],
+)  # fmt: skip
+def test_longitudinal_forces_that_do_not_fit_are_refused(path: Path, wrong: Any) -> None:
+    made = phantoms()
+    put(made["phantoms"][0], path, wrong)
+    with pytest.raises(ValueError, match="phantoms"):
+        through(made)
+
+
+def test_a_state_of_the_longitudinal_forces_that_is_too_small_is_refused() -> None:
+    for wrong in (np.zeros((0, MEMORY)), np.zeros((1, MEMORY - 1)), np.zeros(MEMORY)):
+        arguments = job()
+        arguments[10] = wrong
+        with pytest.raises((TypeError, ValueError)):
+            through(phantoms(), arguments)
+
+
 @pytest.mark.parametrize(("phase", "n"), [(-1, 4), (1, 64), (60, 5)])
 def test_a_run_over_the_end_of_a_window_that_it_did_not_begin_is_refused(phase: int, n: int) -> None:
     arguments = job(n=n)
-    arguments[10] = phase
+    arguments[11] = phase
     with pytest.raises(ValueError, match="phase"):
         through(stretched(), arguments)
 

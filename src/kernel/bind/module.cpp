@@ -190,6 +190,14 @@ void load(Kernel& kernel, nb::handle description) {
             d.parts.push_back({part.get<int>("slot"), part.view("slopes"), part.view("stiffness")});
         system.tensions.stretches.push_back(std::move(d));
     }
+    for (const Reader& string : in.each("phantoms")) {
+        PhantomDescription d;
+        d.index = string.get<int>("index"), d.target = string.get<int>("target"), d.scale = string.get<double>("scale");
+        d.vector = string.view("vector"), d.steps = string.view("steps");
+        for (const Reader& part : string.each("parts"))
+            d.parts.push_back({part.get<int>("slot"), part.view("weights"), part.view("mirrored")});
+        system.phantoms.push_back(std::move(d));
+    }
     system.shortcuts = shortcuts(in.inner("shortcuts"));
     kernel.load(system);
 }
@@ -207,7 +215,7 @@ void expect_shape(const char* name, const Out& a, std::initializer_list<std::siz
 std::pair<int, std::int64_t> run(Kernel& kernel, Out modes, Out out, Out forces,
                                  const std::vector<std::tuple<int, std::int64_t, In, In>>& injections, Out law_forces,
                                  const std::vector<std::pair<int, In>>& controls, Out series, Out slip, Out last_force,
-                                 Out tension, int phase) {
+                                 Out tension, Out phantoms, int phase) {
     require(kernel.loaded(), "nothing is loaded");
     const std::size_t n = out.ndim() ? out.shape(0) : 0, k = kernel.n_nonlinear(), n_tensions = kernel.n_tensions();
     expect_shape("modes", modes, {2, kernel.capacity()});
@@ -219,11 +227,13 @@ std::pair<int, std::int64_t> run(Kernel& kernel, Out modes, Out out, Out forces,
     expect_shape("last_force", last_force, {k});
     if (n_tensions)
         expect_shape("tension", tension, {std::max(n_tensions, tension.ndim() == 2 ? tension.shape(0) : 0), 4});
+    if (const std::size_t rows = kernel.n_phantoms())
+        expect_shape("phantoms", phantoms, {std::max(rows, phantoms.ndim() == 2 ? phantoms.shape(0) : 0), std::size_t(kPhantomMemory)});
     Job job;
     job.modes[0] = modes.data(), job.modes[1] = modes.data() + kernel.capacity();
     job.n = std::int64_t(n), job.out = out.data(), job.forces = forces.data(), job.n_channels = kernel.n_channels();
     job.law_forces = law_forces.data(), job.series = series.data(), job.slip = slip.data();
-    job.last_force = last_force.data(), job.tension = tension.data(), job.phase = phase;
+    job.last_force = last_force.data(), job.tension = tension.data(), job.phantoms = phantoms.data(), job.phase = phase;
     for (const auto& [connection, values] : controls) {
         require(values.ndim() == 2 && values.shape(0) == 4 && values.shape(1) == n, "controls: (4, n) values are needed");
         job.controls.push_back({connection, values.data()});
@@ -268,7 +278,7 @@ NB_MODULE(_kernel, m) {
         // arrays that are written to must be the caller's own, never converted copies
         .def("run", &run, nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg(),
              nb::arg().noconvert(), nb::arg(), nb::arg().noconvert(), nb::arg().noconvert(), nb::arg().noconvert(),
-             nb::arg().noconvert(), nb::arg())
+             nb::arg().noconvert(), nb::arg().noconvert(), nb::arg())
         .def("acted", &Kernel::acted)
         .def("statistics", [](const Kernel& kernel) {
             const Statistics& s = kernel.statistics();

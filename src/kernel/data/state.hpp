@@ -3,6 +3,7 @@
 
 #include "laws.hpp"
 #include "layout.hpp"
+#include "phantoms.hpp"
 #include "tension.hpp"
 
 namespace tonewood {
@@ -104,6 +105,7 @@ struct Job {
     double *series, *slip, *last_force;  // (k), moved
     std::vector<Control> controls;
     double* tension;     // (n_tensions, 4), moved
+    double* phantoms = nullptr;  // (n_strings, kPhantomMemory), moved
     int phase = 0;       // samples since the last multiple of kResetSteps; with tensions and above 0, n ends at the next one
 };
 
@@ -121,6 +123,7 @@ struct Model {
     Solve solve;
     Nonlinear nonlinear;
     Tensions tensions;
+    std::vector<PhantomString> phantoms;
     Shortcuts shortcuts;
     ContactState contacts;
     LinearLaws linear_laws;

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "../data/laws.hpp"
+#include "../data/phantoms.hpp"
 
 namespace tonewood {
 
@@ -114,11 +115,26 @@ struct TensionsDescription {
     std::vector<StretchDescription> stretches;  // by string; none where no string has longitudinal motion
 };
 
+// A string whose longitudinal motion is driven one way.
+struct PhantomDescription {
+    struct Part {
+        int slot = 0;
+        View weights;   // (order + 1, n)
+        View mirrored;  // (order + 1, order)
+    };
+    int index = 0, target = 0;
+    double scale = 0;
+    View vector;        // (2, modes of the target)
+    View steps;         // (order, 4)
+    std::vector<Part> parts;
+};
+
 struct CompiledSystem {
     std::vector<ComponentDescription> components;
     LinearDescription linear;
     NonlinearDescription nonlinear;
     TensionsDescription tensions;
+    std::vector<PhantomDescription> phantoms;
     Shortcuts shortcuts;
 };
 

@@ -37,6 +37,7 @@ struct Block {
     Array<double> f;         // (f_width): forces of the linear connections in the sample
     std::vector<std::vector<Input>> inputs;   // by component: known forces
     std::vector<Array<double>> input_values;  // by injection
+    std::vector<int> known;                   // components on which a known force acts all the time
 
     Block(Model& m, const Job& j)
         : model(m), job(j), history(std::size_t(kBlock + 1) * m.layout.width),
@@ -51,6 +52,8 @@ struct Block {
 
     // Whether a known force acts on component i in the next n samples.
     bool forced(int i, std::int64_t n) const {
+        for (const int slot : known)
+            if (slot == i) return true;
         for (const Injection& in : job.injections)
             if (in.slot == i && start + n > in.first && start < in.first + in.length) return true;
         return false;

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.coupling.geometric import GeometricShare
+from tonewood.coupling.phantoms import MEMORY, PhantomShare
 from tonewood.coupling.tension import TensionShare
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.propagator import RealForm, apply, impulse_series
@@ -45,6 +46,7 @@ class Compiled:
         compliance.
     tension : its share of a tension, if it belongs to one.
     geometric : its share of a string whose longitudinal motion is stepped, likewise.
+    phantom : its share of a string whose longitudinal motion is driven one way.
     """
 
     basis: ModalBasis
@@ -64,6 +66,7 @@ class Compiled:
     residual: Floats
     tension: TensionShare | None = None
     geometric: GeometricShare | None = None
+    phantom: PhantomShare | None = None
     _impulses: dict[str, Floats] = field(init=False, repr=False, default_factory=dict)
     _motions: dict[bytes, tuple[NDArray[np.intp], Floats]] = field(init=False, repr=False, default_factory=dict)
 
@@ -149,6 +152,8 @@ class State:
     slip : (m,) m/s, relative velocity of friction connections over the step before, 0 when sticking; empty is rest.
     tension : (n_tensions, 4) mean additional tension of the last three steps, latest first, N, and psi - sqrt(kappa) S,
         sqrt(J) (`tension`); empty is rest.
+    phantoms : (n_strings, MEMORY) of longitudinal motion that is driven one way (`phantoms`): forces that are due, N,
+        and its modes; empty is rest.
     """
 
     modes: Floats
@@ -157,6 +162,7 @@ class State:
     series: Floats = field(default_factory=lambda: np.zeros(0))
     slip: Floats = field(default_factory=lambda: np.zeros(0))
     tension: Floats = field(default_factory=lambda: np.zeros((0, 4)))
+    phantoms: Floats = field(default_factory=lambda: np.zeros((0, MEMORY)))
 
     def copy(self) -> State:
         """Return an independent copy."""
@@ -167,12 +173,14 @@ class State:
             self.series.copy(),
             self.slip.copy(),
             self.tension.copy(),
+            self.phantoms.copy(),
         )
 
     def restore(self, other: State) -> None:
         """Take over all of another state."""
         self.modes[:], self.forces[:], self.sample = other.modes, other.forces, other.sample
         self.series, self.slip, self.tension = other.series.copy(), other.slip.copy(), other.tension.copy()
+        self.phantoms = other.phantoms.copy()
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from tonewood.coupling.elimination import Elimination, GapCompliance
 from tonewood.coupling.geometric import GeometricStretch
 from tonewood.coupling.laws import Friction
 from tonewood.coupling.layout import Drive, Layout, Probe, Readout
+from tonewood.coupling.phantoms import MEMORY, DrivenLongitudinal
 from tonewood.coupling.tension import TensionModulation
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.propagator import apply, flow, powers, real_form
@@ -55,6 +56,8 @@ class System:
     tensions: tuple[TensionModulation, ...] = ()
     stretches: tuple[GeometricStretch, ...] = ()
     is_on: tuple[bool, ...] = ()
+    phantoms: tuple[DrivenLongitudinal, ...] = ()
+    phantoms_on: tuple[bool, ...] = ()
 
     def __repr__(self) -> str:
         modes = sum(c.basis.n_modes for c in self.compiled)
@@ -76,6 +79,7 @@ class System:
         tensions: Sequence[TensionModulation] = (),
         geometric: Sequence[GeometricStretch] = (),
         owners: Mapping[str, str] | None = None,
+        phantoms: Sequence[DrivenLongitudinal] = (),
     ) -> System:
         """Compile.
 
@@ -86,6 +90,7 @@ class System:
         tensions : strings whose tension rises with their amplitude; all are on.
         geometric : strings whose longitudinal motion is coupled to the transverse one; all are on.
         owners : component -> string that it belongs to, of those that belong to one.
+        phantoms : strings whose longitudinal motion is driven one way; all are on.
 
         Raises
         ------
@@ -114,6 +119,10 @@ class System:
         for name in stretched:
             if name not in components or name in driven or stretched.count(name) > 1:
                 raise ValueError(f"a tension needs two-way components of its own, not {name!r}")
+        for phantom in phantoms:
+            for name in (*phantom.components, *(name for name, _, _ in phantom.onto)):
+                if name not in components or name in driven or name in stretched:
+                    raise ValueError(f"{phantom.name}: its longitudinal motion cannot go with {name!r}")
         if tensions and geometric:
             both = f"{tensions[0].name} and {geometric[0].name}"
             raise ValueError(f"{both}: where a string has longitudinal motion, all rising tensions go into `geometric`")
@@ -129,6 +138,8 @@ class System:
             tensions=tuple(tensions),
             stretches=tuple(geometric),
             is_on=(True,) * len(tensions or geometric),
+            phantoms=tuple(phantoms),
+            phantoms_on=(True,) * len(phantoms),
         )
         return system.with_compiled({name: system.compile(name, components[name]) for name in names})
 
@@ -202,10 +213,11 @@ class System:
         residual = a @ basis.residual[ports][:, ports] @ a.T
         tension = next((t.part(name, basis, self.dt, held) for t in self.tensions if name in t.components), None)
         geometric = next((g.part(name, basis, held) for g in self.stretches if name in g.parts), None)
+        phantom = next((p.part(name, basis, self.dt) for p in self.phantoms if name in p.components), None)
         return Compiled(
             basis, self.dt, form, ports, E, held, W, all_rows, history,
             np.array(readouts, dtype=np.intp), np.array(difference, dtype=bool), gaps, a, compliance, residual, tension,
-            geometric,
+            geometric, phantom,
         )  # fmt: skip
 
     def with_compiled(self, changes: Mapping[str, Compiled]) -> System:
@@ -235,7 +247,7 @@ class System:
         # what `replace` does; several of these are made for every note
         return System(
             self.dt, self.layout, compiled, elimination.connections, elimination, self.tensions, self.stretches,
-            self.is_on,
+            self.is_on, self.phantoms, self.phantoms_on,
         )  # fmt: skip
 
     def gaps(self, states: Sequence[Floats]) -> Floats:
@@ -257,6 +269,10 @@ class System:
         if unknown := set(names) - set(known):
             raise ValueError(f"no tension {sorted(unknown)}; there are {known}")
         return replace(self, is_on=tuple(name in names for name in known))
+
+    def with_phantoms(self, names: Collection[str]) -> System:
+        """Switch on the longitudinal forces of these strings, and off all others."""
+        return replace(self, phantoms_on=tuple(p.name in names for p in self.phantoms))
 
     @property
     def rising(self) -> tuple[TensionModulation | GeometricStretch, ...]:
@@ -302,7 +318,10 @@ class System:
         """Return the state of rest."""
         m = len(self.connections)
         modes = np.zeros((2, sum(self.capacities)))
-        return State(modes, np.zeros(m), 0, np.zeros(m), np.zeros(m), np.zeros((len(self.rising), 4)))
+        return State(
+            modes, np.zeros(m), 0, np.zeros(m), np.zeros(m), np.zeros((len(self.rising), 4)),
+            np.zeros((len(self.phantoms), MEMORY)),
+        )  # fmt: skip
 
     def controlled(self, controls: Sequence[PrescribedMotion], start: int, n: int) -> dict[int, Floats]:
         """(4, n) offset at the beginning and the end of each step, velocity and scale, of controlled connections.

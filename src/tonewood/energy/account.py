@@ -15,7 +15,7 @@ an entry ``COMPONENT.sound`` of its own where a basis says which share of each m
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -122,11 +122,11 @@ class EnergyAccount:
         The motion is made again from the forces. Where tensions rise far, what rounding adds to it grows within some
         hundred steps: follow pieces of 64 there, and of 16 with longitudinal motion.
         """
-        x, series, tension = self._states(before), before.series, before.tension
+        x, series, tension, memory = self._states(before), before.series, before.tension, before.phantoms
         chunk = max(_CHUNK // self.interval, 1) * self.interval
         for start in range(0, len(forces), chunk):
             part, sample = forces[start : start + chunk], before.sample + start
-            again = step_again(self.system, x, tension, sample, part, injections)
+            again = step_again(self.system, x, tension, sample, part, injections, memory)
             path = again.states
             if start + chunk >= len(forces):
                 for name, end in self._states(after).items():
@@ -137,7 +137,7 @@ class EnergyAccount:
             moving = self.system.controlled(controls, sample, len(part)) if controls else {}
             self._enter(sample, again, within, part, known, moving)
             x, series = {name: states[-1] for name, states in path.items()}, self._laws.spread(within[-1])
-            tension = again.tension[-1]
+            tension, memory = again.tension[-1], again.memory
 
     def trace(self) -> EnergyTrace:
         """The account so far."""
@@ -197,6 +197,19 @@ class EnergyAccount:
             }
         return out
 
+    def _longitudinal(self, component: str, again: Path) -> Iterator[tuple[str, str, Floats]]:
+        """Yield label, point and force (T,) of the longitudinal forces that act on a component."""
+        on = [p for p, is_on in zip(self.system.phantoms, self.system.phantoms_on, strict=True) if is_on]
+        for string, force in zip(on, again.phantoms.T, strict=True):
+            for name, point, share in string.onto:
+                if name == component:
+                    yield f"{string.name} longitudinal", point, share * force
+
+    def _displacement(self, component: str, point: str, x: Floats) -> Floats:
+        """(T + 1,) m, of a port."""
+        row = self.system.ports_of(component).index(point)
+        return np.asarray(np.einsum("mx,tmx->t", self.system.compiled[self.system.slot(component)].rows[row], x))
+
     def _gaps(self, path: Mapping[str, Floats]) -> Floats:
         """(T, m) gaps of all connections."""
         total: Floats = np.zeros((1, len(self.system.connections)))
@@ -228,6 +241,11 @@ class EnergyAccount:
             held = np.zeros((T, len(energy.points)))
             ports = [energy.points.index(p) for p in self.system.ports_of(name)]
             held[:, ports] = forces @ self.system.incidence(self.system.slot(name))
+            for label, point, tension in self._longitudinal(name, again):
+                column = energy.points.index(point)
+                held[:, column] += tension
+                moved = np.diff(self._displacement(name, point, x))
+                supplied[label] = supplied.get(label, np.zeros(T)) + tension * moved
             mine = [k for k in known if k.component == name]
             lost[name], sound, works = over_steps(energy, x[:-1], held, modal_forces.get(name), mine, sample, dt)
             if energy.radiated is not None:

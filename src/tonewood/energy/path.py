@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.coupling.geometric_solve import rising_solve
+from tonewood.coupling.phantom_solve import PhantomForces
 from tonewood.coupling.system import Injection, System
 
 Floats = NDArray[np.float64]
@@ -23,11 +24,15 @@ class Path:
     states : name -> (T + 1, n_modes, 2).
     modal_forces : name -> (T, n_modes), of rising tension and of longitudinal motion, for strings that have it.
     tension : (T + 1, n_tensions, 4) rows of the state.
+    phantoms : (T, n_on) N, longitudinal forces of strings that are driven one way, over each step.
+    memory : of these forces after the last step, as in the state.
     """
 
     states: dict[str, Floats]
     modal_forces: dict[str, Floats]
     tension: Floats
+    phantoms: Floats
+    memory: Floats
 
 
 def step_again(
@@ -37,6 +42,7 @@ def step_again(
     sample: int,
     forces: Floats,
     injections: Sequence[Injection],
+    memory: Floats,
 ) -> Path:
     """Step the two-way components under known connection forces.
 
@@ -47,6 +53,7 @@ def step_again(
     sample : absolute number of the first step.
     forces : (T, m) N, constant over each step.
     injections : what known forces add.
+    memory : (n_strings, MEMORY) of the longitudinal forces at the start, as in the state.
     """
     names, T = list(start), len(forces)
     slots = [system.slot(name) for name in names]
@@ -77,12 +84,18 @@ def step_again(
     if tension.size:
         tensions[0] = tension
     slots_on = sorted(slot for string in rising.slots for slot in string) if rising else []
+    driven = PhantomForces(system)
+    memory, phantoms = memory.copy(), np.zeros((T, len(driven.on)))
     modal_forces = {system.names[i]: np.zeros((T, system.compiled[i].basis.n_modes)) for i in slots_on}
     for t in range(T):
         x, y = path[t, :, 0], path[t, :, 1]
         path[t + 1, :, 0] += e00 * x + e01 * y
         path[t + 1, :, 1] += e10 * x + e11 * y
         before, free = by_slot(path[t]), by_slot(path[t + 1])
+        if driven.on:
+            phantoms[t] = driven.advance(before, memory)
+            for slot, vector, force in zip(driven.targets, driven.vectors, phantoms[t], strict=True):
+                free[slot] += force * vector  # a view of the path
         if rising is not None:
             linear = system.solve
             alone = linear.constant - linear.apply(system.gaps(free) + linear.gamma * system.gaps(before))
@@ -94,4 +107,4 @@ def step_again(
                 modal_forces[system.names[slot]][t] = -direction * mean[q]
                 free[slot] += added * mean[q]
             tensions[t + 1] = rising.carried(before, free, over, mean, tensions[t], sample + t + 1)
-    return Path({name: path[:, spans[name]] for name in names}, modal_forces, tensions)
+    return Path({name: path[:, spans[name]] for name in names}, modal_forces, tensions, phantoms, memory)

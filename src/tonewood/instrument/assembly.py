@@ -14,6 +14,7 @@ from typing import Any
 from tonewood.blas import one_blas_thread
 from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.coupling.geometric import GeometricStretch
+from tonewood.coupling.phantoms import DrivenLongitudinal
 from tonewood.coupling.system import System
 from tonewood.coupling.tension import TensionModulation
 from tonewood.errors import BundleError
@@ -175,6 +176,7 @@ def assemble(
         tensions=tensions,
         geometric=geometric,
         owners=owners,
+        phantoms=_phantoms(strings.values()),
     )
     kept.save()
     inputs: dict[str, tuple[tuple[str, str, float], ...]] = {
@@ -261,6 +263,22 @@ def _stretches(
         geometric += [GeometricStretch(s.name, s.components, None, s.resonator.axial_stiffness) for s in stretching]
         return [], geometric
     return [TensionModulation(s.name, s.components, s.resonator.axial_stiffness) for s in stretching], []
+
+
+def _phantoms(strings: Iterable[StringModel]) -> list[DrivenLongitudinal]:
+    """Strings whose longitudinal motion is driven one way."""
+    return [
+        DrivenLongitudinal(
+            s.name,
+            tuple(p.component for p in s.polarizations),
+            tuple(("body", point, share) for point, share in s.phantoms.ends.items()),
+            s.phantoms.motion.axial_stiffness,
+            s.phantoms.motion.freq_coupled,
+            s.phantoms.motion.loss,
+        )
+        for s in strings
+        if s.phantoms
+    ]
 
 
 def _check_places(instrument: Instrument, strings: Mapping[str, StringModel]) -> None:

@@ -27,15 +27,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.phantoms import PhantomPartials
 from tonewood.coupling.system import Drive, Readout
 from tonewood.errors import BundleError
 from tonewood.instrument.attached import Attached, Motion, Site
-from tonewood.instrument.effects import (
-    BODY_MODES,
-    OUTPUTS,
-    SECOND_POLARIZATION,
-    Effect,
-)
+from tonewood.instrument.effects import BODY_MODES, OUTPUTS, SECOND_POLARIZATION, Effect
 from tonewood.instrument.files import Files
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.views import SHOWN_TO, ModalViews
@@ -154,6 +150,11 @@ class Resonator(Plugin[P]):
     @property
     def longitudinal(self) -> Longitudinal | None:
         """Longitudinal motion, where it is stepped; needs an axial stiffness."""
+        return None
+
+    @property
+    def phantom_partials(self) -> PhantomPartials | None:
+        """Longitudinal motion that is driven one way; needs bases of `ta.string_basis`, detuned or not."""
         return None
 
     @abstractmethod

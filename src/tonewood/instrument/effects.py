@@ -116,6 +116,12 @@ LONGITUDINAL = Effect(
     "any gesture on the string", "a bound on the phantom partials that the string's partials would "
     "drive; without them it is linear", cost=lambda n: 60.0 * n, title="phantom partials",
 )  # fmt: skip
+#: motion along a string that the transverse one drives one way; for plugins whose strings have it
+PHANTOM_PARTIALS = Effect(
+    "phantom_partials", "motion along the string, driven one way: partials at sums of transverse ones", "additive",
+    "any gesture on the string", "a bound on the phantom partials that the string's partials would drive",
+    cost=lambda n: 2.0 * n, title="phantom partials",
+)  # fmt: skip
 #: a finger that quiets the string while it draws it; for exciters whose gestures have a `ta.Hold`
 DAMPERS = Effect(
     "dampers", "fingers that quiet a string while they draw it", "additive", "from touch to release of each pluck",

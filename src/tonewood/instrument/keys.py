@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -87,12 +87,16 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
     defaults = strings.get("defaults", {}) if isinstance(strings, Mapping) else {}
     header, rows, file = files.cells(keys["table"], "keys.table")
     exciter = keys.get("exciter")
+    known = values.get("exciters")
+    if isinstance(exciter, str) and isinstance(known, Mapping) and exciter not in known:
+        raise BundleError(_no_exciter(exciter, known), file=files.manifest, key="keys.exciter")
     _check_columns(header, rows[0][0] - 1, exciter, file)
     damper = keys["damper"] if isinstance(keys.get("damper"), Mapping) else {}
     others = strings if isinstance(strings, Mapping) else {}
     beside = keys.get("entries", {})
     entries: dict[str, Any] = {**beside} if isinstance(beside, Mapping) else {}
     made: dict[str, Any] = {}
+    pitches = _pitches(entries)
     places: dict[str, tuple[int, str]] = {}
     for line, cells in rows:
         row = _Row(file, line, dict(zip(header, cells, strict=True)))
@@ -101,9 +105,11 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
             has = "`keys.entries` has, too" if isinstance(beside, Mapping) and name in beside else "an earlier row has"
             raise row.fault("note", f"is {row.text('note')!r}, which {has}; one row a note is allowed")
         try:
-            note_number(row.text("note"))
+            pitch = note_number(row.text("note"))
         except ScoreError as fault:
             raise row.fault("note", fault.reason) from None
+        if (same := pitches.setdefault(pitch, name)) != name:
+            raise row.fault("note", f"is {row.text('note')!r}, the pitch of key {same}; one key a pitch is allowed")
         count = row.whole("strings", 1)
         of = [name] if count == 1 else [f"{name}_{i + 1}" for i in range(count)]
         if len(made) + count > MOST_STRINGS:
@@ -226,12 +232,29 @@ def key_exciters(spec: Bundle, file: Any) -> Iterator[tuple[str, str, PluginPart
     if spec.keys is None or (played := spec.keys.exciter) is None:
         return
     if played not in spec.exciters:
-        known = f"{did_you_mean(played, spec.exciters)}there are {', '.join(spec.exciters)}"
-        raise BundleError(f"there is no exciter {played!r}; {known}", file=file, key="keys.exciter")
+        raise BundleError(_no_exciter(played, spec.exciters), file=file, key="keys.exciter")
     part = spec.exciters[played]
     for name, key in spec.keys.entries.items():
         if key.exciter:
             yield name, played, PluginPart.model_validate({**part.model_dump(), **key.exciter})
+
+
+def _no_exciter(name: str, known: Collection[str]) -> str:
+    return f"there is no exciter {name!r}; {did_you_mean(name, known)}there are {', '.join(known)}"
+
+
+def _pitches(entries: Mapping[str, Any]) -> dict[float, str]:
+    """Pitch -> key, of the entries beside a table whose notes are ones; what is wrong with others is said elsewhere."""
+    out: dict[float, str] = {}
+    for name, entry in entries.items():
+        note = entry.get("note") if isinstance(entry, Mapping) else None
+        try:
+            pitch = note_number(note) if isinstance(note, str) else note
+        except ScoreError:
+            continue
+        if isinstance(pitch, int | float):
+            out[float(pitch)] = name
+    return out
 
 
 def check_keys(spec: Bundle, file: Any) -> None:

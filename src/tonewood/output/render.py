@@ -309,7 +309,8 @@ class Renderer:
         since_end = self.time - self.performance.timeline.stop
         while len(self._recent) > 1 and self._recent[0][0] <= now - _WINDOW * self.fs - _TICKS * GRID:
             self._recent.pop(0)
-        if self._end or not self.engine.done or since_end < _WINDOW:
+        late = len(self._routing.memory) / self.fs  # what a delayed channel has still to give
+        if self._end or not self.engine.done or since_end < _WINDOW + late:
             return
         if max(p for _, p in self._recent) <= self._loudest * 10 ** (self.options.tail_level_db / 20):
             self._end = "decayed"

@@ -22,6 +22,7 @@ from tonewood.coupling.laws import (
     SampledPotential,
     Scalar,
 )
+from tonewood.coupling.phantom_solve import force_vector
 from tonewood.coupling.system import Compiled, System
 
 Floats = NDArray[np.float64]
@@ -162,6 +163,21 @@ def describe_tensions(system: System) -> Description:
         if isinstance(law, GeometricStretch):
             stretches.append(describe_stretch(system, slots))
     return {"strings": strings, "stretches": stretches}
+
+
+def describe_phantoms(system: System) -> list[Description]:
+    """Describe the strings whose longitudinal motion is driven one way: EA, body, and their parts."""
+    out: list[Description] = []
+    for i, (string, on) in enumerate(zip(system.phantoms, system.phantoms_on, strict=True)):
+        if not on:
+            continue
+        shares = [(slot, system.compiled[slot].phantom) for slot in map(system.slot, string.components)]
+        parts = [{"slot": s, "weights": p.weights, "mirrored": p.mirrored} for s, p in shares if p is not None]
+        steps = next(p.steps for _, p in shares if p is not None)
+        target, vector = system.slot(string.onto[0][0]), packed(force_vector(system, string)[None])[0]
+        whole = {"index": i, "target": target, "scale": string.axial_stiffness, "vector": vector, "steps": steps}
+        out.append(whole | {"parts": parts})
+    return out
 
 
 def describe_stretch(system: System, slots: Sequence[int]) -> Description:

@@ -20,6 +20,7 @@ from tonewood import _kernel
 from tonewood.coupling.connections import NonlinearGaps
 from tonewood.coupling.inverse import Hub, InverseInParts
 from tonewood.coupling.laws import NonlinearLaw
+from tonewood.coupling.phantoms import MEMORY
 from tonewood.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.errors import NumericalError, TonewoodError
 from tonewood.stepping.description import (
@@ -28,6 +29,7 @@ from tonewood.stepping.description import (
     Wiring,
     describe_component,
     describe_linear,
+    describe_phantoms,
     describe_tensions,
     law_arrays,
     packed,
@@ -167,6 +169,7 @@ class KernelStepper:
             "linear": describe_linear(system.solve, weights, wiring, in_parts),
             "nonlinear": self._laws_and_gaps(system, terms, np.ascontiguousarray(weights[:, self._nonlinear])),
             "tensions": describe_tensions(system),
+            "phantoms": describe_phantoms(system),
             "shortcuts": self._shortcuts,
         }
 
@@ -363,6 +366,9 @@ class KernelStepper:
         if len(state.tension) != len(self.system.rising):
             state.tension = np.zeros((len(self.system.rising), 4))
         state.tension[[not is_on for is_on in self.system.is_on]] = 0.0
+        if len(state.phantoms) != len(self.system.phantoms):
+            state.phantoms = np.zeros((len(self.system.phantoms), MEMORY))
+        state.phantoms[[not is_on for is_on in self.system.phantoms_on]] = 0.0
         slot, sample = self._kernel.run(
             state.modes,
             out,
@@ -374,6 +380,7 @@ class KernelStepper:
             slip,
             last,
             state.tension,
+            state.phantoms,
             state.sample % _CUT,
         )
         if slot != -1:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tonewood.coupling.geometric_solve import rising_solve
 from tonewood.coupling.law_solve import FrictionBranch, Partners, find_forces, solve_branches
 from tonewood.coupling.laws import Friction
+from tonewood.coupling.phantom_solve import PhantomForces
 from tonewood.coupling.system import Injection, PrescribedMotion, State, System
 from tonewood.coupling.tension_solve import TensionsOverStep
 from tonewood.errors import NumericalError
@@ -68,6 +69,7 @@ class NumpyStepper:
         self.system = system
         self.statistics = Statistics()
         self._tension = rising_solve(system)
+        self._phantoms = PhantomForces(system)
         self._careful = False
 
     def run(
@@ -95,6 +97,8 @@ class NumpyStepper:
             series = s.nonlinear.carried_series(series)
         slip = state.slip if state.slip.size else still.slip
         tension = state.tension if state.tension.size else still.tension
+        memory = state.phantoms if state.phantoms.size else still.phantoms
+        memory[[not on for on in s.phantoms_on]] = 0.0
         moving = s.controlled(controls, state.sample, n)
         guess = np.asarray(state.forces, dtype=np.float64)
 
@@ -108,6 +112,9 @@ class NumpyStepper:
                     free[s.slot(injection.component)] += np.einsum(
                         "v,vmx->mx", injection.values[:, k], injection.vectors
                     )
+            due = self._phantoms.advance(x, memory)
+            for slot, vector, force in zip(self._phantoms.targets, self._phantoms.vectors, due, strict=True):
+                free[slot] += force * vector
             self._check(free, time)  # before connections spread the fault to other components
             partners = self._partners({j: a[:, step] for j, a in moving.items()})
             done = self._step(x, free, guess, series, slip, tension, partners, time)
@@ -128,7 +135,7 @@ class NumpyStepper:
             s.modes_of(state, name)[:] = x[i].T
         if n:
             state.forces[:] = forces[-1]
-        state.series, state.slip, state.tension = series, slip, tension
+        state.series, state.slip, state.tension, state.phantoms = series, slip, tension, memory
         state.sample += n
         self.statistics.steps += n
         return out, forces

@@ -186,6 +186,23 @@ def test_a_key_repeated_fifteen_times_a_second(grand: tw.Instrument) -> None:
     assert min(peaks) > 0.5 * peaks[0]
 
 
+def test_a_trill_of_two_keys_with_half_pedal(grand: tw.Instrument) -> None:
+    """Two keys in turn, fifteen blows a second on each: every blow lands, and the account closes."""
+    notes = [
+        tw.Note(0.02 + (2 * i + j) / 30, 0.03, note=note, velocity_midi=80)
+        for i in range(5)
+        for j, note in enumerate((60, 66))
+    ]
+    score = tw.Score(notes, [tw.Control(0.0, "cc64", 0.5)])
+    sound = tw.render(score, grand, fs=FS, max_duration=0.4, energy=True)
+    peaks = [np.abs(sound.samples[int((0.02 + i / 15) * FS) : int((0.02 + (i + 1) / 15) * FS)]).max() for i in range(5)]
+    assert max(peaks) < 3.0 * peaks[0]
+    assert min(peaks) > 0.5 * peaks[0]
+    assert sound.energy is not None
+    put_in = sum(v.sum() for v in sound.energy.supplied.values())
+    assert sound.energy.worst_cumulative_residual * sound.energy.peak <= 1e-10 * put_in
+
+
 def test_the_account_closes_with_everything_on(grand: tw.Instrument) -> None:
     notes = [
         tw.Note(0.01, 0.04, note=60, velocity_midi=110),

@@ -96,7 +96,7 @@ def test_a_bad_cell_is_named(tmp_path: Path, cells: dict[str, str], line: str) -
         ("hammer.mass", "hamer.mass", r"keys\.csv: hamer\.mass: is no column of a table of keys.*hammer\.PARAMETER"),
         ("hammer.mass", "hammer.mas", r"keys\.csv: line 2: hammer\.mas: is not a known key; did you mean mass"),
         ("note", "key", r"keys\.csv: key: is no column"),
-        ("\nC4,", "\nC4,3\nC4,", r"keys\.csv: line 2: 2 numbers under 19 columns"),
+        ("\nC4,", "\nC4,3\nC4,", r"keys\.csv: line 2: 2 numbers under 22 columns"),
     ],
 )
 def test_a_bad_header_is_named(tmp_path: Path, before: str, after: str, line: str) -> None:
@@ -118,6 +118,16 @@ def test_a_bad_header_is_named(tmp_path: Path, before: str, after: str, line: st
             r"note: is 'C4', which `keys",
         ),
         ("strings:\n", "strings:\n  C4_2: {note: C4}\n", r"note: makes string C4_2, which `strings` has, too"),
+        (
+            "exciter: hammer",
+            "exciter: hamer",
+            r"yaml: line \d+: keys\.exciter: .*'hamer'; did you mean hammer",
+        ),
+        (
+            "  damper: {",
+            "  entries: {X: {note: 60, strings: [C4_1]}}\n  damper: {",
+            r"keys\.csv: line 2: note: is 'C4', the pitch of key X; one key a pitch",
+        ),
     ],
 )
 def test_what_a_bundle_says_beside_its_table_is_named(tmp_path: Path, before: str, after: str, line: str) -> None:
@@ -127,6 +137,14 @@ def test_what_a_bundle_says_beside_its_table_is_named(tmp_path: Path, before: st
     manifest.write_text(text.replace(before, after, 1))
     with pytest.raises(BundleError, match=line):
         tw.load_instrument(tmp_path / "bad")
+
+
+def test_two_names_of_one_pitch_are_refused(tmp_path: Path) -> None:
+    table = some_keys(tmp_path / "twice", ["C#4"]) / "keys.csv"
+    text = table.read_text()
+    table.write_text(text + text.splitlines()[-1].replace("C#4", "Db4") + "\n")
+    with pytest.raises(BundleError, match=r"keys\.csv: line 3: note: is 'Db4', the pitch of key Cs4"):
+        tw.load_instrument(tmp_path / "twice")
 
 
 def test_cells_of_whole_numbers_and_printed_accidentals(tmp_path: Path) -> None:
@@ -175,8 +193,8 @@ def test_a_damper_without_resistance_takes_nothing(tmp_path: Path) -> None:
 def test_a_table_may_not_make_any_number_of_strings(tmp_path: Path) -> None:
     table = some_keys(tmp_path / "many", ["C4"], {"strings": "6", "una_corda": ""}) / "keys.csv"
     header, row = table.read_text().splitlines()
-    notes = [f"{letter}{octave}{cents}" for octave in range(10) for letter in "CDEFGAB" for cents in ("", "#", "b")]
-    named = [note[0] + note[2:] + note[1] for note in notes]
+    letters = ("C", "C#", "D", "Eb", "E", "F", "F#", "G", "G#", "A", "Bb", "B")
+    named = [f"{letter}{octave}" for octave in range(15) for letter in letters]
     table.write_text("\n".join([header, *(row.replace("C4", note, 1) for note in named)]))
     with pytest.raises(BundleError, match=r"line 172: strings: makes more than the 1024 strings allowed"):
         tw.load_instrument(tmp_path / "many")
@@ -205,9 +223,9 @@ def test_octaves_of_two_strings_by_hand() -> None:
     def above(b: float, m: int) -> float:
         return 600 * math.log2((1 + b * m * m) / (1 + b))
 
-    wide = [above(B["A3"], 2 * k) - above(B["A4"], k) for k in (1, 2, 3)]
+    wide = [above(B["A3"], 2 * k) - above(B["A4"], k) for k in range(1, 9)]
     assert found["A4"] == 0.0
-    heard = [1 / (1 + (2 * k * 220 / 4000) ** 4) for k in (1, 2, 3)]
+    heard = [1 / (1 + (440 * k / 2000) ** 4) / (1 + (400 / (440 * k)) ** 4) for k in range(1, 9)]
     mean = sum(w * d for w, d in zip(heard, wide, strict=True)) / sum(heard)
     assert found["A3"] == pytest.approx(-mean, abs=1e-6)
 
@@ -224,7 +242,7 @@ def test_the_piano_is_stretched_as_railsback_measured() -> None:
     found = stretch_cents(tw.load_instrument("grand_piano"))
     assert found["A4_1"] == 0.0
     # flat in the bass and sharp in the treble, by some tens of cents at the top
-    assert -30 < found["A0"] < -2
+    assert -30 < found["A0"] < -15
     assert 20 < found["C8_1"] < 45
     assert all(abs(found[f"{n}_1"]) < 4 for n in ("C4", "G4", "C5"))
     assert found["C4_1"] == found["C4_2"] == found["C4_3"]

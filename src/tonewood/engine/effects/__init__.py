@@ -7,6 +7,7 @@ from typing import Any
 
 from tonewood.engine.effects.base import RuntimeEffect
 from tonewood.engine.effects.longitudinal import LongitudinalEffect
+from tonewood.engine.effects.phantom_partials import PhantomPartialsEffect
 from tonewood.engine.effects.tension import TensionEffect
 from tonewood.engine.effects.unswitched import (
     ContactEffect,
@@ -21,6 +22,7 @@ from tonewood.instrument.effects import (
     DAMPERS,
     FRETTING_NOISE,
     LONGITUDINAL,
+    PHANTOM_PARTIALS,
     SECOND_POLARIZATION,
     SQUEAK,
     TENSION_MODULATION,
@@ -35,6 +37,7 @@ Maker = Callable[[Model, Effect, Mapping[str, Plugin[Any]]], RuntimeEffect]
 _BUILT_IN: Mapping[str, Maker] = {
     TENSION_MODULATION.name: TensionEffect,
     LONGITUDINAL.name: LongitudinalEffect,
+    PHANTOM_PARTIALS.name: PhantomPartialsEffect,
     SECOND_POLARIZATION.name: SecondPolarizationEffect,
     DAMPERS.name: DamperEffect,
     FRETTING_NOISE.name: GestureEffect,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,36 +32,41 @@ class BridgeResponse:
 
     Attributes
     ----------
-    components : components of strings, C of them.
+    components : components of strings, and ``STRING.longitudinal`` of those whose longitudinal motion is driven one
+        way; C of them.
     freq_rad : (f,) rad/s, the body's resonances among them.
     heard : (n_readouts, C, f) of each readout per N.
-    mobility : (C, f) m/s of each end along its polarization per N there.
     stopped : (n_readouts, C, f) bound on the click when a force of each frequency stops at once, of each readout per N.
     """
 
     def __init__(self, model: Model):
         system = model.system
-        self.components = tuple(c for string in model.strings.values() for c in string.components)
+        joined = tuple(c for string in model.strings.values() for c in string.components)
+        self.components = (*joined, *(f"{p.name}.longitudinal" for p in system.phantoms))
         top = np.pi / system.dt
         grid = np.geomspace(_LOWEST, top, int(_PER_OCTAVE * np.log2(top / _LOWEST)))
         body, form = model.body, real_form(model.body)
         own = np.abs(body.poles.imag)
         self.freq_rad = np.unique(np.concatenate([grid, own[(own > _LOWEST) & (own < top)]]))
-        ends = [next(c for c in system.connections if c.name == f"{name}.bridge") for name in self.components]
-        entry = np.zeros((len(ends), len(body.points)))
+        places = system.layout.places
+        ends = [system.connections[places[f"{name}.bridge"]] for name in joined]
+        entry = np.zeros((len(self.components), len(body.points)))
         for i, end in enumerate(ends):
             for term in end.terms:
                 if term.component == "body":
                     entry[i, body.index(term.point)] += term.factor
+        for i, phantom in enumerate(system.phantoms, len(ends)):
+            for _, point, share in phantom.onto:
+                entry[i, body.index(point)] += share
         added, gaps, impedance = _added(model, 1j * self.freq_rad)
         rows, direct = _readout_rows(system, "body", body)
         respond = response(body, form, self.freq_rad, np.vstack([gaps, rows]), entry)
-        n = len(ends)
-        self.mobility = np.abs(_own_response(body, form, self.freq_rad, entry) * self.freq_rad)
+        n = len(self.components)
+        self._own = body, form, entry
         # forces of what is added to the body per force of a string
         reaction = -impedance[:, None] * respond[: len(added)]
         heard = respond[len(added) :] * (1j * self.freq_rad) ** direct[:, None, None]
-        names = [end.name for end in ends]
+        names = [*(end.name for end in ends), *self.components[len(ends) :]]
         for r, readout in enumerate(system.readouts):
             for name, factor in readout.forces:
                 if name in names:
@@ -78,6 +85,12 @@ class BridgeResponse:
                 heard += whole * (1j * self.freq_rad) ** power[:, None, None]
         self.heard = np.abs(heard)
         self.stopped = _stopped(self.heard, self.freq_rad)
+
+    @cached_property
+    def mobility(self) -> Floats:
+        """(C, f) m/s of each end along its polarization per N there; found when first wanted."""
+        body, form, entry = self._own
+        return np.asarray(np.abs(_own_response(body, form, self.freq_rad, entry) * self.freq_rad))
 
     def heard_at(self, component: str, freq_rad: Floats) -> Floats:
         """(n_readouts, n) of each readout per N from a string's component, at frequencies of (n,)."""

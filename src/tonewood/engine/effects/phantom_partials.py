@@ -1,0 +1,165 @@
+"""Phantom partials that are driven one way, switched on and off string by string.
+
+They run from any gesture on a string until a bound on what would be missing (`effects.phantoms`, from the string's
+partials and the body's response) is within half of the budget. Strings on which they are off are looked at where they
+hold a thousandth of the energy of the one that holds most: otherwise their phantom partials, which go with the energy,
+are some 60 dB below those of that one. The transverse motion is the same on or off, so that a switch costs no energy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.coupling.geometric import GeometricStretch
+from tonewood.coupling.system import State, System
+from tonewood.engine.effect_usage import Bound, EffectUsage
+from tonewood.engine.effects.base import Moment, SwitchedEffect, Switching, Watched, motion, next_multiple
+from tonewood.engine.effects.bridge_response import BridgeResponse
+from tonewood.engine.effects.phantoms import Phantoms
+from tonewood.engine.fretting import Fretting
+from tonewood.engine.timeline import GRID, Timeline
+from tonewood.instrument.assembly import Model
+from tonewood.instrument.contract import Plugin
+from tonewood.instrument.effects import Effect
+from tonewood.modal.string_modes import string_basis
+
+Floats = NDArray[np.float64]
+
+#: points of the control grid between two looks
+_SELDOM = 256
+#: share of the additive budget that missing phantom partials may take
+_SHARE = 0.5
+#: share of that below which they are left out; above the whole of it, they come back
+_LEAVE = 0.9
+#: share of the largest energy of a string from which on strings without them are looked at
+_FAINT = 1e-3
+#: re full scale, the loudest sample before there is any
+_SILENT = 1e-150
+
+
+class PhantomPartialsEffect(SwitchedEffect):
+    """Decides which strings' longitudinal forces act."""
+
+    def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
+        super().__init__(model, effect, plugins)
+        self.budget = _SHARE * 10 ** (model.choice.budget_db / 20)
+        self._laws = {p.name: p for p in model.system.phantoms}
+        self._response: BridgeResponse | None = None
+        self._bounds: dict[tuple[str, float], Phantoms] = {}
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Strings whose longitudinal motion is driven."""
+        return tuple(self._laws) if self.chosen else tuple(self.plugins)
+
+    def prepare(self, timeline: Timeline) -> None:
+        """Find the bounds of the strings that will be played; of all where nothing of that is known."""
+        if self.watched:
+            plays = {play.string for play in timeline.plays if play.string is not None}
+            for name in {self._alike(name) for name in self._laws if not plays or name in plays}:
+                self._bound(self.model.system, name, 0.0)
+
+    def next_watch(self, sample: int, switching: Switching) -> int:
+        """Every 16,384 samples."""
+        return next_multiple(sample, _SELDOM)
+
+    def watch(self, moment: Moment, switching: Switching) -> Watched | None:
+        """Wanted where a gesture acts or begins, and where the bound is beyond the budget."""
+        groups = (self.model.strings[play.string].group for play in moment.fresh if play.string is not None)
+        played = {name for group in groups for name in group} & self._laws.keys()
+        if moment.sample % (GRID * _SELDOM):
+            return None if played <= switching.on else Watched(switching.on | played)
+        busy = {name for string in moment.busy if string for name in self.model.strings[string].group}
+        held = (busy | played) & self._laws.keys()
+        peak = np.maximum(moment.peak, _SILENT)
+        every = {name: self._energy(moment, name) for name in self._laws}
+        energies = {name: energy for name, energy in every.items() if name not in held}
+        levels = {name: self._level(moment, name, peak) for name in energies if name in switching.on}
+        least = _FAINT * max(every.values(), default=0.0)
+        off = (name for name, energy in energies.items() if name not in switching.on and energy > least)
+        levels |= {name: self._level(moment, name, peak) for name in off}
+        wanted = set(held)
+        for name, level in levels.items():
+            if level > self.budget * (_LEAVE if name in switching.on else 1.0):
+                wanted.add(name)
+        bounds = [(name, Bound(level=level), name not in wanted) for name, level in levels.items()]
+        return Watched(frozenset(wanted), bounds)
+
+    def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
+        """Switch the forces of these strings on, and all others off."""
+        same = all((p.name in on) == is_on for p, is_on in zip(system.phantoms, system.phantoms_on, strict=True))
+        return system if same else system.with_phantoms(on)
+
+    def reset(self, system: System, state: State, changed: Collection[str]) -> None:
+        """Clear what the longitudinal modes remember."""
+        if state.phantoms.size:
+            state.phantoms[[p.name in changed for p in system.phantoms]] = 0.0
+
+    def load(self, component: str) -> float:
+        """Modes that drive."""
+        system = self.model.system
+        parts = (system.compiled[system.slot(c)].phantom for c in self._planes(component))
+        return float(sum(part.weights.shape[1] for part in parts if part is not None))
+
+    def why(self, usage: EffectUsage, component: str) -> str:
+        """One line."""
+        if self.model.choice.mode != "auto":
+            return super().why(usage, component)
+        return f"from a gesture until what would be missing is below {self.model.choice.budget_db:g} dB"
+
+    def _planes(self, name: str) -> Sequence[str]:
+        return [p.component for p in self.model.strings[name].polarizations]
+
+    def _energy(self, moment: Moment, name: str) -> float:
+        total = 0.0
+        for component in self._planes(name):
+            q, v = motion(moment.system, moment.state, component)
+            basis = moment.system.compiled[moment.system.slot(component)].basis
+            total += 0.5 * float(v @ v + basis.stiffness @ (q * q))
+        return total
+
+    def _level(self, moment: Moment, name: str, peak: Floats) -> float:
+        """Bound on the largest sample that is missing without it, re the loudest one."""
+        like = self._alike(name)
+        planes = zip(self._planes(like), self._planes(name), strict=True)
+        bound = self._bound(moment.system, like, moment.frettings[name].stop)
+        level = bound.level(bound.slopes({a: motion(moment.system, moment.state, b) for a, b in planes}), peak)
+        return level if math.isfinite(level) else math.inf
+
+    def _alike(self, name: str) -> str:
+        """The first string of its key if that is the same but for some cents, else itself."""
+        first = self.model.strings[name].group[0]
+        pair = [self.model.strings[s] for s in (first, name)]
+        system, known = self.model.system, []
+        for s in pair:
+            sizes = [system.compiled[system.slot(c)].basis.n_modes for c in self._planes(s.name)]
+            known.append((s.resonator.parameters, sizes, s.name in self._laws))
+        return first if known[0] == known[1] else name
+
+    def _bound(self, system: System, name: str, stop: float) -> Phantoms:
+        """The bound of a string at a stop: that of the string whose motion along itself is coupled both ways."""
+        key = name, stop
+        if key not in self._bounds:
+            if self._response is None:
+                self._response = BridgeResponse(self.model)
+            law, component, planes = self._laws[name], f"{name}.longitudinal", self._planes(name)
+            compiled = {c: system.compiled[system.slot(c)] for c in planes}
+            known = compiled[planes[0]].basis.metadata
+            lengthwise = string_basis(
+                cast(float, known["length"]), law.axial_stiffness, cast(float, known["linear_density"]), 0.0,
+                lambda freq_rad, k: np.full_like(freq_rad, law.loss), freq_upper=0.45 / system.dt,
+            )  # fmt: skip
+            stretch = GeometricStretch(name, tuple(planes), component, law.axial_stiffness, law.freq_coupled)
+            shares = {
+                c: replace(part, geometric=stretch.part(c, part.basis, np.zeros_like(part.E)))
+                for c, part in compiled.items()
+            }
+            shares[component] = replace(compiled[planes[0]], basis=lengthwise)
+            self._bounds[key] = Phantoms.of(stretch, shares, self.model.strings[name].tension(stop), self._response)
+        return self._bounds[key]

@@ -1,0 +1,74 @@
+"""Phantom partials that are driven one way: they run from a note until a bound on what is missing, and no longer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tonewood as tw
+from pianos import piano
+
+FS = 24000.0
+
+
+@pytest.fixture(scope="module")
+def bass(tmp_path_factory: pytest.TempPathFactory) -> tw.Instrument:
+    """Two keys with phantom partials and one without."""
+    return piano(tmp_path_factory.mktemp("bass"), ["A0", "C2", "C4"])
+
+
+def played(instrument: tw.Instrument, velocity: int, seconds: float = 1.2, **options: object) -> tw.Renderer:
+    notes = [tw.Note(0.05, 0.3, note=36, velocity_midi=velocity), tw.Note(0.2, 0.3, note=60, velocity_midi=velocity)]
+    return tw.Renderer(tw.Score(notes), instrument, FS, max_duration=seconds, **options)
+
+
+def samples(renderer: tw.Renderer) -> np.ndarray:
+    return np.concatenate([np.asarray(block, dtype=np.float64) for block in renderer.blocks()])
+
+
+@pytest.mark.parametrize("budget", [-60.0, -90.0])
+def test_what_is_left_out_is_within_the_budget(bass: tw.Instrument, budget: float) -> None:
+    whole = samples(played(bass, 60, effects="all"))
+    renderer = played(bass, 60, effects="auto", budget_db=budget)
+    sound = samples(renderer)
+    missing = np.max(np.abs(sound - whole)) / np.max(np.abs(whole))
+    assert missing <= 10 ** (budget / 20)
+    reports = {r.component: r for r in renderer.summary().effects if r.name == "phantom_partials"}
+    assert set(reports) == {"A0", "C2_1", "C2_2", "C2_3"}
+    assert reports["C2_1"].seconds_active > 0.0
+    assert reports["A0"].seconds_active < reports["C2_1"].seconds_active
+
+
+def test_left_out_by_choice_the_string_is_stiff(bass: tw.Instrument, tmp_path: Path) -> None:
+    """The same samples as those of `stiff_string`, bit for bit."""
+    cells = {"string.plugin": "stiff_string", "string.axial_stiffness": "", "string.bridge_leverage": ""}
+    plain = piano(tmp_path / "plain", ["A0", "C2", "C4"], cells)
+    assert np.array_equal(
+        samples(played(bass, 90, 0.4, effects="none")), samples(played(plain, 90, 0.4, effects="all"))
+    )
+    assert not np.array_equal(
+        samples(played(bass, 90, 0.4, effects="all")), samples(played(plain, 90, 0.4, effects="all"))
+    )
+
+
+def test_they_grow_with_the_square(bass: tw.Instrument) -> None:
+    """Twice as fast a blow makes them more than twice as loud."""
+    levels = []
+    for velocity in (50, 110):
+        with_them, without = (samples(played(bass, velocity, 0.6, effects=e)) for e in ("all", "none"))
+        levels.append(np.max(np.abs(with_them - without)) / np.max(np.abs(without)))
+    assert levels[1] > 2.0 * levels[0]
+
+
+def test_the_account_closes_and_names_their_work(bass: tw.Instrument) -> None:
+    trace = tw.render(
+        tw.Score([tw.Note(0.01, 0.05, note=36, velocity_midi=110)]), bass, fs=FS, max_duration=0.06, effects="all",
+        energy=True,
+    ).energy  # fmt: skip
+    assert trace is not None
+    put_in = sum(v.sum() for k, v in trace.supplied.items() if "longitudinal" not in k)
+    along = sum(abs(v).sum() for k, v in trace.supplied.items() if "longitudinal" in k)
+    assert trace.worst_cumulative_residual * trace.peak <= 1e-10 * put_in
+    assert 0.0 < along < 1e-2 * put_in
