@@ -62,7 +62,8 @@ public:
 
     bool sample(int b, double* now, double* f_out) override {
         if (linear_laws_.on()) {
-            linear_laws_.forces(b);
+            direct_(layout_.direct, block_.line(b), now);
+            linear_laws_.add(b, now);
             if (linear_laws_.commit(b, now, f_out)) return true;
         }
         const double* line = block_.line(b);

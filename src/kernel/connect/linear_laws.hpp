@@ -34,35 +34,40 @@ public:
         for (const Control& control : block_.job.controls)
             if (!is_steady(control)) return;
         if (!to_.known || to_.laws != candidates || to_.scale != scale_) derive();
-        found_.resize(to_.forces.width), rho_.resize(candidates.size());
+        force_.resize(to_.forces.width), change_.resize(to_.forces.width), rho_.resize(candidates.size());
         on_ = true;
     }
 
     // Whether none but these laws can act so far in the block.
     bool on() const { return on_ && laws_.cull.candidates().size() == to_.laws.size(); }
 
-    // Forces of sample b by the linear connections and these laws, on all ports and of the laws: (width).
-    double* forces(int b) {
-        direct_(to_.forces, block_.line(b), found_.data());
-        for (std::size_t i = 0; i < to_.laws.size(); ++i) rho_[i] = ws_.series[to_.laws[i]];
-        add_product(to_.memory.data(), to_.forces.width, rho_.data(), int(to_.laws.size()), found_.data());
-        return found_.data();
+    // Finds the forces of these laws in sample b and adds what they make to the port forces of the linear connections.
+    __attribute__((flatten)) void add(int b, double* now) {
+        const int n = int(to_.laws.size());
+        direct_(to_.forces, block_.line(b), force_.data());
+        for (int i = 0; i < n; ++i) rho_[i] = ws_.series[to_.laws[i]];
+        add_product(to_.memory.data(), to_.forces.width, rho_.data(), n, force_.data());
+        add_product(to_.loads.data(), layout_.force_width, force_.data(), n, now);
     }
+
+    // Adds the answer of these laws to rising tensions.
+    void answer(RisingTensions& tensions, double* now) {
+        std::fill(change_.begin(), change_.end(), 0.0);
+        tensions.add(to_.onto_laws.data(), to_.forces.width, change_.data());
+        for (std::size_t i = 0; i < to_.laws.size(); ++i) force_[i] += change_[i];
+        add_product(to_.loads.data(), layout_.force_width, change_.data(), int(to_.laws.size()), now);
+    }
+    // (ports, width): forces on the ports of strings with rising tension per displacement of one, with these laws.
+    const double* onto_ports() const { return to_.onto_ports.data(); }
 
     // Makes the forces of sample b final, those on all ports in `now`, of the linear connections in `f`; false, with
     // nothing made final, if a contact could touch.
-    bool commit(int b, double* now, double* f) {
-        const double* const force = found_.data() + layout_.force_width;
-        std::copy_n(found_.begin(), layout_.force_width, now);
-        if (!laws_.commit_alone(b, to_.laws, force)) return false;
+    bool commit(int b, const double* now, double* f) {
+        if (!laws_.commit_alone(b, to_.laws, force_.data())) return false;
         own_forces(layout_, now, block_.model.solve.m, f);
-        for (const auto& [connection, law, factor] : to_.shared) f[connection] -= factor * force[law];
+        for (const auto& [connection, law, factor] : to_.shared) f[connection] -= factor * force_[law];
         return true;
     }
-
-    int width() const { return to_.forces.width; }
-    const double* onto_forces() const { return to_.onto_forces.data(); }
-    const double* onto_ports() const { return to_.onto_ports.data(); }
 
 private:
     // Whether a control keeps its connection, if it is one of these, at the law's offset and at one factor over the block.
@@ -81,16 +86,17 @@ private:
     void derive() {
         to_.known = true, to_.laws = laws_.cull.candidates(), to_.scale = scale_;
         const std::size_t n = to_.laws.size(), m = block_.model.solve.m, ports = layout_.port_rows.size();
-        const std::size_t all = layout_.force_width, width = all + wide(int(n)), f_width = layout_.f_width, w = wide(int(n));
+        const std::size_t width = layout_.force_width, f_width = layout_.f_width, w = wide(int(n));
         to_.shared.clear();
-        Array<double> gap(n * ports, 0.0), load(n * width, 0.0);  // share of two-way ports in each gap; all forces per force
+        Array<double> gap(n * ports, 0.0);  // share of two-way ports in each gap
+        to_.loads.assign(n * width, 0.0);
         for (std::size_t i = 0; i < n; ++i) {
             const int j = to_.laws[i];
-            double *const loads = load.data() + i * width, *const shares = gap.data() + i * ports;
+            double *const loads = to_.loads.data() + i * width, *const shares = gap.data() + i * ports;
             laws_.need_response(j);
             const double* const answer = ws_.answer.data() + std::size_t(j) * f_width;
             for (std::size_t q = 0; q < m; ++q)
-                for (std::size_t p = 0; p < all; ++p) loads[p] -= answer[q] * layout_.scatter[q * all + p];
+                for (std::size_t p = 0; p < width; ++p) loads[p] -= answer[q] * layout_.scatter[q * width + p];
             for (const Nonlinear::Term& t : nl_.driven[j]) loads[layout_.port[t.component] + t.port] += t.factor;
             for (const Nonlinear::Term& t : nl_.terms[j]) {
                 const auto& rows = layout_.port_rows;
@@ -100,7 +106,6 @@ private:
                 for (std::size_t q = 0; q < m; ++q)
                     if (layout_.own_port[q] == port) to_.shared.push_back({int(q), int(i), layout_.own_factor[q] * t.factor});
             }
-            loads[all + i] = 1.0;
         }
         // -(z + 1/s)^-1 = -sqrt(s) (1 + sqrt(s) z sqrt(s))^-1 sqrt(s)
         Array<double> slope(n), ratio(n), z(n * w, 0.0);
@@ -117,20 +122,12 @@ private:
         const double theta = nl_.theta, kept = (1 - theta) / theta;
         const PortForces& plain = layout_.direct;
         PortForces& out = to_.forces;
-        out = {int(width), plain.mix, Array<double>(width), Array<double>(ports * width), Array<double>(ports * width)};
-        std::copy_n(plain.constant.begin(), all, out.constant.begin());
-        for (std::size_t p = 0; p < ports; ++p) {
-            std::copy_n(plain.free.data() + p * all, all, out.free.data() + p * width);
-            if (!plain.old.empty()) std::copy_n(plain.old.data() + p * all, all, out.old.data() + p * width);
-        }
-        to_.memory.assign(n * width, 0.0);
-        // adds to a row of `matrix` the loads of the forces that a right side `sides`(i) makes
-        const auto add_loads = [&](const auto& side, double* row) {
-            for (std::size_t q = 0; q < n; ++q) {
-                double force = 0.0;
-                for (std::size_t i = 0; i < n; ++i) force -= inverse[q * w + i] * side(i);
-                for (std::size_t p = 0; p < width; ++p) row[p] += force * load[q * width + p];
-            }
+        out = {int(w), plain.mix, Array<double>(w, 0.0), Array<double>(ports * w, 0.0), Array<double>(ports * w, 0.0)};
+        to_.memory.assign(n * w, 0.0);
+        // the forces that a right side makes
+        const auto solve = [&](const auto& side, double* force) {
+            for (std::size_t q = 0; q < n; ++q)
+                for (std::size_t i = 0; i < n; ++i) force[q] -= inverse[q * w + i] * side(i);
         };
         const auto linear = [&](std::size_t i, const double* f) {
             return dot(nl_.from_linear.data() + std::size_t(to_.laws[i]) * m, f, int(m));
@@ -138,20 +135,22 @@ private:
         for (std::size_t p = 0; p < ports; ++p) {
             const double *before = layout_.gather.data() + p * f_width, *after = layout_.gather.data() + (ports + p) * f_width;
             const auto free = [&](std::size_t i) { return -gap[i * ports + p] - linear(i, after); };
-            add_loads(free, out.free.data() + p * width);
-            add_loads([&](std::size_t i) { return -ratio[i] * gap[i * ports + p] - linear(i, before) - plain.mix * free(i); },
-                      out.old.data() + p * width);
+            solve(free, out.free.data() + p * w);
+            solve([&](std::size_t i) { return -ratio[i] * gap[i * ports + p] - linear(i, before) - plain.mix * free(i); },
+                  out.old.data() + p * w);
         }
-        add_loads([&](std::size_t i) { return (1 + ratio[i]) * nl_.laws[to_.laws[i]].offset - linear(i, layout_.constant.data()); },
-                  out.constant.data());
+        solve([&](std::size_t i) { return (1 + ratio[i]) * nl_.laws[to_.laws[i]].offset - linear(i, layout_.constant.data()); },
+              out.constant.data());
         for (std::size_t q = 0; q < n; ++q)
-            add_loads([&](std::size_t i) { return i == q ? kept - ratio[i] : 0.0; }, to_.memory.data() + q * width);
+            solve([&](std::size_t i) { return i == q ? kept - ratio[i] : 0.0; }, to_.memory.data() + q * w);
         const Tensions& t = block_.model.tensions;
-        to_.onto_forces.assign(t.ports.size() * width, 0.0), to_.onto_ports.assign(t.ports.size() * t.width, 0.0);
+        to_.onto_laws.assign(t.ports.size() * w, 0.0), to_.onto_ports = t.onto_ports;
         for (std::size_t p = 0; p < t.ports.size(); ++p) {
-            const double* const forces = out.free.data() + t.ports[p].place * width;
-            std::copy_n(forces, width, to_.onto_forces.data() + p * width);
-            for (std::size_t q = 0; q < t.ports.size(); ++q) to_.onto_ports[p * t.width + q] = forces[t.ports[q].force];
+            double* const laws = to_.onto_laws.data() + p * w;
+            std::copy_n(out.free.data() + t.ports[p].place * w, w, laws);
+            for (std::size_t q = 0; q < t.ports.size(); ++q)
+                for (std::size_t i = 0; i < n; ++i)
+                    to_.onto_ports[p * t.width + q] += laws[i] * to_.loads[i * width + t.ports[q].force];
         }
     }
 
@@ -163,7 +162,7 @@ private:
     LawForces& laws_;
     DirectForces direct_;
     bool on_ = false;
-    Array<double> scale_, rho_, found_;  // factors; displacements of the residual compliances; forces
+    Array<double> scale_, rho_, force_, change_;  // factors; displacements of the residual compliances; forces; answers
 };
 
 }  // namespace

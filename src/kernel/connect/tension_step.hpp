@@ -15,7 +15,7 @@ class TensionStep : public ConnectionStep {
 public:
     TensionStep(Block& block, LawForces& laws)
         : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws), made_(make(block)),
-          tensions_(*made_), direct_(layout_), linear_laws_(block, laws), y_(2 * layout_.port_rows.size()) {
+          tensions_(*made_), direct_(layout_), linear_laws_(block, laws), answering_(layout_.force_width), y_(2 * layout_.port_rows.size()) {
         laws_.tensions = &tensions_;
         tensions_.loads = [this](int i) { return laws_.loads(i, sample_); };
     }
@@ -67,10 +67,16 @@ private:
 
     // Linear laws answer as linear connections do; the strings' directions are those without laws, in `now`.
     bool with_linear_laws(int b, double* now, double* f_out) {
-        double* const answering = linear_laws_.forces(b);
+        double* const answering = answering_.data();
+        std::copy_n(now, layout_.force_width, answering);
+        linear_laws_.add(b, answering);
         tensions_.couple(now, answering, linear_laws_.onto_ports());
-        tensions_.add(linear_laws_.onto_forces(), linear_laws_.width(), answering);
-        return linear_laws_.commit(b, now, f_out);
+        tensions_.add_to_ports(answering);
+        linear_laws_.answer(tensions_, answering);
+        std::swap_ranges(now, now + layout_.force_width, answering);
+        if (linear_laws_.commit(b, now, f_out)) return true;
+        std::copy_n(answering, layout_.force_width, now);
+        return false;
     }
 
     // Forces of the linear connections without tensions in block.f.
@@ -93,6 +99,7 @@ private:
     RisingTensions& tensions_;
     DirectForces direct_;
     LinearLawForces linear_laws_;
+    Array<double> answering_;  // (force_width): forces of the linear connections and laws without these strings
     int sample_ = 0;
     Array<double> y_;  // port displacements before the step, then free ones after it
 };

@@ -60,9 +60,10 @@ struct LinearLaws {
     std::vector<int> laws;                  // connections
     Array<double> scale;
     std::vector<Entry> shared;              // (connections, laws): share of a law in the force read off a port
-    PortForces forces;                      // on all ports, then those of the laws
+    PortForces forces;                      // of the laws in place of ports
     Array<double> memory;                   // (n, forces.width): the same per displacement of a residual compliance
-    Array<double> onto_forces, onto_ports;  // as in Tensions; (ports, forces.width), (ports, width)
+    Array<double> loads;                    // (n, force_width): port forces per force, the linear connections answering
+    Array<double> onto_laws, onto_ports;    // (ports, forces.width), (ports, width): per displacement of a port of Tensions
 };
 
 struct Statistics {

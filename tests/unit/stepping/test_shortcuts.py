@@ -82,6 +82,9 @@ def scenes():
         ("tension and a spring", modulated_guitar(extra=[spring_on("body", "b0")])),
     ):
         yield name, system, drawn_guitar(system, 5.0), []
+    # a fret that was culled when the block began is touched in it
+    system = modulated_guitar(extra=[spring_on("body", "b0")], frets=Contact(1e10, 1.8, offset=-1.2e-3))
+    yield "tension, frets and a spring", system, drawn_guitar(system, 2.0), []
 
 
 @pytest.mark.parametrize("name", NAMES)
