@@ -1,9 +1,10 @@
 """Phantom partials that are driven one way, switched on and off string by string.
 
-They run from any gesture on a string until a bound on what would be missing (`effects.phantoms`, from the string's
-partials and the body's response) is within half of the budget. Strings on which they are off are looked at where they
-hold a thousandth of the energy of the one that holds most: otherwise their phantom partials, which go with the energy,
-are some 60 dB below those of that one. The transverse motion is the same on or off, so that a switch costs no energy.
+They run from any gesture on a string until bounds on what would be missing (`effects.phantoms`, from the string's
+partials and the body's response) add up to half of the budget over all strings without them. Strings on which they are
+off are looked at where they hold a thousandth of the energy of the one that holds most: otherwise their phantom
+partials, which go with the energy, are some 60 dB below those of that one. The transverse motion is the same on or off,
+so that a switch costs no energy.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from tonewood.modal.string_modes import string_basis
 Floats = NDArray[np.float64]
 
 #: points of the control grid between two looks
-_SELDOM = 256
+_SELDOM = 32
 #: share of the additive budget that missing phantom partials may take
 _SHARE = 0.5
 #: share of that below which they are left out; above the whole of it, they come back
@@ -66,7 +67,7 @@ class PhantomPartialsEffect(SwitchedEffect):
                 self._bound(self.model.system, name, 0.0)
 
     def next_watch(self, sample: int, switching: Switching) -> int:
-        """Every 16,384 samples."""
+        """Every 2,048 samples."""
         return next_multiple(sample, _SELDOM)
 
     def watch(self, moment: Moment, switching: Switching) -> Watched | None:
@@ -84,10 +85,12 @@ class PhantomPartialsEffect(SwitchedEffect):
         least = _FAINT * max(every.values(), default=0.0)
         off = (name for name, energy in energies.items() if name not in switching.on and energy > least)
         levels |= {name: self._level(moment, name, peak) for name in off}
-        wanted = set(held)
-        for name, level in levels.items():
-            if level > self.budget * (_LEAVE if name in switching.on else 1.0):
+        wanted, missing = set(held), 0.0
+        for name, level in sorted(levels.items(), key=lambda item: item[1]):
+            if missing + level > self.budget * (_LEAVE if name in switching.on else 1.0):
                 wanted.add(name)
+            else:
+                missing += level  # what several strings leave out adds up
         bounds = [(name, Bound(level=level), name not in wanted) for name, level in levels.items()]
         return Watched(frozenset(wanted), bounds)
 
