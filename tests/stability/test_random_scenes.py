@@ -20,7 +20,10 @@ def play(seed: int, folder: Path, *, energy: bool = False, **options: int) -> in
     assert statistics.failures == 0, f"scene {seed}"
     if energy:
         assert renderer.energy is not None
-        assert renderer.energy.worst_residual < 1e-7, f"scene {seed}"
+        # C of a string with longitudinal motion, some 1e-5 J, rounds by as much before anything moves
+        account, rounding = renderer.energy, 1e-19
+        lost = np.abs(account.residual).max(initial=0.0)
+        assert account.worst_residual < 1e-7 or lost < rounding, f"scene {seed}"
     return statistics.redone
 
 

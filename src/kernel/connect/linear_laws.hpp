@@ -74,7 +74,7 @@ private:
     bool is_steady(const Control& control) {
         const auto& candidates = laws_.cull.candidates();
         const auto at = std::lower_bound(candidates.begin(), candidates.end(), control.connection);
-        if (at == candidates.end() || *at != control.connection) return false;
+        if (at == candidates.end() || *at != control.connection) return true;
         const double *from = control.values + block_.start, *scale = from + 3 * block_.job.n;
         const double offset = nl_.laws[control.connection].offset;
         for (int b = 0; b < block_.nb; ++b)
@@ -97,15 +97,16 @@ private:
             const double* const answer = ws_.answer.data() + std::size_t(j) * f_width;
             for (std::size_t q = 0; q < m; ++q)
                 for (std::size_t p = 0; p < width; ++p) loads[p] -= answer[q] * layout_.scatter[q * width + p];
-            for (const Nonlinear::Term& t : nl_.driven[j]) loads[layout_.port[t.component] + t.port] += t.factor;
-            for (const Nonlinear::Term& t : nl_.terms[j]) {
-                const auto& rows = layout_.port_rows;
+            for (const auto* terms : {&nl_.terms[j], &nl_.driven[j]})
+                for (const Nonlinear::Term& t : *terms) {
+                    const int port = layout_.port[t.component] + t.port;
+                    loads[port] += t.factor;
+                    for (std::size_t q = 0; q < m; ++q)
+                        if (layout_.own_port[q] == port) to_.shared.push_back({int(q), int(i), layout_.own_factor[q] * t.factor});
+                }
+            const auto& rows = layout_.port_rows;
+            for (const Nonlinear::Term& t : nl_.terms[j])
                 shares[std::find(rows.begin(), rows.end(), layout_.row[t.component] + t.port) - rows.begin()] += t.factor;
-                const int port = layout_.port[t.component] + t.port;
-                loads[port] += t.factor;
-                for (std::size_t q = 0; q < m; ++q)
-                    if (layout_.own_port[q] == port) to_.shared.push_back({int(q), int(i), layout_.own_factor[q] * t.factor});
-            }
         }
         // -(z + 1/s)^-1 = -sqrt(s) (1 + sqrt(s) z sqrt(s))^-1 sqrt(s)
         Array<double> slope(n), ratio(n), z(n * w, 0.0);

@@ -1,8 +1,8 @@
 """Tunings of open strings, kept between runs: a file per instrument and limit of modes, safe to delete at any time.
 
-The files lie in the `cache_folder`. A file's name is a hash of all that the tunings depend on: the bundle's values, its
-plugins' sources, its other files by length and time, the sources that compute, and NumPy with its BLAS library. So a
-render has the same samples with the file and without it. A damaged file is computed again, with a warning.
+The files lie in the `cache_folder`. A file's name is a hash of all that the tunings depend on: the bundle's values and
+other files, its plugins' sources, the computing sources (by length and time), NumPy with its BLAS library, and SciPy.
+So a render has the same samples with the file and without it. A damaged file is computed again, with a warning.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import json
 import warnings
 from collections.abc import Mapping
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +24,8 @@ from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.tuning import CoupledMode, TunedStop
 from tonewood.whole_files import whole_file
 
-#: packages whose sources decide on a tuning
-_SOURCES = ("instrument", "modal", "plate", "passivity", "score")
+#: packages whose sources decide on a tuning; "" for the modules beside them
+_SOURCES = ("", "coupling", "instrument", "modal", "plate", "passivity", "score")
 
 
 class KeptTunings:
@@ -62,7 +63,7 @@ class KeptTunings:
 def _plain(guess: float, tuned: TunedStop) -> dict[str, object]:
     """Values of one string for JSON, which keeps every bit of a float."""
     modes = [[m.pole.real, m.pole.imag, list(m.shares), m.strength] for m in tuned.modes]
-    return {"guess": guess, "freq": tuned.freq, "tension": tuned.tension, "modes": modes}
+    return {"guess": float(guess), "freq": float(tuned.freq), "tension": float(tuned.tension), "modes": modes}
 
 
 def _read(path: Path) -> dict[str, tuple[float, TunedStop]]:
@@ -72,7 +73,7 @@ def _read(path: Path) -> dict[str, tuple[float, TunedStop]]:
         return {name: _entry(values) for name, values in data.items()}
     except OSError:
         return {}
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         warnings.warn(f"{path}: damaged; it is computed again", DamagedCacheWarning, stacklevel=2)
         return {}
 
@@ -96,11 +97,10 @@ def _path(instrument: Instrument, limit: float) -> Path | None:
     folder = cache_folder()
     if folder is None:
         return None
-    files = [*sorted(p for p in instrument.folder.rglob("*") if p.is_file()), *sorted(instrument.granted)]
-    parts = [
-        instrument.resolved, instrument.plugin_hashes, [_stamp(path) for path in files], limit, _sources(),
-        np.__version__, numpy_blas(),
-    ]  # fmt: skip
+    try:
+        parts = [instrument.content_hash, limit, _sources(), np.__version__, numpy_blas(), version("scipy")]
+    except OSError:  # a file of the bundle is gone
+        return None
     text = json.dumps(parts, sort_keys=True)
     return folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.tunings.json"
 

@@ -199,10 +199,11 @@ def instrument_folder(name_or_path: str | os.PathLike[str]) -> Path:
 
 @cache
 def plugin_hash(name: str) -> str:
-    """SHA-256 of the source file a plugin is defined in, with its distribution's version."""
+    """SHA-256 of the source files of a plugin's class and its bases, with its distribution's version."""
     found, entry = plugin(name), entries(PLUGINS)[name]
     digest = hashlib.sha256(f"{entry.distribution} {entry.version}".encode())
     # of a class without a file only the distribution's version counts
-    with suppress(OSError, TypeError):
-        digest.update(Path(inspect.getfile(found)).read_bytes())
+    for base in found.__mro__:
+        with suppress(OSError, TypeError):
+            digest.update(Path(inspect.getfile(base)).read_bytes())
     return digest.hexdigest()

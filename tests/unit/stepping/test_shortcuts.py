@@ -13,7 +13,7 @@ from nonlinear_scenes import drawn as drawn_guitar
 
 from tonewood.coupling.connections import Connection, Term
 from tonewood.coupling.laws import Contact, HardeningSpring
-from tonewood.coupling.system import Probe, Readout, System
+from tonewood.coupling.system import Drive, Probe, Readout, System
 from tonewood.stepping.forcing import Segment, compile_force
 from tonewood.stepping.kernel import KernelStepper, Shortcuts
 
@@ -23,12 +23,12 @@ NAMES = [field.name for field in fields(Shortcuts)]
 #: shortcuts that skip work without another order of operations change no bit
 EXACT = {"block_culling", "group_bound", "fine_bound", "at_rest"}
 #: the same operations side by side, or interleaved; a compiler may fuse other products and sums
-ALIKE = {"tension_lanes", "combined_pass"}
+ALIKE = {"combined_pass"}
 FRETS = {f"f{k}": LENGTH / 2 ** (k / 12) for k in range(1, 7)}
 
 
-def linear_guitar(extra=(), frets=True):
-    """Two strings over six frets, or none, on a body."""
+def linear_guitar(extra=(), frets=True, drives=()):
+    """Two strings over six frets, or none, on a body; `drives` of a second body, which hears them."""
     places = FRETS | {"pluck": 0.11 * LENGTH, "bridge": 0.013 * LENGTH}
     components = {f"s{i}": held_string(40, places, density=(1 + i) * 1e-3, damping=0.5) for i in range(2)}
     components["body"] = body(["b0", "b1"])
@@ -40,11 +40,13 @@ def linear_guitar(extra=(), frets=True):
         if frets
     ]
     connections += extra
+    if drives:
+        components["heard"] = body(["b0", "b1"])
     readouts = [
         Readout("a", "acceleration", (Probe("body", "b0"),)),
         Readout("u", "displacement", (Probe("s1", "pluck"),)),
     ]
-    return System.build(components, connections, readouts, dt=DT)
+    return System.build(components, connections, readouts, dt=DT, drives=drives)
 
 
 def drawn(system, height):
@@ -76,6 +78,10 @@ def scenes():
     for name, extra, height in (("far", [], 3e-5), ("near", [], 8e-4), ("springs", springs, 3e-5)):
         system = linear_guitar(extra)
         yield name, system, *drawn(system, height)
+    # a law and a linear connection drive one point
+    drives = [Drive("heard", "b0", name) for name in ("joint0", "spring body b0")]
+    driven = linear_guitar([spring_on("body", "b0")], drives=drives)
+    yield "springs that are heard", driven, *drawn(driven, 3e-5)
     for name, system in (
         ("tension", modulated_guitar()),
         ("tension and frets", modulated_guitar(frets=Contact(1e10, 1.8, offset=-1e-3))),

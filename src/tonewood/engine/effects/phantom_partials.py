@@ -3,8 +3,8 @@
 They run from any gesture on a string until bounds on what would be missing (`effects.phantoms`, from the string's
 partials and the body's response) add up to half of the budget over all strings without them. Strings on which they are
 off are looked at where they hold a thousandth of the energy of the one that holds most: otherwise their phantom
-partials, which go with the energy, are some 60 dB below those of that one. The transverse motion is the same on or off,
-so that a switch costs no energy.
+partials, which go with the energy, are some 60 dB below those of that one; they are not in the sum, so that the budget
+is an estimate for them. The transverse motion is the same on or off, so that a switch costs no energy.
 """
 
 from __future__ import annotations
