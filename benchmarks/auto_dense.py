@@ -16,6 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import tonewood as tw
 from tonewood.engine.effects.base import SwitchedEffect
@@ -47,8 +48,12 @@ def row(path: Path, made: tw.Instrument, args: argparse.Namespace) -> tuple[list
     """One scene, and what steps cost in its middle."""
     score = tw.read_score(path)
     budgets = {"budget_db": args.budget_db, "budget_cents": args.budget_cents}
-    ways = {"auto": {"effects": "auto", **budgets}, "all": {"effects": "all"}, "linear": {"effects": LINEAR}}
-    renderers = {k: tw.Renderer(score, made, FS, max_duration=args.seconds, **o) for k, o in ways.items()}  # type: ignore[arg-type]
+    ways: dict[str, dict[str, Any]] = {
+        "auto": {"effects": "auto", **budgets},
+        "all": {"effects": "all"},
+        "linear": {"effects": LINEAR},
+    }
+    renderers = {k: tw.Renderer(score, made, FS, max_duration=args.seconds, **o) for k, o in ways.items()}
     streams = {k: r.blocks(4096) for k, r in renderers.items()}
     spent, rising = dict.fromkeys(ways, 0.0), Counter[int]()
     per_sample: list[float] = []

@@ -23,6 +23,7 @@ import argparse
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +54,7 @@ def dashpots(system: System, strings: Mapping[str, StringModel], names: Collecti
         if c.role == "bridge" and c.owner in names:
             component = strings[c.owner].components[0]
             basis = system.compiled[system.slot(component)].basis
-            density = float(basis.metadata["linear_density"])  # type: ignore[arg-type]
+            density = cast(float, basis.metadata["linear_density"])
             impedance = np.sqrt(strings[c.owner].tension(0) * density)
             laws[c.name] = replace(c, law=SpringDashpot(damping=float(impedance)))
             bases[component] = basis.select(np.zeros(0, dtype=np.intp), fold=False)

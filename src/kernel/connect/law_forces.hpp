@@ -198,14 +198,8 @@ public:
     template <class Set>
     bool idle(int b, const Set& set) {
         if (!cull.candidates().empty()) return false;
-        open_sample(b);
-        rows.clear_forces(b);
         set();
-        bound_excursions(b);
-        cull.add_candidates(b, series.find(), [](int) {});
-        if (!cull.candidates().empty()) return false;
-        commit(b);
-        return true;
+        return commit_alone(b, {}, nullptr);
     }
 
     // Makes forces of these laws alone final in sample b, whose port forces are written; false, with nothing made, if a
@@ -223,7 +217,7 @@ public:
         const std::size_t before = cull.candidates().size();
         cull.add_candidates(b, series.find(), [](int) {});
         if (cull.candidates().size() != before) return false;
-        ++statistics_.solves;
+        statistics_.solves += !laws.empty();
         commit(b);
         return true;
     }

@@ -1,12 +1,14 @@
-// Laws whose force is linear in their compressions, solved with the linear connections: no search, no step of their own.
+// Laws whose force is linear in their compressions, solved with the linear connections: no search of their own.
 //
 // With p the compression, rho the displacement of the residual compliance in series, s and r the slopes of the law with
 // the compression after and before the step,
 //     f = s p+ + r p,     p = o - g - rho,     p+ = o - g_free - z f + (1 - theta) / theta rho,
 // z the gaps per force with the linear connections answering, so that for all such laws at once
 //     (z + 1/s) f = (1 + r/s) o - g_free - (r/s) g + ((1 - theta)/theta - r/s) rho.
-// g_free is that under the linear connections alone, linear in the displacements of the ports: the port forces of all are
-// one product. While no other law can act it replaces the solve for the laws; a law's factor must stay within the block.
+// g_free, the gap after the step under the linear connections alone, is linear in the displacements of the ports. So the
+// forces of these laws are one product of these and of rho (PortForces, with the laws in place of ports), and the port
+// forces are those of the linear connections plus what the laws add. This replaces the solve for the laws in blocks in
+// which no other law can act and no control changes one of these.
 #pragma once
 
 #include "law_forces.hpp"

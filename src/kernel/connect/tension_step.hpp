@@ -15,7 +15,8 @@ class TensionStep : public ConnectionStep {
 public:
     TensionStep(Block& block, LawForces& laws)
         : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws), made_(make(block)),
-          tensions_(*made_), direct_(layout_), linear_laws_(block, laws), answering_(layout_.force_width), y_(2 * layout_.port_rows.size()) {
+          tensions_(*made_), direct_(layout_), linear_laws_(block, laws), answering_(layout_.force_width),
+          y_(2 * layout_.port_rows.size()) {
         laws_.tensions = &tensions_;
         tensions_.loads = [this](int i) { return laws_.loads(i, sample_); };
     }

@@ -85,9 +85,11 @@ class DrivenLongitudinal:
     loss: float
 
     def __post_init__(self) -> None:
-        if not (self.axial_stiffness > 0.0 and self.freq_coupled > 0.0 and self.loss >= 0.0 and self.components):
-            raise ValueError(f"{self.name}: a stretched string needs components, and EA and a frequency above 0")
-        if len({component for component, _, _ in self.onto}) > 1:
+        if not (self.axial_stiffness > 0.0 and self.freq_coupled > 0.0 and 0.0 <= self.loss < 2.0 and self.components):
+            raise ValueError(
+                f"{self.name}: a stretched string needs components, EA and a frequency above 0, a loss factor below 2"
+            )
+        if len({component for component, _, _ in self.onto}) != 1:
             raise ValueError(f"{self.name}: its longitudinal force acts on points of one component")
 
     def part(self, component: str, basis: ModalBasis, dt: float) -> PhantomShare:

@@ -35,20 +35,33 @@ class Card:
         pass
 
 
+def session(
+    ports: Any,
+    take: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    kind: type[Card],
+    *more: str,
+) -> tuple[int | str | None, str, str]:
+    """Exit code and output of a session that plays on such a card and is recorded."""
+
+    def card(**options: Any) -> Card:
+        Card.port = ports.OPEN["Keys A"]
+        return kind(**options)
+
+    monkeypatch.setattr("tonewood.output.stream._output_stream", lambda: card)
+    with pytest.raises(SystemExit) as ended:
+        run(["play", "-i", "monochord", "--midi-in", "--duration", "0", "--record", str(take), *more])
+    return ended.value.code, *capsys.readouterr()
+
+
 @pytest.mark.parametrize("as_json", [True, False])
 def test_a_session_from_the_command_line(
     ports: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], as_json: bool
 ) -> None:
-    def card(**options: Any) -> Card:
-        Card.port = ports.OPEN["Keys A"]
-        return Card(**options)
-
-    monkeypatch.setattr("tonewood.output.stream._output_stream", lambda: card)
-    words = ["play", "-i", "monochord", "--midi-in", "--duration", "0", "--record", str(tmp_path / "take.mid")]
-    with pytest.raises(SystemExit) as ended:
-        run([*words, "--json"] if as_json else words)
-    assert not ended.value.code
-    out, err = capsys.readouterr()
+    take = tmp_path / "take.mid"
+    code, out, err = session(ports, take, monkeypatch, capsys, Card, *(["--json"] if as_json else []))
+    assert not code
     assert "latency" in err
     if as_json:
         found = json.loads(out)
@@ -60,7 +73,7 @@ def test_a_session_from_the_command_line(
         assert "without effect: 1 program change" in out
         assert "not played: no string plays D#-1" in err
     assert ports.OPEN == {}
-    assert len([m for m in mido.MidiFile(tmp_path / "take.mid") if not m.is_meta]) == 3
+    assert len([m for m in mido.MidiFile(take) if not m.is_meta]) == 3
 
 
 def test_a_session_that_fails_keeps_its_take(
@@ -70,14 +83,7 @@ def test_a_session_that_fails_keeps_its_take(
         def __exit__(self, *_: object) -> None:
             raise OutputError("the sound card has gone")
 
-    def card(**options: Any) -> Card:
-        Card.port = ports.OPEN["Keys A"]
-        return Unplugged(**options)
-
-    monkeypatch.setattr("tonewood.output.stream._output_stream", lambda: card)
-    words = ["play", "-i", "monochord", "--midi-in", "--duration", "0", "--record", str(tmp_path / "take.mid")]
-    with pytest.raises(SystemExit) as ended:
-        run(words)
-    assert ended.value.code == 2
-    assert "the sound card has gone" in capsys.readouterr().err
+    code, _, err = session(ports, tmp_path / "take.mid", monkeypatch, capsys, Unplugged)
+    assert code == 2
+    assert "the sound card has gone" in err
     assert len([m for m in mido.MidiFile(tmp_path / "take.mid") if not m.is_meta]) == 3

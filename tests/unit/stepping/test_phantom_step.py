@@ -127,3 +127,13 @@ def test_its_work_is_in_the_account() -> None:
     stored = sum(trace.initial.values())
     assert np.max(np.abs(trace.residual)) < 1e-11 * stored
     assert 1e-9 * stored < abs(work) < 0.01 * stored
+
+
+@pytest.mark.parametrize(
+    ("onto", "loss"), [((), 0.01), ((("mass", "top", 1.0), ("body", "b", 1.0)), 0.01), (None, 2.0)]
+)
+def test_a_string_that_cannot_be_stepped_is_refused(
+    onto: tuple[tuple[str, str, float], ...] | None, loss: float
+) -> None:
+    with pytest.raises(ValueError, match="string: "):
+        DrivenLongitudinal("string", ("y",), (("mass", "top", 1.0),) if onto is None else onto, AXIAL, 3000.0, loss)
