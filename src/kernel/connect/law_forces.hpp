@@ -1,4 +1,4 @@
-// Forces of the nonlinear connections, sample by sample, and what remains of them for the next sample.
+// Forces of the nonlinear connections, sample by sample, and their state that the next sample needs.
 //
 // The linear connections are eliminated: z holds the gaps per force of a law with the linear connections answering. The
 // active set grows from the candidates that are closed before the step to those that the motion found closes.
@@ -222,7 +222,7 @@ public:
         return true;
     }
 
-    // Derives what connection j needs to act.
+    // Derives the response to connection j, which it needs to act.
     void need_response(int j) {
         if (!ws_.has_response[j]) find_response(j);
     }
@@ -278,7 +278,8 @@ private:
         return p;
     }
 
-    // What the tensions' own motion takes off the gap of connection i per force of active law number a: d_i M^-1 d_a / 2.
+    // Part of the gap of connection i that the motion of the tensions takes off per force of active law number a:
+    // d_i M^-1 d_a / 2.
     double yielded(int i, std::size_t a) const {
         if (!tensions) return 0.0;
         const std::size_t w = wide(tensions->n_strings()), laws = wide(int(ws_.active.size()));
@@ -287,7 +288,7 @@ private:
         return 0.5 * sum;
     }
 
-    // Gap j per psi_m of each string, d_j in ts.gap; returns what the means without nonlinear connections make of it.
+    // Gap j per psi_m of each string, d_j in ts.gap; returns the gap under the means without nonlinear connections.
     double moved_by_tensions(int j) {
         const Tensions& t = block_.model.tensions;
         const std::size_t strings = t.strings.size(), w = wide(int(strings)), n = t.ports.size();

@@ -1,5 +1,5 @@
-// Modal passes over a polarization under rising tension, one for each sample: a pass finishes the step before and sums
-// what the next one needs.
+// Modal passes over a polarization under rising tension, one for each sample: a pass finishes the step before and forms
+// the sums that the next one needs.
 //
 // In the coordinates xi, v of scaled_modes.hpp, r the rows of the ports: with h = half, b = 2 xi + v + r f, f the forces
 // of the linear connections without tensions, and q = h (1 - h T) at the tension T counted on,
