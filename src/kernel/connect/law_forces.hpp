@@ -56,7 +56,7 @@ public:
         for (;;) {
             if (!ws_.active.empty() && !solve()) return false;
             combine(b, f, now);
-            // the forces found may close more contacts: culled ones are asked by their bound, candidates by their motion
+            // the forces found may close more contacts: culled ones are tested by their bound, candidates by their motion
             cull.add_candidates(b, series.find(), [&](int j) { compress(j, b); });
             if (!activate_closed([&](int j) { return compression_after(j); })) break;
         }
@@ -97,7 +97,7 @@ public:
             }
     }
 
-    // Sets the drives of sample b; no law is active yet.
+    // Sets the values that controls give the laws in sample b; no law is active yet.
     void open_sample(int b) {
         for (const Control& control : job_.controls) {
             const int j = control.connection;

@@ -3,7 +3,7 @@
 //
 //     a = g - (EA/2L) S k q + phi f,   w+ = w + h a,   q+ = q + h w+,   g+ = -w2 q+ - 2 sigma (w+ + h a / 2)
 //
-// with S = sum k q^2 of the string. Laws are evaluated at the gap and its rate, rigid connections asked for on the level
+// with S = sum k q^2 of the string. Laws are evaluated at the gap and its rate, rigid connections solved on the level
 // of accelerations, forces of laws included.
 #pragma once
 
