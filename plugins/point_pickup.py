@@ -64,7 +64,7 @@ class PointPickup(Pickup[PointPickupParameters]):
 
     @property
     def unit(self) -> str:
-        """Unit of what is read."""
+        """Unit of the quantity read."""
         return UNITS[self.parameters.quantity]
 
     def rows(self, name: str, scene: Scene) -> PickupRows:

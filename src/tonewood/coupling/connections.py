@@ -14,7 +14,7 @@ f = -(Z + S)^+ (g_u + gamma g - (1 + gamma) b); ^+ is the pseudo-inverse, so red
 For passive components no law here can create energy, whatever the step, stiffness or force: the work of f over a
 step is f (g+ - g), which is 0, minus a growth of the residual's potential, or minus spring energy and loss.
 
-Nonlinear laws (`laws`) act on what is left when these are eliminated: g_n+ = g_n,u + Z_nl f_l0 + Z~ f_n with
+Nonlinear laws (`laws`) act on their gaps with these eliminated: g_n+ = g_n,u + Z_nl f_l0 + Z~ f_n with
 Z~ = Z_nn - Z_nl G Z_ln. The residual compliance R of their gaps acts in series, as displacements rho that the laws see
 besides g,
 
@@ -77,7 +77,7 @@ Law = Rigid | SpringDashpot | NonlinearLaw
 FORGETTING = 4e3
 
 
-#: what a connection is for in an instrument: the joint of a string's end to the body, the dashpot of the finger that
+#: purpose of a connection in an instrument: the joint of a string's end to the body, the dashpot of the finger that
 #: holds a string while it is plucked, something that an attachment or exciter adds to a string, or something added to
 #: the body; empty outside of instruments
 Role = Literal["", "bridge", "hold", "attached", "added"]
@@ -92,7 +92,7 @@ class Connection:
     name : unique in its system.
     terms : shares of points in the gap.
     law : of the force.
-    role : what it is for; set by the assembly of an instrument, like the next two.
+    role : its purpose; set by the assembly of an instrument, like the next two.
     owner : string that it belongs to.
     part : key of the attachment or exciter that adds it; empty for the other roles.
     """
@@ -112,7 +112,7 @@ class LinearSolve:
     Attributes
     ----------
     on : (k,) their places.
-    by : what G is among them: the inverse of S + Z.
+    by : G among them: the inverse of S + Z.
     gamma : (m,) share of the old gap.
     offset : (m,) (1 + gamma) b, m.
     """
@@ -272,7 +272,7 @@ class NonlinearLaws:
 class NonlinearGaps:
     """Compliance at the gaps of nonlinear laws while the linear connections carry no force.
 
-    Residual compliance between a nonlinear and a linear gap is left out: what stays is positive semi-definite.
+    Residual compliance between a nonlinear and a linear gap is left out: the rest is positive semi-definite.
 
     Attributes
     ----------

@@ -53,7 +53,7 @@ class GapCompliance:
         return np.asarray(np.bincount(self.layout.joints[1], each, m), dtype=np.float64)
 
     def in_parts(self, laws: LinearLaws) -> InverseInParts | None:
-        """Invert what linear connections see, in parts; None where there are few, or no parts."""
+        """Invert the compliance of linear connections in parts; None where there are few, or no parts."""
         if (k := len(laws.on)) < LEAST_IN_PARTS:
             return None
         place = np.full(len(self.layout.connections), -1)
@@ -101,7 +101,7 @@ class GapCompliance:
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
-    """Connections' forces under the compliance of what they join; solved for when first wanted."""
+    """Connections' forces under the compliance of the components that they join; solved for when first wanted."""
 
     connections: tuple[Connection, ...]
     linear: LinearLaws

@@ -243,8 +243,8 @@ class SampledPotential:
 class Scalar:
     """A C function double(double) or double(double, void *) by its address.
 
-    Takes what SciPy's `LowLevelCallable` takes: one of these, a ctypes or cffi function pointer, a numba ``cfunc``'s
-    ``ctypes``, a PyCapsule; it is kept alive.
+    Takes the arguments of SciPy's `LowLevelCallable`: one of these, a ctypes or cffi function pointer, a numba
+    ``cfunc``'s ``ctypes``, a PyCapsule; it is kept alive.
 
     Raises
     ------
@@ -286,7 +286,7 @@ class CompiledPotential:
 
     Attributes
     ----------
-    potential, slope : V (J) and V' (N); see `Scalar` for what may be given.
+    potential, slope : V (J) and V' (N), each an argument of `Scalar`.
     loss : s/m, f loses `loss` |V'| d'; monotone for potentials that push one way.
     damping : N s/m.
     """
@@ -337,8 +337,8 @@ class Friction:
     (Smith & Woodhouse 2000, J. Mech. Phys. Solids 48, their hyperbola). At rest v is exactly 0 over the step.
 
     The curve falls, so a step may have three solutions. As McIntyre, Schumacher & Woodhouse (1983) take it from
-    Friedlander: what stuck goes on sticking while it can; what slid goes on sliding that way while it can, on the
-    outermost (stable) solution; otherwise it sticks if it can. The work f (g+ - g) is f velocity h from the partner
+    Friedlander: a gap that stuck goes on sticking while it can; one that slid goes on sliding that way while it can, on
+    the outermost (stable) solution; otherwise it sticks if it can. The work f (g+ - g) is f velocity h from the partner
     minus |f v| h of heat.
 
     Attributes

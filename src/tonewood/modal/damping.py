@@ -1,4 +1,4 @@
-"""How far the damping of a body couples its modes, and what leaving that coupling out makes of them.
+"""How far the damping of a body couples its modes, and the modes without that coupling.
 
 The modes of a body whose damping is not proportional are complex: its points do not pass through zero together. Three
 descriptions of one body (Fabre, Le Carrou & Chomette 2024, section 3) are distinguished here by a *damping case*:

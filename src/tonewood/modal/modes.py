@@ -1,4 +1,4 @@
-"""Modes of one component, and what can be asked of them.
+"""Modes of one component: poles, shapes at points, frequency responses, static compliance.
 
 Three kinds of mode, distinguished by `kind`; every one is a real 2 x 2 block once it is stepped (see `propagator`):
 
@@ -49,7 +49,7 @@ class ModalBasis(ModalViews):
     residual_at : (x, y) in m -> m/N, residual compliance between two places, of arrays element by element; None as
         above.
     places : point name -> place in m, where `shape` is given.
-    metadata : what the maker of the basis wants to remember of it (its plugin reads it when a stop changes).
+    metadata : further data of the maker of the basis (its plugin reads them when a stop changes).
     """
 
     poles: Complexes
@@ -115,7 +115,7 @@ class ModalBasis(ModalViews):
         damping_rate : (n_modes,) sigma = zeta omega, 1/s.
         points : name -> (n_modes,) shape, or name -> place in m when `shape` is given.
         modal_mass : (n_modes,) or scalar, kg (with unit-free shapes); shapes become mass-normalised, 1/sqrt(kg).
-        static_compliance : (x, y) in m -> m/N of *all* modes; what the kept ones leave of it is the residual.
+        static_compliance : (x, y) in m -> m/N of *all* modes; less that of the kept ones it is the residual.
         residual : (n_points, n_points) m/N instead of `static_compliance`.
         """
         omega = np.atleast_1d(np.asarray(natural_freq_rad, dtype=np.float64))

@@ -61,7 +61,7 @@ def string_transfer(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
 
 
 def string_carry(old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-    """Carry one motion, modal coordinates q and q': what the matrices of `string_transfer` do, without making them."""
+    """Carry one motion, modal coordinates q and q', as the matrices of `string_transfer` do, without making them."""
     vec, sines = _array(old, "vec"), _Sines.of(old, new)
     shape = _displaced(old, new, sines, (vec @ q)[:, None])
     moving = _moving(old, new, sines, (vec @ velocity)[:, None])
@@ -85,7 +85,7 @@ def _moving(old: ModalBasis, new: ModalBasis, sines: _Sines, c: Floats) -> Float
     """The same for velocities."""
     L, L_new, k_new = _number(old, "length"), _number(new, "length"), sines.a[:, None]
     if L_new <= L:
-        # what is left of the old ramp once the new one is taken off: (1/L' - 1/L) x, by its sine coefficients
+        # the old ramp less the new one: (1/L' - 1/L) x, by its sine coefficients
         ramp = 2 / L_new * (L_new / L - 1) * np.cos(k_new * L_new) / k_new
     else:
         ramp = -2 / (L_new * L) * np.sin(k_new * L) / k_new**2

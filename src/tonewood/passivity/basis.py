@@ -50,13 +50,13 @@ def check_basis(basis: ModalBasis, driven: Sequence[str], *, dt: float | None = 
 
 
 def repair_basis(basis: ModalBasis, driven: Sequence[str], *, max_change: float) -> ModalBasis:
-    """Return the nearest basis that is passive at the points `driven`; what is only heard stays as it is.
+    """Return the nearest basis that is passive at the points `driven`; other points stay as they are.
 
     The repair is described in the metadata under ``repair``.
 
     Raises
     ------
-    PassivityError : see `passivity_repair.repair`.
+    PassivityError : see `passivity.repair.repair`.
     """
     from tonewood.passivity.repair import repair
 

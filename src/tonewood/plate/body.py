@@ -293,8 +293,8 @@ def _with_air(
 
     Returns
     -------
-    modes; (m,) Hz of the cavity; for the plate modes left out, the residual (p, p) m/N and what the points (p,) move by
-    per pressure of each of the cavity's modes, m/Pa.
+    modes; (m,) Hz of the cavity; for the plate modes left out, the residual (p, p) m/N and the displacement of the
+    points (p,) per pressure of each of the cavity's modes, m/Pa.
     """
     from scipy.linalg import solve
 
