@@ -12,8 +12,8 @@
 >>> Lump.from_values({"mass": 0.5}).basis(1e3)
 ModalBasis(1 real modes, 15.9155 to 15.9155 Hz, points top)
 
-Kinds of plugins and what they return, declared parameters, modal bases, connections and their laws, effects, errors;
-and what shows the part at work in an instrument: `assemble`, `partials`, `pitches`.
+Kinds of plugins and the types that they return, declared parameters, modal bases, connections and their laws, effects,
+errors; and functions that show the part at work in an instrument: `assemble`, `partials`, `pitches`.
 """
 
 from tonewood import plate as plate

@@ -1,4 +1,4 @@
-"""Folder of what is kept between runs; everything in it is safe to delete at any time.
+"""Folder of files kept between runs; everything in it is safe to delete at any time.
 
 It is the folder that the environment variable ``TONEWOOD_CACHE`` names, else ``$XDG_CACHE_HOME/tonewood``, else
 ``~/.cache/tonewood``; ``TONEWOOD_CACHE=off`` keeps nothing.

@@ -227,7 +227,7 @@ def series_figure(rows: Mapping[str, Mapping[str, tuple[ArrayLike, ArrayLike]]],
 def draw_spectrogram(
     ax: Axes, time: ArrayLike, freq: ArrayLike, level_db: ArrayLike, *, floor_db: float, top_db: float = 0.0
 ) -> Any:
-    """Draw levels (n_freq, n_time) in dB over time (s) and frequency (Hz); returns what a colour bar is made of."""
+    """Draw levels (n_freq, n_time) in dB over time (s) and frequency (Hz); returns the image, for a colour bar."""
     t, f = np.asarray(time, dtype=np.float64), np.asarray(freq, dtype=np.float64)
     shown = ax.imshow(
         np.asarray(level_db), origin="lower", aspect="auto", cmap=LEVELS, vmin=floor_db, vmax=top_db,

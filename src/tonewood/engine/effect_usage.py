@@ -1,4 +1,4 @@
-"""Which effects ran when, the bounds on what was left out, and what that saved."""
+"""Which effects ran when, the bounds on those left out, and the time saved."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tonewood.engine.costs import Costs
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """Upper bound on what is missing while an effect is left out.
+    """Upper bound on the error while an effect is left out.
 
     Attributes
     ----------

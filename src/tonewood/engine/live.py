@@ -183,7 +183,7 @@ class LivePlayer:
                 line.wanted = self._cents(line.voice)
 
     def all_off(self, channel: int | None = None, *, pedalled: bool = False) -> None:
-        """Release all keys of a channel, or of all; with `pedalled` also what the pedal holds."""
+        """Release all keys of a channel, or of all; with `pedalled` also the notes that the pedal holds."""
         for at in [at for at in self._held if channel in (None, at[0])]:
             for voice in list(self._held.get(at, ())):
                 self.release(voice)
@@ -212,7 +212,7 @@ class LivePlayer:
         return sum(line.voice is not None for line in self._lines.values())
 
     def tick(self) -> None:
-        """Enter into the engine's schedule what is due at the point of the grid that it has reached."""
+        """Enter into the engine's schedule the events due at the point of the grid that it has reached."""
         now = self.engine.state.sample
         for line in self._lines.values():
             if self._is_sustained(line.voice):

@@ -78,7 +78,8 @@ def gripped(gesture: Gesture) -> Gesture:
 def hurried(gesture: Gesture, available: float) -> Gesture:
     """The same gesture prepared within `available` s: the string's last pluck has to be over before it begins.
 
-    A gesture that moves a mass or a bow is not hurried: its impulse would change. It takes over from what went before.
+    A gesture that moves a mass or a bow is not hurried: its impulse would change. It takes over from the gesture
+    before.
     """
     if gesture.on is not None or gesture.motions:
         return gesture

@@ -33,7 +33,7 @@ class Performance:
 
     Attributes
     ----------
-    timeline : what happens.
+    timeline : changes and gestures.
     notes : every note played, with its string and stop.
     dropped : notes that cannot be played, and why.
     warnings : one line each.
@@ -226,7 +226,7 @@ def _event(
     controllers: Controllers,
     drawn: Deviates | None,
 ) -> Event:
-    """Return the values that the exciter is given: the note's own values, and what controllers are at."""
+    """Return the values that the exciter is given: the note's own, and those of controllers."""
     note, string = assigned.note, model.strings[on]
     name = note.technique or model.default_exciter
     values = event_values(note, model, lambda kind: controllers.at(kind, note.channel, note.time))

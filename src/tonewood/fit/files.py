@@ -31,7 +31,7 @@ from tonewood.instrument.files import Files
 
 #: numbers a text field may be long
 _LONGEST = 64
-#: what UFF calls the ordinate, and a pressure among them; its number for a force
+#: numbers that UFF gives the ordinate, and a pressure among them; its number for a force
 _ORDINATES = {8: "receptance", 11: "mobility", 12: "accelerance"}
 _PRESSURE, _FORCES = 15, (0, 13)
 _MICROPHONE = "_Pa"

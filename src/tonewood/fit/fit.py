@@ -1,4 +1,4 @@
-"""One measurement fitted: checks, modes, a passive body, and what is uncertain about it."""
+"""One measurement fitted: checks, modes, a passive body, and its uncertainties."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from tonewood.fit.fit import Fit
 from tonewood.fit.radiation import FittedRadiation
 from tonewood.whole_files import AtomicFile
 
-#: what nobody has said
+#: value of entries that nobody has stated
 UNKNOWN = "unknown"
 
 
@@ -39,11 +39,11 @@ class MeasuredPoint:
 
 @dataclass(frozen=True)
 class Origin:
-    """Who measured what; nothing of it is made up.
+    """Origin of the measurement; nothing of it is made up.
 
     Attributes
     ----------
-    title : what was measured.
+    title : the object measured.
     measured_by : by whom.
     licence : SPDX name, of the data.
     """

@@ -1,4 +1,4 @@
-"""Measured responses of a body: what was measured where, and the checks that come before any fit."""
+"""Measured responses of a body: quantities and places, and the checks that come before any fit."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Responses:
     n_hits : averaged, or None where not known.
     alpha : 1/s, of an exponential window that is in the data.
     pressure : microphone and reference -> (N,) Pa/N.
-    files : name -> SHA-256 of what was read.
+    files : name -> SHA-256 of the bytes read.
     kept : hits kept and hits given, where raw hits were read.
     """
 

@@ -1,6 +1,6 @@
 """Assembly: from an instrument to a model for one sampling rate.
 
-body -> strings (`string_assembly`) -> what touches them (`attached`) -> outputs (`output_assembly`) -> one system of
+body -> strings (`string_assembly`) -> attachments (`attached`) -> outputs (`output_assembly`) -> one system of
 components, connections and readouts.
 """
 
@@ -59,7 +59,7 @@ class Model:
     exciters : name -> plugin.
     default_exciter : name of the exciter of notes that name no technique.
     choice : effects that may run, and budgets; `system` does not contain effects that may not.
-    body : modes of the body with what is added to it, as its strings feel it; `system` has the parts by themselves.
+    body : modes of the body with the parts added to it, as its strings feel it; `system` has the parts by themselves.
     """
 
     instrument: Instrument
@@ -118,7 +118,7 @@ class Model:
         return self.instrument.exciter(name, string)
 
     def place(self, string: str, stop: float = 0, *, una_corda: bool = False) -> Place:
-        """Place of a gesture: a string at a stop, and what is beside it of its key."""
+        """Place of a gesture: a string at a stop, and the other strings of its key."""
         held, keys = self.strings[string], self.instrument.spec.keys
         strings: tuple[tuple[str, float], ...] = ()
         if keys is not None and (key := self.instrument.key_of.get(string)) is not None:
@@ -144,7 +144,7 @@ def assemble(
     fs : Hz.
     freq_limit : Hz, no mode is stepped above it; 0.45 fs.
     outputs : names of output groups; the bundle's first where left out.
-    by_string : whether each group is split into what each string gives of it, ``GROUP.STRING``, and ``GROUP.body``.
+    by_string : whether each group is split into the shares of all strings, ``GROUP.STRING``, and ``GROUP.body``.
 
     Raises
     ------

@@ -86,7 +86,7 @@ class Instrument(ModalViews):
         return properties_html(spec.title, rows)
 
     def _viewed(self) -> tuple[ModalBasis, Mapping[str, str]]:
-        """Modes of the body with what is added to it, and the point that each string ends on."""
+        """Modes of the body with the parts added to it, and the point that each string ends on."""
         body, manifest = self.body.basis(SHOWN_TO), self._files.manifest
         whole = body_parts(self.spec.body.added, body, self.body.points(), manifest).body
         return whole, {name: part.body_points[0] for name, part in self.spec.strings.items()}

@@ -432,7 +432,7 @@ class Scene:
     Attributes
     ----------
     body_points : name -> place and direction.
-    bridge_forces : of every string polarization that moves the body, and of what is added to the body.
+    bridge_forces : of every string polarization that moves the body, and of the parts added to the body.
     string_points : ``string.point`` -> (component, point, unit vector of that polarization), for each polarization.
     end_forces : string -> (connection, unit vector): force of the string on its bridge is minus the connection's.
     freq_upper : Hz, highest frequency that will be stepped.
@@ -479,7 +479,7 @@ class Pickup(Plugin[P]):
     @property
     @abstractmethod
     def unit(self) -> str:
-        """Unit of what is read."""
+        """Unit of the quantity read."""
 
     @abstractmethod
     def rows(self, name: str, scene: Scene) -> PickupRows:

@@ -192,7 +192,7 @@ def held_partials(basis: ModalBasis, count: int) -> list[float]:
 def bridge_mobility(
     model: Model, freq: Sequence[float] | Floats, strings: Sequence[str] | None = None
 ) -> dict[str, Complexes]:
-    """Driving-point mobility of the body where each string ends, (m/s)/N; without strings, with what is added to it.
+    """Driving-point mobility of the body where each string ends, (m/s)/N; without strings, with the parts added to it.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """A bundle of one's own, begun from another one or from the folder of a fit: text with comments where a person decides.
 
-Nothing in it is credited to anybody who has not said so: what is copied from a bundle is of unknown origin until its
-maker fills it in, with a note that tells what it was there. The sources stay, since their licences ask for it.
+Nothing in it is credited to anybody who has not said so: values copied from a bundle are of unknown origin until its
+maker fills that in, with a note that tells their kind there. The sources stay, since their licences ask for it.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def new_bundle(folder: Path, source: str, *, strings: str | None = None, allow_c
 
     Raises
     ------
-    BundleError : the name is no name, the source is none of these, or what is made of it cannot be played.
+    BundleError : the name is no name, the source is none of these, or the bundle made of it cannot be played.
     OutputError : the folder is there already, or cannot be made; nothing stays behind.
     """
     name = folder.name
@@ -137,7 +137,7 @@ def _from_bundle(name: str, original: Instrument, strings: str | None) -> str:
     lines = [line for line in head.splitlines() if "yaml-language-server" not in line]
     out = [MODELINE + "\n", *(line + "\n" for line in lines)]
     for key, block in blocks:
-        if key == "description":  # it credits what was copied
+        if key == "description":  # it credits the bundle copied
             continue
         out += _comment(key)
         out.append(changed.get(key, block))
@@ -153,7 +153,7 @@ def _from_bundle(name: str, original: Instrument, strings: str | None) -> str:
 
 
 def _with_strings(blocks: Sequence[tuple[str, str]], values: Mapping[str, Any], strings: str) -> list[tuple[str, str]]:
-    """The blocks with another string set in place of what strings say about themselves."""
+    """The blocks with another string set in place of the strings' own values."""
     merged = values["strings"]
     rest = {k: v for k, v in merged.items() if k != "defaults"}
     dropped = _given_by(strings)

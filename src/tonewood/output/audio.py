@@ -155,7 +155,7 @@ def file_format(path: str | os.PathLike[str], subtype: str | None, n_bytes_neede
 class SoundWriter:
     """Streams blocks into a sound file that appears under its name only when it is complete.
 
-    Used with ``with``; leaving it by an error (or Ctrl-C) removes what was written.
+    Used with ``with``; leaving it by an error (or Ctrl-C) removes the file begun.
 
     Parameters
     ----------

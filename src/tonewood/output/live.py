@@ -39,7 +39,7 @@ RAMP = (1e-3, 0.1)
 
 @dataclass(frozen=True, slots=True)
 class LiveSummary:
-    """Summary of what was played live.
+    """Summary of live playing.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class LiveSummary:
     peak_dbfs : largest sample re full scale.
     clipped : samples beyond full scale.
     process_s : seconds of computing.
-    effects : what ran and what was left out.
+    effects : when they ran and were left out.
     """
 
     frames: int
@@ -161,7 +161,7 @@ class Live:
     def latency(self) -> float:
         """Longest time from an event to its sound, s, without that of blocks and the device.
 
-        One interval of the control grid, what the resampler looks ahead, and the preparation of a pluck.
+        One interval of the control grid, the look-ahead of the resampler, and the preparation of a pluck.
         """
         return self.ramp + GRID / self.model.fs - self._resampler.frame(0) / self.fs
 
@@ -228,8 +228,8 @@ class Live:
     def pressure(self, value: float, channel: int = 0, note: float | None = None) -> None:
         """Press on the keys of a channel, or on one, 0 to 1.
 
-        Pressure on a channel moves what the bundle maps ``channel_pressure`` to, for the notes that follow; without
-        that, and on a single key, it has no effect and is counted.
+        Pressure on a channel moves the parameter to which the bundle maps ``channel_pressure``, for the notes that
+        follow; without that, and on a single key, it has no effect and is counted.
         """
         if not 0.0 <= value <= 1.0:
             raise TonewoodError(f"pressure of {value!r}: 0 to 1 is allowed")
@@ -249,7 +249,7 @@ class Live:
         self.player.all_off(channel, pedalled=True)
 
     def release_keys(self, channel: int | None = None) -> None:
-        """Release all keys of a channel, or of all; the pedal holds on what it holds."""
+        """Release all keys of a channel, or of all; notes that the pedal holds sound on."""
         self.player.all_off(channel)
 
     def process(self, frames: int) -> Floats:

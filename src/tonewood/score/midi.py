@@ -3,7 +3,8 @@
 Decisions where the format leaves a choice, or files are often wrong:
 
 - Format 2 holds independent patterns: they are played one after the other, each with its own tempo map.
-- The k-th note-off of a key ends the k-th note-on still held; striking a key again ends what only the pedal holds.
+- The k-th note-off of a key ends the k-th note-on still held; striking a key again ends a note that only the pedal
+  holds.
 - Notes shorter than `MIN_DURATION` are lengthened to it, longer than `MAX_DURATION` shortened to it: nothing plucked
   sounds longer.
 - Silence longer than `LONG_GAP` is reported; `MAX_SILENCE` of it in all is refused, and so is a piece beyond

@@ -36,7 +36,7 @@ _MOST_DIVISIONS = 16384
 
 
 def read_musicxml(data: bytes, path: Path) -> WrittenMusic:
-    """Read MusicXML; raises a `ScoreError` of one line for what is none."""
+    """Read MusicXML; raises a `ScoreError` of one line for a file that is none."""
     if data[:2] == b"PK":
         container = parsed(member(data, "META-INF/container.xml", path), path)
         roots = [e.get("full-path", "") for e in container.iter() if _name(e) == "rootfile"]

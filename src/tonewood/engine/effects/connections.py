@@ -93,7 +93,7 @@ class SwitchedConnections(SwitchedEffect, ABC):
     def cost(self, moment: Moment, component: str, on: bool) -> float:
         """Potential of the laws that are switched, J, with the sign of the switch.
 
-        On, they are those of the string's stop; what the components yield besides their modes can only lower it.
+        On, they are those of the string's stop; the residual compliance of the components can only lower it.
         """
         gap, total = gaps(moment.system, moment.state), 0.0
         laws = self.laws(component, moment.frettings[component])

@@ -115,7 +115,7 @@ class GestureEffect(OccasionalEffect):
         return {play.string for play in run.plays if play.string is not None and play.exciter in self.plugins}
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
-        """When they will act, and what that will take."""
+        """When they will act, and the time that will take."""
         out = super().plan(foreseen)
         if not self.chosen:
             return out
