@@ -111,7 +111,7 @@ class ModalTableParameters(Parameters):
         default="complex",
     )
     repair: Literal["refuse", "passive"] = described(
-        "what becomes of complex modes that would create energy", default="refuse"
+        "treatment of complex modes that would create energy", default="refuse"
     )
     max_change: float = quantity(
         "1", low=0.0, high=1.0, default=0.1, doc="largest relative change of the mobility a repair may make"

@@ -149,7 +149,7 @@ def test_a_live_session_that_cannot_be_is_one_line(tonewood: Run, words: tuple[s
 
 
 def test_a_score_has_nothing_to_record(tonewood: Run, duo: Path) -> None:
-    assert "--record: records what is played live" in tonewood("play", duo, "-i", "monochord", "--record", "a.mid")[2]
+    assert "--record: records live playing" in tonewood("play", duo, "-i", "monochord", "--record", "a.mid")[2]
     assert "one of both is allowed" in tonewood("play", duo, "-i", "monochord", "--keyboard")[2]
 
 
