@@ -2,8 +2,8 @@
 
 Rows whose system was fitted to the reference are called regression, not validation (see `lab.row`).
 
-Each module of `lab.systems` offers ``rows()`` and, where there are figures to redraw, ``plots(directory)``; what is
-listed here is run by ``tonewood validate``, and by the tests.
+Each module of `lab.systems` offers ``rows()`` and, where there are figures to redraw, ``plots(directory)``;
+``tonewood validate`` and the tests run those listed here.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def run_each(only: Sequence[str] | None = None) -> Iterator[tuple[str, list[Row]
 
 
 def draw(directory: Path, only: Sequence[str] | None = None) -> list[Path]:
-    """Redraw the papers' figures as PNG files; the paths of what was written."""
+    """Redraw the papers' figures as PNG files; return their paths."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as fault:

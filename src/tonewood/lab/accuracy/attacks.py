@@ -1,4 +1,4 @@
-"""Attacks on stability: scenes that are meant to make energy, and what of it they make.
+"""Attacks on stability: scenes that are meant to make energy, and the energy that they make.
 
 Undamped where a loss could hide a gain. The energy is read from the states, by `energy.account` and by the energy
 budget of a render, which know nothing of how a step is made.
@@ -97,7 +97,7 @@ def run(*, quick: bool = False, tell: Callable[[float], None] | None = None) -> 
 
 
 def section(attacks: Sequence[Attack]) -> str:
-    """Markdown: what was attacked, and what came of it."""
+    """Markdown: the attacks and their results."""
     return f"{TEXT}\n\n{table(attacks)}"
 
 

@@ -1,4 +1,4 @@
-"""The user's dial: what ``draft``, ``standard`` and ``reference`` differ by on an instrument, and what they cost.
+"""The user's dial: differences between ``draft``, ``standard`` and ``reference`` on an instrument, and their cost.
 
 A note is rendered with each, and its partials are held against those of ``reference`` (`partials.compare`): once where
 the motion is regular, many times with forces a little apart where it is sensitive.
@@ -123,7 +123,7 @@ def measure(instrument: Instrument, string: str, *, nudge: bool = True) -> list[
 
     Parameters
     ----------
-    nudge : also what `reference` does for a thousandth more force; where that is much, strokes are compared by their
+    nudge : also the notes of `reference` for a thousandth more force; where that is much, strokes are compared by their
         means. Without it one stroke is, and not for so long.
     """
     case = NoteCase.of(instrument, string, DURATION if nudge else SHORT, fs=FS)

@@ -131,7 +131,7 @@ class Arrays:
     law : (l, n) shapes at the gaps of laws.
     weights : (n_tensions, n) k.
     stiffness : (n_tensions,) EA/2L.
-    laws : what acts on the gaps.
+    laws : of the gaps.
     G : (r, r) force of rigid connections per acceleration.
     """
 

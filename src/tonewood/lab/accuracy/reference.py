@@ -45,7 +45,7 @@ class ExactMotion:
     Attributes
     ----------
     poles : (k,) 1/s, conjugates included.
-    shares : (k, n_outputs) m, what each contributes to the readouts.
+    shares : (k, n_outputs) m, contribution of each to the readouts.
     """
 
     poles: Complexes
@@ -95,7 +95,7 @@ class FineMotion:
 
     Attributes
     ----------
-    flat, start : what moves, and from where.
+    flat, start : system that moves, and its state at the start.
     duration : s.
     rate : Hz.
     """

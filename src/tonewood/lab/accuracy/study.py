@@ -54,14 +54,14 @@ class Point:
     Attributes
     ----------
     system, method : names; methods are those of `LABELS`.
-    dial, value : what is varied along the line, and its value here.
+    dial, value : parameter varied along the line, and its value here.
     fs : Hz.  n_modes : stepped.
     stable : stable, grows or NaN.
     cents_median, cents_worst, cents_20, decay_median, decay_worst, lost : see `measures.PoleErrors`.
     waveform, spectral_db, spurious_db : see `measures.WaveErrors`.
     energy : drift of the undamped system's energy within 1 s, relative.
     seconds, seconds_low, seconds_high : of computing per second of sound: median, 10th and 90th percentile.
-    note : what else is to be said.
+    note : further remarks.
     """
 
     system: str
@@ -87,7 +87,7 @@ class Point:
     note: str = ""
 
     def to_dict(self) -> dict[str, object]:
-        """Fields for JSON; what is not known is None."""
+        """Fields for JSON; unknown ones are None."""
         return {key: None if isinstance(v, float) and not np.isfinite(v) else v for key, v in asdict(self).items()}
 
 
@@ -114,7 +114,7 @@ SECOND_ORDER = ("verlet", "newmark", "hht")
 
 
 class Subject:
-    """A case as some methods see it: its modes, what is true of it, and where the motion starts.
+    """A case as some methods see it: its modes, its true values, and the state in which the motion starts.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ class Subject:
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """A point without its time, and what to time."""
+    """A point without its time, and the run to be timed."""
 
     point: Point
     task: Task | None

@@ -128,7 +128,7 @@ class Target:
         return all(limit is None or (found is not None and found <= limit) for limit, found in pairs)
 
     def excess(self, errors: Worst) -> float:
-        """Largest ratio of an error to what is allowed."""
+        """Largest ratio of an error to its limit."""
         pairs = [(getattr(self.limits, n), getattr(errors, n)) for n in NAMES]
         return max(math.inf if found is None else found / limit for limit, found in pairs if limit is not None)
 
@@ -173,7 +173,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """A setting, its errors, and what it costs.
+    """A setting, its errors, and its cost.
 
     Attributes
     ----------
@@ -198,11 +198,11 @@ class Frontier:
 
     Attributes
     ----------
-    instrument, target, notes, fs : what was asked.
+    instrument, target, notes, fs : of the question.
     tried : from cheap to dear.
     reference : steps per frame of the reference.
     own : its own error.
-    modes : what twice as high a limit of the strings' modes changes, at twice the rate of `standard`; the bundle's
+    modes : change by twice as high a limit of the strings' modes, at twice the rate of `standard`; the bundle's
         limit is part of the instrument and counts in no error.
     strokes : whose means were compared; 1 where a thousandth more force changes little.
     default : errors and cost of a render without any options.

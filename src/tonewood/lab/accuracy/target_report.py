@@ -24,7 +24,7 @@ HEADS = {
 
 
 def summary(found: Frontier) -> str:
-    """The answer first, then what it rests on, then the table."""
+    """The answer first, then its grounds, then the table."""
     lines = [_answer(found), "", *_ground(found), "", table(found)]
     return "\n".join(lines)
 
