@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -104,6 +105,28 @@ def test_the_architecture_draws_these_layers():
     drawn = [set(line.split()) for line in block.splitlines()]
     layers = [{name for name in names if not name.startswith("_")} for names in reversed(LAYERS)]
     assert drawn == [names for names in layers if names]
+
+
+def test_the_architecture_names_files_where_they_are():
+    """Each package's lines name modules of that package, or paths from the root or from the package's own folder."""
+    block = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8").split("```text\n")[2].partition("```")[0]
+    folders, named = [SOURCES], 0
+    for line in block.splitlines():
+        indent = len(line) - len(line.lstrip())
+        if entered := re.match(r" *((?:src/)?\w+)/ ", line):
+            above = {0: [], 4: [SOURCES, ROOT / "src" / "kernel"], 8: [SOURCES / "engine"]}[indent]
+            found = [path for base in [ROOT, *above] if (path := base / entered[1]).is_dir()]
+            assert found, f"{line}: no such folder"
+            folders = found
+        elif line.startswith("src/"):
+            folders = [ROOT / line.split("/ ")[0]]
+        elif indent == 4:
+            folders = [SOURCES, ROOT / "src" / "kernel"]
+        for name in re.findall(r"[\w/]+\.(?:py|hpp)\b", line):
+            places = [*folders, SOURCES, ROOT / "src", ROOT]
+            assert any((place / name).exists() for place in places), f"{name} is not in {folders}"
+            named += 1
+    assert named > 150
 
 
 def test_every_layer_is_there():
