@@ -332,7 +332,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
                 f"hinged, {clamped:.1f} Hz clamped: its stiffness is seldom known"
             )
             share = modes.radiation_loss[named["T1"]] / modes.loss[named["T1"]]
-            lines.append(f"{100 * share:.0f} % of what T1 loses is radiated")
+            lines.append(f"{100 * share:.0f} % of the loss of T1 is radiated")
         return lines
 
     def _on_other_edges(self) -> tuple[float, float]:

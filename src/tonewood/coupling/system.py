@@ -244,7 +244,7 @@ class System:
         return self._with(self.compiled, other.with_gap(self.elimination.gap))
 
     def _with(self, compiled: tuple[Compiled, ...], elimination: Elimination) -> System:
-        # what `replace` does; several of these are made for every note
+        # the same as `replace`, but quicker; several of these are made for every note
         return System(
             self.dt, self.layout, compiled, elimination.connections, elimination, self.tensions, self.stretches,
             self.is_on, self.phantoms, self.phantoms_on,

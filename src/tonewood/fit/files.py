@@ -98,7 +98,7 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
             raise TonewoodError(f"says {other} while --form says {reading.form}", file=paths[0], key="--form")
     form = reading.form or (said.pop() if len(said) == 1 else "")
     if not form:
-        raise TonewoodError(f"what was measured is not said; {', '.join(FORMS)} are allowed", key="--form")
+        raise TonewoodError(f"the quantity measured is not stated; {', '.join(FORMS)} are allowed", key="--form")
     alpha = 0.0 if reading.window_tau is None else 1.0 / reading.window_tau
     motion, pressure = _split(rows)
     pairs = tuple(motion)
@@ -248,7 +248,7 @@ _TABLES = {"csv": _csv, "npz": _npz, "uff": _uff}
 
 def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str]) -> Responses:
     if reading.form is None:
-        raise TonewoodError(f"what was measured is not said; {', '.join(FORMS)} are allowed", key="--form")
+        raise TonewoodError(f"the quantity measured is not stated; {', '.join(FORMS)} are allowed", key="--form")
     struck: dict[str, list[tuple[Path, _Hit]]] = {}
     for path in paths:
         hit = _wav_hit(path, reading) if path.suffix.lower() == ".wav" else _csv_hit(path)

@@ -51,7 +51,7 @@ def level_name(given: str | None, *, gain_db: float, limiter: bool) -> LevelName
 
 
 def meaning(groups: Sequence[OutputGroup], gain_db: float) -> str:
-    """Say what full scale is after a gain, e.g. ``0 dBFS is 12.6 Pa``."""
+    """Return the meaning of full scale after a gain, e.g. ``0 dBFS is 12.6 Pa``."""
     values = [f"{g.full_scale / 10 ** ((gain_db + g.gain_db) / 20):.4g} {g.unit}" for g in groups]
     return f"gain {gain_db:+.1f} dB, 0 dBFS is {', '.join(values)}"
 
