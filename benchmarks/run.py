@@ -321,7 +321,7 @@ def main() -> None:
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **one_thread})
     repeats = 3 if quick else 7
     print(machine())
-    print(f"\n| {'what':<66} | {'measured':<31} | {'how':<50} |")
+    print(f"\n| {'part':<66} | {'measured':<31} | {'how':<50} |")
     print(f"| {'-' * 66} | {'-' * 31} | {'-' * 50} |")
     rows: list[Callable[[], Iterator[Row]]] = [
         lambda: all_ringing(repeats),

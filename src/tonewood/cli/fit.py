@@ -160,7 +160,9 @@ def _numbers(text: str | None) -> tuple[float, ...]:
         except ValueError:
             raise TonewoodError(f"{word!r} is no number; numbers by commas are allowed", key="--sensitivity") from None
         if out[-1] == 0 or not abs(out[-1]) < float("inf"):
-            raise TonewoodError(f"{word} is not allowed: a value at full scale other than 0 is needed", key="--sensitivity")
+            raise TonewoodError(
+                f"{word} is not allowed: a value at full scale other than 0 is needed", key="--sensitivity"
+            )
     return tuple(out)
 
 

@@ -15,7 +15,7 @@ INTRODUCTION = """\
 ## How it is measured
 
 Every method steps the same modes of the same system with the same compiler flags, so that their times can be compared:
-what differs is the integrator, and the level at which the connections are held together. All systems are held still by
+only the integrator differs, and the level at which the connections are held together. All systems are held still by
 a constant force and let go; nothing but the method's own stepping then makes an error.
 
 - **tonewood**: exact flow of every mode under forces held over a step, gaps closed at its end; modes above 0.45 of the
@@ -62,8 +62,8 @@ order, and unstable with modes above the Nyquist frequency.
 *Superposition* of the coupled modes has no error of pitch or waveform at any rate, as long as no stop, bend or contact
 changes; the eigenproblem of the whole is not in its time.
 
-For an instrument of your own: `tonewood accuracy -i INSTRUMENT --target 1cent` prints the cheapest setting, what it
-costs and the settings around it, with the own error of the reference that it judges by. Targets are pitch (`1cent`),
+For an instrument of your own: `tonewood accuracy -i INSTRUMENT --target 1cent` prints the cheapest setting, its
+cost and the settings around it, with the own error of the reference that it judges by. Targets are pitch (`1cent`),
 decay (`5%decay`), level (`0.5dB`) and waveform (`-60dB`) of the worst partial, or several with commas; `--notes` names
 notes, `--plot` draws the frontier, and `--apply` prints the options alone:
 
