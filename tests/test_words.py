@@ -12,7 +12,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PYTHON = sorted([*(ROOT / "src").rglob("*.py"), *(ROOT / "plugins").glob("*.py")])
 CPP = sorted([*(ROOT / "src" / "kernel").rglob("*.hpp"), *(ROOT / "src" / "kernel").rglob("*.cpp")])
-OTHERS = sorted(path for folder in ("tests", "benchmarks", "examples") for path in (ROOT / folder).rglob("*.py"))
+OTHERS = sorted(
+    path for folder in ("tests", "benchmarks", "examples", "scripts") for path in (ROOT / folder).rglob("*.py")
+)
 PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", ROOT / "ARCHITECTURE.md", ROOT / "CONTRIBUTING.md"])
 
 #: words of no meaning here, whole or as a part of a name; others of the table's last column mean something elsewhere

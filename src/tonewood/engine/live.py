@@ -320,8 +320,8 @@ class LivePlayer:
 
     def _sounding(self, line: PlayedString) -> Sounding:
         voice = line.voice
-        worth = 0.0 if voice is None else 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
-        return Sounding(line.stop - self.capo, worth)
+        weight = 0.0 if voice is None else 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
+        return Sounding(line.stop - self.capo, weight)
 
     def _tapped(self, voice: Voice, now: int) -> bool:
         """Play a gesture on a point of the body."""
