@@ -33,14 +33,10 @@ from tonewood.instrument.contract import (
     Body,
     BodyPoint,
     BridgeForce,
-    Event,
     Exciter,
-    Gesture,
-    Hold,
     Longitudinal,
     Pickup,
     PickupRows,
-    Place,
     Plugin,
     Resonator,
     Scene,
@@ -59,7 +55,7 @@ from tonewood.instrument.effects import (
     Norms,
     contact_effect,
 )
-from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
+from tonewood.instrument.gestures import Event, Fraction, Gesture, Hold, Place, StringPlace, metres, smooth_step
 from tonewood.instrument.inspection import partials, pitch, pitches
 from tonewood.instrument.losses import LossLaw
 from tonewood.instrument.microphones import Microphones

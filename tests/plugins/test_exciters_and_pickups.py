@@ -9,7 +9,8 @@ import pytest
 
 from tonewood.coupling.system import Probe
 from tonewood.errors import BundleError
-from tonewood.instrument.contract import BodyPoint, Event, Exciter, Gesture, Place, Scene
+from tonewood.instrument.contract import BodyPoint, Exciter, Scene
+from tonewood.instrument.gestures import Event, Gesture, Place
 from tonewood.instrument.registry import plugin
 
 STRING = Place("G3", 0.65)

@@ -13,7 +13,8 @@ from tests.plugins.scene import STRING, instrument
 
 import tonewood as tw
 from tonewood.instrument.assembly import assemble
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place
+from tonewood.instrument.contract import Exciter
+from tonewood.instrument.gestures import Event, Gesture, Place
 from tonewood.instrument.registry import plugin
 from tonewood.modal.points import spread
 from tonewood.stepping.forcing import SampledForce, course

@@ -21,8 +21,9 @@ from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.timeline import Change, Play, Timeline
 from tonewood.errors import NumericalError
 from tonewood.instrument.assembly import assemble
-from tonewood.instrument.contract import Gesture, Segment
+from tonewood.instrument.gestures import Gesture
 from tonewood.output.audio import SoundWriter
+from tonewood.stepping.forcing import Segment
 
 Floats = NDArray[np.float64]
 FS = 16000

@@ -29,7 +29,7 @@ from tonewood.engine.timeline import Change, Play
 from tonewood.engine.variation import Deviates, touched
 from tonewood.errors import ScoreError, TonewoodError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Place
+from tonewood.instrument.gestures import Event, Place
 from tonewood.score.causal import PEDALLED, CausalAssignment, Sounding
 from tonewood.score.note import Dropped, Note, ignored_name
 from tonewood.score.scales import note_number

@@ -6,7 +6,7 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 
 from tonewood.engine.timeline import Change, Play
-from tonewood.instrument.contract import Event
+from tonewood.instrument.gestures import Event
 from tonewood.score.assignment import Assigned
 from tonewood.score.note import Dropped, Note
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from tonewood.errors import ScoreError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Exciter, Gesture
-from tonewood.instrument.gestures import is_played, places
+from tonewood.instrument.contract import Exciter
+from tonewood.instrument.gestures import Event, Gesture, is_played, places
 from tonewood.score.assignment import Assigned
 from tonewood.score.note import Note
 from tonewood.stepping.forcing import Segment

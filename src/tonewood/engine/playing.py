@@ -15,7 +15,7 @@ from tonewood.engine.timeline import GRID, Change, Play, Timeline
 from tonewood.engine.variation import Deviates, moved, touched
 from tonewood.errors import NothingPlayedError, ScoreError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Place
+from tonewood.instrument.gestures import Event, Place
 from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.controllers import Controllers, History
 from tonewood.score.note import Control, Dropped, Note, Score, ignored_name, volume_factors

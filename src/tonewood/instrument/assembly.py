@@ -22,8 +22,8 @@ from tonewood.instrument.added import body_parts
 from tonewood.instrument.attached import Attached
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.choice import Choice, declared
-from tonewood.instrument.contract import BodyPoint, Exciter, Place
-from tonewood.instrument.gestures import places
+from tonewood.instrument.contract import BodyPoint, Exciter
+from tonewood.instrument.gestures import Place, places
 from tonewood.instrument.kept_tunings import KeptTunings
 from tonewood.instrument.output_assembly import OutputGroup, make_outputs, make_scene
 from tonewood.instrument.registry import MANIFEST

@@ -2,7 +2,7 @@
 
 The cost is that of `fingering`, of one chord after the other, and the cheapest way to play a chord is final:
 
-    position · Σ stops  +  shift · |hand − hand before|  +  stretch · max(0, span − 3)²  +  cut · Σ weight of ended notes
+    position · Σ stops + shift · |hand − hand before| + stretch · max(0, span − 3)² + cut · Σ weight of ended notes
 
 A sounding note weighs 1 while its key is down, `PEDALLED` while only the pedal holds it, and 0 afterwards; the same
 stop struck again costs nothing. A note always gets a string if one of them has its pitch: if all of these sound, the

@@ -36,7 +36,7 @@ def announce(folder: Path, text: str) -> None:
 def test_a_foreign_plugin_is_found(foreign: Path) -> None:
     announce(foreign, "[tonewood.plugins]\nknock = foreign_plugin:Knock\n")
     (foreign / "foreign_plugin.py").write_text(
-        "from tonewood.instrument.contract import Exciter, Gesture, Segment\n"
+        "from tonewood.authoring import Exciter, Gesture, Segment\n"
         "from tonewood.params import Parameters, quantity\n"
         "class P(Parameters):\n    force: float = quantity('N', default=1.0, doc='peak')\n"
         "class Knock(Exciter):\n    'A knock.'\n    Parameters = P\n"

@@ -51,7 +51,7 @@ The middle string of every instrument, one open note of MIDI velocity {VELOCITY_
 {DURATION:g} s. Median / worst over the partials, of the first twenty, that lie within 40 dB of the loudest, against
 `reference`: pitch and level from {STEADY:g} s after the note on; decay as the slope, in dB per second, of the energy
 still to come (Schroeder's backward integration, ISO 3382-1), which is the rate of an exponential and still a number
-where partials beat or feed each other. A bow plays for half of the time, and the decay is that of the rest. Waveform: the
+where partials beat or feed each other. A bow plays for half of the time; the decay is that after it. Waveform: the
 relative difference in the first second, under a Hann window, after the mean delay is taken out (accelerations are means
 over the step that begins at a frame, half a step early).
 
