@@ -52,7 +52,14 @@ def quantity(
 
 
 def described(doc: str, *, default: Any = _MISSING, **options: Any) -> Any:
-    """Declare anything that is not a number with a unit: a name, a choice, a list."""
+    """Declare anything that is not a number with a unit: a name, a choice, a list.
+
+    Parameters
+    ----------
+    doc : its meaning, in a few words.
+    default : value where the key is left out; without it the key is required.
+    options : further ones of pydantic's ``Field``.
+    """
     return Field(description=doc, **options) if default is _MISSING else Field(default, description=doc, **options)
 
 

@@ -23,7 +23,7 @@ class Bound:
     level: float = 0.0
 
     def larger(self, other: Bound) -> Bound:
-        """Return the larger of both bounds, each of cents and level."""
+        """Return the larger of this bound and `other`, cents and level each."""
         return Bound(max(self.cents, other.cents), max(self.level, other.level))
 
 

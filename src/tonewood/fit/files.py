@@ -68,6 +68,15 @@ class Reading:
 def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     """Read files that belong together: responses of one body, or hits on it.
 
+    Parameters
+    ----------
+    paths : of the files; frequency responses of one measurement, or recordings of hits.
+    reading : options of the command line: references, sensitivities, windows.
+
+    Returns
+    -------
+    Responses of all points at common frequencies, with their noise where it is known.
+
     Raises
     ------
     TonewoodError : a file cannot be read, contradicts another or says less than is needed; the line names it.

@@ -183,6 +183,10 @@ def fit_responses(
     band : Hz, lower and upper end; the ends of the data where None.
     tell : called after each iteration of the search.
 
+    Returns
+    -------
+    The body, its modes with their uncertainties, and the checks.
+
     Raises
     ------
     TonewoodError : the responses are no passive body's, or no mode stands out of their noise.

@@ -142,7 +142,12 @@ class FitFolder:
 
         Parameters
         ----------
+        folder : path.
         draw : makes the figure; none is written without it.
+
+        Returns
+        -------
+        Paths of the files.
 
         Raises
         ------

@@ -88,7 +88,7 @@ def fit_radiation(
     *,
     tell: Callable[[Iteration], None] = lambda iteration: None,
 ) -> FittedRadiation | None:
-    """Fit the bank of all microphones; None where there are none.
+    """Fit the bank of all microphones; return None where there are none.
 
     Parameters
     ----------

@@ -79,7 +79,11 @@ class Responses:
         return tuple(i for i, (point, reference) in enumerate(self.pairs) if point == reference)
 
     def band(self, low: float | None, high: float | None) -> Responses:
-        """The part between two frequencies, Hz, without 0 Hz.
+        """Return the part between two frequencies, without 0 Hz.
+
+        Parameters
+        ----------
+        low, high : Hz, both included; None is the end of the data.
 
         Raises
         ------
@@ -166,7 +170,7 @@ class Responses:
         return self
 
     def incoherent(self, i: int) -> list[tuple[float, float]]:
-        """Parts of the band, Hz, in which the coherence of a response (running median) is too low."""
+        """Return the parts of the band, Hz, in which the coherence of response `i` (running median) is too low."""
         if self.coherence is None:
             return []
         low = median_filter(self.coherence[i], size=min(_COHERENCE, self.freq.size), mode="mirror") < LEAST_COHERENCE

@@ -114,11 +114,17 @@ class Model:
         return {leader: of for leader, of in self.instrument.groups.items() if leader in self.strings}
 
     def exciter(self, name: str, string: str) -> Exciter[Any]:
-        """Return an exciter as it plays a string."""
+        """Return the exciter called `name` with the parameters that it has on a string."""
         return self.instrument.exciter(name, string)
 
     def place(self, string: str, stop: float = 0, *, una_corda: bool = False) -> Place:
-        """Place of a gesture: a string at a stop, and the other strings of its key."""
+        """Return the place of a gesture: a string at a stop, and the other strings of its key.
+
+        Parameters
+        ----------
+        string, stop : name of the string; number of its stop, 0 open.
+        una_corda : whether the soft pedal is down, so that the hammer meets fewer strings, more softly.
+        """
         held, keys = self.strings[string], self.instrument.spec.keys
         strings: tuple[tuple[str, float], ...] = ()
         if keys is not None and (key := self.instrument.key_of.get(string)) is not None:

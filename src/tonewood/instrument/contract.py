@@ -76,6 +76,12 @@ class Plugin(ABC, Generic[P]):
     def from_values(cls, values: Mapping[str, Any], files: Files | None = None, key: str = "") -> Plugin[P]:
         """Make one from plain values, as they stand in a bundle.
 
+        Parameters
+        ----------
+        values : name of a parameter -> value.
+        files : folder of the bundle, for tables; none by default.
+        key : of the part in the bundle, for errors.
+
         Raises
         ------
         BundleError : a value is unknown, missing or out of range.
@@ -96,7 +102,7 @@ class Plugin(ABC, Generic[P]):
         return self.key.rpartition(".")[2]
 
     def fault(self, reason: str, key: str = "") -> BundleError:
-        """Make an error that names the bundle's file and the part's key."""
+        """Return an error with this reason that names the bundle's file and the part's key, and a `key` below it."""
         return BundleError(reason, file=self.files.manifest, key=".".join(k for k in (self.key, key) if k))
 
 
@@ -179,6 +185,10 @@ class Resonator(Plugin[P]):
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         """Carry the string's motion from one stop to another.
 
+        Parameters
+        ----------
+        old, new : bases of this string at two stops, or at two tensions.
+
         Returns
         -------
         displacement, velocity : (n_new, n_old), q_new = displacement @ q_old and q_new' = velocity @ q_old' of the
@@ -186,7 +196,13 @@ class Resonator(Plugin[P]):
         """
 
     def carried(self, old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-        """Carry one motion, coordinates q and q', from one stop to another; override it where that is faster."""
+        """Return one motion carried from one stop to another; override it where that is faster.
+
+        Parameters
+        ----------
+        old, new : as for `transfer`.
+        q, velocity : (n_old,) coordinates and their rates.
+        """
         displacement, moving = self.transfer(old, new)
         return displacement @ q, moving @ velocity
 
@@ -271,15 +287,26 @@ class Exciter(Plugin[P]):
         return checked
 
     def attach(self, name: str, site: Site) -> Attached | None:
-        """Components and connections that an exciter adds to a string: a hammer's mass and felt, a bow's hair.
+        """Return components and connections that it adds to a string: a hammer's mass and felt, a bow's hair.
 
         They act on the string's point ``pluck``, which follows the place of the gesture. None for known forces alone.
+
+        Parameters
+        ----------
+        name : of the part in the bundle; names of components and connections begin with ``STRING.name``.
+        site : geometry of the string at one stop.
         """
         return None
 
     @abstractmethod
     def gesture(self, event: Event, place: Place) -> Gesture:
-        """Forces of one event at `place`."""
+        """Return the forces of one event.
+
+        Parameters
+        ----------
+        event : values that it changes, pitch, duration, stops.
+        place : string with its length and tension at this stop, or point of the body.
+        """
 
 
 class Attachment(Plugin[P]):
@@ -289,7 +316,13 @@ class Attachment(Plugin[P]):
 
     @abstractmethod
     def attach(self, name: str, site: Site) -> Attached:
-        """Places, components and connections on a string at a stop; `name` is the part's key in the bundle."""
+        """Return places, components and connections on a string at a stop.
+
+        Parameters
+        ----------
+        name : the part's key in the bundle.
+        site : geometry of the string at this stop. At every stop the same names and terms; laws may differ.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -366,7 +399,13 @@ class Pickup(Plugin[P]):
 
     @abstractmethod
     def rows(self, name: str, scene: Scene) -> PickupRows:
-        """Make the readouts of the channels; the name of every component added begins with the group's `name`."""
+        """Return the readouts of the channels.
+
+        Parameters
+        ----------
+        name : of the group of channels; the name of every component added begins with it.
+        scene : points and forces that can be read.
+        """
 
 
 #: kind -> base class; a plugin derives from exactly one of them

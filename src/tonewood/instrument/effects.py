@@ -150,7 +150,14 @@ OUTPUTS = Effect(
 
 
 def contact_effect(name: str, adds: str, *, basic: bool = False) -> Effect:
-    """A contact that is left out while a bound on the motion says that it touches nothing: nothing is lost by that."""
+    """Return the effect of a contact, left out while a bound on the motion excludes touch: nothing is lost by that.
+
+    Parameters
+    ----------
+    name : the word for it in ``effects: [names]``.
+    adds : the contact in words, one line.
+    basic : whether it belongs to the plain instrument.
+    """
     return Effect(
         name, adds, "additive", "always watched", "a bound on the string's motion at each point until the next look",
         cost=lambda n: 0.5 * n, basic=basic,

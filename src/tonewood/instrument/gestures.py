@@ -62,10 +62,16 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Place of a gesture: a string with its speaking length (m), or a point of the body (length 0).
+    """Place of a gesture: a string at a stop, or a point of the body.
 
-    `planes` is the number of the string's polarizations, `tension` (N) its tension at this stop, `strings` those of its
-    key, each with a factor on the force of the exciter's contact with it: 0 where the exciter misses it.
+    Attributes
+    ----------
+    name : of the string, or ``component.point``.
+    length : m, speaking length; 0 of a point.
+    planes : number of the string's polarizations.
+    tension : N, of the string at this stop.
+    strings : those of its key, each with a factor on the force of the exciter's contact with it: 0 where the exciter
+        misses it.
     """
 
     name: str
@@ -148,9 +154,18 @@ _NEAREST = 0.01
 
 
 def metres(place: StringPlace, on: Place) -> float:
-    """Place in metres from the bridge, limited to 1 % of the speaking length from either end.
+    """Return a place in metres from the bridge, limited to 1 % of the speaking length from either end.
 
     A place behind the stop cannot be played; the nearest place before it is taken.
+
+    Parameters
+    ----------
+    place : m, or a share of the speaking length.
+    on : string at its stop.
+
+    Raises
+    ------
+    BundleError : `on` is no string.
     """
     if on.length <= 0:
         raise BundleError(f"{on.name} is not a string: there is no place from its bridge")
@@ -189,7 +204,13 @@ def is_played(x: float, length: float) -> bool:
 
 
 def smooth_step(start: float, stop: float, low: float, high: float) -> tuple[Segment, ...]:
-    """Force that goes from `low` to `high` (N) between two times (s) by two parabolas, level at both ends."""
+    """Return a force that goes from one value to another by two parabolas, level at both ends.
+
+    Parameters
+    ----------
+    start, stop : s, relative to the event; nothing is returned unless stop > start.
+    low, high : N, at these times.
+    """
     if stop <= start:
         return ()
     width, rise = stop - start, high - low

@@ -62,6 +62,11 @@ def new_bundle(folder: Path, source: str, *, strings: str | None = None, allow_c
     folder : to make; its last part is the instrument's name.
     source : an installed instrument, a bundle's folder, or the folder of a fit.
     strings : named string set; of a fit ej46 where left out, of a bundle its own.
+    allow_code : run plugins that lie as Python files in the source's folder.
+
+    Returns
+    -------
+    The instrument, loaded from its new folder.
 
     Raises
     ------

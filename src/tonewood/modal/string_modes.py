@@ -42,7 +42,13 @@ _LOSS_PATIENCE = 25
 
 
 def wavenumber(freq_rad: ArrayLike, tension: float, linear_density: float, bending_stiffness: float) -> Floats:
-    """Wavenumber k of a travelling wave, 1/m: mu omega^2 = T k^2 + EI k^4, in a form that does not cancel."""
+    """Return the wavenumber k of a travelling wave, 1/m: mu omega^2 = T k^2 + EI k^4, in a form that does not cancel.
+
+    Parameters
+    ----------
+    freq_rad : (n,) omega, rad/s.
+    tension, linear_density, bending_stiffness : T, N; mu, kg/m; EI, N m^2, may be 0.
+    """
     w2 = linear_density * np.asarray(freq_rad, dtype=np.float64) ** 2
     return np.asarray(np.sqrt(2 * w2 / (tension + np.sqrt(tension**2 + 4 * bending_stiffness * w2))))
 

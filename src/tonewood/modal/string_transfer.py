@@ -61,7 +61,17 @@ def string_transfer(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
 
 
 def string_carry(old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-    """Carry one motion, modal coordinates q and q', as the matrices of `string_transfer` do, without making them."""
+    """Carry one motion as the matrices of `string_transfer` do, without making them.
+
+    Parameters
+    ----------
+    old, new : bases, as for `string_transfer`.
+    q, velocity : (n_old,) modal coordinates and their rates.
+
+    Returns
+    -------
+    (n_new,) coordinates and rates in the new basis.
+    """
     vec, sines = _array(old, "vec"), _Sines.of(old, new)
     shape = _displaced(old, new, sines, (vec @ q)[:, None])
     moving = _moving(old, new, sines, (vec @ velocity)[:, None])
@@ -104,7 +114,7 @@ def _to_modes(basis: ModalBasis, c: Floats) -> Floats:
 def retuned(
     basis: ModalBasis, freq_rad: Floats, damping_rate: Floats, changes: Mapping[str, object] | None = None
 ) -> ModalBasis:
-    """Real modes with other frequencies and losses, same shapes and places.
+    """Return real modes with other frequencies and losses, same shapes and places.
 
     Parameters
     ----------

@@ -58,7 +58,22 @@ def plan(
     progress: Callable[[float], None] | None = None,
     **settings: Any,
 ) -> Plan:
-    """Foresee a render; `Renderer` has the same options, and warns of dropped notes."""
+    """Foresee a render: the effects that will run, and the time of computing.
+
+    Parameters
+    ----------
+    score, instrument, fs, options, settings : as for `Renderer`, which warns of dropped notes, too.
+    progress : called with the score time reached (s).
+
+    Returns
+    -------
+    The plan: length, notes dropped, effects with their times, predicted seconds.
+
+    Raises
+    ------
+    NothingPlayedError : no note can be played.
+    TonewoodError : something is out of range; one line.
+    """
     score, instrument = as_score(score), as_instrument(instrument)
     options = RenderOptions.of(options, fs, settings)
     low = max(options.fs // _SKETCH, min(_LEAST_FS, options.fs))

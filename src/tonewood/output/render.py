@@ -132,7 +132,7 @@ class Renderer:
     score : notes and controllers, or the path of a MIDI file.
     instrument : a loaded instrument, or its name or folder.
     fs : sampling rate, Hz.
-    options : of the render; single ones may be given as keywords instead.
+    options, settings : of the render; single ones may be given as keywords instead.
     model : that `assembled` made of this instrument and these options, for several renders; else it is made.
 
     Raises
@@ -214,6 +214,7 @@ class Renderer:
         Raises
         ------
         NumericalError : the state is no longer finite; nothing of that block is yielded.
+        TonewoodError : `block_size` is below 1.
         """
         if block_size < 1:
             raise TonewoodError(f"is {block_size}; 1 or more is allowed", key="block_size")
@@ -262,7 +263,7 @@ class Renderer:
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Restore a snapshot; the samples that follow are the same to the last bit."""
+        """Restore a `checkpoint` of this renderer; the samples that follow are the same to the last bit."""
         self.engine.restore(checkpoint.engine)
         self._resampler.memory, self._routing.memory = (memory.copy() for memory in checkpoint.memory)
         self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames

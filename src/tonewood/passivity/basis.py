@@ -54,6 +54,12 @@ def repair_basis(basis: ModalBasis, driven: Sequence[str], *, max_change: float)
 
     The repair is described in the metadata under ``repair``.
 
+    Parameters
+    ----------
+    basis : modes of one component.
+    driven : names of points of the basis; repeated names count once.
+    max_change : largest relative change of the response that is allowed, as for `passivity.repair.repair`.
+
     Raises
     ------
     PassivityError : see `passivity.repair.repair`.

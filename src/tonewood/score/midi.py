@@ -205,6 +205,12 @@ def write_midi(score: Score, path: str | os.PathLike[str], *, bpm: float = 120.0
     ticks. A note needs a whole MIDI number in `note`; `velocity_midi` None is written as 80, `channel` None as the
     first. String, force, place and technique have no MIDI message and are not written.
 
+    Parameters
+    ----------
+    score, path : the score, and the file to write.
+    bpm : beats per minute.
+    ticks_per_beat : of the file.
+
     Raises
     ------
     ScoreError : a note or control that MIDI has no number for.

@@ -90,7 +90,7 @@ class SampledForce:
         return self.at((sample + 0.5 + np.arange(n)) * dt - time)
 
     def course(self, dt: float, *, time: float = 0.0, first: int) -> Course:
-        """Return it from step to step, from the step `first` on."""
+        """Return it from step to step of `dt` s, from the step `first` on; `time` (s) is that of its event."""
         begin = max(first, math.floor((time + self.start) / dt))
         n = max(math.ceil((time + self.stop) / dt) - begin, 0)
         return Course(dt, (), begin, np.stack([self.by_step(begin, n, dt, time), np.zeros(n), np.zeros(n)]))

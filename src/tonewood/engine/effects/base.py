@@ -230,12 +230,12 @@ class RuntimeEffect:
         return ()
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
-        """Report how long it ran and was left out, and the bound."""
+        """Report how long it ran and was left out, and the bound, from the `usage` of all effects."""
         whole = usage.seconds(usage.samples) if self.chosen else 0.0
         return [self._report(component, whole) for component in self.components]
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
-        """When it will run, and why."""
+        """Return when it will run, and why, from the sketch of a render."""
         spans, why = (((0.0, foreseen.seconds),), self.effect.before) if self.chosen else ((), self._left_out)
         return [PlannedEffect(self.name, component, spans, why, None) for component in self.components]
 
@@ -268,7 +268,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         return self.model.choice.mode == "auto" and self.chosen and bool(self.components)
 
     def prepare(self, timeline: Timeline) -> None:
-        """Read the score before the first step; does nothing by default."""
+        """Read the score, as `timeline`, before the first step; does nothing by default."""
 
     def start(self) -> Switching:
         """State before anything has moved."""
@@ -276,7 +276,10 @@ class SwitchedEffect(RuntimeEffect, ABC):
 
     @abstractmethod
     def next_watch(self, sample: int, switching: Switching) -> int:
-        """First sample after `sample` at which `watch` has to be called, whatever is played; a multiple of `GRID`."""
+        """Return the first sample after `sample` at which `watch` has to be called, whatever is played.
+
+        It is a multiple of `GRID`, 64 samples; `switching` is the state of the effect now.
+        """
 
     @abstractmethod
     def watch(self, moment: Moment, switching: Switching) -> Watched | None:
@@ -284,22 +287,40 @@ class SwitchedEffect(RuntimeEffect, ABC):
 
         Called at every point of the control grid at which the engine stops: those of `next_watch`, and wherever a
         string is held otherwise or a gesture begins or ends. The decision must not depend on calls at other points.
+
+        Parameters
+        ----------
+        moment : the system, its motion, and the events at this point.
+        switching : state of the effect now.
         """
 
     @abstractmethod
     def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
-        """Return the system with the effect on these components and off all others; itself if it is so already."""
+        """Return the system with the effect on these components and off all others; itself if it is so already.
+
+        Parameters
+        ----------
+        system : to be changed.
+        on : components.
+        frettings : string -> its stop and how it is held.
+        """
 
     def cost(self, moment: Moment, component: str, on: bool) -> float:
-        """Energy that switching a component on (or off) would add, J. A negative energy is lost, and costs nothing."""
+        """Return the energy that switching a component on (or off) at a `moment` would add, J; below 0 it is lost."""
         return 0.0
 
     def payers(self, component: str) -> Sequence[str]:
-        """Components of the system whose kinetic energy pays for a switch; real modes."""
+        """Return the components of the system whose kinetic energy pays for a switch of `component`; real modes."""
         return ()
 
     def reset(self, system: System, state: State, changed: Collection[str]) -> None:
-        """Clear the memory in the state of components that have just been switched."""
+        """Clear the memory in the state of components that have just been switched, in place.
+
+        Parameters
+        ----------
+        system, state : after the switch.
+        changed : components.
+        """
 
     def load(self, component: str) -> float:
         """Size of the effect on a component, in modes: its cost per sample grows with it."""
@@ -342,7 +363,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         return out
 
     def why(self, usage: EffectUsage, component: str) -> str:
-        """One line: why it will run as it is foreseen."""
+        """Return a line for the plan: why it will run on a `component` as its `usage` foresees."""
         mode = self.model.choice.mode
         if mode != "auto":
             return "always: effects are all" if mode == "all" else "always: it is among those named"
@@ -405,7 +426,7 @@ def motion(system: System, state: State, component: str) -> tuple[Floats, Floats
 
 
 def next_multiple(sample: int, points: int) -> int:
-    """First multiple of so many points of the control grid after a sample."""
+    """Return the first sample after `sample` that is a multiple of so many `points` of the control grid."""
     step = GRID * points
     return sample // step * step + step
 
