@@ -17,6 +17,6 @@ def cache_folder() -> Path | None:
         return None
     base = os.environ.get("XDG_CACHE_HOME", "")
     try:
-        return Path(named) if named else Path(base if base else Path.home() / ".cache") / "tonewood"
+        return Path(named) if named else Path(base or Path.home() / ".cache") / "tonewood"
     except RuntimeError:  # no home folder
         return None

@@ -11,8 +11,8 @@ import pytest
 import tonewood as tw
 import tonewood.authoring as ta
 from pianos import piano
+from system_modes import coupled_modes
 from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.system_modes import coupled_modes
 from tonewood.engine.engine import Engine
 from tonewood.engine.playing import perform
 from tonewood.instrument.assembly import Model

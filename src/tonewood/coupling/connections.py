@@ -377,11 +377,3 @@ def _numbers(law: Law, dt: float) -> tuple[bool, bool, float, float, float]:
         return False, False, 0.0, 0.0, 0.0
     alpha, beta = law.stiffness / 2 + law.damping / dt, law.stiffness / 2 - law.damping / dt
     return False, alpha > 0, *((1 / alpha, beta / alpha) if alpha > 0 else (0.0, 0.0)), law.offset
-
-
-def nonlinear_solve(
-    laws: Sequence[Law], linear: LinearSolve, compliance: Floats, residual: Floats, dt: float
-) -> NonlinearSolve | None:
-    """Eliminate the linear connections for the others; None if there are no others. Shapes as in `linear_solve`."""
-    chosen = NonlinearLaws.of(laws, dt)
-    return NonlinearSolve(NonlinearGaps.of(chosen, compliance, residual), linear) if chosen.laws else None

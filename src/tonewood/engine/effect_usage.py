@@ -61,8 +61,8 @@ class EffectUsage:
 
     def __init__(self, fs: float, loads: Mapping[str, Mapping[str, float]], declared: Mapping[str, float]):
         self.fs, self.loads = fs, loads
-        #: samples, and steps of single modes
-        self.samples, self.mode_samples = 0, 0
+        #: samples stepped
+        self.samples = 0
         self.costs = Costs({name: declared[name] for name in loads})
         #: (effect, component) -> when it ran
         self.spans: dict[tuple[str, str], Spans] = defaultdict(Spans)
@@ -82,7 +82,6 @@ class EffectUsage:
         seconds : of the processor that its steps took.
         """
         self.samples += n
-        self.mode_samples += n * modes
         for name, components in running.items():
             if components:
                 self.running[name] += n

@@ -283,8 +283,7 @@ class Exciter(Plugin[P]):
         if not values:
             return self.parameters
         merged = {**self.parameters.model_dump(by_alias=True), **values}
-        checked = validated(type(self.parameters), merged, key=self.key, file=self.files.manifest)
-        return checked
+        return validated(type(self.parameters), merged, key=self.key, file=self.files.manifest)
 
     def attach(self, name: str, site: Site) -> Attached | None:
         """Return components and connections that it adds to a string: a hammer's mass and felt, a bow's hair.

@@ -146,11 +146,6 @@ class BodyModes:
             self, residual=residual, volumes=self.volumes[:, keep], back_volumes=self.back_volumes[:, keep], **few
         )
 
-    @property
-    def net_volume(self) -> Floats:
-        """(n,) m^3 displaced outwards by top and hole together."""
-        return np.asarray(self.volumes.sum(axis=0))
-
     def named(self) -> dict[str, int]:
         """Numbers of the modes that are called A0 and T1.
 

@@ -187,7 +187,7 @@ def test_a_struck_body_does_not_ring_at_nyquist() -> None:
 
 def test_seats_do_not_detune(make: Make) -> None:
     """The seat's compliance lengthens the string by T R: well under 0.02 cent, alike for every partial."""
-    from tonewood.coupling.system_modes import coupled_modes
+    from system_modes import coupled_modes
 
     freqs = []
     for compliance in (0.0, 2e-8):

@@ -7,7 +7,6 @@ still is from its limit is shown by the same at half that rate.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -130,11 +129,3 @@ class FineMotion:
         state = stepper.start()
         state.modes[:] = self.flat.state_of(self.start, system)
         return stepper.run(state, n + 1)[0]
-
-
-def reference_of(flat: Flat, start: Floats, *, largest: int = 400) -> Motion:
-    """Exact where an eigenvalue solver can do it in seconds, fine otherwise."""
-    return ExactMotion.of(flat, start) if flat.n_modes <= largest else FineMotion(flat, start)
-
-
-Reference = Callable[[], Motion]
