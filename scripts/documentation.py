@@ -183,7 +183,7 @@ How do I call tonewood, and read its answers in a script?
 
 Every report under `--json` begins with the same two keys: `{"schema": "tonewood-render/1", "ok": true, ...}`. `ok` is
 whether the exit code is 0; numbers that are not finite are null. An error stands there, too, beside its one line on
-standard error, with null for what does not apply:
+standard error, with null for keys that do not apply:
 
 ```json
 {"schema": "tonewood-error/1", "ok": false, "error": {"kind": "BundleError", "file": "m/instrument.yaml",

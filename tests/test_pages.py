@@ -38,7 +38,7 @@ PAGES = sorted(
 NAMES = [p.relative_to(ROOT).as_posix() for p in PAGES]
 _MARKER = r"(?:^<!-- (not run|run in part|run in full|file): (.+?) -->\n)?"
 _BLOCK = re.compile(_MARKER + r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-#: what makes a command quick
+#: options that make a command quick
 SHORT = {
     "render": ["--max-duration", "0.1"],
     "batch": ["--dry-run"],

@@ -154,7 +154,7 @@ def test_a_score_has_nothing_to_record(tonewood: Run, duo: Path) -> None:
 
 
 def test_strings_of_one_instrument_as_stems(tonewood: Run, duo: Path, tmp_path: Path) -> None:
-    """Their files add up to the mix, at its gain and length; what cannot be split is refused."""
+    """Their files add up to the mix, at its gain and length; a mix that cannot be split is refused."""
     words = ("render", duo, "-i", "classical_guitar", "--fs", 16000, "-o", tmp_path / "mix.wav", "--max-duration", 0.3)
     more = ("--effects", "none", "--stems", tmp_path / "stems", "--stems-by", "string")
     code, out, _ = tonewood(*words, *more)

@@ -1,4 +1,4 @@
-"""Forces of gestures by their integrals and ends; what pickups ask to be read."""
+"""Forces of gestures by their integrals and ends; readouts of pickups."""
 
 from __future__ import annotations
 

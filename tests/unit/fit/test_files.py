@@ -1,4 +1,4 @@
-"""Files of measurements: every kind says the same, and what is wrong with one is reported in one line."""
+"""Files of measurements: every kind says the same, and a fault of one is reported in one line."""
 
 from __future__ import annotations
 

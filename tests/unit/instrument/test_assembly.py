@@ -115,7 +115,7 @@ def test_room_for_every_stop(model: Model) -> None:
 
 
 def test_power_passes_the_bridge_whole(model: Model) -> None:
-    """Undamped parts, any tilt: what leaves the strings enters the body, to rounding."""
+    """Undamped parts, any tilt: the energy that leaves the strings enters the body, to rounding."""
     instrument = model.instrument.replace(
         {"strings.*.loss": {"law": "sigma", "sigma0": 0.0}, "strings.*.end_compliance": 1e-7}
     )

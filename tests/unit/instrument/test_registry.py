@@ -17,7 +17,7 @@ from tonewood.instrument import registry
 
 @pytest.fixture
 def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A distribution that announces what its entry_points.txt says."""
+    """A distribution that announces the lines of its entry_points.txt."""
     (tmp_path / "foreign-1.0.dist-info").mkdir()
     (tmp_path / "foreign-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: foreign\nVersion: 1.0\n")
     monkeypatch.syspath_prepend(str(tmp_path))

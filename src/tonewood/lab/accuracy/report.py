@@ -144,7 +144,7 @@ class Study:
 
 
 _PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>What accuracy costs in time</title><style>
+<html lang="en"><head><meta charset="utf-8"><title>Accuracy and its cost in time</title><style>
 body {{ font: 15px/1.5 sans-serif; max-width: 100em; margin: 2em auto; padding: 0 1em }}
 table {{ border-collapse: collapse; font-size: 12px; margin: 1em 0; display: block; overflow-x: auto }}
 td, th {{ border: 1px solid #ccc; padding: 2px 6px; text-align: right }}
