@@ -191,7 +191,7 @@ class LinearLaws:
         return cls(off, off, none, none, none).changed(dict(enumerate(laws)), dt)
 
     def changed(self, laws: Mapping[int, Law], dt: float) -> LinearLaws:
-        """These laws with others at some places; itself if their numbers are the same (other nonlinear laws)."""
+        """Return these laws with others at some places; itself if their numbers are the same (other nonlinear laws)."""
         numbers = {j: _numbers(law, dt) for j, law in laws.items()}
         if all(self._at(j) == now for j, now in numbers.items()):
             return self
@@ -259,7 +259,7 @@ class NonlinearLaws:
         return np.array([isinstance(law, Contact) for law in self.laws], dtype=bool)
 
     def changed(self, laws: Mapping[int, Law], dt: float) -> NonlinearLaws:
-        """These laws with others at some places; itself if no nonlinear law is concerned."""
+        """Return these laws with others at some places; itself if no nonlinear law is concerned."""
         known = dict(zip(self.index.tolist(), self.laws, strict=True))
         if not any(j in known or not isinstance(law, (Rigid, SpringDashpot)) for j, law in laws.items()):
             return self
@@ -323,7 +323,7 @@ class NonlinearSolve:
 
     @property
     def theta(self) -> float:
-        """Of R in series."""
+        """Weight of the step's end in the law of R in series."""
         return self.gaps.laws.theta
 
     @property

@@ -77,7 +77,7 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Of m connections between named components.
+    """Places of m connections between named components.
 
     Attributes
     ----------

@@ -145,7 +145,7 @@ class System:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the components."""
+        """Names of the components."""
         return self.layout.names
 
     @property
@@ -286,7 +286,7 @@ class System:
 
     @property
     def geometric(self) -> tuple[GeometricStretch, ...]:
-        """Those that are on of the strings whose longitudinal motion is coupled to the transverse one."""
+        """Strings whose longitudinal motion is coupled to the transverse one, and on."""
         return () if self.tensions else tuple(s for s, on in zip(self.stretches, self.is_on, strict=True) if on)
 
     @property

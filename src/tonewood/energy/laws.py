@@ -26,7 +26,7 @@ _LOSSES = ("loss", "damping", "quadratic_damping")
 
 @dataclass(eq=False)
 class Flows:
-    """Of each connection that has any: energy stored at both ends of the steps, lost and supplied in each, J.
+    """Energy of connections, J: stored at both ends of the steps, lost and supplied in each; by those that have any.
 
     Attributes
     ----------

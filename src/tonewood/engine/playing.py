@@ -275,7 +275,7 @@ def _left_hand(
 
 
 def _glided(line: Sequence[Control], tick: float) -> list[Control]:
-    """The same bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate."""
+    """Return the bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate."""
     out: list[Control] = []
     value, step = 0.0, BEND_RATE * tick
     for i, control in enumerate(line):

@@ -60,7 +60,7 @@ class Fit:
 
     @cached_property
     def without_db(self) -> list[float]:
-        """Of each mode: dB by which the mobility at the driving points changes at most if it is dropped."""
+        """Return for each mode the largest change, dB, of the mobility at the driving points if it is dropped."""
         r, body = self.responses, self.body
         s, driving = r.alpha + 2j * np.pi * r.freq, list(r.driving)
         out = []

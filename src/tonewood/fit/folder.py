@@ -25,7 +25,7 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True)
 class MeasuredPoint:
-    """Where a point is.
+    """Place of a point.
 
     Attributes
     ----------

@@ -56,11 +56,11 @@ class Poles:
         return Poles(self.log_freq[which], self.log_zeta[which])
 
     def sorted(self) -> Poles:
-        """The same, by frequency."""
+        """Return the poles sorted by frequency."""
         return self[np.argsort(self.log_freq)]
 
     def joined(self, other: Poles) -> Poles:
-        """These and others, sorted."""
+        """Return these poles and others, sorted by frequency."""
         return Poles(np.append(self.log_freq, other.log_freq), np.append(self.log_zeta, other.log_zeta)).sorted()
 
     def without(self, which: Sequence[int]) -> Poles:
@@ -68,7 +68,7 @@ class Poles:
         return Poles(np.delete(self.log_freq, which), np.delete(self.log_zeta, which))
 
     def damped_beyond(self, low: float, high: float) -> Poles:
-        """These, of which none beyond a band (Hz) rings longer, in periods, than any in it.
+        """Return the poles with those beyond a band (Hz) damped so that none rings for more periods than any in it.
 
         Poles beyond the band stand for the modes there. Data of the band tell next to nothing of their damping, and a
         body that is played would ring with it.

@@ -106,7 +106,7 @@ class Responses:
         )
 
     def renamed(self, names: Mapping[str, str]) -> Responses:
-        """The same with other names of points and microphones, old -> new.
+        """Return these responses with other names of points and microphones, old -> new.
 
         Raises
         ------
@@ -129,7 +129,7 @@ class Responses:
         return replace(self, pairs=pairs, pressure=pressure)
 
     def checked(self) -> Responses:
-        """These, if a passive body can have them.
+        """Return these responses if a passive body can have them.
 
         Raises
         ------

@@ -50,17 +50,17 @@ class Pitch:
 
     @property
     def freq(self) -> float:
-        """Of the string-dominated mode, Hz."""
+        """Frequency of the string-dominated mode, Hz."""
         return self.modes[0].freq
 
     @property
     def error_cents(self) -> float:
-        """Of the string-dominated mode against the note."""
+        """Cents of the string-dominated mode above the note."""
         return cents(self.freq / self.wanted_freq)
 
     @property
     def t60(self) -> float:
-        """Of the string-dominated mode, s."""
+        """T60 of the string-dominated mode, s."""
         return t60(-self.modes[0].pole.real)
 
 

@@ -180,7 +180,7 @@ class StringPart(PluginPart):
 
     @property
     def ends(self) -> tuple[str, ...]:
-        """Its ends, ``body.POINT`` each."""
+        """Points of the body that the string ends on, ``body.POINT`` each."""
         return (self.end,) if isinstance(self.end, str) else tuple(self.end)
 
     @property

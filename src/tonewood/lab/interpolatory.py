@@ -61,7 +61,7 @@ class Update:
 
     @property
     def order_uneven(self) -> int:
-        """The same where sample times are uneven."""
+        """Stated order in h with uneven nodes."""
         return self.order if self.within else self.degree + 1
 
     @property

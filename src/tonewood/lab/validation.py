@@ -61,7 +61,7 @@ def run(only: Sequence[str] | None = None) -> list[Row]:
 
 
 def run_each(only: Sequence[str] | None = None) -> Iterator[tuple[str, list[Row]]]:
-    """The same, system by system, as each is done."""
+    """Yield the rows system by system, as each is done."""
     for name in selected(only):
         yield name, list(_module(name).rows())
 

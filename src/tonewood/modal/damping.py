@@ -82,7 +82,7 @@ def damping_groups(basis: ModalBasis, threshold: float = 0.2) -> list[NDArray[np
 
 
 def with_damping_case(basis: ModalBasis, case: str, threshold: float = 0.2) -> ModalBasis:
-    """The same body under another damping case.
+    """Return the body under another damping case.
 
     Parameters
     ----------

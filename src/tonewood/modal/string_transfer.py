@@ -92,7 +92,7 @@ def _displaced(old: ModalBasis, new: ModalBasis, sines: _Sines, c: Floats) -> Fl
 
 
 def _moving(old: ModalBasis, new: ModalBasis, sines: _Sines, c: Floats) -> Floats:
-    """The same for velocities."""
+    """Coefficients (ramp, sines) on the new string of velocities c (1 + n_sines, n) of the old one."""
     L, L_new, k_new = _number(old, "length"), _number(new, "length"), sines.a[:, None]
     if L_new <= L:
         # the old ramp less the new one: (1/L' - 1/L) x, by its sine coefficients
@@ -158,7 +158,7 @@ class _Sines:
 
     @classmethod
     def between(cls, n: int, L: float, n_new: int, L_new: float) -> _Sines:
-        """Of n sines on the length L (m) with n_new ones on L_new."""
+        """Make the products of n sines on the length L (m) with n_new ones on L_new."""
         a, b, length = _wavenumbers(n_new, L_new), _wavenumbers(n, L), min(L, L_new)
         nearest = np.clip(np.rint(a * L / np.pi).astype(np.intp) - 1, 0, max(len(b) - 1, 0))
         i = np.flatnonzero(np.abs(a - b[nearest]) * length < 1e-3) if len(b) else np.zeros(0, dtype=np.intp)
@@ -175,7 +175,7 @@ class _Sines:
         return self._with_close(out, c, -1.0)
 
     def cosine(self, c: Floats) -> Floats:
-        """The same with cosines."""
+        """Sums over cosines of the old wavenumbers b with coefficients c (n_b, n)."""
         a, b = self.a[:, None], self.b[:, None]
         (sa, ca), (sb, cb) = self._ends
         out = a * sa * (self.inverse @ (cb * c)) - ca * (self.inverse @ (b * sb * c))
@@ -189,7 +189,7 @@ class _Sines:
 
     @cached_property
     def _close_sinc(self) -> tuple[Floats, Floats]:
-        """Of pairs of nearly one wavenumber: sinc of their difference and of their sum."""
+        """Sinc of the difference and of the sum of pairs of nearly one wavenumber."""
         i, j = self.close
         difference, total = ((f(self.a[i], self.b[j])) * self.length / np.pi for f in (np.subtract, np.add))
         return np.sinc(difference), np.sinc(total)

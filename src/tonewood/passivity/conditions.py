@@ -371,7 +371,7 @@ def _solve_blocks(poles: Complexes, shift: float, rhs: Floats, n: int) -> Floats
 
 
 def _crossing(excess: Callable[[Floats], Floats], outside: float, inside: float) -> float:
-    """Where the excess changes its sign between two points of known sign."""
+    """Return the point at which the excess changes its sign between two points of known sign."""
     from scipy.optimize import brentq
 
     low, high = min(outside, inside), max(outside, inside)

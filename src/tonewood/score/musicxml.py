@@ -65,7 +65,7 @@ def _name(element: Element) -> str:
 
 
 def _partwise(root: Element) -> Element:
-    """The same score, part by part."""
+    """Return the score part by part."""
     out = Element("score-partwise")
     out.extend(e for e in root if e.tag != "measure")
     parts: dict[str, Element] = {}

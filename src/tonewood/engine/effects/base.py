@@ -217,7 +217,7 @@ class RuntimeEffect:
 
     @property
     def name(self) -> str:
-        """Of the effect."""
+        """Name of the effect."""
         return self.effect.name
 
     @property
@@ -327,7 +327,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         return 0.0
 
     def running(self, run: Run) -> Collection[str]:
-        """Where it is on."""
+        """Components on which it is on."""
         return run.switchings[self.name].on
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:

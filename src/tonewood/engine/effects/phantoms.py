@@ -49,7 +49,7 @@ class PartialSlopes:
 
     @classmethod
     def of(cls, compiled: Compiled, held: HeldModes) -> PartialSlopes:
-        """Of a transverse component and its modes with the bridge held."""
+        """Make them of a transverse component and its modes with the bridge held."""
         part, n = compiled.geometric, held.n_modes
         if part is None:
             raise ValueError("the component is no part of a string with longitudinal motion")
@@ -87,7 +87,7 @@ class Phantoms:
     def of(
         cls, law: GeometricStretch, compiled: Mapping[str, Compiled], tension: float, response: BridgeResponse
     ) -> Phantoms:
-        """Of a string under a tension (N).
+        """Make them of a string under a tension (N).
 
         Parameters
         ----------

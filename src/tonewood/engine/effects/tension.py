@@ -78,7 +78,7 @@ class Forms:
 
     @classmethod
     def of(cls, compiled: Compiled) -> Forms:
-        """Of real modes."""
+        """Make them of a component of real modes."""
         basis = compiled.basis
         one, none = np.ones(basis.n_modes), np.zeros(basis.n_modes)
         (qx, vx), (qy, vy) = (to_motion(basis, np.stack(unit)) for unit in ((one, none), (none, one)))

@@ -29,7 +29,7 @@ class SecondPolarizationEffect(RuntimeEffect):
         return tuple(name for name in self.plugins if len(self.model.instrument.polarizations(name)) > 1)
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
-        """Its declared cost is saved where it is left out."""
+        """Report the effect; its declared cost is saved where it is left out."""
         reports = super().report(usage)
         if self.chosen:
             return reports

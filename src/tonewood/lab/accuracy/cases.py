@@ -94,7 +94,7 @@ def real_modes_of(problem: Problem) -> Problem:
 
 
 def undamped(problem: Problem) -> Problem:
-    """The same real modes without damping."""
+    """Return the problem with its real modes undamped."""
     parts = {}
     for name, basis in problem.components.items():
         if not basis.is_real:

@@ -47,7 +47,7 @@ class Flat:
 
     @property
     def n_modes(self) -> int:
-        """Of all components."""
+        """Number of modes of all components."""
         return sum(basis.n_modes for basis in self.problem.components.values())
 
     @cached_property

@@ -41,7 +41,7 @@ class PoleErrors:
 
 
 def pole_errors(found: Complexes, true: Complexes, numbers: NDArray[np.intp] | None = None) -> PoleErrors:
-    """Of poles against the true ones; a partial farther off than half its distance to the next (nan too) is lost.
+    """Compare poles with the true ones; a partial farther off than half its distance to the next (nan too) is lost.
 
     Parameters
     ----------

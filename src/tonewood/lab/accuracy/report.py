@@ -156,7 +156,7 @@ td:first-child, th:first-child {{ text-align: left }} img {{ max-width: 100% }}
 
 
 def _html(text: str) -> str:
-    """Of headings, paragraphs, lists, tables and pictures as they occur here."""
+    """Return headings, paragraphs, lists, tables and pictures, as they occur here, as HTML."""
     out = []
     for block in text.strip().split("\n\n"):
         lines = block.splitlines()

@@ -92,7 +92,7 @@ class StabilityGrid:
     attacks: Sequence[Attack] = ()
 
     def verdicts(self, method: str) -> list[str]:
-        """Of one method."""
+        """Verdicts of one method."""
         return [cell.verdict for cell in self.cells if cell.method == method]
 
     def table(self) -> str:

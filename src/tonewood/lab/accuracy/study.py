@@ -133,7 +133,7 @@ class Subject:
         return real_modes_of(problem) if self.real else problem
 
     def flat(self, freq_upper: float = FREQ_UPPER) -> Flat:
-        """The same, made once."""
+        """Return the problem as flat arrays, made once for each limit (Hz)."""
         if freq_upper not in self._flats:
             self._flats[freq_upper] = Flat(self.problem(freq_upper))
         return self._flats[freq_upper]
@@ -175,7 +175,7 @@ class Subject:
         return ExactMotion.of(fine, self.start(fine), FREQ_UPPER)
 
     def displacement(self, fs: float, n: int) -> Floats:
-        """Of the true motion, see `reference.Motion`; made once for each rate."""
+        """Return the true motion, see `reference.Motion`; made once for each rate."""
         if (fs, n) not in self._displacements:
             self._displacements[fs, n] = self.motion.displacement(fs, n)
         return self._displacements[fs, n]

@@ -56,7 +56,7 @@ class Worst:
 
     @classmethod
     def of(cls, errors: Sequence[PartialErrors]) -> Worst:
-        """Of several notes."""
+        """Return the worst errors of several notes."""
         waves = [e.waveform for e in errors]
         return cls(
             max(e.cents_worst for e in errors),
@@ -397,7 +397,7 @@ class _Search:
         return self._made(setting, strokes, self._held_against(strokes))
 
     def _timed(self, tried: Sequence[Tried]) -> list[Tried]:
-        """The same from cheap to dear, timed on the first note, all in turn."""
+        """Return the settings from cheap to dear, timed on the first note, all in turn."""
         tasks = []
         for t in tried:
             renderer = self.cases[0].renderer(t.setting.options)

@@ -99,7 +99,7 @@ class Problem:
         return out
 
     def system(self, dt: float) -> System:
-        """The same problem for the project's own stepper."""
+        """Return the problem for the project's own stepper."""
         readouts = [
             Readout(f"{i}", "displacement", (Probe(t.component, t.point, t.factor),))
             for i, t in enumerate(self.outputs)

@@ -48,7 +48,7 @@ def exact_string() -> ExactString:
 
 
 def string(freq_upper: float | None = None, n_modes: int | None = None) -> ModalBasis:
-    """Its modes, with the point ``pluck``."""
+    """Return the string's modes, with the point ``pluck``."""
     s = exact_string()
     basis = string_basis(
         s.length,

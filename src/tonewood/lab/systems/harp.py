@@ -47,7 +47,7 @@ def exact_string() -> ExactString:
 
 
 def string(n_modes: int) -> ModalBasis:
-    """Its modes, with the point ``pluck``."""
+    """Return the string's modes, with the point ``pluck``."""
     s = exact_string()
     basis = string_basis(
         s.length,

@@ -81,7 +81,7 @@ def coupled_frequencies(form: str, n_modes: int, count: int) -> Floats:
 
 
 def exact_frequencies(count: int) -> Floats:
-    """The same from the closed form: midspan receptance of the beam times dynamic stiffness of the chain = -1."""
+    """Return the frequencies where midspan receptance of the beam times dynamic stiffness of the chain is -1."""
     from scipy.optimize import brentq
 
     def stiffness(w: float) -> float:
@@ -176,7 +176,7 @@ def _printed_modes() -> Iterator[Row]:
 
 
 def _motions() -> Iterator[Row]:
-    """Both forms of every problem, with forces on the main structure and on the substructure (Appendix A)."""
+    """Yield rows for both forms of every problem, with forces on both structures (Appendix A)."""
     for problem in problems():
         linear = problem.mounting is None
         system = f"klosner {problem.name}"

@@ -137,12 +137,12 @@ def problem_d(mounting: Mounting | None = None, elements: int = 4) -> Problem:
 
 
 def problems() -> tuple[Problem, ...]:
-    """All four."""
+    """Return problems A to D."""
     return problem_a(), problem_b(), problem_c(), problem_d()
 
 
 def loaded(problem: Problem) -> Problem:
-    """The same, with forces on the substructure as well: on its foot and inside it (Appendix A)."""
+    """Return the problem with forces on the substructure as well: on its foot and inside it (Appendix A)."""
     n = len(problem.sub_mass)
     return replace(problem, sub_direction=np.linspace(0.6, 1.0, n), sub_load=triangle(1.5, 0.11, 0.06))
 
