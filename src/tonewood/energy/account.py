@@ -60,7 +60,7 @@ class EnergyAccount:
     system, state : where the account begins.
     interval : steps to one entry, counted from the beginning of each run that is followed.
     storages : storage functions of components whose modes are not real, for the points that connections and
-        `driven_points` act on, ports first; by default found with `passivity_storage.storage_matrix`.
+        `driven_points` act on, ports first; by default found with `passivity.storage.storage_matrix`.
     driven_points : component -> further points that known forces may act on; real modes need none named.
     """
 
