@@ -138,10 +138,6 @@ class Instrument(ModalViews):
         granted : other files that may be read.
         allow_code : as for `load`.
 
-        Returns
-        -------
-        The instrument.
-
         Raises
         ------
         BundleError, PluginError : one line with file, key and reason.

@@ -223,7 +223,7 @@ def volume_factors(score: Score) -> list[float]:
 
     Returns
     -------
-    factors : one per note of `score.notes`, in their order.
+    factors : one per note of the score, in its order.
 
     Source: General MIDI 2 (MIDI Manufacturers Association 1999), page 8: "Gain in dB = 40 log10(cc7/127) +
     40 log10(cc11/127)".
