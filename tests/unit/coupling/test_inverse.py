@@ -64,9 +64,7 @@ def test_a_hub_much_softer_than_the_parts_is_left_to_the_dense_inverse(rng):
     assert InverseInParts.of(3, sparse(1e-6 * np.eye(3)), hub) is None
 
 
-def strings_on_a_body(
-    rng, n=30, *, points=9, motions=4, residual=2e-8, dashpots=True, held=True, laws=False, rising=0
-):
+def strings_on_a_body(rng, n=30, *, points=9, motions=4, residual=2e-8, dashpots=True, held=True, laws=False, rising=0):
     """n strings of a body's points that move by fewer motions; a held one touches nothing, some have dashpots.
 
     The tension of the first ones rises by a few per cent at 1e-6 in each coordinate.
