@@ -183,6 +183,7 @@ def main() -> None:
         ("below 1 kHz", below(1000.0), damped),
         ("below 3 kHz", below(3000.0), damped),
         ("below 6 kHz", below(6000.0), damped),
+        ("below 9 kHz", below(9000.0), damped),
         ("one for three", one_for_three, damped),
         ("one for three, below 3 kHz", both(3000.0), damped),
     ]

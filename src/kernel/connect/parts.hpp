@@ -59,9 +59,10 @@ public:
         multiply<0>(p_.gaps, before_.data(), old_.data());
         for (int j = 0; j < p_.gaps.width; ++j) gap_[j] += p_.gamma[j] * old_[j];
         std::copy(l_.constant.begin(), l_.constant.end(), f);
+        for (int i = 0; i < p_.r; ++i) rest_[i] = before_[p_.rows[i]], u_[i] = now_[p_.rows[i]] + p_.hub_gamma * rest_[i];
+        multiply<1>(p_.old, rest_.data(), gap_.data());
         multiply<-1>(p_.blocks, gap_.data(), f);
         if (p_.r) {
-            for (int i = 0; i < p_.r; ++i) u_[i] = now_[p_.rows[i]] + p_.hub_gamma * before_[p_.rows[i]];
             load(gap_.data());
             stiffen(u_.data(), q_.data());
             join();
