@@ -19,7 +19,6 @@ public:
           y_(2 * layout_.port_rows.size()), alone_(layout_.f_width) {
         laws_.tensions = &tensions_;
         if (laws_.parts.on()) tensions_.parts = &laws_.parts;
-        tensions_.loads = [this](int i) { return laws_.loads(i, sample_); };
     }
 
     void begin_block() override {
@@ -29,11 +28,10 @@ public:
     void finish_block() override { tensions_.finish_block(); }
 
     bool sample(int b, double* now, double* f_out) override {
-        sample_ = b;
         tensions_.begin_sample(b);
         without_tensions(b, now);
         if (linear_laws_.on() && with_linear_laws(b, now, f_out)) {
-            tensions_.finish_sample(now);
+            finish(b, now);
             return true;
         }
         tensions_.couple(now);
@@ -42,7 +40,7 @@ public:
             if (!laws_.forces(b, block_.f.data(), now)) return false;
             if (laws_.commit(b)) {
                 std::copy_n(block_.f.begin(), m_, f_out);
-                tensions_.finish_sample(now);
+                finish(b, now);
                 return true;
             }
             without_tensions(b, now);  // no law acts: the same forces as without laws
@@ -59,11 +57,15 @@ public:
         } else {
             own_forces(layout_, now, m_, f_out);
         }
-        tensions_.finish_sample(now);
+        finish(b, now);
         return true;
     }
 
 private:
+    void finish(int b, const double* now) {
+        tensions_.finish_sample(now, [&](int i) { return laws_.loads(i, b); });
+    }
+
     static std::unique_ptr<RisingTensions> make(Block& block) {
         if (block.model.tensions.stretches.empty()) return std::make_unique<ModulatedTensions>(block);
         return std::make_unique<StretchedStrings>(block);
@@ -117,7 +119,6 @@ private:
     DirectForces direct_;
     LinearLawForces linear_laws_;
     Array<double> answering_;  // (force_width): forces of the linear connections and laws without these strings
-    int sample_ = 0;
     Array<double> y_;      // port displacements before the step, then free ones after it
     Array<double> alone_;  // (f_width): forces of linear connections in parts without these strings
 };
