@@ -10,6 +10,7 @@
 #include "../modal/block.hpp"
 #include "../modal/tension_pass.hpp"
 #include "dense.hpp"
+#include "parts.hpp"
 
 namespace tonewood {
 namespace {
@@ -31,6 +32,8 @@ public:
         for (std::size_t i = 0; i < states_.size(); ++i) part_of_[states_[i].part->component] = int(i);
     }
     virtual ~RisingTensions() = default;
+
+    ForcesInParts* parts = nullptr;  // of the linear connections, where they are solved in parts
 
     int n_strings() const { return int(t_.strings.size()); }
     int string_of(int component) const { return states_[part_of_[component]].part->string; }
@@ -92,13 +95,17 @@ public:
         solve_columns(ws_.matrix.data(), ws_.over.data(), n_strings(), b, width);
     }
 
-    // Adds the answer of the linear connections to psi_m: port forces `now`, or the connections' own forces f.
+    // Adds the answer of the linear connections to psi_m: port forces `now` (not in parts), or the connections' own forces f.
     void add_to_ports(double* now) { add(t_.onto_forces.data(), layout_.force_width, now); }
-    void add_to_linear(double* f) { add(t_.onto_linear.data(), layout_.f_width, f); }
+    void add_to_linear(double* f) {
+        if (!parts) return add(t_.onto_linear.data(), layout_.f_width, f);
+        for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.y[t_.ports[p].place] = moved(p);
+        parts->subtract_answer(ws_.y.data(), f);
+    }
 
     // Adds what displacements -psi_m C of the ports move, by a matrix (ports, width).
     void add(const double* matrix, int width, double* to) {
-        for (std::size_t p = 0; p < t_.ports.size(); ++p) moved_[p] = -ws_.mean[t_.ports[p].string] * ws_.reach[p];
+        for (std::size_t p = 0; p < t_.ports.size(); ++p) moved_[p] = moved(p);
         add_product(matrix, width, moved_.data(), int(t_.ports.size()), to);
     }
 
@@ -175,6 +182,7 @@ protected:
     // Writes a string's row of the state; its modes are there.
     virtual void keep(int s, bool resets) = 0;
 
+    double moved(std::size_t p) const { return -ws_.mean[t_.ports[p].string] * ws_.reach[p]; }
     double* row(int s) const { return block_.job.tension + 4 * t_.strings[s].index; }
 
     // Scales the velocities of modes of a string: use(component, n modes) of each part; returns what was paid of the cost.

@@ -145,9 +145,7 @@ class Elimination:
 
     def _solved(self) -> LinearSolve:
         if (by := self.gap.in_parts(self.linear)) is not None:
-            solve = self.linear.solved(by, self.gap.diagonal("compliance"), self.gap.diagonal("residual"))
-            if by.hub is None or np.ptp(solve.gamma[solve.on[by.hub.point >= 0]]) == 0.0:
-                return solve
+            return self.linear.solved(by, self.gap.diagonal("compliance"), self.gap.diagonal("residual"))
         return self.linear.solve(self.gap.compliance, self.gap.residual)
 
     @cached_property
