@@ -3,7 +3,7 @@
 // Such a string acts along a direction g that is known before the forces are, by -psi_m g, and psi_m answers to the
 // motion along g as a linear connection does. So every sample is linear in psi_m, one unknown for each string:
 //     M psi_m = psi + g . (y_free - y) / 2 + C f / 2,      M = I + G / 2 + C K C^T / 2 >= I,
-// G = g . w g the string's own motion along g, C what psi_m moves the ports by, f the forces of the linear connections
+// G = g . w g the string's own motion along g, C the ports' motion per psi_m, f the forces of the linear connections
 // without these strings, K those forces per displacement of the ports.
 #pragma once
 
@@ -44,7 +44,7 @@ public:
         from_state_ = false;
     }
 
-    // Sums what sample b needs of all strings, and writes the displacements of their ports now and free of forces.
+    // Forms the sums that sample b needs of all strings, and writes the displacements of their ports now and free of forces.
     void begin_sample(int b) {
         sample_ = b;
         begin_step();
@@ -103,7 +103,7 @@ public:
         parts->subtract_answer(ws_.y.data(), f);
     }
 
-    // Adds what displacements -psi_m C of the ports move, by a matrix (ports, width).
+    // Adds the product of a matrix (ports, width) and the displacements -psi_m C of the ports.
     void add(const double* matrix, int width, double* to) {
         for (std::size_t p = 0; p < t_.ports.size(); ++p) moved_[p] = moved(p);
         add_product(matrix, width, moved_.data(), int(t_.ports.size()), to);
@@ -185,7 +185,8 @@ protected:
     double moved(std::size_t p) const { return -ws_.mean[t_.ports[p].string] * ws_.reach[p]; }
     double* row(int s) const { return block_.job.tension + 4 * t_.strings[s].index; }
 
-    // Scales the velocities of modes of a string: use(component, n modes) of each part; returns what was paid of the cost.
+    // Scales the velocities of modes of a string: use(component, n modes) of each part; returns the part of the cost that
+    // was paid.
     template <class Each>
     double pay_from_motion(const Each& each, double cost) {
         const auto velocities = [&](const auto& use) {
