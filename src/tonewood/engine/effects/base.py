@@ -260,7 +260,13 @@ class SwitchedEffect(RuntimeEffect, ABC):
     """An effect that is switched on and off, component by component, while the engine steps.
 
     With effects ``auto`` it begins off everywhere and is watched; otherwise it runs all the time.
+
+    Attributes
+    ----------
+    share : of the additive budget; the switched effects of a model have equal ones.
     """
+
+    share = 1.0
 
     @property
     def watched(self) -> bool:

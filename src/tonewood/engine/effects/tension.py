@@ -14,11 +14,11 @@ potential of a coupling to the longitudinal motion may be negative; then leaving
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import accumulate, zip_longest
 from typing import Any, cast
 
 import numpy as np
@@ -45,7 +45,7 @@ Floats = NDArray[np.float64]
 
 #: points of the control grid between two looks at energies while some tensions rise and others do not, and between
 #: two looks at all bounds, after which tensions may be left out
-LOOK, SELDOM = 16, 64
+LOOK, SELDOM = 32, 64
 #: s, shortest time for which a rise is left out: two switches and the bounds before them cost some 5 ms, a rise saves
 #: some 20 ms/s (a steel guitar's string at 48 kHz)
 SHORTEST = 0.3
@@ -56,8 +56,8 @@ WORTH = 0.1
 _LONGEST_UNWATCHED = 0.5
 #: share of the budget below which a rise is left out; above the whole of it, it comes back
 _LEAVE = 0.9
-#: share of the additive budget that sidebands may take; the rest is left to other effects that are left out
-_SHARE = 0.5
+#: share of the budget below which the sidebands of a string's energy at worst are not asked for more closely
+_FAINT = 0.01
 #: a string held aside stretches by 2 E / T, twice as much as one that vibrates, and 1.5 of that are in the bound
 _DRAWN = 4 / 3
 #: strings as they are held whose sidebands and phantom partials are kept
@@ -97,8 +97,6 @@ class TensionEffect(SwitchedEffect):
         super().__init__(model, effect, plugins)
         system = model.system
         self.budget = model.choice.budget_cents
-        #: what may be missing at the outputs, ratio to the loudest sample
-        self.budget_level = 10 ** (model.choice.budget_db / 20) * (1.0 if system.stretches else _SHARE)
         self._laws = {t.name: t for t in system.rising}
         stiff = (name for name in plugins if model.strings[name].resonator.axial_stiffness > 0)
         self._strings = tuple(self._laws) if self.chosen else tuple(stiff)
@@ -125,6 +123,7 @@ class TensionEffect(SwitchedEffect):
         self._formed: list[Compiled | None] = [None] * len(self._slots)
         # the system that they describe, and what its strings rise per joule, cents: `Effect.bound` is proportional
         self._system: System | None = None
+        self._rising: list[tuple[Compiled, ...]] = [()] * len(self.components)
         self._per_joule = np.zeros(len(self.components))
         self._worth = True
 
@@ -209,7 +208,7 @@ class TensionEffect(SwitchedEffect):
         if look or moved:
             others = {name: value for name, value in cents.items() if name not in staying}
             asked = [name for name in others if whole or (name in moved and name not in wanted)]
-            bounds = self.bounds(moment, others, asked)
+            bounds = self.bounds(moment, others, asked, energies)
             unasked = (on | switching.pending) - set(asked)
             wanted = self.wanted(bounds, wanted) | staying | unasked
             until |= {name: self.next_bound(name, moment, bound) for name, bound in bounds.items() if name in wanted}
@@ -275,10 +274,20 @@ class TensionEffect(SwitchedEffect):
                 self._forms[:, start : start + system.capacities[slot]] = 0.0
                 self._forms[:, start : start + n] = forms.xx, forms.xy, forms.yy
                 self._formed[i] = compiled
-        self._per_joule = np.array([self.rise(name, system, 1.0) for name in self.components])
+        for i, name in enumerate(self.components):
+            planes = tuple(system.compiled[slot] for slot in self._planes[name])
+            if any(a is not b for a, b in zip_longest(self._rising[i], planes)):
+                self._rising[i], self._per_joule[i] = planes, self.rise(name, system, 1.0)
         self._system = system
 
-    def bounds(self, moment: Moment, cents: Mapping[str, float], names: Collection[str]) -> dict[str, Bound]:
+    @property
+    def budget_level(self) -> float:
+        """What may be missing at the outputs, ratio to the loudest sample."""
+        return self.share * 10 ** (self.model.choice.budget_db / 20)
+
+    def bounds(
+        self, moment: Moment, cents: Mapping[str, float], names: Collection[str], energies: Floats
+    ) -> dict[str, Bound]:
         """Bound on what leaving out strings' rise would cost: cents, and levels of `names`.
 
         The strings with the least level share the budget: a string's level is the sum of its own and of all lower
@@ -287,6 +296,7 @@ class TensionEffect(SwitchedEffect):
         Parameters
         ----------
         cents : string -> mean rise of its pitch.
+        energies : (n_strings,) J.
         """
         system, state, peak = moment.system, moment.state, np.maximum(moment.peak, _SILENT)
         cents = dict(cents)
@@ -295,15 +305,20 @@ class TensionEffect(SwitchedEffect):
             if cents[name] > self.budget or cents[name] == 0.0:  # beyond the budget, or at rest
                 alone[name] = math.inf if cents[name] else 0.0
                 continue
+            sidebands, longitudinal = self.sidebands(name, system, moment.frettings[name]), name in self.longitudinal
+            most = math.inf if longitudinal else sidebands.most(float(energies[self.components.index(name)]), peak)
+            if most < _FAINT * self.budget_level:
+                alone[name] = most
+                continue
             moving = {c: motion(system, state, c) for c in self._laws[name].components}
-            alone[name] = self.sidebands(name, system, moment.frettings[name]).level(moving, peak)
-            if name in self.longitudinal:
+            alone[name] = sidebands.level(moving, peak)
+            if longitudinal:
                 phantoms = self.phantoms(name, system, moment.frettings[name])
                 slopes = phantoms.slopes(moving)
                 cents[name] += phantoms.cents(slopes)
                 alone[name] += phantoms.level(slopes, peak)
         quietest = sorted(alone, key=lambda name: alone[name])
-        levels = dict(zip(quietest, itertools.accumulate(alone[name] for name in quietest), strict=True))
+        levels = dict(zip(quietest, accumulate(alone[name] for name in quietest), strict=True))
         return {name: Bound(cents[name], levels.get(name, 0.0)) for name in cents}
 
     def sidebands(self, name: str, system: System, fretting: Fretting) -> Sidebands:
