@@ -1,4 +1,4 @@
-"""What slides over buzzing frets cost, as a multiple of the linear engine playing the same notes in the same run.
+"""Cost of slides over buzzing frets, as a multiple of the linear engine playing the same notes in the same run.
 
     python benchmarks/slides.py [--force 50] [--rounds 3]
 

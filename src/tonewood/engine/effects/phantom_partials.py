@@ -58,7 +58,7 @@ class PhantomPartialsEffect(SwitchedEffect):
 
     @property
     def budget(self) -> float:
-        """What may be missing at the outputs, ratio to the loudest sample."""
+        """Ratio to the loudest sample of the sound that may be missing at the outputs."""
         return self.share * 10 ** (self.model.choice.budget_db / 20)
 
     def prepare(self, timeline: Timeline) -> None:

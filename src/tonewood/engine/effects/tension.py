@@ -282,7 +282,7 @@ class TensionEffect(SwitchedEffect):
 
     @property
     def budget_level(self) -> float:
-        """What may be missing at the outputs, ratio to the loudest sample."""
+        """Ratio to the loudest sample of the sound that may be missing at the outputs."""
         return self.share * 10 ** (self.model.choice.budget_db / 20)
 
     def bounds(
