@@ -24,7 +24,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -167,21 +166,6 @@ class Sidebands:
 
     planes: Mapping[str, Plane]
     rise: float
-
-    @cached_property
-    def worst(self) -> Floats:
-        """(R,) largest level of each readout at 1 J, however that is spread over the partials.
-
-        Levels are sums of h s a: amplitudes a have the squares 2 E at most, stretches s add up to `rise` E, and of each
-        partial's h the largest counts (inequality of Cauchy and Schwarz). The click has the force of the softest shape.
-        """
-        squares = sum(np.sum(p.heard.max(axis=2) ** 2, axis=1) + p.above.max(axis=1) ** 2 for p in self.planes.values())
-        clicks = sum(p.stopped**2 * np.sum(p.bridge_force**2 / p.stiffness) for p in self.planes.values())
-        return np.asarray(math.sqrt(2.0) * self.rise * (np.sqrt(squares) + 4 * np.sqrt(clicks)))
-
-    def most(self, energy: float, peak: Floats) -> float:
-        """Upper bound of `level` for any motion of an energy (J)."""
-        return float(np.max(self.worst * energy**1.5 / peak, initial=0.0)) if self.planes else 0.0
 
     @classmethod
     def of(cls, compiled: Mapping[str, Compiled], rise: float, system: System, response: BridgeResponse) -> Sidebands:
