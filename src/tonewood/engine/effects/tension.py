@@ -316,8 +316,8 @@ class TensionEffect(SwitchedEffect):
             else:
                 levels[name] = alone[name] / cube
         quietest = sorted(alone, key=lambda name: alone[name])
-        levels = dict(zip(quietest, accumulate(alone[name] for name in quietest), strict=True))
-        return {name: Bound(cents[name], levels.get(name, 0.0)) for name in cents}
+        summed = dict(zip(quietest, accumulate(alone[name] for name in quietest), strict=True))
+        return {name: Bound(cents[name], summed.get(name, 0.0)) for name in cents}
 
     def sidebands(self, name: str, system: System, fretting: Fretting) -> Sidebands:
         """Sidebands of a string as it is held now."""
