@@ -18,8 +18,7 @@ from tonewood.coupling.phantoms import MEMORY
 PAD, BLOCK, CHANNELS, CAPACITY = _kernel.PADDING, _kernel.BLOCK_SIZE, 2, 4 * _kernel.PADDING
 CONNECTIONS = 2
 SHORTCUTS = (
-    "fused_pass", "direct_step", "block_culling", "group_bound", "fine_bound", "combined_pass", "at_rest",
-    "linear_laws",
+    "fused_pass", "direct_step", "block_culling", "group_bound", "fine_bound", "at_rest", "linear_laws",
 )  # fmt: skip
 Path = tuple[str | int, ...]
 

@@ -158,8 +158,7 @@ NonlinearDescription nonlinear(const Reader& in) {
 
 Shortcuts shortcuts(const Reader& in) {
     return {in.get<bool>("fused_pass"), in.get<bool>("direct_step"), in.get<bool>("block_culling"),
-            in.get<bool>("group_bound"), in.get<bool>("fine_bound"), in.get<bool>("combined_pass"),
-            in.get<bool>("at_rest"), in.get<bool>("linear_laws")};
+            in.get<bool>("group_bound"), in.get<bool>("fine_bound"), in.get<bool>("at_rest"), in.get<bool>("linear_laws")};
 }
 
 void load(Kernel& kernel, nb::handle description) {

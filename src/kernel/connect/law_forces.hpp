@@ -23,11 +23,10 @@ public:
           nl_(block.model.nonlinear), ws_(block.model.contacts), ts_(block.model.tension),
           reach_(block.model.nonlinear.n_contact), statistics_(block.model.statistics), job_(block.job) {
         if (!nl_.k) return;
-        std::copy_n(job_.series, nl_.k, ws_.series.data());
         std::copy_n(job_.slip, nl_.k, ws_.slip.data());
         std::copy_n(job_.last_force, nl_.k, ws_.last_force.data());
         std::fill(ws_.is_active.begin(), ws_.is_active.end(), 0), std::fill(ws_.acted.begin(), ws_.acted.end(), 0);
-        series.begin();
+        series.begin(job_.series);
         ws_.gathered.clear(), ws_.previous.clear(), ws_.active.clear();
         for (int j = 0; j < nl_.k; ++j) {
             ws_.offset[j] = ws_.offset_after[j] = nl_.laws[j].offset;
@@ -41,7 +40,7 @@ public:
     // Writes the state back.
     void finish() {
         if (!nl_.k) return;
-        std::copy_n(ws_.series.data(), nl_.k, job_.series);
+        series.finish(job_.series);
         std::copy_n(ws_.slip.data(), nl_.k, job_.slip);
         std::copy_n(ws_.last_force.data(), nl_.k, job_.last_force);
     }
@@ -105,8 +104,7 @@ public:
             ws_.offset[j] = values[0], ws_.offset_after[j] = values[job_.n];
             ws_.velocity[j] = values[2 * job_.n], ws_.scale[j] = values[3 * job_.n];
         }
-        for (const int j : ws_.active) ws_.is_active[j] = 0;  // of an attempt that was given up
-        ws_.active.clear();
+        give_up();
     }
 
     // Compressions of all candidates; laws other than contacts, and closed contacts, become active.
@@ -132,8 +130,8 @@ public:
         free += dot(nl_.from_linear.data() + std::size_t(j) * solve_.m, ws_.f0.data(), solve_.m);
         if (tensions) free -= moved_by_tensions(j);
         if (nl_.series[j] >= 0) {
-            gap += ws_.series[j];
-            free -= (1 - nl_.theta) / nl_.theta * ws_.series[j];
+            gap += ws_.series[nl_.place[j]];
+            free -= (1 - nl_.theta) / nl_.theta * ws_.series[nl_.place[j]];
         }
         ws_.old_p[j] = ws_.offset[j] - gap, ws_.free_p[j] = ws_.offset_after[j] - free;
         ws_.size[j] = std::max({std::abs(gap), std::abs(free), std::abs(ws_.offset_after[j])});
@@ -205,7 +203,7 @@ public:
     // Makes forces of these laws alone final in sample b, whose port forces are written; false, with nothing made, if a
     // culled contact could touch.
     bool commit_alone(int b, const std::vector<int>& laws, const double* force) {
-        open_sample(b);
+        give_up();
         rows.clear_forces(b);
         for (std::size_t i = 0; i < laws.size(); ++i) {
             const int j = laws[i];
@@ -234,6 +232,12 @@ public:
     Series series;
 
 private:
+    // No law is active yet, whatever was tried.
+    void give_up() {
+        for (const int j : ws_.active) ws_.is_active[j] = 0;
+        ws_.active.clear();
+    }
+
     bool is_contact(int j) const { return nl_.laws[j].kind == Law::contact; }
 
     void activate(int j) {

@@ -47,7 +47,7 @@ public:
     __attribute__((flatten)) void add(int b, double* now) {
         const int n = int(to_.laws.size());
         direct_(to_.forces, block_.line(b), force_.data());
-        for (int i = 0; i < n; ++i) rho_[i] = ws_.series[to_.laws[i]];
+        for (int i = 0; i < n; ++i) rho_[i] = ws_.series[nl_.place[to_.laws[i]]];
         add_product(to_.memory.data(), to_.forces.width, rho_.data(), n, force_.data());
         add_product(to_.loads.data(), layout_.force_width, force_.data(), n, now);
     }

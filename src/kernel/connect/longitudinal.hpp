@@ -40,10 +40,12 @@ public:
     ContactSums contact(int, int) const override { return {0, 0, 0}; }  // and have fixed ports
 
 protected:
-    void make(const Polarization& part) override { stretch_pass<true, false>(*part.c, part.state, made(part), nullptr); }
-    void begin(const Polarization& part, double* to) override { stretch_pass<false, true>(*part.c, part.state, {}, to); }
-    void make_and_begin(const Polarization& part, double* to) override {
-        stretch_pass<true, true>(*part.c, part.state, made(part), to);
+    void sum(const Polarization& part, double* to) override { sum_stretch_step(*part.c, part.state, to); }
+    void make(const Polarization& p) override {
+        const Tensions::Part& at = *p.part;
+        const int within = int(&at - t_.parts.data()) - t_.strings[at.string].first_part;
+        const Array<double>& modal = strings_[at.string].parts[std::size_t(within)].force;
+        make_stretch_step(*p.c, p.state, ws_.forces.data() + at.first_port, modal.data(), modal.size());
     }
 
     void direct() override {
@@ -98,12 +100,6 @@ private:
         double shift = 0, per_mean = 0;                            // C; mean tension per psi_m
         Array<double> squares{}, strain{}, tension{}, stretching{};  // s_n, l_n, forces on e_n and on l_n
     };
-
-    StretchMade made(const Polarization& p) const {
-        const Tensions::Part& at = *p.part;
-        const Part& part = strings_[at.string].parts[std::size_t(&at - t_.parts.data()) - t_.strings[at.string].first_part];
-        return {ws_.forces.data() + at.first_port, part.force.data(), part.force.size()};
-    }
 
     static std::size_t transverse(const String& s) { return s.parts.size() - std::size_t(s.given.longitudinal); }
 

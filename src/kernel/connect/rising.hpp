@@ -7,8 +7,6 @@
 // without these strings, K those forces per displacement of the ports.
 #pragma once
 
-#include <functional>
-
 #include "../modal/block.hpp"
 #include "../modal/tension_pass.hpp"
 #include "dense.hpp"
@@ -20,24 +18,19 @@ constexpr double kPaidAtOnce = 0.25;   // of the kinetic energy, at most, where 
 
 class RisingTensions {
 public:
-    using Loads = std::function<std::vector<std::pair<int, double>>(int component)>;
-
     explicit RisingTensions(Block& block)
         : block_(block), components_(block.model.components), layout_(block.model.layout), t_(block.model.tensions),
           ws_(block.model.tension), scaled_(components_, ws_, block.job) {
         const Nonlinear& nl = block.model.nonlinear;
         for (const Tensions::Part& part : t_.parts) {
             const Component& c = components_[part.component];
-            states_.push_back({&part, &c, scaled_.state(part.component), false, c.n_rows > c.n_ports,
+            states_.push_back({&part, &c, scaled_.state(part.component), c.n_rows > c.n_ports,
                                nl.k && nl.group_of[part.component] >= 0});
         }
-        std::fill(ws_.forces.begin(), ws_.forces.end(), 0.0);
         part_of_.assign(components_.size(), -1);
         for (std::size_t i = 0; i < states_.size(); ++i) part_of_[states_[i].part->component] = int(i);
     }
     virtual ~RisingTensions() = default;
-
-    Loads loads;  // forces on contact ports of a component in the sample
 
     int n_strings() const { return int(t_.strings.size()); }
     int string_of(int component) const { return states_[part_of_[component]].part->string; }
@@ -48,12 +41,11 @@ public:
         from_state_ = false;
     }
 
-    // Passes all strings in sample b: finishes the sample before, writes the displacements of the ports now and free of
-    // forces.
+    // Sums what sample b needs of all strings, and writes the displacements of their ports now and free of forces.
     void begin_sample(int b) {
         sample_ = b;
         begin_step();
-        for (Polarization& part : states_) pass(part);
+        for (const Polarization& part : states_) begin(part);
         for (std::size_t k = 0; k < t_.n_sums; k += Simd::width)
             Simd::store(ws_.sums.data() + k, sums<Simd::width>(ws_.lanes.data() + k * Simd::width));
         for (const Polarization& part : states_) {
@@ -115,33 +107,30 @@ public:
     // Displacements of a contact port now and free of forces, and per psi_m.
     virtual ContactSums contact(int i, int port) const = 0;
 
-    // The means and all port forces of the sample are final.
-    void finish_sample(const double* now) {
+    // The means and all port forces of the sample are final; loads(component): forces on its contact ports.
+    template <class Loads>
+    void finish_sample(const double* now, const Loads& loads) {
         end_step();
         for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.forces[p] = now[t_.ports[p].force];
-        for (Polarization& part : states_) {
-            part.pending = true;
-            const auto& inputs = block_.inputs[part.part->component];
-            const auto loaded = loads(part.part->component);
-            if (inputs.empty() && loaded.empty()) continue;
-            finish(part);
+        for (const Polarization& part : states_) {
+            make(part);
+            scaled_.invalidate(part.part->component);
             const double* const basis = part.c->tension.basis.data();
             const std::size_t n = part.c->n;
-            for (const auto& [port, force] : loaded) {
+            for (const auto& [port, force] : loads(part.part->component)) {
                 const double* row = part.c->contact.rows.data() + 2 * std::size_t(port) * n;
                 each_vector(part, [&](std::size_t k, V& xi, V& v, const double* at) {
                     const V modal = S::load(basis + 3 * n + k) * S::load(row + k) * force;
                     xi += modal, v += (S::load(at + 3 * kPadding) - S::load(at + 2 * kPadding)) * modal;
                 });
             }
-            for (const Input& in : inputs) {
+            for (const Input& in : block_.inputs[part.part->component]) {
                 const double value = in.values[sample_ * in.stride];
                 each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
                     v += (S::load(basis + 6 * n + k) * S::load(in.vector + k) +
                           S::load(basis + 7 * n + k) * S::load(in.vector + n + k)) * value;
                 });
             }
-            scaled_.invalidate(part.part->component);
         }
     }
 
@@ -150,9 +139,8 @@ public:
     void finish_block() {
         const std::int64_t end = block_.start + block_.nb;
         const bool resets = (block_.job.phase + end) % kResetSteps == 0, last = resets || end == block_.job.n;
-        for (Polarization& part : states_) {
+        for (const Polarization& part : states_) {
             if (!last && !part.is_read && !part.is_grouped) continue;
-            finish(part);
             scaled_.to_state(part.part->component);
             rows(part, 0, block_.nb);
         }
@@ -168,15 +156,13 @@ protected:
         const Tensions::Part* part;
         const Component* c;
         double* state;
-        bool pending;              // its last step is still to be made
         bool is_read, is_grouped;  // it has readouts; contacts on it are culled by its state
     };
 
     virtual void begin_step() {}
-    // One modal pass over a component: makes the step that is pending, begins the next one; lanes of its sums go to `to`.
+    // Modal passes over a component: sums of the step that begins, lanes of which go to `to`; the step.
+    virtual void sum(const Polarization& part, double* to) = 0;
     virtual void make(const Polarization& part) = 0;
-    virtual void begin(const Polarization& part, double* to) = 0;
-    virtual void make_and_begin(const Polarization& part, double* to) = 0;
     // Finds own_, and ws.reach and the right sides of the equations in ws.alone, from the sums and ws.driven.
     virtual void direct() = 0;
     // psi_m is final.
@@ -230,34 +216,17 @@ protected:
     Array<double> own_ = Array<double>(t_.strings.size()), moved_ = Array<double>(t_.ports.size());
 
 private:
-    void pass(Polarization& part) {
+    void begin(const Polarization& part) {
         const int i = part.part->component;
-        const auto& inputs = block_.inputs[i];
-        double* const to = ws_.lanes.data() + part.part->sums * Simd::width;
-        if (part.pending && inputs.empty() && !part.is_read && block_.model.shortcuts.combined_pass) {
-            make_and_begin(part, to);
-            scaled_.invalidate(i);
-        } else {
-            finish(part);
-            if (part.is_read) scaled_.to_state(i), rows(part, part.c->n_ports, sample_);
-            const double* const basis = part.c->tension.basis.data();
-            for (const Input& in : inputs) {
-                const double value = in.values[sample_ * in.stride];
-                each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
-                    v += S::load(basis + k) * S::load(in.vector + k) * value;
-                });
-            }
-            begin(part, to);
+        if (part.is_read) scaled_.to_state(i), rows(part, part.c->n_ports, sample_);
+        const double* const basis = part.c->tension.basis.data();
+        for (const Input& in : block_.inputs[i]) {
+            const double value = in.values[sample_ * in.stride];
+            each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
+                v += S::load(basis + k) * S::load(in.vector + k) * value;
+            });
         }
-        part.pending = false;
-    }
-
-    // Makes the step that is still pending.
-    void finish(Polarization& part) {
-        if (!part.pending) return;
-        make(part);
-        scaled_.invalidate(part.part->component);
-        part.pending = false;
+        sum(part, ws_.lanes.data() + part.part->sums * Simd::width);
     }
 
     // Rows of a component from the first-th on.

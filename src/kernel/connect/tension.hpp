@@ -42,12 +42,13 @@ protected:
             now_[s].ahead = std::min(std::max(next, 0.0), most);
         }
     }
-    void make(const Polarization& part) override { tension_pass<true, false>(*part.c, part.state, made(part), 0.0, nullptr); }
-    void begin(const Polarization& part, double* to) override {
-        tension_pass<false, true>(*part.c, part.state, {}, now_[part.part->string].ahead, to);
+    void sum(const Polarization& part, double* to) override {
+        sum_tension_step(*part.c, part.state, now_[part.part->string].ahead, to);
     }
-    void make_and_begin(const Polarization& part, double* to) override {
-        tension_pass<true, true>(*part.c, part.state, made(part), now_[part.part->string].ahead, to);
+    void make(const Polarization& part) override {
+        TensionMade made = now_[part.part->string];
+        made.alone = ws_.driven.data() + part.part->first_port, made.found = ws_.forces.data() + part.part->first_port;
+        make_tension_step(*part.c, part.state, made);
     }
 
     void direct() override {
@@ -60,7 +61,6 @@ protected:
             now_[s].tension = ws_.past[0][s] = t_.strings[s].root * ws_.mean[s];
             ws_.psi[s] = 2 * ws_.mean[s] - ws_.psi[s];
         }
-        then_ = now_;
     }
 
     // Puts psi back to sqrt(kappa) S where it `resets`.
@@ -80,12 +80,6 @@ protected:
     }
 
 private:
-    TensionMade made(const Polarization& part) const {
-        TensionMade out = then_[part.part->string];
-        out.alone = ws_.driven.data() + part.part->first_port, out.found = ws_.forces.data() + part.part->first_port;
-        return out;
-    }
-
     // Finds own_ and ws.reach of string s along its direction, and the right side of its equation in ws.alone.
     void direct(int s) {
         const Tensions::String& string = t_.strings[s];
@@ -130,7 +124,7 @@ private:
         return sum;
     }
 
-    std::vector<TensionMade> now_ = std::vector<TensionMade>(t_.strings.size()), then_ = now_;  // by string
+    std::vector<TensionMade> now_ = std::vector<TensionMade>(t_.strings.size());  // by string
 };
 
 }  // namespace

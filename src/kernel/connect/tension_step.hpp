@@ -18,7 +18,6 @@ public:
           tensions_(*made_), direct_(layout_), linear_laws_(block, laws), answering_(layout_.force_width),
           y_(2 * layout_.port_rows.size()) {
         laws_.tensions = &tensions_;
-        tensions_.loads = [this](int i) { return laws_.loads(i, sample_); };
     }
 
     void begin_block() override {
@@ -28,11 +27,10 @@ public:
     void finish_block() override { tensions_.finish_block(); }
 
     bool sample(int b, double* now, double* f_out) override {
-        sample_ = b;
         tensions_.begin_sample(b);
         direct_(layout_.direct, block_.line(b), now);
         if (linear_laws_.on() && with_linear_laws(b, now, f_out)) {
-            tensions_.finish_sample(now);
+            finish(b, now);
             return true;
         }
         tensions_.couple(now);
@@ -41,7 +39,7 @@ public:
             if (!laws_.forces(b, block_.f.data(), now)) return false;
             if (laws_.commit(b)) {
                 std::copy_n(block_.f.begin(), m_, f_out);
-                tensions_.finish_sample(now);
+                finish(b, now);
                 return true;
             }
             direct_(layout_.direct, block_.line(b), now);  // no law acts: the same forces as without laws
@@ -56,11 +54,15 @@ public:
         } else {
             own_forces(layout_, now, m_, f_out);
         }
-        tensions_.finish_sample(now);
+        finish(b, now);
         return true;
     }
 
 private:
+    void finish(int b, const double* now) {
+        tensions_.finish_sample(now, [&](int i) { return laws_.loads(i, b); });
+    }
+
     static std::unique_ptr<RisingTensions> make(Block& block) {
         if (block.model.tensions.stretches.empty()) return std::make_unique<ModulatedTensions>(block);
         return std::make_unique<StretchedStrings>(block);
@@ -101,7 +103,6 @@ private:
     DirectForces direct_;
     LinearLawForces linear_laws_;
     Array<double> answering_;  // (force_width): forces of the linear connections and laws without these strings
-    int sample_ = 0;
     Array<double> y_;  // port displacements before the step, then free ones after it
 };
 

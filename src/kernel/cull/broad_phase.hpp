@@ -112,7 +112,7 @@ public:
             if (ws_.any_series && ws_.share_after[index] + farthest / ws_.least_clearance[index] * (1 + kMargin) >= 1.0)
                 for (const int j : group.contacts)
                     if (!ws_.candidate[j] && series_in_motion(j)) {
-                        const double most = std::max(std::abs(ws_.series[j]), std::abs(ws_.series_after[j]));
+                        const double most = displaced_in_series(j);
                         if (most > in_series * ws_.clearance[j]) in_series = most / ws_.clearance[j];
                     }
             if (ws_.share_after[index] + in_series * (1 + kMargin) < 1.0) continue;
@@ -140,6 +140,9 @@ public:
     }
 
     bool series_in_motion(int j) const { return nl_.series[j] >= 0 && ws_.series_moves[nl_.series[j]]; }
+    double displaced_in_series(int j) const {
+        return std::max(std::abs(ws_.series[nl_.place[j]]), std::abs(ws_.series_after[nl_.place[j]]));
+    }
 
 private:
     void list_candidates() {
@@ -342,7 +345,7 @@ private:
             if (block_.modulated(t.component)) sum += c.contact.tension_reach[t.port] * sums[c.n_ports + c.contact.n];
             total += std::abs(t.factor) * sum;
         }
-        if (series_in_motion(j)) total += std::max(std::abs(ws_.series[j]), std::abs(ws_.series_after[j]));
+        if (series_in_motion(j)) total += displaced_in_series(j);
         return total * (1 + kMargin);
     }
 

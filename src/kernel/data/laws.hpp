@@ -32,7 +32,6 @@ struct Shortcuts {
     bool block_culling = true;     // contacts are stepped only where a bound cannot exclude them
     bool group_bound = true;       // one bound for all contacts of a group first
     bool fine_bound = true;        // a second bound about the middle of the block
-    bool combined_pass = true;     // one modal pass finishes a tension-modulated step and begins the next
     bool at_rest = true;           // components at rest that nothing can move are not stepped
     bool linear_laws = true;       // laws with a linear force are solved with the linear connections
     bool operator==(const Shortcuts&) const = default;
@@ -67,9 +66,14 @@ struct Nonlinear {
     std::vector<Term> all_terms;
     // derived by load/contacts.hpp
     std::vector<int> read_forces;  // connections with a weight
-    std::vector<int> series;       // (k): group of gaps that share residual compliance, -1 without
-    int n_series = 0;
-    std::vector<std::vector<int>> in_series;       // by such a group: its connections
+    struct Shared {  // gaps that share residual compliance: places first .. first + width of the displacements
+        int first = 0, width = 0;
+        Array<double> residual;  // (connections, width): displacement of each place per force
+    };
+    std::vector<Shared> shared;
+    std::vector<int> series;       // (k): number of its group in `shared`, -1 without
+    std::vector<int> place;        // (k): of its displacement; n_places, which stays 0, without
+    int n_places = 0;
     std::vector<std::vector<Term>> terms, driven;  // by connection: on two-way components, on driven ones
     std::vector<char> contact;                     // by connection: may be culled
     std::vector<char> only_contact_ports;          // by connection: a contact whose terms are all on contact ports

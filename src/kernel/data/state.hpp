@@ -15,16 +15,19 @@ enum class Branch : char { open, stuck, ahead, behind, held };
 
 // Nonlinear connections during a run.
 struct ContactState {
-    // by connection (k): compressions before the step, and after it without laws; forces; displacements of the residual
-    // compliances; velocities of friction; drives; size of the gap; highest offset in the block; clearance
-    Array<double> old_p, free_p, law_force, last_force, series, series_after, slip, slip_after, offset,
-        offset_after, velocity, scale, size, highest_offset, clearance;
+    // by connection (k): compressions before the step, and after it without laws; forces; velocities of friction; drives;
+    // size of the gap; highest offset in the block; clearance
+    Array<double> old_p, free_p, law_force, last_force, slip, slip_after, offset, offset_after, velocity, scale, size,
+        highest_offset, clearance;
     // of friction (k): its branch; velocity it is held at; velocity without it; velocity that a coefficient of 1 takes
     std::vector<Branch> branch;
     Array<double> held, without, load;
     std::vector<char> candidate, is_active, acted;  // acted: in this run
     std::vector<int> candidates, active, previous;
-    std::vector<char> series_moves;  // by group of shared residual compliance
+    // of residual compliances: displacements before and after a step, by place; by group, the largest of each, and whether
+    // it moves
+    Array<double> series, series_after, series_most, series_most_after;
+    std::vector<char> series_moves;
     bool any_series = false;
     Array<double> least_clearance;   // by group: of contacts culled when the block began
     // by component: norm of the state when the block began; what known forces add to it

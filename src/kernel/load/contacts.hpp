@@ -14,23 +14,36 @@ namespace tonewood {
 // Groups of gaps that share residual compliance.
 inline void make_series(Nonlinear& nl) {
     const std::size_t k = nl.k;
-    nl.series.assign(k, -1), nl.n_series = 0, nl.in_series.clear();
+    nl.series.assign(k, -1), nl.shared.clear();
     std::vector<std::size_t> open;
     for (std::size_t j = 0; j < k; ++j) {
         if (nl.series[j] >= 0 || nl.residual[j * k + j] == 0.0) continue;
         open.push_back(j);
-        nl.series[j] = nl.n_series;
+        const int group = nl.series[j] = int(nl.shared.size());
         while (!open.empty()) {
             const std::size_t i = open.back();
             open.pop_back();
             for (std::size_t q = 0; q < k; ++q)
-                if (nl.series[q] < 0 && nl.residual[i * k + q] != 0.0) nl.series[q] = nl.n_series, open.push_back(q);
+                if (nl.series[q] < 0 && nl.residual[i * k + q] != 0.0) nl.series[q] = group, open.push_back(q);
         }
-        ++nl.n_series;
+        nl.shared.emplace_back();
     }
-    nl.in_series.resize(nl.n_series);
+    nl.place.assign(k, 0), nl.n_places = 0;
+    for (std::size_t g = 0; g < nl.shared.size(); ++g) {
+        Nonlinear::Shared& group = nl.shared[g];
+        std::vector<std::size_t> members;
+        for (std::size_t j = 0; j < k; ++j)
+            if (nl.series[j] == int(g)) members.push_back(j);
+        group.first = nl.n_places, group.width = int(padded(members.size()));
+        group.residual.assign(members.size() * group.width, 0.0);
+        for (std::size_t i = 0; i < members.size(); ++i)
+            for (std::size_t j = 0; j < members.size(); ++j)
+                group.residual[i * group.width + j] = nl.residual[members[i] * k + members[j]];
+        for (std::size_t i = 0; i < members.size(); ++i) nl.place[members[i]] = group.first + int(i);
+        nl.n_places += group.width;
+    }
     for (std::size_t j = 0; j < k; ++j)
-        if (nl.series[j] >= 0) nl.in_series[nl.series[j]].push_back(int(j));
+        if (nl.series[j] < 0) nl.place[j] = nl.n_places;
 }
 
 // Sorts the terms by connection and joins the components of contacts on contact ports to groups, in which any force may
@@ -126,7 +139,7 @@ inline void make_groups(std::vector<Component>& components, Nonlinear& nl) {
 inline void make_buffers(const std::vector<Component>& components, const Nonlinear& nl, std::size_t capacity, ContactState& ws) {
     const std::size_t k = nl.k, n = components.size(), n_contact = nl.n_contact;
     for (Array<double>* a :
-         {&ws.old_p, &ws.free_p, &ws.law_force, &ws.last_force, &ws.series, &ws.series_after, &ws.slip, &ws.slip_after,
+         {&ws.old_p, &ws.free_p, &ws.law_force, &ws.last_force, &ws.slip, &ws.slip_after,
           &ws.offset, &ws.offset_after, &ws.velocity, &ws.scale, &ws.size, &ws.highest_offset, &ws.clearance,
           &ws.held, &ws.without, &ws.load})
         a->assign(k, 0.0);
@@ -134,7 +147,9 @@ inline void make_buffers(const std::vector<Component>& components, const Nonline
     ws.candidate.assign(k, 0), ws.is_active.assign(k, 0), ws.acted.assign(k, 0);
     for (std::vector<int>* list : {&ws.candidates, &ws.active, &ws.previous, &ws.stored, &ws.sliding})
         list->clear(), list->reserve(k);
-    ws.series_moves.assign(nl.n_series, 0);
+    ws.series.assign(nl.n_places + kLane, 0.0), ws.series_after = ws.series;
+    ws.series_most.assign(nl.shared.size(), 0.0), ws.series_most_after = ws.series_most;
+    ws.series_moves.assign(nl.shared.size(), 0);
     ws.tension_excursion.assign(n * kBlock, 0.0), ws.tension_sensitivity.assign(n, 0.0);
     ws.norm.assign(n, 0.0), ws.added.assign(n, 0.0), ws.has_amplitudes.assign(n, 0);
     ws.amplitudes.assign(nl.groups.empty() ? 0 : capacity, 0.0);

@@ -86,8 +86,6 @@ class Shortcuts:
     group_bound: bool = True
     #: a second bound about the middle of the block
     fine_bound: bool = True
-    #: one modal pass finishes a tension-modulated step and begins the next
-    combined_pass: bool = True
     #: components at rest that nothing can move are not stepped
     at_rest: bool = True
     #: laws with a linear force are solved with the linear connections while no other law can act
@@ -116,6 +114,7 @@ class KernelStepper:
         self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
         self._law_forces, self._acted = np.zeros(0), list[int]()  # the former is kept at zero between runs
+        self._carried: tuple[System | None, Floats] = None, _NONE.astype(float)  # whose series is that of the system
         self._nonlinear = self._active = _NONE
         self._laws: tuple[NonlinearLaw, ...] = ()
         self._law_arrays: Description = law_arrays(())
@@ -261,7 +260,7 @@ class KernelStepper:
         forces[:, self._active] = linear
         if self._acted:
             forces[:, self._nonlinear[self._acted]] = laws[:, self._acted]
-            laws[:, self._acted] = 0.0
+            self._clear(laws)
         return out, forces
 
     def advance(
@@ -275,8 +274,13 @@ class KernelStepper:
         out, _, laws = self._step(state, n, injections, controls)
         if not self._acted:
             return out, _NONE
-        laws[:, self._acted] = 0.0
+        self._clear(laws)
         return out, self._nonlinear[self._acted]
+
+    def _clear(self, laws: Floats) -> None:
+        """Set the forces of the laws that acted to zero again, in place."""
+        if self._acted:  # a slice: much quicker than those columns alone, and the ones between are zero
+            laws[:, self._acted[0] : self._acted[-1] + 1] = 0.0
 
     def _step(
         self, state: State, n: int, injections: Sequence[Injection], controls: Sequence[PrescribedMotion]
@@ -293,10 +297,10 @@ class KernelStepper:
         if 0 < to_cut < n and any(s.is_on):  # the kernel puts psi back at the ends of its windows
             first = self._step(state, to_cut, injections, controls)
             kept, acted = first[2].copy(), set(self._acted)
-            first[2][:, self._acted] = 0.0
+            self._clear(first[2])
             rest = self._step(state, n - to_cut, injections, controls)
             laws = np.concatenate([kept, rest[2]])
-            rest[2][:, self._acted] = 0.0
+            self._clear(rest[2])
             self._acted = sorted(acted | set(self._acted))
             return np.concatenate([first[0], rest[0]]), np.concatenate([first[1], rest[1]]), laws
         may_fail = s.nonlinear is not None
@@ -318,7 +322,7 @@ class KernelStepper:
                 end = done + 1
                 found = self._redo(state, injections, controls)
             out[done:end], active_forces[done:end], law_forces[done:end] = found
-            found[2][:, self._acted] = 0.0
+            self._clear(found[2])
             acted.update(self._acted)
             if end == n:
                 break
@@ -355,7 +359,9 @@ class KernelStepper:
             state.series, state.slip = np.zeros(m), np.zeros(m)
         remembers = np.count_nonzero(state.series) > 0
         if self.system.nonlinear is not None and remembers:
-            state.series = self.system.nonlinear.carried_series(state.series)
+            if self._carried[0] is not self.system or self._carried[1] is not state.series:
+                state.series = self.system.nonlinear.carried_series(state.series)
+            self._carried = self.system, state.series
         out = np.empty((n, len(self.system.readouts)))
         active_forces = np.empty((n, len(self._active)))
         if self._law_forces.size < n * len(on):
