@@ -168,13 +168,11 @@ def test_every_key_sounds_its_stretched_note(grand: Model) -> None:
     stretch = stretch_cents(grand.instrument)
     found = ta.pitches(grand)
     assert len(found) == 88
-    far = []
     for at, together in zip(found, mounted_pitches(grand, found), strict=True):
         wanted = grand.instrument.tuning.freq(at.note) * ratio_of_cents(stretch[at.string])
         assert abs(cents(at.freq / wanted)) < 0.01
-        far += [at.string] if min(abs(c) for c, _ in together.modes) > 1.0 else []
-    # one of the modes of each mistuned unison is near the note, but where the board has a resonance of the same pitch
-    assert far == ["Ds5_1"]
+        # one of the modes of each mistuned unison is near the note
+        assert min(abs(c) for c, _ in together.modes) < 1.0
 
 
 @pytest.mark.validate

@@ -12,7 +12,7 @@ import tonewood as tw
 from tonewood.energy.stored import stored_energy
 from tonewood.engine.effect_usage import Bound
 from tonewood.engine.effects.base import Switching, Watched, pay, switch
-from tonewood.engine.effects.tension import LOOK, SELDOM
+from tonewood.engine.effects.tension import SELDOM
 from tonewood.engine.engine import GRID
 from tonewood.instrument.assembly import assemble
 from tonewood.stepping.motion import from_motion, share_velocities, to_motion
@@ -116,7 +116,7 @@ def test_energy_falls_through_switches() -> None:
     engine = renderer([NOTE(0.0, 3, note=64, force=3.0), NOTE(0.01, 3, note=59, force=2.0)], 3.0, duet()).engine
     course, modulated = [], []
     while engine.state.sample < 2.5 * FS:
-        engine.advance(LOOK // 4)
+        engine.advance(SELDOM // 16)
         if engine.done:
             course.append(stored_energy(engine.system, engine.state).total)
             modulated.append(engine.running(TENSION))
@@ -227,9 +227,7 @@ def test_a_rise_far_above_its_budget_is_not_looked_at_until_it_may_have_fallen(m
     effect, system = tension_effect(model), model.system
     rates = [system.compiled[system.slot(c)].basis.damping_rate.min() for c in model.strings["B3"].components]
     over = 4.0
-    monkeypatch.setattr(
-        effect, "bounds", lambda m, energies, names: {n: Bound(over * BUDGET, np.inf) for n in energies}
-    )
+    monkeypatch.setattr(effect, "bounds", lambda m, cents, *_: {n: Bound(over * BUDGET, np.inf) for n in cents})
     at = moment(system, system.start())
     on = Switching(frozenset(effect.components))
     found = effect.watch(at, on)

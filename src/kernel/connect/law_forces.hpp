@@ -310,7 +310,13 @@ private:
     void find_meets(int j) {
         const Tensions& t = block_.model.tensions;
         double* const meets = ts_.meets.data() + std::size_t(j) * t.width;
-        for (std::size_t p = 0; p < t.ports.size(); ++p)
+        if (parts.on()) {
+            parts.answer(nl_.from_linear.data() + std::size_t(j) * solve_.m, ts_.linear.data());
+            for (std::size_t p = 0; p < t.ports.size(); ++p) {
+                meets[p] = 0.0;
+                for (const Share& s : t.ports[p].shares) meets[p] -= s.factor * ts_.linear[s.connection];
+            }
+        } else for (std::size_t p = 0; p < t.ports.size(); ++p)
             meets[p] = dot(nl_.from_linear.data() + std::size_t(j) * solve_.m, t.onto_linear.data() + p * layout_.f_width, solve_.m);
         for (const Term& term : nl_.terms[j])
             for (const Tensions::Part& part : t.parts)

@@ -67,22 +67,41 @@ class GapCompliance:
             np.concatenate([np.zeros(0), *(getattr(c, which).ravel() for c in self.compiled)])
             for which in ("compliance", "residual")
         )
-        values = np.where(kept, compliance, 0.0) + 2 * residual * (laws.rigid[rows] & laws.rigid[columns])
-        wanted = laws.active[rows] & laws.active[columns] & (values != 0.0)
-        entries = (
-            np.concatenate([place[rows[wanted]], np.arange(k)]),
-            np.concatenate([place[columns[wanted]], np.arange(k)]),
-            np.concatenate([values[wanted], laws.softness[laws.on]]),
-        )
-        return InverseInParts.of(k, entries, None if hub < 0 else self._hub(hub, place))
+        compliance = np.where(kept, compliance, 0.0)
+        residual = 2 * residual * (laws.rigid[rows] & laws.rigid[columns])
 
-    def _hub(self, slot: int, place: NDArray[np.intp]) -> Hub:
-        """Motions of a component; `place` (m,) of each connection that can carry force, -1 of the others."""
+        def found(residual: Floats, hub: Hub | None) -> InverseInParts | None:
+            values = compliance + residual
+            wanted = laws.active[rows] & laws.active[columns] & (values != 0.0)
+            entries = (
+                np.concatenate([place[rows[wanted]], np.arange(k)]),
+                np.concatenate([place[columns[wanted]], np.arange(k)]),
+                np.concatenate([values[wanted], laws.softness[laws.on]]),
+            )
+            return InverseInParts.of(k, entries, hub)
+
+        if hub < 0:
+            return found(residual, None)
+        at = self.compiled[hub].gaps
+        made = found(residual, self._hub(hub, place))
+        if made is None and np.any(self.compiled[hub].residual) and np.all(laws.rigid[at[place[at] >= 0]]):
+            # its residual compliance joins what would be in parts otherwise: it goes with the hub's motions
+            return found(np.where(kept, residual, 0.0), self._hub(hub, place, yields=True))
+        return made
+
+    def _hub(self, slot: int, place: NDArray[np.intp], *, yields: bool = False) -> Hub:
+        """Motions of a component.
+
+        Parameters
+        ----------
+        place : (m,) of each connection that can carry force, -1 of the others.
+        yields : its residual compliance, of which rigid connections see twice as much, is in that of the motions.
+        """
         compiled = self.compiled[slot]
         gaps = np.flatnonzero(place[compiled.gaps] >= 0)
         shares, at = compiled.shares[gaps], place[compiled.gaps[gaps]]
         used = np.flatnonzero(np.any(shares != 0.0, axis=0))
-        ports, span = compiled.motions(used)
+        ports, span = (used, np.eye(len(used))) if yields else compiled.motions(used)
         shares = shares[:, used]
         point, factor = np.full(int(place.max()) + 1, -1), np.zeros(int(place.max()) + 1)
         if np.all(np.count_nonzero(shares, axis=1) == 1):
@@ -90,6 +109,9 @@ class GapCompliance:
         else:  # ends that several points share: every connection has a point of its own
             point[at], factor[at], span = np.arange(len(at)), 1.0, shares @ span
         compliance = compiled.history[0][ports][:, ports].T
+        if yields:
+            own = compiled.ports[used]
+            compliance = compliance + 2 * compiled.basis.residual[own][:, own]
         return Hub(slot, ports, point, factor, span, np.ascontiguousarray(compliance))
 
     def seen_by(self, laws: NonlinearLaws) -> NonlinearGaps:
@@ -145,9 +167,7 @@ class Elimination:
 
     def _solved(self) -> LinearSolve:
         if (by := self.gap.in_parts(self.linear)) is not None:
-            solve = self.linear.solved(by, self.gap.diagonal("compliance"), self.gap.diagonal("residual"))
-            if by.hub is None or np.ptp(solve.gamma[solve.on[by.hub.point >= 0]]) == 0.0:
-                return solve
+            return self.linear.solved(by, self.gap.diagonal("compliance"), self.gap.diagonal("residual"))
         return self.linear.solve(self.gap.compliance, self.gap.residual)
 
     @cached_property

@@ -8,7 +8,9 @@ else. The hub moves by r motions, which reach the gaps by U (m, r) and answer fo
 
 (Woodbury). Unison strings share a point of the hub, U = Q P: Q (m, p) has one number a row, P (p, r) is the motion of
 p points. A product with M^-1 then takes m + 2 p r + 3 r^2 multiplications in place of m^2, and a connection that the
-hub does not feel costs one. It is the same number to rounding if D is far from singular and C H is not large.
+hub does not feel costs one. Where the hub's residual compliance R would join the parts, its motions are those of all
+its points, and C + 2 R takes the place of C. It is the same number to rounding if D is far from singular and C H is not
+large.
 """
 
 from __future__ import annotations

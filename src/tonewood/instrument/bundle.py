@@ -416,7 +416,7 @@ class Instrument(ModalViews):
             for string in attached.strings or ():
                 if string not in self.spec.strings:
                     raise self._none("string", string, self.spec.strings, f"connections.{name}.strings")
-        check_keys(self.spec, self._files.manifest)
+        check_keys(self.spec, self._files.manifest, self.open_note)
         playing = self.spec.playing
         self._parameter(playing.velocity.parameter, "playing.velocity.parameter")
         for control, entry in playing.controls.items():

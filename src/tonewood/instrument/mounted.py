@@ -68,7 +68,7 @@ class Mounted:
         star = Star(self._body, [ports for name in self.strings for ports in rays[name]])
         alone = at.modes[0].pole
         radius = alone.imag * (ratio_of_cents(REACH_CENTS) - 1)
-        zeros = star.zeros_within(1j * alone.imag, radius) or [star.newton(alone) or alone]
+        zeros = star.zeros_within(1j * alone.imag, radius, starts=[alone]) or [alone]
         own = 1 + self._owner.index(at.string)
         found = sorted(((star.shares(s), s) for s in zeros), key=lambda pair: -float(pair[0][own]))
         shares, s = found[0]

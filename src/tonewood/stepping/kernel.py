@@ -157,9 +157,10 @@ class KernelStepper:
 
     def _describe(self, system: System, cached: frozenset[int]) -> Description:
         """Describe a system; components with a key among `cached` come without arrays."""
-        in_parts = not any(system.is_on)
-        by = system.solve.by
-        hub = by.hub if in_parts and isinstance(by, InverseInParts) else None
+        by, tensions = system.solve.by, describe_tensions(system)
+        hub = by.hub if isinstance(by, InverseInParts) else None
+        in_parts = hub is None or not any(hub.slot in slots for _, _, slots in tensions["strings"])
+        hub = hub if in_parts else None
         wiring, terms = self._wired(system, hub)
         weights = system.force_weights()
         components = self._components(system, wiring, terms)
@@ -167,7 +168,7 @@ class KernelStepper:
             "components": [{"key": c["key"]} if c["key"] in cached else c for c in components],
             "linear": describe_linear(system.solve, weights, wiring, in_parts),
             "nonlinear": self._laws_and_gaps(system, terms, np.ascontiguousarray(weights[:, self._nonlinear])),
-            "tensions": describe_tensions(system),
+            "tensions": tensions,
             "phantoms": describe_phantoms(system),
             "shortcuts": self._shortcuts,
         }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from tonewood.engine.effects.base import RuntimeEffect
+from tonewood.engine.effects.base import RuntimeEffect, SwitchedEffect
 from tonewood.engine.effects.longitudinal import LongitudinalEffect
 from tonewood.engine.effects.phantom_partials import PhantomPartialsEffect
 from tonewood.engine.effects.tension import TensionEffect
@@ -57,7 +57,11 @@ def runtime_effects(model: Model) -> tuple[RuntimeEffect, ...]:
             key = effect.name, plugin.kind
             effects.setdefault(key, effect)
             plugins.setdefault(key, {})[component] = plugin
-    return tuple(_maker(effect, kind)(model, effect, plugins[name, kind]) for (name, kind), effect in effects.items())
+    made = [_maker(effect, kind)(model, effect, plugins[name, kind]) for (name, kind), effect in effects.items()]
+    watched = [found for found in made if isinstance(found, SwitchedEffect) and found.watched]
+    for one in watched:
+        one.share = 1.0 / len(watched)
+    return tuple(made)
 
 
 def _plugins(model: Model) -> Iterator[tuple[str, Plugin[Any]]]:

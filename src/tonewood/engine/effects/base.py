@@ -55,11 +55,13 @@ class Switching:
     on : components on which the effect runs.
     pending : components on which it is wanted, but which cannot pay for the switch yet.
     until : component -> sample before which it stays on unwatched, since its bound is far above the budget.
+    levels : component -> level of what was missing when that was last computed, in units of the effect's choice.
     """
 
     on: frozenset[str] = frozenset()
     pending: frozenset[str] = frozenset()
     until: Mapping[str, int] = field(default_factory=dict)
+    levels: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +72,13 @@ class Watched:
     ----------
     wanted : components on which the effect is to run from now on.
     bounds : component, bound on the error without the effect, and whether it is left out; in order.
-    until : component -> sample before which it stays on unwatched, of `Switching`.
+    until, levels : of `Switching`.
     """
 
     wanted: frozenset[str]
     bounds: Sequence[tuple[str, Bound, bool]] = ()
     until: Mapping[str, int] = field(default_factory=dict)
+    levels: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +263,13 @@ class SwitchedEffect(RuntimeEffect, ABC):
     """An effect that is switched on and off, component by component, while the engine steps.
 
     With effects ``auto`` it begins off everywhere and is watched; otherwise it runs all the time.
+
+    Attributes
+    ----------
+    share : of the additive budget; the switched effects of a model have equal ones.
     """
+
+    share = 1.0
 
     @property
     def watched(self) -> bool:
@@ -381,7 +390,7 @@ def switch(effect: SwitchedEffect, moment: Moment, before: Switching, found: Wat
         wants = component in found.wanted
         if wants != (component in before.on) and pay(effect, moment, component, wants):
             (on.add if wants else on.remove)(component)
-    return Switching(frozenset(on), found.wanted - on, found.until)
+    return Switching(frozenset(on), found.wanted - on, found.until, found.levels)
 
 
 def pay(effect: SwitchedEffect, moment: Moment, component: str, on: bool) -> bool:

@@ -1,7 +1,7 @@
 """Phantom partials that are driven one way, switched on and off string by string.
 
 They run from any gesture on a string until bounds on the missing sound (`effects.phantoms`, from the string's
-partials and the body's response) add up to half of the budget over all strings without them. Strings on which they are
+partials and the body's response) add up to the budget over all strings without them. Strings on which they are
 off are looked at where they hold a thousandth of the energy of the one that holds most: otherwise their phantom
 partials, which go with the energy, are some 60 dB below those of that one; they are not in the sum, so that the budget
 is an estimate for them. The transverse motion is the same on or off, so that a switch costs no energy.
@@ -34,8 +34,6 @@ Floats = NDArray[np.float64]
 
 #: points of the control grid between two looks
 _SELDOM = 32
-#: share of the additive budget that missing phantom partials may take
-_SHARE = 0.5
 #: share of that below which they are left out; above the whole of it, they come back
 _LEAVE = 0.9
 #: share of the largest energy of a string from which on strings without them are looked at
@@ -49,7 +47,6 @@ class PhantomPartialsEffect(SwitchedEffect):
 
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
         super().__init__(model, effect, plugins)
-        self.budget = _SHARE * 10 ** (model.choice.budget_db / 20)
         self._laws = {p.name: p for p in model.system.phantoms}
         self._response: BridgeResponse | None = None
         self._bounds: dict[tuple[str, float], Phantoms] = {}
@@ -58,6 +55,11 @@ class PhantomPartialsEffect(SwitchedEffect):
     def components(self) -> tuple[str, ...]:
         """Strings whose longitudinal motion is driven."""
         return tuple(self._laws) if self.chosen else tuple(self.plugins)
+
+    @property
+    def budget(self) -> float:
+        """Ratio to the loudest sample of the sound that may be missing at the outputs."""
+        return self.share * 10 ** (self.model.choice.budget_db / 20)
 
     def prepare(self, timeline: Timeline) -> None:
         """Find the bounds of the strings that will be played; of all where nothing of that is known."""

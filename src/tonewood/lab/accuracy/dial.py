@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.registry import list_instruments
+from tonewood.instrument.registry import INSTRUMENTS, entries
 from tonewood.lab.accuracy.partials import PartialErrors
 from tonewood.lab.accuracy.strokes import STEADY, VELOCITY_MIDI, NoteCase, Strokes
 from tonewood.lab.accuracy.study import Tell, silent
@@ -170,8 +170,9 @@ def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
 
 
 def run(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
-    """Every shipped instrument, its middle string; in a quick run the guitar alone."""
-    names: Sequence[str] = ["classical_guitar"] if quick else list(list_instruments())
+    """Every instrument of this package, its middle string; in a quick run the guitar alone."""
+    shipped = [name for name, entry in entries(INSTRUMENTS).items() if entry.distribution == "tonewood"]
+    names: Sequence[str] = ["classical_guitar"] if quick else shipped
     out: list[DialPoint] = []
     for done, name in enumerate(names, 1):
         instrument = Instrument.load(name)
