@@ -114,7 +114,8 @@ class Contact:
 class HardeningSpring:
     """Two-sided spring and dashpots: f = k p + k3 p^3 + c p' + d p' |p'|.
 
-    Discrete gradient k (p+ + p)/2 + k3 (p+ + p)(p+^2 + p^2)/4; the dashpots see the mean rate.
+    Discrete gradient k (p+ + p)/2 + k3 (p+ + p)(p+^2 + p^2)/4 (Greenspan 1984, Gonzalez 1996); the dashpots see the
+    mean rate.
 
     Attributes
     ----------
@@ -154,7 +155,8 @@ class HardeningSpring:
 class SampledPotential:
     """V(d) between samples, d = g - offset: f = -V'(d) (1 - loss d') - damping d', piecewise cubic and convex.
 
-    Make one with `from_potential` or `from_force`. Outside the samples the force goes on in a straight line.
+    Make one with `from_potential` or `from_force`. Outside the samples the force goes on in a straight line. Over a
+    step f is the discrete gradient -[V(d+) - V(d)]/(d+ - d) (Greenspan 1984, Gonzalez 1996).
 
     Attributes
     ----------

@@ -36,6 +36,10 @@ _BLOCK_ABOVE = 0.7
 class ModalBasis(ModalViews):
     """Modes of one uncoupled component: poles, left and right shapes at named points, residual compliance.
 
+        z_k' = lambda_k z_k + sum_i l_ik f_i,      y_i = 2 Re sum_k r_ik z_k + sum_j R_ij f_j      (``PAIR``)
+
+    in m, N and s; l = psi_l / Pi holds the norm Pi of Fabre et al. (2024), Eq. 20. Real modes are mass-normalised.
+
     Attributes
     ----------
     poles : (n_modes,) complex, 1/s. The slower pole of a ``BLOCK``.
