@@ -86,7 +86,7 @@ class Contact:
         return float(self.stiffness / (self.exponent + 1) * max(p, 0.0) ** (self.exponent + 1))
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
-        """See `PotentialLaw`."""
+        """Return force (N) and slope (N/m) over a step of `dt` s from compression `old` to `new`, m."""
         high, low = (new, old) if new > old else (old, new)
         if high <= 0.0:
             return 0.0, 0.0
@@ -143,7 +143,7 @@ class HardeningSpring:
         return p * p * (0.5 * self.stiffness + 0.25 * self.cubic * p * p)
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
-        """See `PotentialLaw`."""
+        """Return force (N) and slope (N/m) over a step of `dt` s from compression `old` to `new`, m."""
         total, squares, rate = new + old, new * new + old * old, (new - old) / dt
         f = total * (0.5 * self.stiffness + 0.25 * self.cubic * squares)
         f += (self.damping + self.quadratic_damping * abs(rate)) * rate
@@ -251,7 +251,7 @@ class SampledPotential:
         return total
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
-        """See `PotentialLaw`."""
+        """Return force (N) and slope (N/m) over a step of `dt` s from compression `old` to `new`, m."""
         low, high = min(-new, -old), max(-new, -old)
         at_new = self._at(-new)[1]
         gradient = -(self._gained(low, high) / (high - low) if high > low else at_new)
@@ -336,7 +336,7 @@ class CompiledPotential:
         return float(self.potential(-p))
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
-        """See `PotentialLaw`."""
+        """Return force (N) and slope (N/m) over a step of `dt` s from compression `old` to `new`, m."""
         step, middle = new - old, 0.5 * (new + old)
         gradient = 0.5 * sum(weight * -self.slope(-(middle + 0.5 * step * node)) for node, weight in GAUSS)
         if step != 0.0:

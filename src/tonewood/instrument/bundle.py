@@ -482,7 +482,7 @@ def _with_strings(values: dict[str, Any], files: Files) -> dict[str, Any]:
 
 @without_collecting
 def load_instrument(name_or_path: str | os.PathLike[str], *, allow_code: bool = False) -> Instrument:
-    """Load an installed instrument by name, or a folder with an ``instrument.yaml``; see `Instrument.load`."""
+    """Load an instrument; `name_or_path`, `allow_code` and errors are those of `Instrument.load`."""
     return Instrument.load(name_or_path, allow_code=allow_code)
 
 

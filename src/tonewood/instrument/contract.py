@@ -412,6 +412,6 @@ KINDS: dict[str, type[Plugin[Any]]] = {c.kind: c for c in (Resonator, Body, Exci
 
 
 def dot(a: Sequence[float], b: Sequence[float]) -> float:
-    """Scalar product of two directions; 0 if it is below 1e-12."""
+    """Return the scalar product of two directions `a` and `b`; 0 if it is below 1e-12."""
     value = math.fsum(x * y for x, y in zip(a, b, strict=True))
     return 0.0 if abs(value) < 1e-12 else value

@@ -238,7 +238,7 @@ class RuntimeEffect:
         return [self._report(component, whole) for component in self.components]
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
-        """Return when it will run, and why, from the sketch of a render."""
+        """Return when it will run, and why, from the sketch of a render, `foreseen`."""
         spans, why = (((0.0, foreseen.seconds),), self.effect.before) if self.chosen else ((), self._left_out)
         return [PlannedEffect(self.name, component, spans, why, None) for component in self.components]
 
@@ -357,7 +357,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         return out
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
-        """When it will be on, why, and the time of its steps."""
+        """Return when it will be on, why, and the time of its steps, from a sketch, `foreseen`."""
         if not self.chosen:
             return super().plan(foreseen)
         out = []

@@ -58,7 +58,7 @@ class SwitchedConnections(SwitchedEffect, ABC):
         return [self.model.system.connections[j].name for j in self._places[string]]
 
     def laws(self, string: str, fretting: Fretting) -> list[Law]:
-        """Return the laws of a string's connections while they are on, in the order of `names`, at its stop."""
+        """Return the laws of a string's connections that are on, in the order of `names`; `fretting` has the stop."""
         key = string, fretting.stop
         if key not in self._laws:
             here = {c.name: c.law for c in self.model.strings[string].connections(fretting.stop)}
