@@ -70,6 +70,15 @@ class SwitchedConnections(SwitchedEffect, ABC):
 
         A motion of energy E displaces a point by sqrt(2 E C) at most, C = sum phi^2 / omega^2 the static compliance of
         its modes there (inequality of Cauchy and Schwarz). The bound holds until the string is given energy.
+
+        Parameters
+        ----------
+        system, state : as they are stepped.
+        string : name.
+
+        Returns
+        -------
+        (n_connections,) m.
         """
         planes, doubled = self.model.strings[string].components, 0.0
         for component in planes:
