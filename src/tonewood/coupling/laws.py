@@ -43,7 +43,7 @@ class PotentialLaw(Protocol):
         """Whether the residual compliance of the components acts in series with the law."""
 
     def energy(self, p: float) -> float:
-        """U(p), J."""
+        """Return U(p), J."""
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
         """Return the force over a step, N, and its slope with `new`, N/m.
@@ -82,7 +82,7 @@ class Contact:
             raise ValueError("a contact needs stiffness and loss that are not negative and an exponent of 1 or more")
 
     def energy(self, p: float) -> float:
-        """U(p), J."""
+        """Return U(p), J."""
         return float(self.stiffness / (self.exponent + 1) * max(p, 0.0) ** (self.exponent + 1))
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
@@ -139,7 +139,7 @@ class HardeningSpring:
             raise ValueError("stiffness and damping of a spring must not be negative")
 
     def energy(self, p: float) -> float:
-        """U(p), J."""
+        """Return U(p), J."""
         return p * p * (0.5 * self.stiffness + 0.25 * self.cubic * p * p)
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
@@ -230,7 +230,7 @@ class SampledPotential:
         return value + out * (slope + 0.5 * bend * out), slope + bend * out, bend
 
     def energy(self, p: float) -> float:
-        """U(p), J."""
+        """Return U(p), J."""
         return self._at(-p)[0]
 
     def _gained(self, a: float, b: float) -> float:
@@ -332,7 +332,7 @@ class CompiledPotential:
             raise ValueError("loss and damping must not be negative")
 
     def energy(self, p: float) -> float:
-        """U(p), J."""
+        """Return U(p), J."""
         return float(self.potential(-p))
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
@@ -393,7 +393,7 @@ class Friction:
         return 0.0
 
     def slide(self, free: float, load: float) -> float | None:
-        """Largest v > 0 with v + load mu(v) = free, m/s; None if there is none.
+        """Return the largest v > 0 with v + load mu(v) = free, m/s; None if there is none.
 
         Parameters
         ----------

@@ -136,7 +136,7 @@ class AudioStream:
         return (self.ahead + 2) * self.block_size / self.fs
 
     def playback(self) -> Playback:
-        """Summary so far; an error of the computing thread is raised here.
+        """Return the summary so far; an error of the computing thread is raised here.
 
         Raises
         ------

@@ -229,7 +229,7 @@ class RuntimeEffect:
         return tuple(self.plugins)
 
     def running(self, run: Run) -> Collection[str]:
-        """Components on which it ran, if that is counted run by run."""
+        """Return the components on which it ran, if that is counted run by run."""
         return ()
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
@@ -280,7 +280,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         """Read the score, as `timeline`, before the first step; does nothing by default."""
 
     def start(self) -> Switching:
-        """State before anything has moved."""
+        """Return the state before anything has moved."""
         return Switching(frozenset(self.components if self.chosen and not self.watched else ()))
 
     @abstractmethod
@@ -332,15 +332,15 @@ class SwitchedEffect(RuntimeEffect, ABC):
         """
 
     def load(self, component: str) -> float:
-        """Size of the effect on a component, in modes: its cost per sample grows with it."""
+        """Return the size of the effect on a component, in modes: its cost per sample grows with it."""
         return 0.0
 
     def running(self, run: Run) -> Collection[str]:
-        """Components on which it is on."""
+        """Return the components on which it is on."""
         return run.switchings[self.name].on
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
-        """When it was on and left out, and the bound."""
+        """Report when it was on and left out, and the bound."""
         out = []
         for component in self.components:
             spans, bound = usage.spans[self.name, component], usage.left_out.get((self.name, component))
