@@ -1,11 +1,12 @@
 """Phantom partials that are driven one way, switched on and off string by string.
 
 They run from any gesture on a string until bounds on what would be missing (`effects.phantoms`, from the string's
-partials and the body's response) come to half of the budget over all strings without them: those of the strings of a
-key are added up, those of several keys in power, since their partials are at other frequencies. Strings on which they
-are off are looked at where they hold a thousandth of the energy of the one that holds most: otherwise their phantom
-partials, which go with the energy, are some 60 dB below those of that one; they are not in the sum, so that the budget
-is an estimate for them. The transverse motion is the same on or off, so that a switch costs no energy.
+partials and the body's response) come to the budget over all strings without them (half of it if tensions rise, too):
+those of the strings of a key are added up, those of several keys in power, since their partials are at other
+frequencies. Strings on which they are off are looked at where they hold a thousandth of the energy of the one that
+holds most: otherwise their phantom partials, which go with the energy, are some 60 dB below those of that one; they are
+not in the sum, so that the budget is an estimate for them. The transverse motion is the same on or off, so that a
+switch costs no energy.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ Floats = NDArray[np.float64]
 
 #: points of the control grid between two looks
 _SELDOM = 32
-#: share of the additive budget that missing phantom partials may take
+#: share of the additive budget that missing phantom partials may take, where tensions rise, too
 _SHARE = 0.5
 #: share of that below which they are left out; above the whole of it, they come back
 _LEAVE = 0.9
@@ -50,7 +51,7 @@ class PhantomPartialsEffect(SwitchedEffect):
 
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
         super().__init__(model, effect, plugins)
-        self.budget = _SHARE * 10 ** (model.choice.budget_db / 20)
+        self.budget = (_SHARE if model.system.rising else 1.0) * 10 ** (model.choice.budget_db / 20)
         self._laws = {p.name: p for p in model.system.phantoms}
         self._response: BridgeResponse | None = None
         self._bounds: dict[tuple[str, float], Phantoms] = {}
