@@ -1,12 +1,13 @@
 """Where the time of `--effects auto` goes in dense music whose tensions rise, as multiples of the linear engine's.
 
     python benchmarks/auto_dense.py [SCORE.mid ...] [--instrument steel_guitar] [--seconds 8] [--budget-db -80]
+        [--without-connections]
 
 Renders with effects `auto`, `all` and none but the second polarization (linear) take turns, a block each, on one core.
 A row has the processor time of `all` and `auto` over that of the linear one; the parts of the linear one and of auto
 that steps and the work between them take (stops, gestures, bounds); and the share of time in which so many strings'
-tensions rise. The table below it has what a step costs with so many: the least of some runs from one state, over that
-with none.
+tensions rise. The table below it has the time of a step with so many: the least of some runs from one state, over that
+with none. `--without-connections` takes frets and the like away.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def costs(renderer: tw.Renderer) -> list[float]:
 
 
 def row(path: Path, made: tw.Instrument, args: argparse.Namespace) -> tuple[list[str], list[float]]:
-    """One scene, and what steps cost in its middle."""
+    """One scene, and the time of steps in its middle."""
     score = tw.read_score(path)
     budgets = {"budget_db": args.budget_db, "budget_cents": args.budget_cents}
     ways: dict[str, dict[str, Any]] = {
@@ -90,8 +91,11 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("--budget-db", type=float, default=-80.0)
     parser.add_argument("--budget-cents", type=float, default=0.5)
+    parser.add_argument("--without-connections", action="store_true")
     args = parser.parse_args()
     made = tw.load_instrument(args.instrument)
+    if args.without_connections:
+        made = tw.Instrument.from_values({**made.resolved, "connections": {}}, made.folder)
     found = [row(path, made, args) for path in args.scores]
     columns = [
         "score",

@@ -144,7 +144,7 @@ bool Kernel::load_components(const CompiledSystem& system, std::size_t m) {
         if (keys_[slot] >= 0) replaced_.emplace_back(keys_[slot], std::move(components[slot]));
         components[slot] = std::move(next), keys_[slot] = d.key;
     }
-    // only now, since a later slot may take what an earlier one would have displaced
+    // only now, since a later slot may take an entry that an earlier one would have displaced
     const std::size_t most = kStored * components.size();
     if (replaced_.size() > most) replaced_.erase(replaced_.begin(), replaced_.end() - std::ptrdiff_t(most));
     for (std::size_t slot = 0; slot < components.size(); ++slot)

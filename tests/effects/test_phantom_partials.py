@@ -1,4 +1,4 @@
-"""Phantom partials that are driven one way: they run from a note until a bound on what is missing, and no longer."""
+"""Phantom partials that are driven one way: they run from a note until a bound on the missing sound, and no longer."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 
 import tonewood as tw
 from pianos import piano
+from tonewood.engine.effects.base import SwitchedEffect
 
 FS = 24000.0
 
@@ -72,3 +73,17 @@ def test_the_account_closes_and_names_their_work(bass: tw.Instrument) -> None:
     along = sum(abs(v).sum() for k, v in trace.supplied.items() if "longitudinal" in k)
     assert trace.worst_cumulative_residual * trace.peak <= 1e-10 * put_in
     assert 0.0 < along < 1e-2 * put_in
+
+
+def test_switched_effects_share_the_budget(bass: tw.Instrument) -> None:
+    """One alone has all of it; with strings whose tension rises beside them, half."""
+    strings = {name: dict(part) for name, part in bass.resolved["strings"].items()}
+    for key in ("freq_coupled", "longitudinal_loss", "bridge_leverage"):
+        strings["A0"].pop(key, None)
+    both = tw.Instrument.from_values(
+        {**bass.resolved, "strings": strings | {"A0": strings["A0"] | {"plugin": "tension_modulated_string"}}},
+        bass.folder,
+    )
+    for instrument, shares in ((bass, [1.0]), (both, [0.5, 0.5])):
+        effects = played(instrument, 60, effects="auto").engine.effects
+        assert [e.share for e in effects if isinstance(e, SwitchedEffect) and e.watched] == shares

@@ -13,7 +13,7 @@ from tonewood.engine.effect_usage import Bound
 from tonewood.engine.effects.base import pay
 from tonewood.engine.effects.bridge_response import BridgeResponse
 from tonewood.engine.effects.phantoms import Phantoms
-from tonewood.engine.effects.tension import LOOK, potential
+from tonewood.engine.effects.tension import SELDOM, potential
 from tonewood.engine.engine import GRID
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.modal.held_modes import HeldModes
@@ -98,7 +98,7 @@ def test_switches_lose_no_more_than_the_budget_and_gain_no_energy() -> None:
     peak, left, energies, ways = 0.0, [], [], set()
     while engine.state.sample < 2.0 * FS:
         before, modulated = engine.snapshot(), engine.running(TENSION)
-        out = engine.advance(LOOK // 2)
+        out = engine.advance(SELDOM // 8)
         peak = max(peak, abs(out).max())
         if engine.done:
             energies.append(stored_energy(engine.system, engine.state).total)
@@ -106,7 +106,7 @@ def test_switches_lose_no_more_than_the_budget_and_gain_no_energy() -> None:
         if now != modulated:
             if now < modulated:
                 other.restore(before)
-                n = LOOK // 2 if "B3" in modulated - now else 1  # the other's pitch parts from what it was
+                n = SELDOM // 8 if "B3" in modulated - now else 1  # the other's pitch departs
                 left.append((abs(other.advance(n) - out[: n * GRID]).max(), peak))
             ways |= {("rises" if name in now else "rests", name) for name in now ^ modulated}
     assert {("rises", "B3"), ("rests", "B3"), ("rises", "E4")} <= ways

@@ -1,4 +1,4 @@
-"""Rising tension that comes and goes: within its budget of what runs all the time, without a click or a gain."""
+"""Rising tension that comes and goes: within its budget of one that rises all the time, without a click or a gain."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import tonewood as tw
 from tonewood.energy.stored import stored_energy
 from tonewood.engine.effect_usage import Bound
 from tonewood.engine.effects.base import Switching, Watched, pay, switch
-from tonewood.engine.effects.tension import LOOK, SELDOM
+from tonewood.engine.effects.tension import SELDOM
 from tonewood.engine.engine import GRID
 from tonewood.instrument.assembly import assemble
 from tonewood.stepping.motion import from_motion, share_velocities, to_motion
@@ -35,7 +35,7 @@ SCENES = {
 @pytest.mark.parametrize("scene", SCENES)
 def test_auto_is_within_its_budget_of_all(scene: str) -> None:
     notes, seconds, freqs = SCENES[scene]
-    # over frets that nothing touches: what buzzes answers the least change of pitch with other partials
+    # over frets that nothing touches: a buzzing string answers the least change of pitch with other partials
     high = {"connections.frets.action_first": 3e-3, "connections.frets.action_twelfth": 6e-3}
     streams = {mode: renderer(notes, seconds, duet(mode=mode).replace(high)) for mode in ("all", "auto")}
     all_, auto = (sound(stream)[:, 0] for stream in streams.values())
@@ -116,7 +116,7 @@ def test_energy_falls_through_switches() -> None:
     engine = renderer([NOTE(0.0, 3, note=64, force=3.0), NOTE(0.01, 3, note=59, force=2.0)], 3.0, duet()).engine
     course, modulated = [], []
     while engine.state.sample < 2.5 * FS:
-        engine.advance(LOOK // 4)
+        engine.advance(SELDOM // 16)
         if engine.done:
             course.append(stored_energy(engine.system, engine.state).total)
             modulated.append(engine.running(TENSION))
@@ -167,7 +167,7 @@ def test_switching_follows_the_grid() -> None:
 
 
 def test_switches_do_not_click() -> None:
-    """Just after a switch the sound is what it would be without; then it drifts apart, as another pitch does."""
+    """Just after a switch the sound is as without; then it drifts apart, as another pitch does."""
     notes = SCENES["quiet and loud in turn"][0]
     engine, other = (renderer(notes, 2.0, duet()).engine for _ in range(2))
     other._switch = lambda moved, fresh: None  # type: ignore[method-assign]  # never switches
@@ -227,9 +227,7 @@ def test_a_rise_far_above_its_budget_is_not_looked_at_until_it_may_have_fallen(m
     effect, system = tension_effect(model), model.system
     rates = [system.compiled[system.slot(c)].basis.damping_rate.min() for c in model.strings["B3"].components]
     over = 4.0
-    monkeypatch.setattr(
-        effect, "bounds", lambda m, energies, names: {n: Bound(over * BUDGET, np.inf) for n in energies}
-    )
+    monkeypatch.setattr(effect, "bounds", lambda m, cents, *_: {n: Bound(over * BUDGET, np.inf) for n in cents})
     at = moment(system, system.start())
     on = Switching(frozenset(effect.components))
     found = effect.watch(at, on)

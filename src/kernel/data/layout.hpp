@@ -11,8 +11,8 @@ struct Entry {  // of a sparse matrix
     bool operator==(const Entry&) const = default;
 };
 
-// A sparse matrix of about as many entries in every row: layer l has the l-th entry of each. `rest` has what is left of
-// rows with more than kLayers.
+// A sparse matrix of about as many entries in every row: layer l has the l-th entry of each. `rest` has the other entries
+// of rows with more than kLayers.
 struct SparseRows {
     struct Layer {
         std::vector<int> column;  // by row; 0 where the value is

@@ -21,7 +21,7 @@ struct Stretch {
     std::vector<Part> parts;   // the longitudinal one last
 };
 
-// Strings whose tension rises (connect/rising.hpp), and what load/tension.hpp derives of them.
+// Strings whose tension rises (connect/rising.hpp), and the tables that load/tension.hpp derives of them.
 struct Tensions {
     struct Part {  // a polarization
         int component, string, first_port;

@@ -79,7 +79,7 @@ inline SparseRows sparse_rows(std::size_t rows, std::size_t columns, const std::
             last = i;
         }
         layer.first = first / kLane * kLane, layer.end = int(padded(last + 1));
-        // whole vectors are read of what is multiplied, which is padded
+        // whole vectors are read of the factor, which is padded
         layer.in_order = layer.in_order && layer.first + layer.shift >= 0 && std::size_t(layer.end + layer.shift) <= padded(columns) + (columns > 0 ? kLane : 0);
     }
     return out;

@@ -53,7 +53,7 @@ class GapCompliance:
         return np.asarray(np.bincount(self.layout.joints[1], each, m), dtype=np.float64)
 
     def in_parts(self, laws: LinearLaws) -> InverseInParts | None:
-        """Invert what linear connections see, in parts; None where there are few, or no parts."""
+        """Invert the compliance of linear connections in parts; None where there are few, or no parts."""
         if (k := len(laws.on)) < LEAST_IN_PARTS:
             return None
         place = np.full(len(self.layout.connections), -1)
@@ -67,22 +67,41 @@ class GapCompliance:
             np.concatenate([np.zeros(0), *(getattr(c, which).ravel() for c in self.compiled)])
             for which in ("compliance", "residual")
         )
-        values = np.where(kept, compliance, 0.0) + 2 * residual * (laws.rigid[rows] & laws.rigid[columns])
-        wanted = laws.active[rows] & laws.active[columns] & (values != 0.0)
-        entries = (
-            np.concatenate([place[rows[wanted]], np.arange(k)]),
-            np.concatenate([place[columns[wanted]], np.arange(k)]),
-            np.concatenate([values[wanted], laws.softness[laws.on]]),
-        )
-        return InverseInParts.of(k, entries, None if hub < 0 else self._hub(hub, place))
+        compliance = np.where(kept, compliance, 0.0)
+        residual = 2 * residual * (laws.rigid[rows] & laws.rigid[columns])
 
-    def _hub(self, slot: int, place: NDArray[np.intp]) -> Hub:
-        """Motions of a component; `place` (m,) of each connection that can carry force, -1 of the others."""
+        def found(residual: Floats, hub: Hub | None) -> InverseInParts | None:
+            values = compliance + residual
+            wanted = laws.active[rows] & laws.active[columns] & (values != 0.0)
+            entries = (
+                np.concatenate([place[rows[wanted]], np.arange(k)]),
+                np.concatenate([place[columns[wanted]], np.arange(k)]),
+                np.concatenate([values[wanted], laws.softness[laws.on]]),
+            )
+            return InverseInParts.of(k, entries, hub)
+
+        if hub < 0:
+            return found(residual, None)
+        at = self.compiled[hub].gaps
+        made = found(residual, self._hub(hub, place))
+        if made is None and np.any(self.compiled[hub].residual) and np.all(laws.rigid[at[place[at] >= 0]]):
+            # its residual compliance joins what would be in parts otherwise: it goes with the hub's motions
+            return found(np.where(kept, residual, 0.0), self._hub(hub, place, yields=True))
+        return made
+
+    def _hub(self, slot: int, place: NDArray[np.intp], *, yields: bool = False) -> Hub:
+        """Motions of a component.
+
+        Parameters
+        ----------
+        place : (m,) of each connection that can carry force, -1 of the others.
+        yields : its residual compliance, of which rigid connections see twice as much, is in that of the motions.
+        """
         compiled = self.compiled[slot]
         gaps = np.flatnonzero(place[compiled.gaps] >= 0)
         shares, at = compiled.shares[gaps], place[compiled.gaps[gaps]]
         used = np.flatnonzero(np.any(shares != 0.0, axis=0))
-        ports, span = compiled.motions(used)
+        ports, span = (used, np.eye(len(used))) if yields else compiled.motions(used)
         shares = shares[:, used]
         point, factor = np.full(int(place.max()) + 1, -1), np.zeros(int(place.max()) + 1)
         if np.all(np.count_nonzero(shares, axis=1) == 1):
@@ -90,6 +109,9 @@ class GapCompliance:
         else:  # ends that several points share: every connection has a point of its own
             point[at], factor[at], span = np.arange(len(at)), 1.0, shares @ span
         compliance = compiled.history[0][ports][:, ports].T
+        if yields:
+            own = compiled.ports[used]
+            compliance = compliance + 2 * compiled.basis.residual[own][:, own]
         return Hub(slot, ports, point, factor, span, np.ascontiguousarray(compliance))
 
     def seen_by(self, laws: NonlinearLaws) -> NonlinearGaps:
@@ -101,7 +123,7 @@ class GapCompliance:
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
-    """Connections' forces under the compliance of what they join; solved for when first wanted."""
+    """Connections' forces under the compliance of the components that they join; solved for when first wanted."""
 
     connections: tuple[Connection, ...]
     linear: LinearLaws
@@ -111,17 +133,17 @@ class Elimination:
 
     @classmethod
     def of(cls, connections: tuple[Connection, ...], gap: GapCompliance, dt: float) -> Elimination:
-        """Of connections as they are, for a step of dt (s)."""
+        """Make it of connections as they are, for a step of dt (s)."""
         laws = [c.law for c in connections]
         return cls(connections, LinearLaws.of(laws, dt), NonlinearLaws.of(laws, dt), gap, dt)
 
     def with_gap(self, gap: GapCompliance) -> Elimination:
-        """These connections between other components."""
+        """Return the elimination of these connections between other components."""
         return Elimination(self.connections, self.linear, self.others, gap, self.dt)
 
     @property
     def laws_alone(self) -> Elimination:
-        """Its laws, between no components."""
+        """Return the elimination with its laws alone, between no components."""
         return self.with_gap(GapCompliance((), self.gap.layout))
 
     def with_laws(self, laws: Mapping[int, Connection]) -> Elimination:
@@ -136,7 +158,7 @@ class Elimination:
 
     @cached_property
     def solve(self) -> LinearSolve:
-        """Of the linear connections; found once for the same laws between the same components."""
+        """Solve of the linear connections; found once for the same laws between the same components."""
         known = self.gap.solves
         if self.linear not in known:
             known.clear()
@@ -150,5 +172,5 @@ class Elimination:
 
     @cached_property
     def nonlinear(self) -> NonlinearSolve | None:
-        """Of the others, if there are any."""
+        """Solve of the nonlinear connections, if there are any."""
         return NonlinearSolve(self.gap.seen_by(self.others), self.solve) if self.others.laws else None

@@ -1,14 +1,16 @@
 """Inverse of the compliance that linear connections see: dense, or in parts that one component joins.
 
-Of m connections, M = Z + S is what their gaps move per force (`connections`). Without the component on which most of
-them meet, the hub (an instrument's body), M falls into small diagonal blocks D: strings touch each other nowhere else.
-The hub moves by r motions, which reach the gaps by U (m, r) and answer forces by C (r, r):
+Of m connections, M = Z + S is the motion of their gaps per force (`connections`). Without the component on which most
+of them meet, the hub (an instrument's body), M falls into small diagonal blocks D: strings touch each other nowhere
+else. The hub moves by r motions, which reach the gaps by U (m, r) and answer forces by C (r, r):
 
     M = D + U C U^T,      M^-1 = B - B U K U^T B,      B = D^-1,   H = U^T B U,   K = (I + C H)^-1 C
 
 (Woodbury). Unison strings share a point of the hub, U = Q P: Q (m, p) has one number a row, P (p, r) is the motion of
 p points. A product with M^-1 then takes m + 2 p r + 3 r^2 multiplications in place of m^2, and a connection that the
-hub does not feel costs one. It is the same number to rounding if D is far from singular and C H is not large.
+hub does not feel costs one. Where the hub's residual compliance R would join the parts, its motions are those of all
+its points, and C + 2 R takes the place of C. It is the same number to rounding if D is far from singular and C H is not
+large.
 """
 
 from __future__ import annotations
@@ -113,7 +115,7 @@ class InverseInParts:
 
     @classmethod
     def of(cls, k: int, entries: Entries, hub: Hub | None) -> InverseInParts | None:
-        """Invert `entries`, what k connections see besides the hub; None where the dense inverse is wanted."""
+        """Invert `entries`, compliance of k connections without the hub; None where the dense inverse is wanted."""
         found = _parts(k, entries)
         if found is None:
             return None

@@ -38,7 +38,7 @@ _PLAIN = ("note", "strings", "una_corda", "damped", "kind")
 _YES_NO = {"yes": True, "no": False}
 _MOST = 6
 _WHOLE = re.compile(r"[+-]?[0-9]{1,15}")
-#: signs in names of notes, and what stands for them in the names of keys
+#: signs in names of notes, and the letters for them in the names of keys
 _SIGNS = str.maketrans({"#": "s", "\u266f": "s", "\u266d": "b", "-": "m"})
 
 
@@ -51,7 +51,7 @@ class KeyRows:
     values : of the bundle.
     file : of the table.
     places : dotted path in `values` -> (line, column, or the words before the dots of the columns below it); line 0 for
-        what stands in the bundle itself, under that key.
+        values of the bundle itself, under that key.
     """
 
     values: Mapping[str, Any]
@@ -78,7 +78,7 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
 
     Raises
     ------
-    BundleError : names file, line, column, value and what is allowed.
+    BundleError : names file, line, column, value and the values allowed.
     """
     keys = values.get("keys")
     if not isinstance(keys, Mapping) or not isinstance(keys.get("table"), str):
@@ -244,7 +244,7 @@ def _no_exciter(name: str, known: Collection[str]) -> str:
 
 
 def _pitches(entries: Mapping[str, Any]) -> dict[float, str]:
-    """Pitch -> key, of the entries beside a table whose notes are ones; what is wrong with others is said elsewhere."""
+    """Pitch -> key, of the entries beside a table with valid notes; the check of the schema refuses the others."""
     out: dict[float, str] = {}
     for name, entry in entries.items():
         note = entry.get("note") if isinstance(entry, Mapping) else None
@@ -335,7 +335,7 @@ def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 def _places(
     name: str, strings: list[str], exciter: Any, row: _Row, defaults: Any, damper: Mapping[str, Any]
 ) -> dict[str, tuple[int, str]]:
-    """Dotted path of what a row gives -> its line, and the words in the header that stand for the path."""
+    """Dotted path of a row's values -> its line, and the words in the header that stand for the path."""
     line, entry = row.line, f"keys.entries.{name}"
     out = {entry: (line, ""), f"keys.{name}.{exciter}": (line, str(exciter))}
     out |= {f"{entry}.damper.{key}": (0, f"keys.damper.{key}") for key in damper}

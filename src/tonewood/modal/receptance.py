@@ -1,4 +1,4 @@
-"""Components seen through their ports, at complex frequency: what the modes of a coupled system are found with.
+"""Receptance of components at their ports, at complex frequency; the modes of a coupled system follow from it.
 
     H(s) = sum_k r_k l_k^T / (s - lambda_k) + conj. part + sum_blocks r l^T / (s^2 + 2 sigma s + omega^2) + R
 

@@ -70,13 +70,13 @@ def compiler() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Shortcuts:
-    """Which shortcuts of the kernel are on; ``docs/kernel.md`` derives each and says what it gains.
+    """Which shortcuts of the kernel are on; ``docs/kernel.md`` derives each and states its gain.
 
-    None of them changes what is solved: samples are the same bit for bit, or within 1e-12 of their peak where the page
-    says so.
+    None of them changes the equations that are solved: samples are the same bit for bit, or within 1e-12 of their peak
+    where the page says so.
     """
 
-    #: modes that one row reads are stepped in what it reads of them, moved and read in one pass
+    #: modes that one row reads are stepped in their share of that row, moved and read in one pass
     fused_pass: bool = True
     #: port forces of linear connections in one product; contact-free samples without the general step
     direct_step: bool = True
@@ -97,7 +97,7 @@ class KernelStepper:
 
     Parameters
     ----------
-    system : what to step.
+    system : to be stepped.
     isa : instruction set, by default `instruction_set()`.
     shortcuts : which shortcuts of the kernel are on, by default all.
     """
@@ -174,7 +174,7 @@ class KernelStepper:
         }
 
     def _laws_and_gaps(self, system: System, terms: Terms, weights: Floats) -> Description:
-        """Describe the nonlinear connections; arrays of what has not changed are those of the last description."""
+        """Describe the nonlinear connections; unchanged arrays are those of the last description."""
         nonlinear, on = system.nonlinear, self._active
         laws: tuple[NonlinearLaw, ...] = () if nonlinear is None else nonlinear.laws
         if laws is not self._laws:

@@ -65,7 +65,18 @@ def test_a_hub_much_softer_than_the_parts_is_left_to_the_dense_inverse(rng):
 
 
 def strings_on_a_body(
-    rng, n=30, *, points=9, motions=4, residual=2e-8, dashpots=True, held=True, laws=False, rising=0, bare=99
+    rng,
+    n=30,
+    *,
+    points=9,
+    motions=4,
+    residual=2e-8,
+    joined=0.0,
+    dashpots=True,
+    held=True,
+    laws=False,
+    rising=0,
+    bare=99,
 ):
     """n strings of a body's points that move by fewer motions; a held one touches nothing, some have dashpots.
 
@@ -75,7 +86,8 @@ def strings_on_a_body(
     shapes = rng.normal(size=(points, motions)) @ rng.normal(size=(motions, 20))
     names = [f"p{i}" for i in range(points)]
     freq = np.sort(rng.uniform(100, 4000, 20)) * 2 * np.pi
-    body = ModalBasis.real(freq, freq / 60, dict(zip(names, shapes, strict=True)), residual=residual * np.eye(points))
+    static = residual * (np.eye(points) + joined)
+    body = ModalBasis.real(freq, freq / 60, dict(zip(names, shapes, strict=True)), residual=static)
     parts = {"body": body}
     joints = []
     for i in range(n):
@@ -101,6 +113,8 @@ def strings_on_a_body(
 CASES = {
     "plain": {}, "no residual": {"residual": 0.0}, "all at one point": {"points": 12, "motions": 1},
     "own motions": {"points": 12, "motions": 12}, "no dashpots": {"dashpots": False, "held": False},
+    "a residual that joins all": {"joined": 0.5, "dashpots": False},
+    "a residual that joins many": {"joined": 0.5, "n": 80, "points": 24},
     "own motions, many": {"points": 19, "motions": 19, "n": 60}, "many motions": {"points": 24, "motions": 17, "n": 80},
     "several gammas": {"residual": 0.0, "bare": 7},
     "several gammas, own motions": {"points": 19, "motions": 19, "n": 60, "residual": 0.0, "bare": 4, "rising": 5},

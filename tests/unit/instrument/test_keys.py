@@ -1,4 +1,4 @@
-"""Table of keys: strings, hammers and dampers of every row, and what is said about bad rows."""
+"""Table of keys: strings, hammers and dampers of every row, and messages about bad rows."""
 
 from __future__ import annotations
 

@@ -1,12 +1,16 @@
-"""The cheapest setting that meets a target: how targets are read, what a reference is worth, what is found."""
+"""The cheapest setting that meets a target: how targets are read, the error of a reference, the setting found."""
 
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+import soundfile as sf
+from numpy.typing import NDArray
+from scipy.signal.windows import blackmanharris
 
 import tonewood as tw
 from midi_bytes import note, write
@@ -132,6 +136,56 @@ def test_options_it_prints_are_those_of_render(tmp_path: Path, capsys: pytest.Ca
     assert words[0] == "--oversampling"
     score = write(tmp_path / "a.mid", note(0.0, 0.1, 45))
     call("render", score, "-i", "monochord", "-o", tmp_path / "a.wav", "--max-duration", 0.1, "--fs", 16000, *words)
+
+
+def pitch_errors(sounds: list[NDArray[np.float64]], fs: float, freq: float) -> NDArray[np.float64]:
+    """Cents between two sounds of a note, of the partials within 30 dB of the loudest: how their phases part."""
+    length = int(0.4 * fs)
+    window = blackmanharris(length)
+    starts = np.arange(int(0.2 * fs), len(sounds[0]) - length, length // 4)
+    lines = []
+    for sound in sounds:
+        frames = np.stack([window * sound[s : s + length] for s in starts])
+        lines.append(np.fft.rfft(frames, axis=1))
+    size = np.abs(lines[1]).mean(axis=0)
+    found = []
+    for k in range(1, 11):
+        around = slice(int((k - 0.3) * freq * length / fs), int((k + 0.3) * freq * length / fs))
+        peak = around.start + int(np.argmax(size[around]))
+        if size[peak] > 10 ** (-30 / 20) * size.max():
+            phase = np.unwrap(np.angle(lines[0][:, peak] * lines[1][:, peak].conj()))
+            turns = (phase[-1] - phase[0]) / (2 * np.pi)
+            seconds = (starts[-1] - starts[0]) / fs
+            found.append(abs(1200 * np.log2(1 + turns / seconds / (peak * fs / length))))
+    return np.array(found)
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize(("name", "pitch"), [("classical_guitar", 55), ("steel_guitar", 55)])
+def test_a_render_with_the_options_for_a_copied_bundle_meets_the_target(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, name: str, pitch: int
+) -> None:
+    """Files of `tonewood render`, by phases, against six steps per frame and all effects; a coarse one fails."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(tw.load_instrument(name).folder, tmp_path / "mine")
+    score, sounds = write(tmp_path / "a.mid", note(0.0, 1.9, pitch)), []
+
+    def call(*arguments: object) -> str:
+        with pytest.raises(SystemExit) as ended:
+            run(list(map(str, arguments)))
+        assert ended.value.code == 0
+        return capsys.readouterr().out
+
+    words = call("accuracy", "-i", "mine", "--target", "0.5cent", "--notes", "G3", "--apply").split()
+    coarse = ["--oversampling", 0.25, "--effects", "none"]
+    for i, options in enumerate((words, coarse, ["--oversampling", 6, "--effects", "all"])):
+        out = tmp_path / f"{i}.wav"
+        call("render", score, "-i", "mine", "-o", out, "--max-duration", 2, "--tail", "0", *options)
+        sounds.append(sf.read(out, always_2d=True)[0][:, 0])
+    freq = 440 * 2 ** ((pitch - 69) / 12)
+    length = min(map(len, sounds))
+    worst = [pitch_errors([x[:length], sounds[2][:length]], 48000.0, freq).max() for x in sounds[:2]]
+    assert worst[0] < 0.5 < worst[1]
 
 
 @pytest.mark.parametrize(

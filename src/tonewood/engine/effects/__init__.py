@@ -1,11 +1,11 @@
-"""Effects of a model while it is stepped: which there are, when they run, what is left out."""
+"""Effects of a model while it is stepped: which there are, when they run, when they are left out."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from tonewood.engine.effects.base import RuntimeEffect
+from tonewood.engine.effects.base import RuntimeEffect, SwitchedEffect
 from tonewood.engine.effects.longitudinal import LongitudinalEffect
 from tonewood.engine.effects.phantom_partials import PhantomPartialsEffect
 from tonewood.engine.effects.tension import TensionEffect
@@ -44,7 +44,7 @@ _BUILT_IN: Mapping[str, Maker] = {
     TOUCH_NOISE.name: GestureEffect,
     SQUEAK.name: GestureEffect,
 }
-#: kind of plugin -> what its effects are if nothing else is said; those of strings and bodies always run
+#: kind of plugin -> class of its effects if nothing else is said; those of strings and bodies always run
 _BY_KIND: Mapping[str, Maker] = {"connection": ContactEffect, "exciter": ContactEffect, "pickup": PickupEffect}
 
 
@@ -57,7 +57,11 @@ def runtime_effects(model: Model) -> tuple[RuntimeEffect, ...]:
             key = effect.name, plugin.kind
             effects.setdefault(key, effect)
             plugins.setdefault(key, {})[component] = plugin
-    return tuple(_maker(effect, kind)(model, effect, plugins[name, kind]) for (name, kind), effect in effects.items())
+    made = [_maker(effect, kind)(model, effect, plugins[name, kind]) for (name, kind), effect in effects.items()]
+    watched = [found for found in made if isinstance(found, SwitchedEffect) and found.watched]
+    for one in watched:
+        one.share = 1.0 / len(watched)
+    return tuple(made)
 
 
 def _plugins(model: Model) -> Iterator[tuple[str, Plugin[Any]]]:

@@ -1,12 +1,11 @@
 """Phantom partials that are driven one way, switched on and off string by string.
 
-They run from any gesture on a string until bounds on what would be missing (`effects.phantoms`, from the string's
-partials and the body's response) come to the budget over all strings without them (half of it if tensions rise, too):
-those of the strings of a key are added up, those of several keys in power, since their partials are at other
-frequencies. Strings on which they are off are looked at where they hold a thousandth of the energy of the one that
-holds most: otherwise their phantom partials, which go with the energy, are some 60 dB below those of that one; they are
-not in the sum, so that the budget is an estimate for them. The transverse motion is the same on or off, so that a
-switch costs no energy.
+They run from any gesture on a string until bounds on the missing sound (`effects.phantoms`, from the string's
+partials and the body's response) come to the budget over all strings without them: those of the strings of a key are
+added up, those of several keys in power, since their partials are at other frequencies. Strings on which they are
+off are looked at where they hold a thousandth of the energy of the one that holds most: otherwise their phantom
+partials, which go with the energy, are some 60 dB below those of that one; they are not in the sum, so that the budget
+is an estimate for them. The transverse motion is the same on or off, so that a switch costs no energy.
 """
 
 from __future__ import annotations
@@ -36,8 +35,6 @@ Floats = NDArray[np.float64]
 
 #: points of the control grid between two looks
 _SELDOM = 32
-#: share of the additive budget that missing phantom partials may take, where tensions rise, too
-_SHARE = 0.5
 #: share of that below which they are left out; above the whole of it, they come back
 _LEAVE = 0.9
 #: share of the largest energy of a string from which on strings without them are looked at
@@ -51,7 +48,6 @@ class PhantomPartialsEffect(SwitchedEffect):
 
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
         super().__init__(model, effect, plugins)
-        self.budget = (_SHARE if model.system.rising else 1.0) * 10 ** (model.choice.budget_db / 20)
         self._laws = {p.name: p for p in model.system.phantoms}
         self._response: BridgeResponse | None = None
         self._bounds: dict[tuple[str, float], Phantoms] = {}
@@ -60,6 +56,11 @@ class PhantomPartialsEffect(SwitchedEffect):
     def components(self) -> tuple[str, ...]:
         """Strings whose longitudinal motion is driven."""
         return tuple(self._laws) if self.chosen else tuple(self.plugins)
+
+    @property
+    def budget(self) -> float:
+        """Ratio to the loudest sample of the sound that may be missing at the outputs."""
+        return self.share * 10 ** (self.model.choice.budget_db / 20)
 
     def prepare(self, timeline: Timeline) -> None:
         """Find the bounds of the strings that will be played; of all where nothing of that is known."""
@@ -105,7 +106,7 @@ class PhantomPartialsEffect(SwitchedEffect):
         return system if same else system.with_phantoms(on)
 
     def reset(self, system: System, state: State, changed: Collection[str]) -> None:
-        """Clear what the longitudinal modes remember."""
+        """Clear the state of the longitudinal modes."""
         if state.phantoms.size:
             state.phantoms[[p.name in changed for p in system.phantoms]] = 0.0
 
@@ -119,7 +120,7 @@ class PhantomPartialsEffect(SwitchedEffect):
         """One line."""
         if self.model.choice.mode != "auto":
             return super().why(usage, component)
-        return f"from a gesture until what would be missing is below {self.model.choice.budget_db:g} dB"
+        return f"from a gesture until the missing sound is below {self.model.choice.budget_db:g} dB"
 
     def _planes(self, name: str) -> Sequence[str]:
         return [p.component for p in self.model.strings[name].polarizations]

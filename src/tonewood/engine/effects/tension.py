@@ -14,11 +14,11 @@ potential of a coupling to the longitudinal motion may be negative; then leaving
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import accumulate, zip_longest
 from typing import Any, cast
 
 import numpy as np
@@ -43,21 +43,21 @@ from tonewood.stepping.motion import to_motion
 
 Floats = NDArray[np.float64]
 
-#: points of the control grid between two looks at energies while some tensions rise and others do not, and between
-#: two looks at all bounds, after which tensions may be left out
-LOOK, SELDOM = 16, 64
+#: points of the control grid between two looks at all strings, after which tensions may be left out
+SELDOM = 64
 #: s, shortest time for which a rise is left out: two switches and the bounds before them cost some 5 ms, a rise saves
 #: some 20 ms/s (a steel guitar's string at 48 kHz)
 SHORTEST = 0.3
 #: least share of the time of all strings, by their modes, for which rises must be likely to be left out: below it,
-#: looking costs what leaving out saves (some 5 % of a render; strings whose tension rises cost some 50 %)
+#: looking costs as much as leaving out saves (some 5 % of a render; strings whose tension rises cost some 50 %)
 WORTH = 0.1
 #: s, longest time for which a rise goes on without another look at its bound
 _LONGEST_UNWATCHED = 0.5
 #: share of the budget below which a rise is left out; above the whole of it, it comes back
 _LEAVE = 0.9
-#: share of the additive budget that sidebands may take; the rest is left to other effects that are left out
-_SHARE = 0.5
+#: share of the budget below which sidebands are taken from those computed before, as the power 3/2 of the string's
+#: energy and so many times as loud, since its partials may have other shares of it now
+_FAINT, _OTHERWISE = 0.1, 4.0
 #: a string held aside stretches by 2 E / T, twice as much as one that vibrates, and 1.5 of that are in the bound
 _DRAWN = 4 / 3
 #: strings as they are held whose sidebands and phantom partials are kept
@@ -78,7 +78,7 @@ class Forms:
 
     @classmethod
     def of(cls, compiled: Compiled) -> Forms:
-        """Of real modes."""
+        """Make them of a component of real modes."""
         basis = compiled.basis
         one, none = np.ones(basis.n_modes), np.zeros(basis.n_modes)
         (qx, vx), (qy, vy) = (to_motion(basis, np.stack(unit)) for unit in ((one, none), (none, one)))
@@ -97,14 +97,12 @@ class TensionEffect(SwitchedEffect):
         super().__init__(model, effect, plugins)
         system = model.system
         self.budget = model.choice.budget_cents
-        #: what may be missing at the outputs, ratio to the loudest sample
-        self.budget_level = 10 ** (model.choice.budget_db / 20) * (1.0 if system.stretches else _SHARE)
         self._laws = {t.name: t for t in system.rising}
         stiff = (name for name in plugins if model.strings[name].resonator.axial_stiffness > 0)
         self._strings = tuple(self._laws) if self.chosen else tuple(stiff)
         #: strings whose longitudinal motion is coupled
         self.longitudinal = {g.name: g for g in system.stretches if g.longitudinal is not None}
-        # what moves at a string, a hammer on its way, may give its energy to the string at the next moment
+        # a mass that moves at a string, a hammer on its way, may give its energy to the string at the next moment
         parts = [(i, c) for i, t in enumerate(system.rising) for c in (*t.components, *_partners(system, t))]
         self._slots = [system.slot(c) for _, c in parts]
         self._owner = np.array([i for i, _ in parts], dtype=np.intp)
@@ -123,8 +121,9 @@ class TensionEffect(SwitchedEffect):
         self._starts = np.cumsum([0, *sizes[:-1]]).astype(np.intp)
         self._forms = np.zeros((3, len(self._places)))
         self._formed: list[Compiled | None] = [None] * len(self._slots)
-        # the system that they describe, and what its strings rise per joule, cents: `Effect.bound` is proportional
-        self._system: System | None = None
+        # the modes that they describe, and the rise of its strings per joule, cents: `Effect.bound` is proportional
+        self._compiled: Sequence[Compiled] = ()
+        self._rising: list[tuple[Compiled, ...]] = [()] * len(self.components)
         self._per_joule = np.zeros(len(self.components))
         self._worth = True
 
@@ -136,7 +135,7 @@ class TensionEffect(SwitchedEffect):
     def prepare(self, timeline: Timeline) -> None:
         """Decide from the score whether looking for rises to leave out pays; if not, all rise all the time.
 
-        Nothing is known beforehand of what is played live: then it is looked for.
+        Of live playing nothing is known beforehand: then they are looked for.
         """
         if super().watched and timeline.plays:
             self._worth = self.idle_share(timeline) >= WORTH
@@ -144,8 +143,8 @@ class TensionEffect(SwitchedEffect):
     def idle_share(self, timeline: Timeline) -> float:
         """Estimate the share of time, by modes of strings, in which the rise will be within the budget of cents.
 
-        A pluck makes a rise of what its force stores on the open string, and that falls as the least damped mode's
-        energy. Other gestures are taken to need no rise, and the level of sidebands is left out.
+        A pluck makes a rise by the energy that its force stores on the open string, and that falls as the least damped
+        mode's energy. Other gestures are taken to need no rise, and the level of sidebands is left out.
         """
         system, end = self.model.system, max(timeline.stop, _TINY)
         self._follow(system)
@@ -173,29 +172,19 @@ class TensionEffect(SwitchedEffect):
         return self._strings
 
     def next_watch(self, sample: int, switching: Switching) -> int:
-        """Return the next look.
-
-        Energies tell when a string's tension has to rise. Where all rise already, or none does, they are looked at
-        with everything else.
-        """
-        if switching.pending:
-            return next_multiple(sample, 1)
-        return next_multiple(sample, LOOK if self._some(switching) else SELDOM)
-
-    def _some(self, switching: Switching) -> bool:
-        """Whether some tensions rise and others do not."""
-        return 0 < len(switching.on) < len(self.components)
+        """Return the next look at all strings, or the next chance of one that cannot pay for its switch yet."""
+        return next_multiple(sample, 1 if switching.pending else SELDOM)
 
     def watch(self, moment: Moment, switching: Switching) -> Watched | None:
         """Compare bounds with the budgets: of all strings, of those held otherwise, of those about to be played."""
         on, whole = switching.on, moment.sample % (GRID * SELDOM) == 0
-        look = whole or (self._some(switching) and moment.sample % (GRID * LOOK) == 0)
         moved = [name for name in moment.moved if name in self.components]
         fresh = [play for play in moment.fresh if play.string in self.components]
-        if not (look or moved or fresh or switching.pending):
+        if not (whole or moved or fresh or switching.pending):
             return None
         wanted = on | switching.pending
         until = {name: sample for name, sample in switching.until.items() if sample > moment.sample}
+        levels = {name: level for name, level in switching.levels.items() if name not in moved}
         staying = {
             name
             for name in wanted
@@ -206,10 +195,10 @@ class TensionEffect(SwitchedEffect):
         energies = self.energies(moment.system, moment.state)
         cents = dict(zip(self.components, (energies * self._per_joule).tolist(), strict=True))
         seen: list[tuple[str, Bound, bool]] = []
-        if look or moved:
+        if whole or moved:
             others = {name: value for name, value in cents.items() if name not in staying}
             asked = [name for name in others if whole or (name in moved and name not in wanted)]
-            bounds = self.bounds(moment, others, asked)
+            bounds = self.bounds(moment, others, asked, energies, levels)
             unasked = (on | switching.pending) - set(asked)
             wanted = self.wanted(bounds, wanted) | staying | unasked
             until |= {name: self.next_bound(name, moment, bound) for name, bound in bounds.items() if name in wanted}
@@ -221,7 +210,7 @@ class TensionEffect(SwitchedEffect):
             if bound.cents > self.budget or bound.level > self.budget_level:
                 wanted |= {name}
             seen.append((name, bound, name not in wanted))
-        return Watched(wanted, seen, until)
+        return Watched(wanted, seen, until, levels)
 
     def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
         """Switch the tensions of these strings on, and all others off."""
@@ -257,8 +246,8 @@ class TensionEffect(SwitchedEffect):
         return f"{rises}; the budget is {self.model.choice.budget_cents:g}"
 
     def energies(self, system: System, state: State) -> Floats:
-        """(n_strings,) J, energy of each string's modes, and of what moves at it."""
-        if system is not self._system:
+        """(n_strings,) J, energy of each string's modes, and of the masses that move at it."""
+        if system.compiled is not self._compiled:
             self._follow(system)
         x, y = state.modes[:, self._places]
         xx, xy, yy = self._forms
@@ -275,11 +264,26 @@ class TensionEffect(SwitchedEffect):
                 self._forms[:, start : start + system.capacities[slot]] = 0.0
                 self._forms[:, start : start + n] = forms.xx, forms.xy, forms.yy
                 self._formed[i] = compiled
-        self._per_joule = np.array([self.rise(name, system, 1.0) for name in self.components])
-        self._system = system
+        for i, name in enumerate(self.components):
+            planes = tuple(system.compiled[slot] for slot in self._planes[name])
+            if any(a is not b for a, b in zip_longest(self._rising[i], planes)):
+                self._rising[i], self._per_joule[i] = planes, self.rise(name, system, 1.0)
+        self._compiled = system.compiled
 
-    def bounds(self, moment: Moment, cents: Mapping[str, float], names: Collection[str]) -> dict[str, Bound]:
-        """Bound on what leaving out strings' rise would cost: cents, and levels of `names`.
+    @property
+    def budget_level(self) -> float:
+        """Ratio to the loudest sample of the sound that may be missing at the outputs."""
+        return self.share * 10 ** (self.model.choice.budget_db / 20)
+
+    def bounds(
+        self,
+        moment: Moment,
+        cents: Mapping[str, float],
+        names: Collection[str],
+        energies: Floats,
+        levels: dict[str, float],
+    ) -> dict[str, Bound]:
+        """Bound on the error of leaving out strings' rise: cents, and levels of `names`.
 
         The strings with the least level share the budget: a string's level is the sum of its own and of all lower
         ones. A string beyond the budget of cents is not looked at further, its level is infinite.
@@ -287,6 +291,8 @@ class TensionEffect(SwitchedEffect):
         Parameters
         ----------
         cents : string -> mean rise of its pitch.
+        energies : (n_strings,) J.
+        levels : string -> level re the power 3/2 of its energy when it was last computed; brought up to date.
         """
         system, state, peak = moment.system, moment.state, np.maximum(moment.peak, _SILENT)
         cents = dict(cents)
@@ -295,6 +301,11 @@ class TensionEffect(SwitchedEffect):
             if cents[name] > self.budget or cents[name] == 0.0:  # beyond the budget, or at rest
                 alone[name] = math.inf if cents[name] else 0.0
                 continue
+            cube = max(float(energies[self.components.index(name)]) ** 1.5, _TINY)
+            faint = _OTHERWISE * levels.get(name, math.inf) * cube
+            if faint < _FAINT * self.budget_level:
+                alone[name] = faint
+                continue
             moving = {c: motion(system, state, c) for c in self._laws[name].components}
             alone[name] = self.sidebands(name, system, moment.frettings[name]).level(moving, peak)
             if name in self.longitudinal:
@@ -302,9 +313,11 @@ class TensionEffect(SwitchedEffect):
                 slopes = phantoms.slopes(moving)
                 cents[name] += phantoms.cents(slopes)
                 alone[name] += phantoms.level(slopes, peak)
+            else:
+                levels[name] = alone[name] / cube
         quietest = sorted(alone, key=lambda name: alone[name])
-        levels = dict(zip(quietest, itertools.accumulate(alone[name] for name in quietest), strict=True))
-        return {name: Bound(cents[name], levels.get(name, 0.0)) for name in cents}
+        summed = dict(zip(quietest, accumulate(alone[name] for name in quietest), strict=True))
+        return {name: Bound(cents[name], summed.get(name, 0.0)) for name in cents}
 
     def sidebands(self, name: str, system: System, fretting: Fretting) -> Sidebands:
         """Sidebands of a string as it is held now."""
@@ -417,7 +430,7 @@ class TensionEffect(SwitchedEffect):
 
 
 def _partners(system: System, law: TensionModulation | GeometricStretch) -> list[str]:
-    """Components of what touches a string: hammers, fingers, rings."""
+    """Components that touch a string: hammers, fingers, rings."""
     own = law.parts if isinstance(law, GeometricStretch) else law.components
     there = [n for n in system.names if system.owners.get(n) == law.name and n not in own]
     return [n for n in there if system.compiled[system.slot(n)].basis.is_real]
