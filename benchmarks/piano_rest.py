@@ -13,8 +13,9 @@ left out, or something simpler stands in their place:
 * *one for three, below f*: both.
 
 All of them are passive. The level is the power of the difference of samples re that of the whole, then its largest
-sample re the loudest one, of the first channel. Time is that of the process, all of it: notes, changes of dampers and
-hammers, steps. With `--score`: the effects `auto` against `all`, nothing left out by hand.
+sample re the loudest one, of the first channel, without phantom partials. Time is that of the process, all of it:
+notes, changes of dampers and hammers, steps. With `--score`: the effects `auto` against `all`, nothing left out by
+hand.
 """
 
 from __future__ import annotations
@@ -109,11 +110,12 @@ def rendered(
 ) -> tuple[NDArray[np.float64], float]:
     """First channel of the score with a way of leaving strings out, and s of computing."""
     notes = [tw.Note(start, 0.28, note, velocity_midi=80) for start, note in played]
-    renderer = tw.Renderer(tw.Score(notes), piano, FS, max_duration=3.0)
+    renderer = tw.Renderer(tw.Score(notes), piano, FS, max_duration=3.0, effects="all")
     engine = renderer.engine
+    engine.system = engine.system.with_phantoms(())
     if way is not None:
         engine.system = way(engine.system, engine.model.strings, names)
-        engine.stepper.exchange(engine.system)
+    engine.stepper.exchange(engine.system)
     start = time.process_time()
     blocks = [np.asarray(block, dtype=np.float64) for block in renderer.blocks()]
     return np.concatenate(blocks)[:, 0], time.process_time() - start

@@ -1,7 +1,8 @@
 """Phantom partials that are driven one way, switched on and off string by string.
 
 They run from any gesture on a string until bounds on the missing sound (`effects.phantoms`, from the string's
-partials and the body's response) add up to the budget over all strings without them. Strings on which they are
+partials and the body's response) come to the budget over all strings without them: those of the strings of a key are
+added up, those of several keys in power, since their partials are at other frequencies. Strings on which they are
 off are looked at where they hold a thousandth of the energy of the one that holds most: otherwise their phantom
 partials, which go with the energy, are some 60 dB below those of that one; they are not in the sum, so that the budget
 is an estimate for them. The transverse motion is the same on or off, so that a switch costs no energy.
@@ -87,12 +88,15 @@ class PhantomPartialsEffect(SwitchedEffect):
         least = _FAINT * max(every.values(), default=0.0)
         off = (name for name, energy in energies.items() if name not in switching.on and energy > least)
         levels |= {name: self._level(moment, name, peak) for name in off}
-        wanted, missing = set(held), 0.0
+        # what the strings of a key leave out adds up; that of several keys, at other frequencies, in power
+        wanted, missing, power = set(held), dict.fromkeys(self._laws, 0.0), 0.0
         for name, level in sorted(levels.items(), key=lambda item: item[1]):
-            if missing + level > self.budget * (_LEAVE if name in switching.on else 1.0):
+            key = self.model.strings[name].group[0]
+            more = power + level * (level + 2 * missing[key])
+            if math.sqrt(more) > self.budget * (_LEAVE if name in switching.on else 1.0):
                 wanted.add(name)
             else:
-                missing += level  # levels that several strings leave out add up
+                missing[key], power = missing[key] + level, more
         bounds = [(name, Bound(level=level), name not in wanted) for name, level in levels.items()]
         return Watched(frozenset(wanted), bounds)
 
