@@ -6,7 +6,7 @@
 Renders with effects `auto`, `all` and none but the second polarization (linear) take turns, a block each, on one core.
 A row has the processor time of `all` and `auto` over that of the linear one; the parts of the linear one and of auto
 that steps and the work between them take (stops, gestures, bounds); and the share of time in which so many strings'
-tensions rise. The table below it has what a step costs with so many: the least of some runs from one state, over that
+tensions rise. The table below it has the time of a step with so many: the least of some runs from one state, over that
 with none. `--without-connections` takes frets and the like away.
 """
 
@@ -46,7 +46,7 @@ def costs(renderer: tw.Renderer) -> list[float]:
 
 
 def row(path: Path, made: tw.Instrument, args: argparse.Namespace) -> tuple[list[str], list[float]]:
-    """One scene, and what steps cost in its middle."""
+    """One scene, and the time of steps in its middle."""
     score = tw.read_score(path)
     budgets = {"budget_db": args.budget_db, "budget_cents": args.budget_cents}
     ways: dict[str, dict[str, Any]] = {

@@ -30,7 +30,7 @@ import tonewood as tw
 
 Floats = NDArray[np.float64]
 FS = 48000
-#: reached by loud plucks only: a string that grazes a fret magnifies what was different before
+#: reached by loud plucks only: a string that grazes a fret magnifies earlier differences
 FRETS = {"frets": {"plugin": "frets", "action_first": 1.5e-3, "action_twelfth": 4e-3}}
 LINEAR = ["second_polarization", "dampers"]
 #: seconds over which samples are compared
@@ -68,11 +68,11 @@ def instrument(name: str) -> tw.Instrument:
 
 
 class Listened:
-    """A render and what is kept of it: sound, and every string's force on its bridge at a lower rate.
+    """A render, of which are kept: sound, and every string's force on its bridge at a lower rate.
 
     Parameters
     ----------
-    score, made : what is played on what; further options are those of a renderer.
+    score, made : the score and the instrument; further options are those of a renderer.
     seconds : how much of it; None is all.
     strings : keep their forces.
     """
@@ -102,7 +102,7 @@ class Listened:
         self._blocks = self.renderer.blocks(4096)
 
     def _keep(self, forces: Floats) -> None:
-        """Every COARSE-th sample of what a low pass leaves."""
+        """Every COARSE-th sample after a low pass."""
         low, self._memory = lfilter(LOW_PASS, 1.0, forces, axis=0, zi=self._memory)
         self.forces.append(low[-self._count % COARSE :: COARSE].astype(np.float32))
         self._count += len(forces)

@@ -4,7 +4,7 @@
 
 The piece is rendered with and without `playing.noises.on`, both with human variation, a block of each in turn, on one
 core. Each block of output is computed anew in every repeat; of its processor times the least is taken, and these are
-added up, so that other work on the machine counts little. `stepping` is what the kernel takes, `between` all that is
+added up, so that other work on the machine counts little. `stepping` is the time of the kernel, `between` all that is
 done between runs: bases, gestures, loading the kernel.
 """
 

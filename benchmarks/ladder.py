@@ -1,4 +1,4 @@
-"""Cost ladder: what each nonlinear part of an instrument costs, over the same scene, in one run.
+"""Cost ladder: time of each nonlinear part of an instrument, over the same scene, in one run.
 
     python benchmarks/ladder.py [--seconds 2] [--fs 48000]
 
@@ -32,7 +32,7 @@ FINGER = {"plugin": "stopping_finger", "from_bridge": 0.1}
 def assembled(
     planes: list[str], tension: bool, action: dict[str, float] | None, finger: bool, plugin: str | None = None
 ) -> tw.Instrument:
-    """The steel-string guitar with more or less of what is not linear."""
+    """The steel-string guitar with more or fewer nonlinear parts."""
     changes: dict[str, object] = {"strings.*.polarizations": planes, "tuning.compensate": "none"}
     if plugin is not None:
         changes["strings.*.plugin"] = plugin

@@ -53,7 +53,7 @@ class RandomPlayer:
         self.held: list[tuple[float, float]] = []
 
     def before(self, seconds: float) -> None:
-        """Play what comes within the next seconds."""
+        """Play the messages of the next seconds."""
         live, rng = self.live, self.rng
         if rng.random() < self.rate * seconds:
             for _ in range(1 if rng.random() < 0.8 else rng.integers(2, 7)):

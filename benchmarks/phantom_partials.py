@@ -1,4 +1,4 @@
-"""Levels of the phantom partials of a grand piano, and what they cost.
+"""Levels of the phantom partials of a grand piano, and their cost.
 
     python benchmarks/phantom_partials.py
 

@@ -70,7 +70,7 @@ def chord(
 
 
 def all_ringing(repeats: int) -> Iterator[Row]:
-    """The whole guitar while every string rings, and what the kernel alone takes of it."""
+    """The whole guitar while every string rings, and the kernel's part of its time."""
     guitar = tw.load_instrument("classical_guitar")
 
     def engine_factor(effects: str = "all") -> float:
@@ -162,7 +162,7 @@ def where_it_goes(repeats: int) -> Iterator[Row]:
     yield what, f"{whole - deaf:.0f} ns", "less without them"
     strings = modes[0] - sum(systems[0].compiled[systems[0].slot(c)].basis.n_modes for c in ("body", "microphones"))
     yield f"  {strings} string modes", f"{per_mode * strings:.0f} ns", "from fewer of them"
-    yield "  body, connections and what is left", f"{deaf - per_mode * strings:.0f} ns", "what remains"
+    yield "  body, connections and the rest", f"{deaf - per_mode * strings:.0f} ns", "the rest"
 
 
 def kernel_against_twin(repeats: int) -> Iterator[Row]:
@@ -277,7 +277,7 @@ def memory(minutes: float) -> Iterator[Row]:
 
 
 def pieces(repeats: int) -> Iterator[Row]:
-    """Whole pieces: what notes cost beside the ringing."""
+    """Whole pieces: cost of notes beside the ringing."""
     guitar = tw.load_instrument("classical_guitar")
     for name in ("greensleeves", "romance"):
         score = tw.read_midi(ROOT / "examples" / "scores" / f"{name}.mid")
@@ -321,7 +321,7 @@ def main() -> None:
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **one_thread})
     repeats = 3 if quick else 7
     print(machine())
-    print(f"\n| {'what':<66} | {'measured':<31} | {'how':<50} |")
+    print(f"\n| {'part':<66} | {'measured':<31} | {'how':<50} |")
     print(f"| {'-' * 66} | {'-' * 31} | {'-' * 50} |")
     rows: list[Callable[[], Iterator[Row]]] = [
         lambda: all_ringing(repeats),

@@ -1,6 +1,6 @@
 """How cost grows with strings and body modes: the strings of a concert grand, 6 to 243, on a body that was made up.
 
-    python benchmarks/scale.py [strings|planes|hammers|motions|body|piano ...] [--rounds 5] [--chart FILE]
+    python benchmarks/scale.py [strings|planes|hammers|motions|body|tension|piano ...] [--rounds 5] [--chart FILE]
 
 Strings: 88 notes, 8 of one, 5 of two and 75 of three strings, from published scaling (`SCALE` below), their modes to
 12 kHz. Fewer strings are those of as many keys, evenly spread. Body: 300 modes from 60 Hz to 12 kHz with Q 50 and
@@ -113,6 +113,12 @@ def body(modes: int, motions: int) -> dict[str, Floats]:
     return table
 
 
+def stretches(wire: Wire) -> dict[str, Any]:
+    """The same wire as a string whose tension rises; EA of a round core from its bending stiffness."""
+    axial = 2 * float(np.sqrt(np.pi * YOUNG * wire.values["bending_stiffness"]))
+    return {"plugin": "tension_modulated_string", "axial_stiffness": axial}
+
+
 def write_bundle(
     folder: Path,
     strings: int = ALL,
@@ -123,8 +129,12 @@ def write_bundle(
     tilt: float = 0.0,
     freq_upper: float = 12000.0,
     hammers: bool = False,
+    rising: int = 0,
 ) -> Path:
-    """Write the bundle: `planes` of polarization, `tilt` degrees that make the body move in both; hammers or plucks."""
+    """Write the bundle: `planes` of polarization, `tilt` degrees that make the body move in both; hammers or plucks.
+
+    The tension of the lowest `rising` strings rises with their amplitude.
+    """
     every = wires(freq_upper)
     chosen = [every[int(i)] for i in np.linspace(0, ALL - 1, strings).round()]
     table = body(modes, motions)
@@ -146,7 +156,8 @@ def write_bundle(
             "points": {f"key{key}": {"direction": "z"} for key in range(1, 89)},
         },
         "strings": {
-            f"k{w.key}_{w.place}": {**common, **w.values, "end": f"body.key{w.key}"} for w in chosen
+            f"k{w.key}_{w.place}": {**common, **w.values, "end": f"body.key{w.key}", **(stretches(w) if rises else {})}
+            for rises, w in ((i < rising, w) for i, w in enumerate(chosen))
         },
         "tuning": {"compensate": "none"},
         "stops": {"kind": "none"},
@@ -164,21 +175,22 @@ def write_bundle(
 class Scene:
     """A bundle, assembled; all modes of its strings and body are set in motion at random."""
 
-    def __init__(self, one_matrix: bool = False, still: str = "", **what: Any):
+    def __init__(self, one_matrix: bool = False, still: str = "", phantoms: bool = False, **what: Any):
         self.still = still  # plane of motion that is at rest
         kept = elimination.LEAST_IN_PARTS
         elimination.LEAST_IN_PARTS = 10**9 if one_matrix else kept
         try:
-            self._make(**what)
+            self._make(phantoms, **what)
         finally:
             elimination.LEAST_IN_PARTS = kept
 
-    def _make(self, **what: Any) -> None:
+    def _make(self, phantoms: bool, **what: Any) -> None:
         with tempfile.TemporaryDirectory() as folder:
             bundle = what.pop("bundle", None) or write_bundle(Path(folder), **what)
             made = time.perf_counter()
             self.model: Model = assemble(tw.load_instrument(bundle), FS)
-        self.stepper = KernelStepper(self.model.system)
+        system = self.model.system
+        self.stepper = KernelStepper(system if phantoms else system.with_phantoms(()))
         self.load_seconds = time.perf_counter() - made
 
     def run(self, seconds: float) -> Floats:
@@ -227,7 +239,11 @@ STUDIES: dict[str, dict[str, dict[str, Any]]] = {
     "hammers": {"no hammers": {}, "243 hammers, away": {"hammers": True}},
     "motions": {f"{r} motions": {"motions": r} for r in (16, 24, 40, 60, 88)},
     "body": {f"{n} body modes": {"modes": n} for n in (75, 150, 300, 600)},
-    "piano": {"grand_piano": {"bundle": "grand_piano"}},
+    "tension": {f"{n} of 243 rise{of}": {"rising": n, **how} for n in (0, 1, 8, 30, 61) for of, how in KINDS.items()},
+    "piano": {
+        "grand_piano": {"bundle": "grand_piano"},
+        "grand_piano, forces of all phantom partials": {"bundle": "grand_piano", "phantoms": True},
+    },
 }
 
 

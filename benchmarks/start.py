@@ -1,4 +1,4 @@
-"""Time of a start: import, load and first block, each in a fresh process; and what is left without imports.
+"""Time of a start: import, load and first block, each in a fresh process; and the rest without imports.
 
     python benchmarks/start.py [--instrument classical_guitar] [--rounds 15]
 

@@ -1,7 +1,7 @@
 """From hammer hits on a bridge to an instrument, to the same one with 10 g more on its bridge, and to their pages.
 
-The hits are made here, of a guitar that is known: six on the middle of its bridge, with what accelerometers and
-microphones would have given, and noise. The fitted body can then be compared with the truth.
+The hits are made here, of a guitar that is known: six on the middle of its bridge, with the signals that accelerometers
+and microphones would have given, and noise. The fitted body can then be compared with the truth.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import tonewood as tw
 
 
 def main() -> float:
-    """Largest difference between what was heard first and what is heard again after going back: none at all."""
+    """Largest difference between the first samples and those after going back: none at all."""
     score = tw.Score([tw.Note(0.0, 2.0, note=45, force=1.5), tw.Note(0.3, 2.0, note=52, force=1.5)])
     renderer = tw.Renderer(score, tw.load_instrument("monochord"), max_duration=1.0)
     stream = renderer.blocks(512)

@@ -1,7 +1,7 @@
 """A body from its drawing: outline, wood, braces, bridge, soundhole and cavity give modes; nothing is measured.
 
 The top is an orthotropic Kirchhoff plate with eccentric braces, solved by the Rayleigh-Ritz method with B-splines; air
-in cavity and hole is coupled to it, and what it radiates damps it (`tonewood.plate`). All modes are real, and so the
+in cavity and hole is coupled to it, and radiation damps it (`tonewood.plate`). All modes are real, and so the
 body is passive. Coordinates of the drawing: x (m) from the neck joint to the tail, y from bass to treble, z out of the
 top. A point at height H above the top's middle surface moves by w along z, -H dw/dx along x and -H dw/dy
 along y: strings across the bridge feel it rock.
@@ -332,7 +332,7 @@ class DrawnBody(Body[DrawnBodyParameters]):
                 f"hinged, {clamped:.1f} Hz clamped: its stiffness is seldom known"
             )
             share = modes.radiation_loss[named["T1"]] / modes.loss[named["T1"]]
-            lines.append(f"{100 * share:.0f} % of what T1 loses is radiated")
+            lines.append(f"{100 * share:.0f} % of the loss of T1 is radiated")
         return lines
 
     def _on_other_edges(self) -> tuple[float, float]:

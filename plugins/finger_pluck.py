@@ -81,7 +81,7 @@ class FingerPluckParameters(Parameters):
         "deg", low=-360.0, high=360.0, default=0.0, doc="of the force, from the first polarization to the second"
     )
     draw_time: float = quantity("s", low=1e-3, high=5.0, default=0.02, doc="from the first touch to the slip")
-    nail: float = quantity("1", low=0.0, high=1.0, default=0.8, doc="0 flesh, 1 nail: decides what is left out below")
+    nail: float = quantity("1", low=0.0, high=1.0, default=0.8, doc="0 flesh, 1 nail: sets the values left out below")
     edge: float | None = quantity("m", low=1e-5, high=0.02, default=None, doc="radius of the edge; 1 to 0.2 mm")
     width: float | None = quantity("m", low=0.0, high=0.05, default=None, doc="of the contact; 10 to 3 mm")
     stiffness: float | None = quantity("N/m", low=10.0, high=1e7, default=None, doc="of the fingertip; 2e3 to 2e4")

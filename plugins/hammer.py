@@ -89,7 +89,7 @@ class Hammer(Exciter[HammerParameters]):
         return p.press_time + 0.5 / p.return_freq if p.press > 0.0 else 0.0
 
     def attach(self, name: str, site: Site) -> Attached:
-        """Its felt on each string, and one mass for all strings of a key."""
+        """Return the felt on each string, and one mass for all strings of a key."""
         p, own = self.parameters, f"{site.leader}.{name}"
         terms = (*site.motion("pluck", unit_vector(p.direction)), Term(f"{own}.head", "mass", -1.0))
         if len(terms) < 2:

@@ -106,7 +106,7 @@ class FrettingNoise(Exciter[FrettingNoiseParameters]):
     Parameters = FrettingNoiseParameters
 
     def gesture(self, event: Event, place: Place) -> Gesture:
-        """It ends at time 0, when the string has its new stop; `place` is that of the new one."""
+        """Return a gesture that ends at time 0, when the string has its new stop; `place` is that of the new one."""
         p = self.adjusted(event.values)
         before = event.length_before or place.length
         comes = place.length < before
@@ -126,7 +126,7 @@ class TouchNoise(Exciter[TouchNoiseParameters]):
     Parameters = TouchNoiseParameters
 
     def gesture(self, event: Event, place: Place) -> Gesture:
-        """It begins at time 0."""
+        """Return a gesture that begins at time 0."""
         p = self.adjusted(event.values)
         force = 2 * impedance(event, place) * p.speed
         noise = pressed(0.0, p.time, (0.025, 0.975), force, p, f"touch {place.name} {event.stop:g}")
@@ -141,7 +141,7 @@ class Squeak(Exciter[SqueakParameters]):
     Parameters = SqueakParameters
 
     def gesture(self, event: Event, place: Place) -> Gesture:
-        """It ends at time 0, when the finger is at the new stop; nothing on strings that are not wound."""
+        """Return a gesture that ends at time 0, at the new stop; none on strings that are not wound."""
         p = self.adjusted(event.values)
         before = event.length_before or place.length
         way = abs(before - place.length)

@@ -36,7 +36,7 @@ _STOPPED = 2e-3
 class LeftHandParameters(Parameters):
     """Parameters of the hand."""
 
-    action: Literal["slide", "hammer_on", "pull_off"] = described("what it does")
+    action: Literal["slide", "hammer_on", "pull_off"] = described("kind of slur")
     time: float | None = quantity(
         "s", low=5e-4, high=5.0, default=None, doc="it takes; slide 0.15, hammer_on 0.003, pull_off 0.004"
     )

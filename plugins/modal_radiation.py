@@ -41,7 +41,7 @@ class ModalRadiationParameters(Parameters):
 
     table: str = described("CSV file in the bundle")
     channels: list[str] = described("names of the microphones to use, as in the table's columns", min_length=1)
-    driven_by: Literal["bridge_forces"] = described("what drives the bank", default="bridge_forces")
+    driven_by: Literal["bridge_forces"] = described("forces that drive the bank", default="bridge_forces")
     force_sign: Literal[1, -1] = described(
         "1 if the table counts a force out of the soundboard (+z) as positive, -1 if into it", default=1
     )

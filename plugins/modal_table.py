@@ -8,7 +8,7 @@ points        a column per point, the shape there; ``modal_mass`` (kg) if the sh
 residues      a column per point, A = phi phi_ref / m (1/kg): the mobility from the point `reference` is
               sum A s / (s^2 + (omega/Q) s + omega^2); phi = A / sqrt(A_ref)
 heave_rock    ``heave, cross, rock`` (1/kg): A(u, u') = heave + (u + u') cross + u u' rock for points at u on a line;
-              a line that rocks by dz = theta y moves what stands h above it by -theta h along y: a point with the
+              a line that rocks by dz = theta y moves a point h above it by -theta h along y: a point with the
               `lever` h / b, b half of the distance from u = -1 to 1, has the shape -lever times that of the rocking
 complex       columns ``NAME_right_re, NAME_right_im, NAME_left_re, NAME_left_im`` per point; y = 2 Re sum r z,
               z' = lambda z + l f (left shapes hold the normalisation)
@@ -111,7 +111,7 @@ class ModalTableParameters(Parameters):
         default="complex",
     )
     repair: Literal["refuse", "passive"] = described(
-        "what becomes of complex modes that would create energy", default="refuse"
+        "treatment of complex modes that would create energy", default="refuse"
     )
     max_change: float = quantity(
         "1", low=0.0, high=1.0, default=0.1, doc="largest relative change of the mobility a repair may make"

@@ -39,7 +39,7 @@ Source = str | Mean
 class PointPickupParameters(Parameters):
     """Parameters of the pickup."""
 
-    quantity: Literal["displacement", "velocity", "acceleration", "force"] = described("what is read")
+    quantity: Literal["displacement", "velocity", "acceleration", "force"] = described("quantity read")
     at: Source | None = described("point, or {mean: [points]}: one channel with the group's name", default=None)
     channels: dict[str, Source] | None = described("name -> point or {mean: [points]}: several channels", default=None)
     direction: Direction = described("direction in which points of strings are read", default="z")
@@ -64,7 +64,7 @@ class PointPickup(Pickup[PointPickupParameters]):
 
     @property
     def unit(self) -> str:
-        """Unit of what is read."""
+        """Unit of the quantity read."""
         return UNITS[self.parameters.quantity]
 
     def rows(self, name: str, scene: Scene) -> PickupRows:

@@ -94,9 +94,9 @@ def fitted(problems: list[Projection], poles: Poles) -> Poles:
         if new >= cost:
             damping *= 5
             continue
-        settled = (cost - new) < TOLERANCE * cost
+        converged = (cost - new) < TOLERANCE * cost
         poles, found, cost, damping = tried, again, new, max(damping / 3, 1e-6)
-        if settled:
+        if converged:
             break
     return poles
 

@@ -45,7 +45,7 @@ PAGES = {
     "examples/listening_test/README.md": "examples/listening_test.md",
 }
 _LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
-#: type of an option -> what stands for its value
+#: type of an option -> word for its value
 _VALUES: dict[Any, str] = {
     **dict.fromkeys((int, int | None), "INTEGER"),
     **dict.fromkeys((float, float | None), "NUMBER"),
@@ -150,7 +150,7 @@ def _source_page(path: Path) -> str:
 def _examples() -> str:
     """One line per example: the first line of its docstring."""
     lines = ["# Examples\n", "Each script does one thing; run it from a checkout.\n"]
-    lines += ["| script | what it does |", "| --- | --- |"]
+    lines += ["| script | purpose |", "| --- | --- |"]
     for path in sorted((ROOT / "examples").glob("*.py")):
         summary = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").partition("\n")[0]
         lines.append(f"| [{path.name}]({path.name}) | {summary} |")
@@ -183,7 +183,7 @@ How do I call tonewood, and read its answers in a script?
 
 Every report under `--json` begins with the same two keys: `{"schema": "tonewood-render/1", "ok": true, ...}`. `ok` is
 whether the exit code is 0; numbers that are not finite are null. An error stands there, too, beside its one line on
-standard error, with null for what does not apply:
+standard error, with null for keys that do not apply:
 
 ```json
 {"schema": "tonewood-error/1", "ok": false, "error": {"kind": "BundleError", "file": "m/instrument.yaml",

@@ -25,7 +25,7 @@ LOSS = ((60.0, 0.020), (3000.0, 0.020), (12000.0, 0.0286))
 #: s/kg, mean conductance at the bridge. A conductance of 2.7e-4 s/kg at every frequency gives a piano's prompt decays;
 #: here most keys lie between two resonances, and the mean has to be higher
 MOBILITY = 4.0e-4
-#: m, length of each bridge, and what lies between two places whose motion is independent
+#: m, length of each bridge, and distance between two places whose motion is independent
 BASS, TREBLE, KNOTS = 0.45, 1.40, 0.0875
 #: keys on the bass bridge; correlation of the bridges' motion below this frequency (Hz)
 BASS_KEYS, CORRELATION, TOGETHER = 20, 0.3, 300.0

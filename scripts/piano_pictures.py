@@ -58,7 +58,7 @@ def strings(model: Model, path: Path) -> None:
 
 
 def blows(model: Model) -> None:
-    """Contact and force of hammers, and what they leave the string with."""
+    """Print speed, time of contact and largest force of hammers."""
     print("key  velocity  speed, m/s  contact, ms  force, N")
     for key, number in (("A0", 21), ("C2", 36), ("C4", 60), ("C6", 84), ("C8", 108)):
         for velocity in (30, 70, 115):
@@ -99,7 +99,7 @@ def heard(grand: tw.Instrument, path: Path) -> None:
 
 
 def released(grand: tw.Instrument) -> None:
-    """How soon a released key falls silent, and what sounds between the partials of a held one."""
+    """How soon a released key falls silent, and the sound between the partials of a held one."""
     print("key   20 dB after the key is released, s")
     for key, number in (("C3", 48), ("C4", 60), ("C5", 72)):
         score = tw.Score([tw.Note(0.05, 0.5, note=number, velocity_midi=80)])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import tonewood as tw
 from tonewood.instrument.assembly import assemble
-from tonewood.instrument.contract import Event
+from tonewood.instrument.gestures import Event
 from tonewood.stepping.forcing import course
 
 Floats = NDArray[np.float64]

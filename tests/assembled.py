@@ -126,7 +126,7 @@ def run_exact(part, rows, forces, dt, start=None):
 
 
 def run_held(part, gaps, laws, rows, forces, dt, start=None, residual=None):
-    """The same with connection forces that are constant over each step too: what the scheme promises to compute.
+    """The same with connection forces that are constant over each step too, as the scheme assumes.
 
     laws: Rigid or SpringDashpot for each row of `gaps`; residual: (m, m) compliance of the gaps.
     Returns states (steps + 1, 2 n) and connection forces (steps, m).
@@ -198,7 +198,7 @@ def motion_readouts(parts):
 
 
 def step_map(system, make):
-    """(n, n) what one step of a stepper does to the states of the modes, found by stepping unit states."""
+    """(n, n) matrix of one step of a stepper on the states of the modes, found by stepping unit states."""
     used = np.concatenate([
         offset + np.arange(c.basis.n_modes) for offset, c in zip(system.offsets, system.compiled, strict=True)
     ])  # fmt: skip

@@ -1,4 +1,4 @@
-"""A page opened in headless Chromium, and what it reports."""
+"""A page opened in headless Chromium, and its reports."""
 
 from __future__ import annotations
 

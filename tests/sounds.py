@@ -1,4 +1,4 @@
-"""Measuring sounds: frequency and decay of a partial, without any model of what made it."""
+"""Measuring sounds: frequency and decay of a partial, without any model of its source."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The gallery has a sound of every shipped instrument, and each is what its command renders."""
+"""The gallery has a sound of every shipped instrument, and each is the one that its command renders."""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from tonewood import authoring
 ROOT = Path(__file__).parents[1]
 SOURCES = ROOT / "src" / "tonewood"
 
-#: bottom to top; what stands in one set may not import each other
+#: bottom to top; modules of one set may not import each other
 LAYERS = (
     {"errors", "garbage", "validation_messages", "_kernel", "_methods"},
     {"cache_folder", "whole_files", "yaml_parser"},
@@ -36,7 +37,7 @@ RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 
 #: packages that compute: arrays, no files, no formats
 COMPUTING = ("modal", "plate", "coupling", "stepping", "energy", "passivity")
-#: and what they may stand on
+#: and the packages that they may import
 ARRAYS_ONLY = {"numpy", "scipy", "matplotlib", "threadpoolctl", "tonewood"}
 STANDARD_FORBIDDEN = {"json", "csv", "io", "tempfile", "shutil", "subprocess"}
 
@@ -76,7 +77,7 @@ def test_imports_point_down(path):
 
 
 def test_no_modules_import_each_other_in_a_circle():
-    """Imports inside of functions and under TYPE_CHECKING count, too; not the version and what is compiled."""
+    """Imports inside of functions and under TYPE_CHECKING count, too; not the version and compiled modules."""
     modules = {".".join(("tonewood", *p.relative_to(SOURCES).with_suffix("").parts)): p for p in FILES}
     modules = {name.removesuffix(".__init__"): path for name, path in modules.items()}
     needs, bare = {}, {"__version__", "_kernel", "_methods"}
@@ -86,7 +87,7 @@ def test_no_modules_import_each_other_in_a_circle():
     while free := [name for name, others in needs.items() if not others & set(needs)]:
         for name in free:
             del needs[name]
-    # what is left lies in a circle, or imports one
+    # the rest lies in a circle, or imports one
     while tops := set(needs) - {other for others in needs.values() for other in others}:
         for name in tops:
             del needs[name]
@@ -104,6 +105,28 @@ def test_the_architecture_draws_these_layers():
     drawn = [set(line.split()) for line in block.splitlines()]
     layers = [{name for name in names if not name.startswith("_")} for names in reversed(LAYERS)]
     assert drawn == [names for names in layers if names]
+
+
+def test_the_architecture_names_files_where_they_are():
+    """Each package's lines name modules of that package, or paths from the root or from the package's own folder."""
+    block = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8").split("```text\n")[2].partition("```")[0]
+    folders, named = [SOURCES], 0
+    for line in block.splitlines():
+        indent = len(line) - len(line.lstrip())
+        if entered := re.match(r" *((?:src/)?\w+)/ ", line):
+            above = {0: [], 4: [SOURCES, ROOT / "src" / "kernel"], 8: [SOURCES / "engine"]}[indent]
+            found = [path for base in [ROOT, *above] if (path := base / entered[1]).is_dir()]
+            assert found, f"{line}: no such folder"
+            folders = found
+        elif line.startswith("src/"):
+            folders = [ROOT / line.split("/ ")[0]]
+        elif indent == 4:
+            folders = [SOURCES, ROOT / "src" / "kernel"]
+        for name in re.findall(r"[\w/]+\.(?:py|hpp)\b", line):
+            places = [*folders, SOURCES, ROOT / "src", ROOT]
+            assert any((place / name).exists() for place in places), f"{name} is not in {folders}"
+            named += 1
+    assert named > 150
 
 
 def test_every_layer_is_there():
@@ -150,7 +173,7 @@ PLUGINS = sorted((ROOT / "plugins").glob("*.py")) + sorted((ROOT / "examples").r
 
 @pytest.mark.parametrize("path", PLUGINS, ids=[p.name for p in PLUGINS])
 def test_plugins_import_authoring_alone(path):
-    """Another plugin that they derive from besides, and their tests what plays scores."""
+    """Another plugin that they derive from besides, and their tests `tonewood` itself."""
     allowed = {"tonewood.authoring"} | ({"tonewood"} if path.parent.name == "tests" else set())
     for module, name, line in imports(path):
         if module.split(".")[0] == "tonewood" and not module.startswith("tonewood.plugins."):

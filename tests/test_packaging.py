@@ -1,4 +1,4 @@
-"""A wheel built from this checkout, installed elsewhere, renders; and what it holds."""
+"""A wheel built from this checkout, installed elsewhere, renders; and its contents."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ The blocks of a page run in order, in a folder of their own that holds ``tune.mi
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import re
 import shlex
@@ -38,7 +39,7 @@ PAGES = sorted(
 NAMES = [p.relative_to(ROOT).as_posix() for p in PAGES]
 _MARKER = r"(?:^<!-- (not run|run in part|run in full|file): (.+?) -->\n)?"
 _BLOCK = re.compile(_MARKER + r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-#: what makes a command quick
+#: options that make a command quick
 SHORT = {
     "render": ["--max-duration", "0.1"],
     "batch": ["--dry-run"],
@@ -177,6 +178,41 @@ def test_commands_in_sentences_exist(name: str) -> None:
         assert set(re.findall(r"(?<!\w)--?[a-z][a-z-]*", rest)) <= known[command], f"tonewood {command}{rest}"
     for script in re.findall(r"`(?:[A-Z_]+=\w+ )?(?:python|bash) ([\w/.]+\.(?:py|sh))\b", text):
         assert (ROOT / script).is_file(), script
+
+
+PACKAGES = {"tonewood", *(path.stem for path in (ROOT / "src" / "tonewood").iterdir() if path.name[0] not in "_.")}
+FOLDERS = ("src", "plugins", "tests", "examples", "benchmarks", "scripts")
+ENDINGS = ("py", "hpp", "cpp", "yaml", "json", "png")
+
+
+def exists(name: str) -> bool:
+    """Whether a dotted name, with or without the package's, leads to a module or to something in one."""
+    parts = name.removeprefix("tonewood.").split(".")
+    for n in range(len(parts), -1, -1):
+        try:
+            found = importlib.import_module(".".join(("tonewood", *parts[:n])))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[n:]:
+            if not hasattr(found, part):
+                return False
+            found = getattr(found, part)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("name", [*(n for n in NAMES if n != "CHANGELOG.md"), "src", "plugins"])
+def test_names_in_sentences_exist(name: str) -> None:
+    """Modules, names in them, and files; in docstrings, too."""
+    pages = [ROOT / name] if name.endswith(".md") else sorted((ROOT / name).rglob("*.py"))
+    files = [f"/{path.relative_to(ROOT).as_posix()}" for folder in FOLDERS for path in (ROOT / folder).rglob("*.*")]
+    for page in pages:
+        text = _BLOCK.sub("", page.read_text(encoding="utf-8"))
+        for dotted in set(re.findall(r"(?<!`)`((?:\w+\.)+\w+)(?:\(\))?`(?!`)", text)):
+            first, last = dotted.split(".")[0], dotted.split(".")[-1]
+            assert first not in PACKAGES or last in ENDINGS or exists(dotted), f"{page.name}: {dotted}"
+        for file in set(re.findall(r"`((?:\w+/)+\w+\.(?:py|hpp|cpp))`", text)):
+            assert any(known.endswith(f"/{file}") for known in files), f"{page.name}: {file}"
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -5,7 +5,7 @@
 Whatever is installed is timed: Csound, Faust with a C++ compiler, FluidSynth with a sound font, and STK with its
 headers (Debian: csound faust fluidsynth fluid-soundfont-gm libstk-dev); jaxdiffmodal and genny with the interpreter
 `--python` (pip install genny jax einops jaxtyping opt_einsum tabulate; pip install --no-deps jaxdiffmodal). A COMMAND
-makes ``{seconds}`` seconds of sound: NESS and Siconos have no common form, so what it plays is yours to state.
+makes ``{seconds}`` seconds of sound: NESS and Siconos have no common form, so you state which scene it plays.
 
 Processor time per second of sound at 48 kHz, median of interleaved rounds, lowest and highest in brackets. Start-up and
 compilation are left out: programs that do not tell their own time are run for two lengths, and the difference counts.

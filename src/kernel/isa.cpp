@@ -26,7 +26,7 @@ double fma_peak(double seconds) {
         elapsed = std::chrono::duration<double>(Clock::now() - start).count();
     } while (elapsed < seconds);
     (a + b + (c + d)).store(numbers);
-    double sum = 0.0;  // of every lane: what nobody reads is not computed
+    double sum = 0.0;  // of every lane: the compiler leaves out sums that are not used
     for (const double x : numbers) sum += x;
     return sum == 12345.0 ? 0.0 : count / elapsed;
 }

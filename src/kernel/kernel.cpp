@@ -144,7 +144,7 @@ bool Kernel::load_components(const CompiledSystem& system, std::size_t m) {
         if (keys_[slot] >= 0) replaced_.emplace_back(keys_[slot], std::move(components[slot]));
         components[slot] = std::move(next), keys_[slot] = d.key;
     }
-    // only now, since a later slot may take what an earlier one would have displaced
+    // only now, since a later slot may take an entry that an earlier one would have displaced
     const std::size_t most = kStored * components.size();
     if (replaced_.size() > most) replaced_.erase(replaced_.begin(), replaced_.end() - std::ptrdiff_t(most));
     for (std::size_t slot = 0; slot < components.size(); ++slot)
@@ -255,15 +255,16 @@ void Kernel::load(const CompiledSystem& system) {
     load_phantoms(system.phantoms);
     const bool contacts = changed || laws || before != after || !(model.shortcuts == system.shortcuts);
     model.shortcuts = system.shortcuts;
-    require(!model.solve.in_parts || model.tensions.strings.empty(),
-            "linear.parts: with rising tensions the inverse is needed as one matrix");
+    for (const Tensions::String& string : model.tensions.strings)
+        for (const int i : string.components)
+            require(!model.solve.in_parts || i != model.solve.hub.slot, "linear.hub: its tension may not rise");
     if (changed || linear) model.layout = make_layout(model.components, model.solve, n_channels_);
     if (contacts) {
         make_groups(model.components, model.nonlinear);
         make_buffers(model.components, model.nonlinear, capacity_, model.contacts);
     }
     if (changed || linear || contacts || tensions) {
-        make_tensions(model.components, model.layout, model.tensions, capacity_, model.nonlinear, model.tension);
+        make_tensions(model.components, model.solve, model.layout, model.tensions, capacity_, model.nonlinear, model.tension);
         reset_responses(model.nonlinear, model.layout, model.contacts);
         model.linear_laws.known = false;
     }

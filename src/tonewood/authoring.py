@@ -12,8 +12,8 @@
 >>> Lump.from_values({"mass": 0.5}).basis(1e3)
 ModalBasis(1 real modes, 15.9155 to 15.9155 Hz, points top)
 
-Kinds of plugins and what they return, declared parameters, modal bases, connections and their laws, effects, errors;
-and what shows the part at work in an instrument: `assemble`, `partials`, `pitches`.
+Kinds of plugins and the types that they return, declared parameters, modal bases, connections and their laws, effects,
+errors; and functions that show the part at work in an instrument: `assemble`, `partials`, `pitches`.
 """
 
 from tonewood import plate as plate
@@ -33,14 +33,10 @@ from tonewood.instrument.contract import (
     Body,
     BodyPoint,
     BridgeForce,
-    Event,
     Exciter,
-    Gesture,
-    Hold,
     Longitudinal,
     Pickup,
     PickupRows,
-    Place,
     Plugin,
     Resonator,
     Scene,
@@ -59,7 +55,7 @@ from tonewood.instrument.effects import (
     Norms,
     contact_effect,
 )
-from tonewood.instrument.gestures import Fraction, StringPlace, metres, smooth_step
+from tonewood.instrument.gestures import Event, Fraction, Gesture, Hold, Place, StringPlace, metres, smooth_step
 from tonewood.instrument.inspection import partials, pitch, pitches
 from tonewood.instrument.losses import LossLaw
 from tonewood.instrument.microphones import Microphones

@@ -67,7 +67,7 @@ class _OneThread:
                 self.before.clear()
 
     def limit_libraries(self) -> None:
-        """Limit what was loaded since the first entry."""
+        """Limit the libraries loaded since the first entry."""
         with self.lock:
             if self.entries > 0:
                 self._limit()
@@ -90,7 +90,7 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def numpy_blas() -> list[str]:
-    """As `blas_libraries`, of what is loaded without `scipy.linalg`."""
+    """As `blas_libraries`, of those loaded without `scipy.linalg`."""
     return _named(_libraries(False))
 
 

@@ -1,4 +1,4 @@
-"""Folder of what is kept between runs; everything in it is safe to delete at any time.
+"""Folder of files kept between runs; everything in it is safe to delete at any time.
 
 It is the folder that the environment variable ``TONEWOOD_CACHE`` names, else ``$XDG_CACHE_HOME/tonewood``, else
 ``~/.cache/tonewood``; ``TONEWOOD_CACHE=off`` keeps nothing.
@@ -17,6 +17,6 @@ def cache_folder() -> Path | None:
         return None
     base = os.environ.get("XDG_CACHE_HOME", "")
     try:
-        return Path(named) if named else Path(base if base else Path.home() / ".cache") / "tonewood"
+        return Path(named) if named else Path(base or Path.home() / ".cache") / "tonewood"
     except RuntimeError:  # no home folder
         return None

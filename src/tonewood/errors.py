@@ -1,4 +1,4 @@
-"""Errors meant for people: one line that names the file, the key, the value and what is allowed.
+"""Errors meant for people: one line that names the file, the key, the value and the values allowed.
 
 Every error a user can cause derives from `TonewoodError`; the command line prints its one line on stderr and exits
 with code 2 (1 where every note was dropped). A programming mistake is not one of these and keeps its traceback.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 
-#: characters of a reason; what a damaged file holds may be quoted, but not at length
+#: characters of a reason; a damaged file may be quoted, but not at length
 _LONGEST = 800
 
 
@@ -17,11 +17,11 @@ class DroppedNotesWarning(UserWarning):
 
 
 class OldFormatWarning(FutureWarning):
-    """A file of an earlier schema was read; the next version will refuse it. The text says what to run."""
+    """A file of an earlier schema was read; the next version will refuse it. The text names the command to run."""
 
 
 class DamagedCacheWarning(UserWarning):
-    """A file that is kept between runs is damaged; what it held is computed again."""
+    """A file that is kept between runs is damaged; its contents are computed again."""
 
 
 class TonewoodError(Exception):
@@ -29,7 +29,7 @@ class TonewoodError(Exception):
 
     Parameters
     ----------
-    reason : what is wrong and what is allowed.
+    reason : the fault and the values allowed.
     file : the file at fault, if there is one.
     key : dotted path of the key at fault, e.g. ``strings.E2.tension``.
     line : number of the file's line at fault, from 1.

@@ -41,7 +41,7 @@ def quantity(
     unit : SI, ``"1"`` for a pure number; another unit only where the key's name ends in it (``_deg``, ``_cents``).
     low, high : smallest and largest value allowed, both included.
     default : value where the key is left out; without it the key is required.
-    doc : what it is, in a few words.
+    doc : its meaning, in a few words.
     """
     options: dict[str, Any] = {"description": doc, "json_schema_extra": {"unit": unit}, "strict": True}
     if low is not None:
@@ -52,7 +52,14 @@ def quantity(
 
 
 def described(doc: str, *, default: Any = _MISSING, **options: Any) -> Any:
-    """Declare anything that is not a number with a unit: a name, a choice, a list."""
+    """Declare anything that is not a number with a unit: a name, a choice, a list.
+
+    Parameters
+    ----------
+    doc : its meaning, in a few words.
+    default : value where the key is left out; without it the key is required.
+    options : further ones of pydantic's ``Field``.
+    """
     return Field(description=doc, **options) if default is _MISSING else Field(default, description=doc, **options)
 
 
@@ -63,7 +70,7 @@ def validated(
 
     Raises
     ------
-    BundleError : one line for the first fault: file, dotted key (below `key`), what is wrong and what is allowed.
+    BundleError : one line for the first fault: file, dotted key (below `key`), fault and the values allowed.
     """
     try:
         return model.model_validate(dict(values))

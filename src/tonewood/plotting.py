@@ -111,7 +111,7 @@ def plain(text: str) -> str:
 
 def frequency_axis(ax: Axes, low: float, high: float) -> None:
     """Give an axes a logarithmic axis of frequency from `low` to `high` Hz, with marks at 1, 2 and 5."""
-    marks = [m * 10.0**k for k in range(0, 6) for m in (1, 2, 5) if low <= m * 10.0**k <= high]
+    marks = [m * 10.0**k for k in range(6) for m in (1, 2, 5) if low <= m * 10.0**k <= high]
     ax.set(xscale="log", xlim=(low, high), xlabel="frequency, Hz")
     ax.set_xticks(marks, [f"{m:g}" if m < 1000 else f"{m / 1000:g}k" for m in marks])
     ax.set_xticks([], minor=True)
@@ -203,31 +203,10 @@ def points_figure(freq: ArrayLike, rows: Mapping[str, ArrayLike], *, heading: st
     return made
 
 
-def series_figure(rows: Mapping[str, Mapping[str, tuple[ArrayLike, ArrayLike]]], *, heading: str = "") -> Figure:
-    """Figure of points joined by lines over frequency.
-
-    Parameters
-    ----------
-    rows : label of the row, with unit -> label of the series -> ((n,) Hz, (n,) values).
-    """
-    made, axes = figure(len(rows), heights=[4.0] * len(rows), sharex=True)
-    every = [np.asarray(f, dtype=np.float64) for series in rows.values() for f, _ in series.values()]
-    whole = np.concatenate(every or [np.array([100.0, 1000.0])])
-    for ax, (label, series) in zip(axes[:, 0], rows.items(), strict=True):
-        for i, (name, (f, values)) in enumerate(series.items()):
-            colour, dashes = COLOURS[i % len(COLOURS)], DASHES[i // len(COLOURS) % 4]
-            ax.plot(f, values, "o", ls=dashes, color=colour, ms=5, lw=LINE, label=plain(name))
-        frequency_axis(ax, float(whole.min()) / 1.15, float(whole.max()) * 1.15)
-        ax.set(ylabel=label, xlabel="frequency, Hz" if ax is axes[-1, 0] else "")
-    title(axes[0, 0], heading)
-    legend(axes[0, 0], ncols=2)
-    return made
-
-
 def draw_spectrogram(
     ax: Axes, time: ArrayLike, freq: ArrayLike, level_db: ArrayLike, *, floor_db: float, top_db: float = 0.0
 ) -> Any:
-    """Draw levels (n_freq, n_time) in dB over time (s) and frequency (Hz); returns what a colour bar is made of."""
+    """Draw levels (n_freq, n_time) in dB over time (s) and frequency (Hz); returns the image, for a colour bar."""
     t, f = np.asarray(time, dtype=np.float64), np.asarray(freq, dtype=np.float64)
     shown = ax.imshow(
         np.asarray(level_db), origin="lower", aspect="auto", cmap=LEVELS, vmin=floor_db, vmax=top_db,

@@ -1,4 +1,4 @@
-"""One line for a failed validation: the dotted key, and what is wrong with its value."""
+"""One line for a failed validation: the dotted key, and the fault of its value."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SCALES = {
 }
 _PLACE = re.compile(r"([\w.*-]+): ")
 _CONTAINERS = (dict, list, tuple, Mapping, Sequence)
-#: what pydantic puts before the text of a check's own error
+#: prefix by pydantic of the text of a check's own error
 _RAISED = re.compile(r"^(Value error|Assertion failed), ")
 
 

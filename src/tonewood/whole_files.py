@@ -16,7 +16,7 @@ from tonewood.errors import OutputError
 class AtomicFile:
     """Write a file beside its target, and rename it when it is complete.
 
-    An error, or Ctrl-C between any two statements, before `complete` removes what was written and leaves an earlier
+    An error, or Ctrl-C between any two statements, before `complete` removes the new file and leaves an earlier
     file of the target's name as it was.
 
     Parameters
@@ -26,7 +26,7 @@ class AtomicFile:
     Attributes
     ----------
     path : where to write: an empty file, made here, with the target's suffix.
-    discard : removes what was written; does nothing after `complete`.
+    discard : removes the new file; does nothing after `complete`.
 
     Raises
     ------
@@ -109,6 +109,6 @@ def whole_file(path: str | os.PathLike[str], *, make_folder: bool = False) -> It
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file in one go; text as UTF-8; see `whole_file` for what can go wrong."""
+    """Write a file in one go; text as UTF-8; raises the errors of `whole_file`."""
     with whole_file(path) as stream:
         stream.write(content.encode() if isinstance(content, str) else content)

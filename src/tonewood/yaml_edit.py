@@ -20,7 +20,7 @@ class Edit:
     ----------
     path : dotted path of a key that is there.
     value : plain word that replaces its value; None removes the key.
-    reason : what is changed, for people.
+    reason : the change in words.
     """
 
     path: str

@@ -37,7 +37,7 @@ def load_yaml(
     Raises
     ------
     TonewoodError
-        One line naming file, line (or dotted key) and what is allowed: the file cannot be read, is too long,
+        One line naming file, line (or dotted key) and the values allowed: the file cannot be read, is too long,
         is not UTF-8 or not YAML, or holds something `parse_yaml` refuses.
     """
     try:

@@ -1,8 +1,8 @@
 """Parses YAML that people write: plain data only, and every fault in one line with its place.
 
-The dialect is YAML 1.2 (``2e11`` is a number, ``no`` a word) cut down to what a description needs: one
+The dialect is YAML 1.2 (``2e11`` is a number, ``no`` a word) cut down to the needs of a description: one
 mapping of named keys, finite numbers, words, true/false/null, lists. Anchors, aliases, merge keys and tags
-are refused (what a file says should stand where it is read, and nothing may expand), so are duplicate keys,
+are refused (each value should stand where it is read, and nothing may expand), so are duplicate keys,
 dates, and files that are too long or too deep.
 """
 

@@ -125,7 +125,7 @@ def test_kernels_have_their_limits() -> None:
 
 
 def test_order_between_light_and_extreme_damping() -> None:
-    """Second order where lambda h is large, the fourth where it is small: what looks like the third in between."""
+    """Second order where lambda h is large, the fourth where it is small: it looks like the third in between."""
     pole, omega = np.array([-1000.0 + 0j]), 9.0
     slopes = []
     for h in (1e-1, 3e-3, 1e-5):

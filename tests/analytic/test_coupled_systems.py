@@ -198,7 +198,7 @@ def test_static_deflection_under_a_lasting_force():
     T, one = joined(merged(*parts.values()), row)
     expected = T @ sla.solve(one.K, 5.0 * T[0])
     np.testing.assert_allclose(out[-1, :7], expected, rtol=1e-9)
-    # the joint carries what the second chain resists with
+    # the joint carries the force by which the second chain resists
     np.testing.assert_allclose(-forces[-1, 0], (parts["b"].K @ expected[3:])[0], rtol=1e-9)
 
 

@@ -11,8 +11,8 @@ import pytest
 import tonewood as tw
 import tonewood.authoring as ta
 from pianos import piano
+from system_modes import coupled_modes
 from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.system_modes import coupled_modes
 from tonewood.engine.engine import Engine
 from tonewood.engine.playing import perform
 from tonewood.instrument.assembly import Model
@@ -71,7 +71,7 @@ def unison(model: Model, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_unisons_decay_as_weinreich_says(middle: tw.Instrument) -> None:
-    """In phase N strings lose N times as much to the board as one; against each other they keep what is their own."""
+    """In phase N strings lose N times as much to the board as one; against each other they keep their own rate."""
     model = ta.assemble(middle.replace({"tuning.stretch": "none"}), 12000)
     (one,), _ = unison(model, 1)
     three, _ = unison(model, 3)
@@ -85,7 +85,7 @@ def test_unisons_decay_as_weinreich_says(middle: tw.Instrument) -> None:
 
 
 def test_a_struck_unison_decays_twice(middle: tw.Instrument, tmp_path: Path) -> None:
-    """Early in phase, late by what mistuning has made of it: slower by the share that a single string has not."""
+    """Early in phase, late by the mistuned motion: slower by the share that a single string has not."""
     note = [tw.Note(0.0, 20.0, note=60, velocity_midi=80)]
 
     def rates(instrument: tw.Instrument) -> tuple[float, float]:
@@ -140,7 +140,7 @@ def test_one_head_strikes_three_strings(middle: tw.Instrument) -> None:
     before, stepper = velocity(), KernelStepper(engine.system)
     _, forces = stepper.run(engine.state, 320, engine.injections, engine.controls)
     impulse = forces[:, felts].sum(axis=0) / 96000
-    # what is left of its suspension takes or gives less than a hundredth meanwhile
+    # the rest of its suspension takes or gives less than a hundredth meanwhile
     assert impulse.sum() == pytest.approx(mass * (before - velocity()), rel=0.01)
     assert np.ptp(impulse) < 0.02 * impulse.max()
     # it touches for some 2 ms, as hammers in the middle of a piano do
@@ -168,18 +168,16 @@ def test_every_key_sounds_its_stretched_note(grand: Model) -> None:
     stretch = stretch_cents(grand.instrument)
     found = ta.pitches(grand)
     assert len(found) == 88
-    far = []
     for at, together in zip(found, mounted_pitches(grand, found), strict=True):
         wanted = grand.instrument.tuning.freq(at.note) * ratio_of_cents(stretch[at.string])
         assert abs(cents(at.freq / wanted)) < 0.01
-        far += [at.string] if min(abs(c) for c, _ in together.modes) > 1.0 else []
-    # one of the modes of each mistuned unison is near the note, but where the board has a resonance of the same pitch
-    assert far == ["Ds5_1"]
+        # one of the modes of each mistuned unison is near the note
+        assert min(abs(c) for c, _ in together.modes) < 1.0
 
 
 @pytest.mark.validate
 def test_decays_of_all_keys(grand: Model) -> None:
-    """Rates against sigma0 + sigma1 k^2 + 2 f Z Re Y N with the board's own mobility, and against what is heard."""
+    """Rates against sigma0 + sigma1 k^2 + 2 f Z Re Y N with the board's own mobility, and against the sound."""
     ratios: list[float] = []
     decays: dict[str, float] = {}
     for at in ta.pitches(grand):

@@ -145,7 +145,7 @@ def test_on_a_bridge_with_mass_against_the_exact_dynamic_stiffness(string, law):
 
 
 def test_what_a_law_asks_in_vain_is_reported():
-    """Bending loss alone: no loss of modes gives so steep a law; the error is reported, and is what comes out."""
+    """Bending loss alone: no loss of modes gives so steep a law; the error reported is the true one."""
     string = STRINGS["nylon bass"]
     eta = law_of(string, (0.0, 2e-2, 0.0, 0.0))
     basis = string_basis(*string, eta, n_modes=70)

@@ -1,4 +1,4 @@
-"""``tonewood accuracy``: what it prints and writes, what it refuses, what is left when it is stopped."""
+"""``tonewood accuracy``: its output and files, its refusals, and the files left when it is stopped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line in this process: what it prints, where, and with which exit code."""
+"""The command line in this process: its output, on which stream, and its exit codes."""
 
 from __future__ import annotations
 

@@ -149,12 +149,12 @@ def test_a_live_session_that_cannot_be_is_one_line(tonewood: Run, words: tuple[s
 
 
 def test_a_score_has_nothing_to_record(tonewood: Run, duo: Path) -> None:
-    assert "--record: records what is played live" in tonewood("play", duo, "-i", "monochord", "--record", "a.mid")[2]
+    assert "--record: records live playing" in tonewood("play", duo, "-i", "monochord", "--record", "a.mid")[2]
     assert "one of both is allowed" in tonewood("play", duo, "-i", "monochord", "--keyboard")[2]
 
 
 def test_strings_of_one_instrument_as_stems(tonewood: Run, duo: Path, tmp_path: Path) -> None:
-    """Their files add up to the mix, at its gain and length; what cannot be split is refused."""
+    """Their files add up to the mix, at its gain and length; a mix that cannot be split is refused."""
     words = ("render", duo, "-i", "classical_guitar", "--fs", 16000, "-o", tmp_path / "mix.wav", "--max-duration", 0.3)
     more = ("--effects", "none", "--stems", tmp_path / "stems", "--stems-by", "string")
     code, out, _ = tonewood(*words, *more)

@@ -1,4 +1,4 @@
-"""Slopes of the error over the step: what is exact, what is of second and what of fourth order."""
+"""Slopes of the error over the step: exact, second and fourth order."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def spring(k, r):
     return Part(WHOLE.M, WHOLE.C + r * row.T @ row, WHOLE.K + k * row.T @ row)
 
 
-# what holds the joint -> (law, residual compliance, continuous system, order of its poles)
+# law of the joint -> (law, residual compliance, continuous system, order of its poles)
 CASES = {
     "rigid": (None, 0.0, joined(WHOLE, [JOINT])[1], 4.0),
     "rigid, yielding": (None, 4e-7, spring(1 / 4e-7, 0.0), 2.0),
@@ -130,7 +130,7 @@ def test_step_length_does_not_matter_without_connections():
 
 
 def test_residual_of_truncated_strings_converges_with_their_modes():
-    """Strings joined at their free ends: what is left of the error when dropped modes are folded into the residual."""
+    """Strings joined at their free ends: the error that is left when dropped modes are folded into the residual."""
     length, c = 1.0, 200.0
 
     def string(n, fold):

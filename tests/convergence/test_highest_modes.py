@@ -56,7 +56,7 @@ def exact(limit: float) -> np.ndarray:
 
 
 def foretold(limit: float, fs: float, at: np.ndarray) -> np.ndarray:
-    """Errors of the frequencies `at`, from the sum of what each mode adds."""
+    """Errors of the frequencies `at`, from the sum of each mode's share."""
     freq, square = modes(limit)
     theta = 0.5 * freq / fs
     e = 1 / (4 * np.sin(theta) ** 2) - 1 / (4 * theta**2) - 1 / 12

@@ -70,7 +70,7 @@ def partial(y: Floats, freq: float, fs: float = FS, width: float = 0.04) -> NDAr
 def compared(a: Floats, b: Floats, freq: float, fs: float = FS) -> tuple[Floats, Floats]:
     """Cents by which a partial near `freq` is higher in b than in a, and dB by which it is louder, while it is strong.
 
-    In the nulls of beats both are ill-defined: what lies 20 dB below the loudest is left out.
+    In the nulls of beats both are ill-defined: times at which the level is 20 dB below the loudest are left out.
     """
     x, y = partial(a, freq, fs), partial(b, freq, fs)
     step = round(0.05 * fs)

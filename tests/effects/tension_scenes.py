@@ -47,7 +47,7 @@ def guitar(name: str, strings: tuple[str, ...], **effects: Any) -> tw.Instrument
 
 
 def scene(seed: int) -> tuple[str, str, tw.Score, list[float]]:
-    """Instrument, its one string, what is played, and when it is bent.
+    """Instrument, its one string, its score, and when it is bent.
 
     One string: in a chord, partials of others pass through the body and beat with its own.
     """
@@ -84,7 +84,7 @@ def pieces(renderer: tw.Renderer, score: tw.Score, bends: list[float]) -> list[t
 
 
 def deviations(seed: int, **effects: float) -> tuple[float, float, list[EffectReport]]:
-    """Largest deviation of `auto` from `all` in cents, and in dB, of the lowest partials; and what `auto` reports."""
+    """Largest deviation of `auto` from `all` in cents, and in dB, of the lowest partials; and the report of `auto`."""
     name, string, score, bends = scene(seed)
     every, auto = (
         tw.Renderer(score, guitar(name, (string,), mode=mode, **effects), FS, max_duration=SECONDS + 1)

@@ -62,7 +62,7 @@ def test_no_rate_is_negative() -> None:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """A clock that goes by what is stepped and exchanged."""
+    """A clock that goes by the steps and exchanges made."""
     reported = SimpleNamespace(now=0.0, exchange=2e-3)
     reported.perf_counter = reported.thread_time = lambda: reported.now
     for module in (engine_module, plan_module, render_module):

@@ -71,7 +71,7 @@ def test_none_is_linear() -> None:
 
     once, thrice = play(2.0), play(6.0)
     assert abs(once).max() > 0
-    # twice the rounding of a sample: the first 5 ms are differences to what stood at frame 0
+    # twice the rounding of a sample: the first 5 ms are differences to the value at frame 0
     assert abs(thrice - 3 * once).max() < 2e-11 * abs(thrice).max()
 
 

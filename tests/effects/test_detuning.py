@@ -37,7 +37,7 @@ def test_the_difference_of_a_rise_left_out_is_a_turned_phase() -> None:
     peak = float(np.abs(full).max())
     assert 0.0 < cents < 0.1
     difference = decibels(float(np.abs(auto - full).max()) / peak)
-    assert difference > -80.0  # 10 dB and more above the budget of what is added
+    assert difference > -80.0  # 10 dB and more above the budget of added sound
     spectrum, freqs = np.abs(np.fft.rfft(full * np.hanning(len(full)))), np.fft.rfftfreq(len(full), 1 / FS)
     for number in (1, 2, 3, 5, 8):
         near = np.flatnonzero(abs(freqs / (number * 196.0) - 1.01) < 0.03)
@@ -45,7 +45,7 @@ def test_the_difference_of_a_rise_left_out_is_a_turned_phase() -> None:
         before, after = (partial(sound, freq, 2.5) for sound in (full, auto))
         turned, level = abs(np.angle(after / before)), abs(abs(after / before) - 1.0)
         assert level < 0.1 * turned
-        # at most what the reported rise would have turned it in all the time
+        # at most the angle by which the reported rise would have turned it in all the time
         assert turned < 2 * np.pi * freq * 3.0 * (2 ** (cents / 1200) - 1)
 
 

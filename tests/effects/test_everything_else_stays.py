@@ -48,7 +48,7 @@ def check(score: tw.Score, name: str, seconds: float | None, fs: int, moments: b
     n = min(len(a), len(b))
     assert abs(n - max(len(a), len(b))) <= 0.3 * fs
     for played in auto.performance.notes[:8]:
-        # while it sounds: before and after, its band holds what is left of others
+        # while it sounds: before and after, its band holds the rest of others
         first, last = round(played.note.time * fs), min(round(played.end * fs), n)
         if last - first < 0.25 * fs:
             continue

@@ -1,4 +1,4 @@
-"""Phantom partials that are driven one way: they run from a note until a bound on what is missing, and no longer."""
+"""Phantom partials that are driven one way: they run from a note until a bound on the missing sound, and no longer."""
 
 from __future__ import annotations
 

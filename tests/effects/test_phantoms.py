@@ -106,7 +106,7 @@ def test_switches_lose_no_more_than_the_budget_and_gain_no_energy() -> None:
         if now != modulated:
             if now < modulated:
                 other.restore(before)
-                n = SELDOM // 8 if "B3" in modulated - now else 1  # the other's pitch parts from what it was
+                n = SELDOM // 8 if "B3" in modulated - now else 1  # the other's pitch departs
                 left.append((abs(other.advance(n) - out[: n * GRID]).max(), peak))
             ways |= {("rises" if name in now else "rests", name) for name in now ^ modulated}
     assert {("rises", "B3"), ("rests", "B3"), ("rises", "E4")} <= ways

@@ -1,4 +1,4 @@
-"""A render foreseen: what will run and when, against the render itself."""
+"""A render foreseen: the effects that will run and when, against the render itself."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_switches_are_foreseen() -> None:
 
 def test_a_wide_budget_leaves_the_tension_out() -> None:
     foreseen = tw.plan(tw.Score(NOTES), duet(), FS, max_duration=1.5, budget_cents=100.0, budget_db=0.0)
-    # until something is heard nobody knows what would be missing
+    # until something is heard the missing sound is unknown
     assert all(e.seconds < 0.6 for e in foreseen.effects if e.name == "tension_modulation")
 
 

@@ -66,7 +66,7 @@ def bounds(model: Model, name: str, state: State) -> tuple[Sidebands, dict[str, 
 
 
 def line(y: Floats, freq: float, fs: float = FS) -> float:
-    """Amplitude of what is at a frequency, under a window whose side lobes lie below -90 dB."""
+    """Amplitude at a frequency, under a window whose side lobes lie below -90 dB."""
     window = blackmanharris(len(y))
     return 2 * abs(np.sum(window * y * np.exp(-2j * np.pi * freq * np.arange(len(y)) / fs))) / float(window.sum())
 
@@ -105,7 +105,7 @@ def test_what_is_missing_stays_below_its_bound(guitar_name: str, name: str, seed
     peak = np.abs(sounds[1]).max(axis=0)
     w = held.freq_rad / (2 * np.pi)
     lines = {abs(w[i - 1] + 2 * sign * w[j - 1]) for i in numbers for j in numbers for sign in (-1, 1)}
-    # what lies at a partial itself is its shift of pitch
+    # a sideband at a partial itself is its shift of pitch
     apart = [f for f in lines if all(abs(f - w[k - 1]) > 20 for k in numbers)]
     assert apart
     lost = max(sum(line(sounds[0][:, r] - sounds[1][:, r], f) for f in apart) / p for r, p in enumerate(peak))

@@ -1,4 +1,4 @@
-"""Rising tension that comes and goes: within its budget of what runs all the time, without a click or a gain."""
+"""Rising tension that comes and goes: within its budget of one that rises all the time, without a click or a gain."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SCENES = {
 @pytest.mark.parametrize("scene", SCENES)
 def test_auto_is_within_its_budget_of_all(scene: str) -> None:
     notes, seconds, freqs = SCENES[scene]
-    # over frets that nothing touches: what buzzes answers the least change of pitch with other partials
+    # over frets that nothing touches: a buzzing string answers the least change of pitch with other partials
     high = {"connections.frets.action_first": 3e-3, "connections.frets.action_twelfth": 6e-3}
     streams = {mode: renderer(notes, seconds, duet(mode=mode).replace(high)) for mode in ("all", "auto")}
     all_, auto = (sound(stream)[:, 0] for stream in streams.values())
@@ -167,7 +167,7 @@ def test_switching_follows_the_grid() -> None:
 
 
 def test_switches_do_not_click() -> None:
-    """Just after a switch the sound is what it would be without; then it drifts apart, as another pitch does."""
+    """Just after a switch the sound is as without; then it drifts apart, as another pitch does."""
     notes = SCENES["quiet and loud in turn"][0]
     engine, other = (renderer(notes, 2.0, duet()).engine for _ in range(2))
     other._switch = lambda moved, fresh: None  # type: ignore[method-assign]  # never switches

@@ -15,7 +15,7 @@ from tonewood.energy.account import EnergyAccount, KnownForce
 from tonewood.energy.trace import EnergyTrace
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.contract import Event
+from tonewood.instrument.gestures import Event
 from tonewood.stepping.forcing import compile_force
 from tonewood.stepping.kernel import KernelStepper
 

@@ -94,7 +94,7 @@ def test_above_the_greatest_force_the_motion_is_raucous(tmp_path: Path) -> None:
 
 
 def test_the_arm_pays(tmp_path: Path) -> None:
-    """Bow's work = heat of slipping + losses + what is stored, step by step."""
+    """Bow's work = heat of slipping + losses + stored energy, step by step."""
     trace = bowed(tmp_path, 0.5, 0.1, energy=True).energy
     assert trace is not None
     assert trace.worst_residual < 1e-10

@@ -156,7 +156,7 @@ def test_hashes_follow_the_file_and_so_does_the_code(bundle: Path) -> None:
     assert after.plugin_hashes["hand.py:PluckRamp"] == hashlib.sha256(hand.read_bytes()).hexdigest()
     assert hasattr(after.exciters["pluck"], "louder")
     assert not hasattr(before.exciters["pluck"], "louder")
-    # of what was run, not of what lies there now
+    # of the code that was run, not of the file there now
     assert before.plugin_hashes["hand.py:PluckRamp"] != after.plugin_hashes["hand.py:PluckRamp"]
 
 

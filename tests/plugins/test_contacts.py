@@ -1,4 +1,4 @@
-"""Frets, boards, curved bridges and loose parts against closed forms and what they are known to do."""
+"""Frets, boards, curved bridges and loose parts against closed forms and their known behaviour."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pages for instrument and plugin makers: what they show is what ships."""
+"""The pages for instrument and plugin makers show the files that ship."""
 
 from __future__ import annotations
 

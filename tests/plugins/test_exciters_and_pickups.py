@@ -1,4 +1,4 @@
-"""Forces of gestures by their integrals and ends; what pickups ask to be read."""
+"""Forces of gestures by their integrals and ends; readouts of pickups."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import pytest
 
 from tonewood.coupling.system import Probe
 from tonewood.errors import BundleError
-from tonewood.instrument.contract import BodyPoint, Event, Exciter, Gesture, Place, Scene
+from tonewood.instrument.contract import BodyPoint, Exciter, Scene
+from tonewood.instrument.gestures import Event, Gesture, Place
 from tonewood.instrument.registry import plugin
 
 STRING = Place("G3", 0.65)

@@ -1,4 +1,4 @@
-"""The finger's pluck against its own equations solved by other means, and what the engine makes of it."""
+"""The finger's pluck against its own equations solved by other means, and in the engine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from tests.plugins.scene import STRING, instrument
 
 import tonewood as tw
 from tonewood.instrument.assembly import assemble
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place
+from tonewood.instrument.contract import Exciter
+from tonewood.instrument.gestures import Event, Gesture, Place
 from tonewood.instrument.registry import plugin
 from tonewood.modal.points import spread
 from tonewood.stepping.forcing import SampledForce, course
@@ -56,7 +57,7 @@ def test_the_slip_is_that_of_its_equation_of_motion(force: float, mass: float) -
     assert segments[-1].stop == pytest.approx(end, rel=0.03)
     t = np.linspace(0.0, end, 400)
     x = np.clip(found.sol(t)[0] / NAIL.edge, 0.0, 1.0)
-    # shifted by what the steps make of its length
+    # shifted by the rounding of its length to steps
     mine = course(segments, t * segments[-1].stop / end)
     assert np.abs(mine - force * (1 - 3 * x**2 + 2 * x**3)).max() < 0.03 * force
 

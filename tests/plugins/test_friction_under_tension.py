@@ -54,7 +54,7 @@ def test_and_pays(tmp_path: Path, what: dict[str, Any]) -> None:
     trace = stroke(tmp_path, what, 0.1, 24000, 0.05, energy=True, frets=FRETS).energy
     assert trace.worst_residual < 1e-9
     assert trace.worst_cumulative_residual < 1e-8
-    # losses of what yields at one string, frets and a plectrum, belong to all of it together
+    # losses of the compliances at one string, frets and a plectrum, belong to all of them together
     assert trace.lost["S.it.edge" if what["plugin"] == "plectrum" else "S.it.hair"].min() >= -1e-9 * trace.peak
     assert sum(trace.lost.values()).min() >= -1e-9 * trace.peak  # the motion is made again from the forces
 

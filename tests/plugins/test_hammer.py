@@ -15,7 +15,7 @@ HAMMER = {
     "plugin": "hammer", "from_bridge": 1.0, "velocity": SPEED, "mass": MASS, "stiffness": STIFFNESS, "exponent": 1.0,
     "clearance": 1e-3, "throw_time": 5e-4, "return_freq": 0.1, "return_damping": 0.0,
 }  # fmt: skip
-#: so long that what the ends send back comes too late: the hammer meets an impedance of 2 Z
+#: so long that reflections from the ends come too late: the hammer meets an impedance of 2 Z
 LONG = {"length": 2.0, "note": None, "freq": 36.0, "bending_stiffness": 0.0, "freq_upper": 20000.0}
 
 
@@ -35,7 +35,7 @@ def test_contact_with_an_endless_string(tmp_path: Path) -> None:
     tau = np.clip(t, 0, duration)
     exact = STIFFNESS * SPEED / omega * np.exp(-decay * tau) * np.sin(omega * tau)
     assert np.abs(force - exact).max() < 0.03 * exact.max()
-    # what the string keeps of the momentum: the mass leaves with v - (impulse) / m
+    # momentum that the string keeps: the mass leaves with v - (impulse) / m
     assert np.sum(force) * played.system.dt == pytest.approx(np.trapezoid(exact, t), rel=2e-3)
 
 
@@ -53,7 +53,7 @@ def test_its_suspension_takes_nothing_from_its_velocity(tmp_path: Path, speed: f
 
 
 def test_the_driver_pays_for_everything(tmp_path: Path) -> None:
-    """Energy of string and hammer is the work of the push less what is lost, step by step."""
+    """Energy of string and hammer is the work of the push less the losses, step by step."""
     hammer = {**HAMMER, "exponent": 2.5, "stiffness": 1e8, "loss": 0.3, "from_bridge": 0.1}
     played = play(instrument(tmp_path, exciters={"hammer": hammer}), duration=0.03, energy=True)
     trace = played.energy

@@ -15,7 +15,8 @@ from tonewood.engine.timeline import Play
 from tonewood.errors import BundleError
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.contract import Event, Exciter, Gesture, Place
+from tonewood.instrument.contract import Exciter
+from tonewood.instrument.gestures import Event, Gesture, Place
 from tonewood.instrument.registry import plugin
 
 TENSION, DENSITY, OPEN = 71.6, 6.24e-3, 0.65

@@ -29,7 +29,7 @@ PALM = {"plugin": "stopping_finger", "touch": 0.03, "width": 0.02, "weight": 4.0
 
 
 def monochord(model: str, kind: str = "continuous", **playing: Any) -> Instrument:
-    """The string on its box, with a hand; what is heard is its force on the bridge."""
+    """The string on its box, with a hand; the output is its force on the bridge."""
     base = tw.load_instrument("monochord")
     values = json.loads(json.dumps(base.resolved))
     values["stops"] |= {"model": model, "kind": kind}
@@ -124,7 +124,7 @@ def test_a_stopping_hand_without_force_gives_no_energy(model: str) -> None:
 
 
 def test_the_work_of_a_sliding_finger_is_bounded() -> None:
-    """Down to half the length and back: the string never has more than twice what the pluck gave it."""
+    """Down to half the length and back: the string never has more than twice the energy of the pluck."""
     made = monochord("finger").replace({"exciters.slide.time": 0.1})
     notes = [tw.Note(0.25 * i, 0.25, string="A2", stop=s, technique="slide" if i else None, force=2.0)
              for i, s in enumerate((2, 12, 2))]  # fmt: skip
@@ -246,7 +246,7 @@ def test_a_finger_that_moves_along() -> None:
     ),
 )  # fmt: skip
 def test_any_sequence_of_techniques(model: str, line: list[tuple[float, str | None, float, float]]) -> None:
-    """Whatever follows what, however quickly: what is heard stays finite and of the size of what was put in."""
+    """In any order, however quickly: the sound stays finite and of the size of the forces."""
     made = monochord(model).replace({"strings.A2.freq_upper": 4000.0, "tuning.at": "open_only"})
     time, notes = 0.0, []
     for stop, technique, force, duration in line:

@@ -1,4 +1,4 @@
-"""The plectrum: where and when the string slips off, what it keeps, and the slow one that is a known force."""
+"""The plectrum: where and when the string slips off, its energy then, and the slow one that is a known force."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_it_slips_at_its_force_and_on_time(tmp_path: Path) -> None:
 
 
 def test_force_on_the_way_follows_the_springs_in_series(tmp_path: Path) -> None:
-    """On its way the force is what X(t) / (1 / k + C) says; on the bridge its share 1 - x / L."""
+    """On its way the force is X(t) / (1 / k + C); on the bridge its share 1 - x / L."""
     played = plucked(tmp_path)
     drawn = 2.0 * (1 / 2e3 + COMPLIANCE) / 0.03
     force = played.forces["S.plectrum.edge"]
@@ -69,7 +69,7 @@ def test_a_slow_one_is_a_known_force(tmp_path: Path) -> None:
 
 
 def test_the_hand_pays(tmp_path: Path) -> None:
-    """String and tip hold what the hand's spring has done less what is lost; friction gives nothing."""
+    """String and tip hold the work of the hand's spring less the losses; friction gives nothing."""
     trace = plucked(tmp_path, energy=True).energy
     assert trace is not None
     assert trace.worst_residual < 1e-12
@@ -78,7 +78,7 @@ def test_the_hand_pays(tmp_path: Path) -> None:
     assert supplied > 0.5 * COMPLIANCE * 2.0**2
     for values in trace.lost.values():
         assert values.min() >= -1e-12 * trace.peak
-    # what rings right after the slip is what the static deflection held, less what string and edge lost meanwhile
+    # the energy right after the slip is that of the static deflection, less the losses of string and edge meanwhile
     string = next(values for name, values in trace.stored.items() if name == "S.z")
     ringing = string[np.searchsorted(trace.time, 0.003)]
     assert 0.96 < ringing / (0.5 * COMPLIANCE * 2.0**2) < 1.0

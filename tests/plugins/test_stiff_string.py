@@ -96,7 +96,7 @@ def test_a_stop_is_a_shorter_string() -> None:
 
 
 def test_detuned() -> None:
-    """Exact without bending stiffness; with it the held partials miss the formula by what the docstring says."""
+    """Exact without bending stiffness; with it the held partials miss the formula as the docstring says."""
     ideal = make(bending_stiffness=0.0)
     changed = ideal.detuned(ideal.basis(8000.0), 60.0)
     made = make(bending_stiffness=0.0, tension=60.0).basis(8000.0 * np.sqrt(60 / 58.3))

@@ -128,7 +128,7 @@ def test_a_decaying_pitch_glides_down_its_backbone(tmp_path: Path) -> None:
 
 
 def test_energy_never_rises(tmp_path: Path) -> None:
-    """A pluck far beyond what a string bears: 60 modes, 300 N; the energy budget closes and nothing is gained."""
+    """A pluck far beyond the strength of a string: 60 modes, 300 N; the energy budget closes and nothing is gained."""
     lossy = {"loss": {"law": "sigma", "sigma0": 0.5, "sigma1": 1e-4}, "freq_upper": 7000.0}
     played = play(pluck(tmp_path, **lossy), {"force": 300.0}, duration=0.02, energy=True)
     trace = played.energy
@@ -139,7 +139,7 @@ def test_energy_never_rises(tmp_path: Path) -> None:
 
 
 def test_both_polarizations_share_the_tension(tmp_path: Path) -> None:
-    """Two planes at 45 degrees are one plane turned: the sum of squares is what stretches."""
+    """Two planes at 45 degrees are one plane turned: the sum of squares stretches."""
     both = {"polarizations": ["z", "y"], "freq_upper": 1500.0}
     ends = []
     for tilt in (0.0, 45.0):

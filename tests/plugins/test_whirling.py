@@ -94,7 +94,7 @@ def hard(folder: Path, **string: Any) -> Any:
 
 
 def test_190_modes_and_1000_newtons(tmp_path: Path) -> None:
-    """Released at 1000 N, far beyond what any string bears: the energy budget closes, step by step."""
+    """Released at 1000 N, far beyond the strength of any string: the energy budget closes, step by step."""
     made = hard(tmp_path)
     assert assemble(made, 48000).strings["S"].n_modes() >= 190
     played = play(made, {"force": 1000.0}, duration=0.02, energy=True)

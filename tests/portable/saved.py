@@ -1,4 +1,4 @@
-"""Assembled systems in files, with the samples that they should give: beside what `tonewood.output.model_file` saves
+"""Assembled systems in files, with the samples that they should give: beside the arrays of `tonewood.output.model_file`
 stand known forces as ``injections/i/0`` to ``3`` (slot, first step, vectors, values) and ``samples`` (n, channels).
 """
 

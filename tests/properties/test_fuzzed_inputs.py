@@ -274,5 +274,5 @@ def test_midi_of_every_kind_at_the_render(tmp_path_factory: pytest.TempPathFacto
 
 
 def test_the_manifest_is_what_the_dialect_reads() -> None:
-    """The reference reader sees the same values, so that mutations start from what is played."""
+    """The reference reader sees the same values, so that mutations start from valid files."""
     assert tw.load_instrument("monochord").spec.name == YAML(typ="safe", pure=True).load(io.StringIO(MANIFEST))["name"]

@@ -31,7 +31,7 @@ def motion(instrument, injections, steps=STEPS):
 def alone(instrument, *dofs):
     """Displacement (m) that 1 N gives the lightest of these masses in one step when nothing holds it.
 
-    Joints may hold a driven mass fast; what is left of its motion is then the rounding of this, 1e-11 of it at worst.
+    Joints may hold a driven mass fast; its motion is then the rounding of this, 1e-11 of it at worst.
     """
     return instrument.dt**2 / np.diag(merged(*instrument.parts.values()).M)[list(dofs)].min()
 

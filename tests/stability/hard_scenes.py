@@ -15,7 +15,7 @@ import tonewood as tw
 from tonewood.instrument.bundle import Instrument
 
 Rng = np.random.Generator
-#: by the checkout's folders: a scene must not depend on what else is installed
+#: by the checkout's folders: a scene must not depend on other packages installed
 #: those whose strings are played one by one; keys have tests of their own
 SHIPPED = sorted(
     path.parent.name
@@ -113,7 +113,7 @@ def string(rng: Rng, kind: str, fs: int) -> dict[str, Any]:
         "tilt_deg": float(rng.uniform(-20, 20)), "end_compliance": float(rng.choice([0.0, 1e-6])),
         "freq_upper": float(rng.choice([2000.0, 8000.0, 20000.0])),
     }  # fmt: skip
-    # the octave above it keeps a mode below what the rate carries
+    # the octave above it keeps a mode below the limit of the rate
     values["tension"] = min(values["tension"], values["linear_density"] * (0.12 * fs * values["length"]) ** 2)
     f0 = (values["tension"] / values["linear_density"]) ** 0.5 / (2 * values["length"])
     values["freq_upper"] = max(values["freq_upper"], 5 * f0)

@@ -1,6 +1,6 @@
 """Rigid joints that repeat, nearly repeat or contradict each other, points without mass, torn joints.
 
-The motion asked for is what the joints allow; forces may be shared any way that does it.
+The joints allow the motion asked for; forces may be shared in any way.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ def test_a_yielding_joint_does_not_alternate(residual):
     _, forces = KernelStepper(system).run(state, 4000)
     alternating, size = nyquist(forces)
     assert alternating < 1e-3 * size
-    # and cannot hold more than what the impact had: f^2 (2R) / 2
+    # and cannot hold more than the energy of the impact: f^2 (2R) / 2
     assert (forces**2).max() * residual <= kinetic * (1 + 1e-9)
 
 

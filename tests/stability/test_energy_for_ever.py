@@ -82,7 +82,7 @@ def test_modes_of_every_speed_and_damping_together(law):
     rng = np.random.default_rng(3)
     for name in system.names:
         system.modes_of(state, name)[:] = rng.normal(size=system.modes_of(state, name).shape) * 1e-6
-    KernelStepper(system).run(state, 2)  # a rigid joint first closes what was torn open
+    KernelStepper(system).run(state, 2)  # a rigid joint first closes its gap
     E = energies(system, state, 60, 1)
     E = np.concatenate([E, energies(system, state, 20, 5000)])
     assert np.all(np.isfinite(E))

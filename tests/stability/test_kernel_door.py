@@ -186,7 +186,7 @@ def arrays(value: Any, path: Path = ()) -> list[Path]:
 
 
 def put(description: Any, path: Path, value: Any) -> Any:
-    """Replace what is at a path; returns what was there."""
+    """Replace the value at a path; returns the earlier one."""
     for step in path[:-1]:
         description = description[step]
     before, description[path[-1]] = description[path[-1]], value

@@ -21,8 +21,9 @@ from tonewood.engine.engine import GRID, Engine
 from tonewood.engine.timeline import Change, Play, Timeline
 from tonewood.errors import NumericalError
 from tonewood.instrument.assembly import assemble
-from tonewood.instrument.contract import Gesture, Segment
+from tonewood.instrument.gestures import Gesture
 from tonewood.output.audio import SoundWriter
+from tonewood.stepping.forcing import Segment
 
 Floats = NDArray[np.float64]
 FS = 16000
@@ -98,7 +99,7 @@ def assert_replucks(instrument: tw.Instrument, count: int) -> None:
     every = 0.04375  # 700 samples
     left, last = replucked(instrument, count, every)
     assert left[10:].max() < 1.5 * left[:10].max()
-    # no trend: the last plucks leave what the first ones left
+    # no trend: the last plucks leave as much as the first ones
     assert abs(np.log(left[-100:].mean() / left[10:110].mean())) < 0.1
     single = sound([tw.Note(0.0, 5.0, note=45, force=2.0)], instrument, 1.0)[:, 0]
     freq, wanted = partial(last[FS // 50 :], FS, 110.0)[0], partial(single[FS // 50 :], FS, 110.0)[0]
@@ -275,7 +276,7 @@ def test_silence_leaves_nothing_behind(monochord: tw.Instrument) -> None:
 
 @pytest.mark.validate
 def test_ten_minutes_of_silence(monochord: tw.Instrument, capsys: pytest.CaptureFixture[str]) -> None:
-    """The same after ten minutes; what a silent second costs beside a loud one is printed, not judged."""
+    """The same after ten minutes; the cost of a silent second beside a loud one is printed, not judged."""
     first, second, cost, _ = silence(monochord, 600.0)
     np.testing.assert_allclose(second, first, atol=1e-9 * np.abs(first).max(), rtol=0)
     with capsys.disabled():

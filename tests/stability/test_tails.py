@@ -61,7 +61,7 @@ def test_tails_do_not_end_in_denormals(isa):
 
 
 def test_flushing_is_left_at_the_kernels_door():
-    """Denormals of the rest of the process stay what they are, during and after."""
+    """Denormals of the rest of the process stay as they are, during and after."""
     system = guitar(names=("E4",))
     state = displaced(system)
     KernelStepper(system).run(state, 1000)

@@ -1,4 +1,4 @@
-"""One BLAS thread while the library computes: entries nest, end in any order, and put back what was set."""
+"""One BLAS thread while the library computes: entries nest, end in any order, and restore the setting."""
 
 from __future__ import annotations
 

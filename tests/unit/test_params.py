@@ -20,7 +20,7 @@ class Outer(Parameters):
     mass: float = quantity("kg", low=0.0, doc="how heavy")
     way: Vector = described("where to", default=(1.0, 0.0, 0.0))
     kind: Literal["a", "b"] = described("which", default="a")
-    parts: list[Inner] = described("what is in it", default=[])
+    parts: list[Inner] = described("its parts", default=[])
     named: dict[str, Inner] = described("and by name", default={})
     either: Number | Inner = described("one or the other", default=0.0)
 

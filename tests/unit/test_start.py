@@ -1,4 +1,4 @@
-"""A start: what is not imported up to the first block, and tunings that are kept between runs."""
+"""A start: modules that are not imported up to the first block, and tunings that are kept between runs."""
 
 from __future__ import annotations
 

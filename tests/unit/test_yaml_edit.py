@@ -1,4 +1,4 @@
-"""An edit of a YAML file changes what it names and no other byte."""
+"""An edit of a YAML file changes the value that it names and no other byte."""
 
 from __future__ import annotations
 

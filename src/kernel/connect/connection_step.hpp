@@ -1,4 +1,4 @@
-// What a connection step does: from the free motion of a sample to the forces of all connections and ports.
+// Interface of a connection step: from the free motion of a sample to the forces of all connections and ports.
 #pragma once
 
 #include "../modal/block.hpp"

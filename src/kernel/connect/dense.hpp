@@ -15,16 +15,17 @@ inline std::size_t wide(int n) { return padded(std::size_t(n)); }
 // diagonal in `over`; the rest is zero. No pivot is below 1.
 inline void factorize(double* a, int n, double* upper, double* over) {
     const std::size_t w = wide(n);
+    using S = Simd;
     for (int j = 0; j < n; ++j) {
-        for (std::size_t i = j + 1; i < w; ++i) a[j * w + i] = 0.0;
-        for (int i = 0; i < n; ++i) upper[j * w + i] = 0.0;
-        for (int i = j; i < n; ++i) {
-            double sum = a[i * w + j];
-            for (int k = 0; k < j; ++k) sum -= a[i * w + k] * a[j * w + k];
-            upper[j * w + i] = a[i * w + j] = i == j ? std::sqrt(std::max(sum, 1.0)) : sum * over[j];
-            if (i == j) over[j] = 1 / a[i * w + j];
+        double *const column = upper + j * w, *const row = a + j * w;
+        over[j] = 1 / std::sqrt(std::max(row[j], 1.0));
+        std::fill_n(column, w, 0.0), std::fill(row + j, row + w, 0.0);  // `over` replaces the diagonal
+        for (int i = j + 1; i < n; ++i) column[i] = a[i * w + j] *= over[j];
+        for (int i = j + 1; i < n; ++i) {
+            double* const below = a + i * w;
+            for (int k = j / S::width * S::width; k <= i; k += S::width)
+                S::store(below + k, S::load(below + k) - S::load(column + k) * column[i]);
         }
-        upper[j * w + j] = a[j * w + j] = 0.0;  // `over` replaces it
     }
 }
 

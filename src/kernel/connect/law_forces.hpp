@@ -1,4 +1,4 @@
-// Forces of the nonlinear connections, sample by sample, and what remains of them for the next sample.
+// Forces of the nonlinear connections, sample by sample, and their state that the next sample needs.
 //
 // The linear connections are eliminated: z holds the gaps per force of a law with the linear connections answering. The
 // active set grows from the candidates that are closed before the step to those that the motion found closes.
@@ -55,7 +55,7 @@ public:
         for (;;) {
             if (!ws_.active.empty() && !solve()) return false;
             combine(b, f, now);
-            // the forces found may close more contacts: culled ones are asked by their bound, candidates by their motion
+            // the forces found may close more contacts: culled ones are tested by their bound, candidates by their motion
             cull.add_candidates(b, series.find(), [&](int j) { compress(j, b); });
             if (!activate_closed([&](int j) { return compression_after(j); })) break;
         }
@@ -96,7 +96,7 @@ public:
             }
     }
 
-    // Sets the drives of sample b; no law is active yet.
+    // Sets the values that controls give the laws in sample b; no law is active yet.
     void open_sample(int b) {
         for (const Control& control : job_.controls) {
             const int j = control.connection;
@@ -220,7 +220,7 @@ public:
         return true;
     }
 
-    // Derives what connection j needs to act.
+    // Derives the response to connection j, which it needs to act.
     void need_response(int j) {
         if (!ws_.has_response[j]) find_response(j);
     }
@@ -282,7 +282,8 @@ private:
         return p;
     }
 
-    // What the tensions' own motion takes off the gap of connection i per force of active law number a: d_i M^-1 d_a / 2.
+    // Part of the gap of connection i that the motion of the tensions takes off per force of active law number a:
+    // d_i M^-1 d_a / 2.
     double yielded(int i, std::size_t a) const {
         if (!tensions) return 0.0;
         const std::size_t w = wide(tensions->n_strings()), laws = wide(int(ws_.active.size()));
@@ -291,7 +292,7 @@ private:
         return 0.5 * sum;
     }
 
-    // Gap j per psi_m of each string, d_j in ts.gap; returns what the means without nonlinear connections make of it.
+    // Gap j per psi_m of each string, d_j in ts.gap; returns the gap under the means without nonlinear connections.
     double moved_by_tensions(int j) {
         const Tensions& t = block_.model.tensions;
         const std::size_t strings = t.strings.size(), w = wide(int(strings)), n = t.ports.size();
@@ -309,7 +310,13 @@ private:
     void find_meets(int j) {
         const Tensions& t = block_.model.tensions;
         double* const meets = ts_.meets.data() + std::size_t(j) * t.width;
-        for (std::size_t p = 0; p < t.ports.size(); ++p)
+        if (parts.on()) {
+            parts.answer(nl_.from_linear.data() + std::size_t(j) * solve_.m, ts_.linear.data());
+            for (std::size_t p = 0; p < t.ports.size(); ++p) {
+                meets[p] = 0.0;
+                for (const Share& s : t.ports[p].shares) meets[p] -= s.factor * ts_.linear[s.connection];
+            }
+        } else for (std::size_t p = 0; p < t.ports.size(); ++p)
             meets[p] = dot(nl_.from_linear.data() + std::size_t(j) * solve_.m, t.onto_linear.data() + p * layout_.f_width, solve_.m);
         for (const Term& term : nl_.terms[j])
             for (const Tensions::Part& part : t.parts)

@@ -7,7 +7,7 @@
 //     (z + 1/s) f = (1 + r/s) o - g_free - (r/s) g + ((1 - theta)/theta - r/s) rho.
 // g_free, the gap after the step under the linear connections alone, is linear in the displacements of the ports. So the
 // forces of these laws are one product of these and of rho (PortForces, with the laws in place of ports), and the port
-// forces are those of the linear connections plus what the laws add. This replaces the solve for the laws in blocks in
+// forces are those of the linear connections plus those of the laws. This replaces the solve for the laws in blocks in
 // which no other law can act and no control changes one of these.
 #pragma once
 
@@ -43,7 +43,7 @@ public:
     // Whether none but these laws can act so far in the block.
     bool on() const { return on_ && laws_.cull.candidates().size() == to_.laws.size(); }
 
-    // Finds the forces of these laws in sample b and adds what they make to the port forces of the linear connections.
+    // Finds the forces of these laws in sample b and adds their port forces to those of the linear connections.
     __attribute__((flatten)) void add(int b, double* now) {
         const int n = int(to_.laws.size());
         direct_(to_.forces, block_.line(b), force_.data());
@@ -121,7 +121,7 @@ private:
         }
         Array<double> inverse;
         invert_laws(ws_, z.data(), slope.data(), int(n), inverse);
-        // what the right side is per displacement of a two-way port after the step without forces, and before it
+        // right side per displacement of a two-way port after the step without forces, and before it
         const double theta = nl_.theta, kept = (1 - theta) / theta;
         const PortForces& plain = layout_.direct;
         PortForces& out = to_.forces;

@@ -103,7 +103,7 @@ private:
 
     static std::size_t transverse(const String& s) { return s.parts.size() - std::size_t(s.given.longitudinal); }
 
-    // Coordinates of a part now and after a step under forces on its ports, and what its ports are moved by modal forces.
+    // Coordinates of a part now and after a step under forces on its ports.
     void coordinates(Part& part, const double* forces) {
         const Component& c = *part.modes.c;
         const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
@@ -116,6 +116,7 @@ private:
                 S::store(part.here.data() + k + j, per * xi), S::store(part.free.data() + k + j, per * free);
             }
     }
+    // Displacements of a part's ports by modal forces: use(port, displacement).
     template <class Use>
     void ports(const Part& part, const double* modal, const Use& use) const {
         const Component& c = *part.modes.c;
@@ -129,7 +130,7 @@ private:
         }
     }
 
-    // s_n of the step, and what the ports are moved by the longitudinal modes under it.
+    // s_n of the step, and the displacements of the ports by the longitudinal modes under it.
     void stretch(int s) {
         String& string = strings_[s];
         const int order = string.given.order;
@@ -299,7 +300,7 @@ private:
         return sum;
     }
 
-    // C for the next steps: all energy of the string, or what U lacks if that is more, and a little.
+    // C for the next steps: all energy of the string, or the shortfall of U if that is more, and a little.
     double shift(int s, double stored) const {
         double modes = 0.0;
         for (const Part& part : strings_[s].parts) {

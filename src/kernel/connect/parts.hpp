@@ -59,9 +59,10 @@ public:
         multiply<0>(p_.gaps, before_.data(), old_.data());
         for (int j = 0; j < p_.gaps.width; ++j) gap_[j] += p_.gamma[j] * old_[j];
         std::copy(l_.constant.begin(), l_.constant.end(), f);
+        for (int i = 0; i < p_.r; ++i) rest_[i] = before_[p_.rows[i]], u_[i] = now_[p_.rows[i]] + p_.hub_gamma * rest_[i];
+        multiply<1>(p_.old, rest_.data(), gap_.data());
         multiply<-1>(p_.blocks, gap_.data(), f);
         if (p_.r) {
-            for (int i = 0; i < p_.r; ++i) u_[i] = now_[p_.rows[i]] + p_.hub_gamma * before_[p_.rows[i]];
             load(gap_.data());
             stiffen(u_.data(), q_.data());
             join();
@@ -84,18 +85,30 @@ public:
         for (int i = 0; i < p_.r; ++i) now[p_.to[i]] = q_[i];
     }
 
-    // G times displacements of the gaps.
+    // f = G times displacements of the gaps.
     void answer(const double* gaps, double* f) {
         std::copy_n(gaps, p_.m, gap_.begin());
         std::fill_n(f, p_.gaps.width, 0.0);
-        multiply<1>(p_.blocks, gap_.data(), f);
-        if (!p_.r) return;
-        load(gap_.data());
-        join();
-        reach(w_.data(), f);
+        add_answer<1>(f);
+    }
+
+    // f -= G times the gaps under displacements of two-way ports.
+    void subtract_answer(const double* ports, double* f) {
+        multiply<0>(p_.gaps, ports, gap_.data());
+        add_answer<-1>(f);
     }
 
 private:
+    // f += sign G gap
+    template <int Sign>
+    void add_answer(double* f) {
+        multiply<Sign>(p_.blocks, gap_.data(), f);
+        if (!p_.r) return;
+        load(gap_.data());
+        join();
+        for (int i = 0; i < p_.r; ++i) rest_[i] = Sign * w_[i];
+        reach(rest_.data(), f);
+    }
     // q = P^T (matrix x), matrix (points, connections)
     void onto_motions(const SparseRows& matrix, const double* x) {
         if (p_.own_motions) return multiply<0>(matrix, x, q_.data());

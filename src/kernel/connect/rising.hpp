@@ -3,13 +3,14 @@
 // Such a string acts along a direction g that is known before the forces are, by -psi_m g, and psi_m answers to the
 // motion along g as a linear connection does. So every sample is linear in psi_m, one unknown for each string:
 //     M psi_m = psi + g . (y_free - y) / 2 + C f / 2,      M = I + G / 2 + C K C^T / 2 >= I,
-// G = g . w g the string's own motion along g, C what psi_m moves the ports by, f the forces of the linear connections
+// G = g . w g the string's own motion along g, C the ports' motion per psi_m, f the forces of the linear connections
 // without these strings, K those forces per displacement of the ports.
 #pragma once
 
 #include "../modal/block.hpp"
 #include "../modal/tension_pass.hpp"
 #include "dense.hpp"
+#include "parts.hpp"
 
 namespace tonewood {
 namespace {
@@ -24,13 +25,15 @@ public:
         const Nonlinear& nl = block.model.nonlinear;
         for (const Tensions::Part& part : t_.parts) {
             const Component& c = components_[part.component];
-            states_.push_back({&part, &c, scaled_.state(part.component), c.n_rows > c.n_ports,
+            states_.push_back({&part, &c, scaled_.state(part.component), false, c.n_rows > c.n_ports,
                                nl.k && nl.group_of[part.component] >= 0});
         }
         part_of_.assign(components_.size(), -1);
         for (std::size_t i = 0; i < states_.size(); ++i) part_of_[states_[i].part->component] = int(i);
     }
     virtual ~RisingTensions() = default;
+
+    ForcesInParts* parts = nullptr;  // of the linear connections, where they are solved in parts
 
     int n_strings() const { return int(t_.strings.size()); }
     int string_of(int component) const { return states_[part_of_[component]].part->string; }
@@ -41,11 +44,11 @@ public:
         from_state_ = false;
     }
 
-    // Sums what sample b needs of all strings, and writes the displacements of their ports now and free of forces.
+    // Forms the sums that sample b needs of all strings, and writes the displacements of their ports now and free of forces.
     void begin_sample(int b) {
         sample_ = b;
         begin_step();
-        for (const Polarization& part : states_) begin(part);
+        for (Polarization& part : states_) begin(part);
         for (std::size_t k = 0; k < t_.n_sums; k += Simd::width)
             Simd::store(ws_.sums.data() + k, sums<Simd::width>(ws_.lanes.data() + k * Simd::width));
         for (const Polarization& part : states_) {
@@ -92,13 +95,17 @@ public:
         solve_columns(ws_.matrix.data(), ws_.over.data(), n_strings(), b, width);
     }
 
-    // Adds the answer of the linear connections to psi_m: port forces `now`, or the connections' own forces f.
+    // Adds the answer of the linear connections to psi_m: port forces `now` (not in parts), or the connections' own forces f.
     void add_to_ports(double* now) { add(t_.onto_forces.data(), layout_.force_width, now); }
-    void add_to_linear(double* f) { add(t_.onto_linear.data(), layout_.f_width, f); }
+    void add_to_linear(double* f) {
+        if (!parts) return add(t_.onto_linear.data(), layout_.f_width, f);
+        for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.y[t_.ports[p].place] = moved(p);
+        parts->subtract_answer(ws_.y.data(), f);
+    }
 
-    // Adds what displacements -psi_m C of the ports move, by a matrix (ports, width).
+    // Adds the product of a matrix (ports, width) and the displacements -psi_m C of the ports.
     void add(const double* matrix, int width, double* to) {
-        for (std::size_t p = 0; p < t_.ports.size(); ++p) moved_[p] = -ws_.mean[t_.ports[p].string] * ws_.reach[p];
+        for (std::size_t p = 0; p < t_.ports.size(); ++p) moved_[p] = moved(p);
         add_product(matrix, width, moved_.data(), int(t_.ports.size()), to);
     }
 
@@ -112,19 +119,22 @@ public:
     void finish_sample(const double* now, const Loads& loads) {
         end_step();
         for (std::size_t p = 0; p < t_.ports.size(); ++p) ws_.forces[p] = now[t_.ports[p].force];
-        for (const Polarization& part : states_) {
-            make(part);
-            scaled_.invalidate(part.part->component);
+        for (Polarization& part : states_) {
+            part.pending = true;
+            const auto& inputs = block_.inputs[part.part->component];
+            const auto loaded = loads(part.part->component);
+            if (inputs.empty() && loaded.empty()) continue;
+            finish(part);
             const double* const basis = part.c->tension.basis.data();
             const std::size_t n = part.c->n;
-            for (const auto& [port, force] : loads(part.part->component)) {
+            for (const auto& [port, force] : loaded) {
                 const double* row = part.c->contact.rows.data() + 2 * std::size_t(port) * n;
                 each_vector(part, [&](std::size_t k, V& xi, V& v, const double* at) {
                     const V modal = S::load(basis + 3 * n + k) * S::load(row + k) * force;
                     xi += modal, v += (S::load(at + 3 * kPadding) - S::load(at + 2 * kPadding)) * modal;
                 });
             }
-            for (const Input& in : block_.inputs[part.part->component]) {
+            for (const Input& in : inputs) {
                 const double value = in.values[sample_ * in.stride];
                 each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
                     v += (S::load(basis + 6 * n + k) * S::load(in.vector + k) +
@@ -139,8 +149,9 @@ public:
     void finish_block() {
         const std::int64_t end = block_.start + block_.nb;
         const bool resets = (block_.job.phase + end) % kResetSteps == 0, last = resets || end == block_.job.n;
-        for (const Polarization& part : states_) {
+        for (Polarization& part : states_) {
             if (!last && !part.is_read && !part.is_grouped) continue;
+            finish(part);
             scaled_.to_state(part.part->component);
             rows(part, 0, block_.nb);
         }
@@ -156,6 +167,7 @@ protected:
         const Tensions::Part* part;
         const Component* c;
         double* state;
+        bool pending;              // its last step is made when the next one begins: its modes are in the cache once
         bool is_read, is_grouped;  // it has readouts; contacts on it are culled by its state
     };
 
@@ -170,9 +182,11 @@ protected:
     // Writes a string's row of the state; its modes are there.
     virtual void keep(int s, bool resets) = 0;
 
+    double moved(std::size_t p) const { return -ws_.mean[t_.ports[p].string] * ws_.reach[p]; }
     double* row(int s) const { return block_.job.tension + 4 * t_.strings[s].index; }
 
-    // Scales the velocities of modes of a string: use(component, n modes) of each part; returns what was paid of the cost.
+    // Scales the velocities of modes of a string: use(component, n modes) of each part; returns the part of the cost that
+    // was paid.
     template <class Each>
     double pay_from_motion(const Each& each, double cost) {
         const auto velocities = [&](const auto& use) {
@@ -216,8 +230,9 @@ protected:
     Array<double> own_ = Array<double>(t_.strings.size()), moved_ = Array<double>(t_.ports.size());
 
 private:
-    void begin(const Polarization& part) {
+    void begin(Polarization& part) {
         const int i = part.part->component;
+        finish(part);
         if (part.is_read) scaled_.to_state(i), rows(part, part.c->n_ports, sample_);
         const double* const basis = part.c->tension.basis.data();
         for (const Input& in : block_.inputs[i]) {
@@ -227,6 +242,14 @@ private:
             });
         }
         sum(part, ws_.lanes.data() + part.part->sums * Simd::width);
+    }
+
+    // Makes the step that is still pending.
+    void finish(Polarization& part) {
+        if (!part.pending) return;
+        make(part);
+        scaled_.invalidate(part.part->component);
+        part.pending = false;
     }
 
     // Rows of a component from the first-th on.

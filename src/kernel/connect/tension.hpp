@@ -46,7 +46,7 @@ protected:
         sum_tension_step(*part.c, part.state, now_[part.part->string].ahead, to);
     }
     void make(const Polarization& part) override {
-        TensionMade made = now_[part.part->string];
+        TensionMade made = then_[part.part->string];
         made.alone = ws_.driven.data() + part.part->first_port, made.found = ws_.forces.data() + part.part->first_port;
         make_tension_step(*part.c, part.state, made);
     }
@@ -61,6 +61,7 @@ protected:
             now_[s].tension = ws_.past[0][s] = t_.strings[s].root * ws_.mean[s];
             ws_.psi[s] = 2 * ws_.mean[s] - ws_.psi[s];
         }
+        then_ = now_;
     }
 
     // Puts psi back to sqrt(kappa) S where it `resets`.
@@ -124,7 +125,7 @@ private:
         return sum;
     }
 
-    std::vector<TensionMade> now_ = std::vector<TensionMade>(t_.strings.size());  // by string
+    std::vector<TensionMade> now_ = std::vector<TensionMade>(t_.strings.size()), then_ = now_;  // by string
 };
 
 }  // namespace

@@ -16,8 +16,9 @@ public:
     TensionStep(Block& block, LawForces& laws)
         : block_(block), layout_(block.model.layout), m_(block.model.solve.m), laws_(laws), made_(make(block)),
           tensions_(*made_), direct_(layout_), linear_laws_(block, laws), answering_(layout_.force_width),
-          y_(2 * layout_.port_rows.size()) {
+          y_(2 * layout_.port_rows.size()), alone_(layout_.f_width) {
         laws_.tensions = &tensions_;
+        if (laws_.parts.on()) tensions_.parts = &laws_.parts;
     }
 
     void begin_block() override {
@@ -28,13 +29,13 @@ public:
 
     bool sample(int b, double* now, double* f_out) override {
         tensions_.begin_sample(b);
-        direct_(layout_.direct, block_.line(b), now);
+        without_tensions(b, now);
         if (linear_laws_.on() && with_linear_laws(b, now, f_out)) {
             finish(b, now);
             return true;
         }
         tensions_.couple(now);
-        if (laws_.any() && !laws_.idle(b, [&] { tensions_.add_to_ports(now); })) {
+        if (laws_.any() && !laws_.idle(b, [&] { add_tensions(now); })) {
             linear_forces(b);
             if (!laws_.forces(b, block_.f.data(), now)) return false;
             if (laws_.commit(b)) {
@@ -42,12 +43,14 @@ public:
                 finish(b, now);
                 return true;
             }
-            direct_(layout_.direct, block_.line(b), now);  // no law acts: the same forces as without laws
-            tensions_.add_to_ports(now);
+            without_tensions(b, now);  // no law acts: the same forces as without laws
+            add_tensions(now);
         } else if (!laws_.any()) {
-            tensions_.add_to_ports(now);
+            add_tensions(now);
         }
-        if (layout_.own_port.empty()) {
+        if (tensions_.parts) {
+            std::copy_n(block_.f.begin(), m_, f_out);
+        } else if (layout_.own_port.empty()) {
             linear_forces(b);
             tensions_.add_to_linear(block_.f.data());
             std::copy_n(block_.f.begin(), m_, f_out);
@@ -68,6 +71,18 @@ private:
         return std::make_unique<StretchedStrings>(block);
     }
 
+    // Forces of the linear connections on all ports without tensions; in parts, their own in block.f and alone_ as well.
+    void without_tensions(int b, double* now) {
+        if (!tensions_.parts) return direct_(layout_.direct, block_.line(b), now);
+        laws_.parts(block_.line(b), block_.f.data(), now);
+        std::copy_n(block_.f.begin(), m_, alone_.begin());
+    }
+    void add_tensions(double* now) {
+        if (!tensions_.parts) return tensions_.add_to_ports(now);
+        tensions_.add_to_linear(block_.f.data());
+        laws_.parts.scatter(block_.f.data(), now);
+    }
+
     // Linear laws answer as linear connections do; the strings' directions are those without laws, in `now`.
     bool with_linear_laws(int b, double* now, double* f_out) {
         double* const answering = answering_.data();
@@ -84,6 +99,7 @@ private:
 
     // Forces of the linear connections without tensions in block.f.
     __attribute__((flatten)) void linear_forces(int b) {
+        if (tensions_.parts) return void(std::copy_n(alone_.begin(), m_, block_.f.begin()));
         const int n = int(layout_.port_rows.size());
         const double* line = block_.line(b);
         for (int p = 0; p < n; ++p) {
@@ -103,7 +119,8 @@ private:
     DirectForces direct_;
     LinearLawForces linear_laws_;
     Array<double> answering_;  // (force_width): forces of the linear connections and laws without these strings
-    Array<double> y_;  // port displacements before the step, then free ones after it
+    Array<double> y_;      // port displacements before the step, then free ones after it
+    Array<double> alone_;  // (f_width): forces of linear connections in parts without these strings
 };
 
 }  // namespace

@@ -62,7 +62,7 @@ struct PortRecurrence {
     static constexpr std::size_t basis_step = 8 * kChunk;
     int n_ports = 0;
     std::size_t step = 0;       // numbers per chunk in `numbers`
-    std::vector<Chunk> chunks;  // empty where a mode's state does not follow from what its row reads
+    std::vector<Chunk> chunks;  // empty where a mode's state does not follow from the values of its row
     Array<double> numbers;      // per chunk: trace or kappa, det, the two moving numbers, two responses per port
     Array<double> basis;        // per chunk: (2, 2) from the modes' two numbers to the moving ones, (2, 2) back
 };

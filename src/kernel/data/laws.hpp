@@ -37,7 +37,7 @@ struct Shortcuts {
     bool operator==(const Shortcuts&) const = default;
 };
 
-// Nonlinear connections as the linear ones leave their gaps.
+// Nonlinear connections, the linear ones eliminated.
 struct Nonlinear {
     struct Term {
         int connection, component, port;

@@ -11,8 +11,8 @@ struct Entry {  // of a sparse matrix
     bool operator==(const Entry&) const = default;
 };
 
-// A sparse matrix of about as many entries in every row: layer l has the l-th entry of each. `rest` has what is left of
-// rows with more than kLayers.
+// A sparse matrix of about as many entries in every row: layer l has the l-th entry of each. `rest` has the other entries
+// of rows with more than kLayers.
 struct SparseRows {
     struct Layer {
         std::vector<int> column;  // by row; 0 where the value is
@@ -37,7 +37,8 @@ struct Parts {
     SparseRows reach, load;       // (connections, points) B Q; (points, connections) its transpose
     SparseRows onto_points;       // (points, connections) Q^T
     Array<double> gamma;          // by connection
-    double hub_gamma = 0;         // of those with the hub
+    double hub_gamma = 0;         // the largest of those with the hub
+    SparseRows old;               // (connections, motions): gap per old motion where gamma is smaller
     std::vector<int> rows, to;    // (r) places of the motions' ports among two-way ports, and among all
     Array<double> joined, constant;    // (r, r_width) K^T; (r) U^T constant
     // where every point is a motion, P = 1, H = U^T B U is as sparse as B; otherwise

@@ -1,4 +1,4 @@
-// What a run moves, its buffers, and what it is asked for. Nothing is allocated while stepping.
+// The state that a run moves, its buffers, and the job. Nothing is allocated while stepping.
 #pragma once
 
 #include "laws.hpp"
@@ -30,7 +30,7 @@ struct ContactState {
     std::vector<char> series_moves;
     bool any_series = false;
     Array<double> least_clearance;   // by group: of contacts culled when the block began
-    // by component: norm of the state when the block began; what known forces add to it
+    // by component: norm of the state when the block began; the part that known forces add to it
     Array<double> norm, added;
     Array<double> tension_excursion, tension_sensitivity;  // (., kBlock) psi_m sqrt(sum g^2 / a) at most; share per it
     std::vector<char> has_amplitudes;

@@ -21,7 +21,7 @@ struct Stretch {
     std::vector<Part> parts;   // the longitudinal one last
 };
 
-// Strings whose tension rises (connect/rising.hpp), and what load/tension.hpp derives of them.
+// Strings whose tension rises (connect/rising.hpp), and the tables that load/tension.hpp derives of them.
 struct Tensions {
     struct Part {  // a polarization
         int component, string, first_port;
@@ -29,6 +29,7 @@ struct Tensions {
     };
     struct Port {      // a fixed port of a polarization
         int string, line, force, place;  // of its displacement in a line, of its force among all ports', among two-way ports
+        std::vector<Share> shares;       // of the linear connections
     };
     struct String {
         int index;     // of its row in the state
@@ -49,9 +50,9 @@ struct Tensions {
     std::vector<Port> ports;            // part by part
     int width = 0;                      // ports, padded
     std::size_t n_sums = 0;
-    Array<double> onto_forces;          // (ports, force_width): port forces per displacement of a port
-    Array<double> onto_ports;           // (ports, width): forces on these ports alone
-    Array<double> onto_linear;          // (ports, f_width): forces of linear connections
+    Array<double> onto_ports;           // (ports, width): forces on these ports per displacement of one
+    // where the linear connections are one matrix: (ports, force_width) forces on all ports, (ports, f_width) of connections
+    Array<double> onto_forces, onto_linear;
 };
 
 constexpr int kSharedSums = 3, kPortSums = 5;  // of a modal pass over a polarization, and for each of its ports
@@ -67,7 +68,7 @@ struct TensionState {
     Array<double> forces;               // (ports): of the last step found
     Array<double> stiff;                // (strings, width)
     Array<double> matrix, upper, over;  // of the equations of the means, factors (dense.hpp)
-    Array<double> linear, y;            // (f_width); (2 two-way ports)
+    Array<double> linear, y;            // in parts: (f_width); (two-way ports), zero but for those of these strings
     // of nonlinear connections: gap per mean psi of each string (k, strings padded);
     // the same of the active laws, solved (strings, laws padded); displacement of a
     // gap per displacement of a port (k, width), known if has_meets; gaps per force (k, k)

@@ -1,9 +1,9 @@
-// Velocity Verlet for strings whose tension rises and for laws between components, real modes: what an explicit method
-// makes of the systems that the kernel solves implicitly. The loop is that of methods.hpp.
+// Velocity Verlet for strings whose tension rises and for laws between components, real modes: an explicit method for the
+// systems that the kernel solves implicitly. The loop is that of methods.hpp.
 //
 //     a = g - (EA/2L) S k q + phi f,   w+ = w + h a,   q+ = q + h w+,   g+ = -w2 q+ - 2 sigma (w+ + h a / 2)
 //
-// with S = sum k q^2 of the string. Laws are evaluated at the gap and its rate, rigid connections asked for on the level
+// with S = sum k q^2 of the string. Laws are evaluated at the gap and its rate, rigid connections solved on the level
 // of accelerations, forces of laws included.
 #pragma once
 
@@ -42,7 +42,7 @@ inline double force_of(const ExplicitLaw& law, double gap, double rate) {
     return p > 0 ? law.a[0] * std::pow(p, law.a[1]) * (1 + law.a[2] * v) : 0.0;
 }
 
-// What a visit sums: accelerations and k q at rigid gaps, displacements and rates at laws, readouts, S.
+// Sums of a modal pass: accelerations and k q at rigid gaps, displacements and rates at laws, readouts, S.
 struct ExplicitSums {
     double *acceleration, *stretch, *gap, *rate, *out, *S;
 };

@@ -1,10 +1,10 @@
 // Time steps of the literature beside the project's own, compiled alike so that their times can be compared: every mode
-// holds the two numbers of the kernel's state, all rules go through one loop, one sweep over the modes per sample.
+// holds the two numbers of the kernel's state, all rules go through one loop, one pass over the modes per sample.
 //
-//     f = -(G r + K f_before)         forces of m rigid connections from what the last sweep read
-//     sweep: modes move on under f; the rows of the new state are summed on the way
+//     f = -(G r + K f_before)         forces of m rigid connections from the rows of the last pass
+//     pass: modes move on under f; the rows of the new state are summed on the way
 //
-// A rule says how one mode moves. What the connections ask for (positions, velocities or accelerations), where a force
+// A rule says how one mode moves. The level of the connections (positions, velocities or accelerations), where a force
 // acts within a step and how it is continued from earlier ones is all in the arrays.
 #pragma once
 
@@ -161,7 +161,7 @@ struct Newmark {
 
 inline double total(const MPack& p) { return Simd::sum(p.folded()); }
 
-// One visit to a part's modes. `f` (n_links, lags) are its forces; rows of the new state go to `read` and `out`.
+// One pass over a part's modes. `f` (n_links, lags) are its forces; rows of the new state go to `read` and `out`.
 // Links and Outs are their numbers where those are small and known, else -1.
 template <class Rule, int Links, int Outs>
 void visit(const MethodPart& p, double* const* s, const double* f, int lags, int phase, const double* c, double* read,
@@ -228,7 +228,7 @@ std::int64_t run_method(const MethodPlan& plan, MethodJob& job) {
     double* state[kStateNumbers];
     for (int i = 0; i < kStateNumbers; ++i) state[i] = job.state[i];
 
-    // what the state holds before the first step, without moving it
+    // rows of the state before the first step, without moving it
     const auto look = [&](double* to) {
         for (int i = 0; i < n_parts; ++i) {
             const MethodPart& p = plan.parts[i];

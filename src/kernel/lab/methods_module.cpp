@@ -1,4 +1,4 @@
-// Python's door to the methods of the literature: copies their arrays in, checks every shape, runs without the GIL.
+// Python's interface to the methods of the literature: copies their arrays in, checks every shape, runs without the GIL.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>

@@ -38,7 +38,7 @@ inline Array<double> w_slopes_of(const Component& c, const double* w, std::size_
     return out;
 }
 
-// Derives what the recurrences of modal/pass.hpp need.
+// Derives the tables of the recurrences of modal/pass.hpp.
 inline void derive_recurrences(Component& c) {
     const std::size_t n = c.n;
     const double* const e = c.e.data();
@@ -61,7 +61,8 @@ inline void derive_recurrences(Component& c) {
     c.slopes = slopes_of(n, e, c.rows.data(), c.n_rows), c.w_slope = w_slopes_of(c, c.w.data(), c.n_ports);
 }
 
-// Derives the tables of modal/fused_pass.hpp; none if a mode has several rows, or does not follow from what its row reads.
+// Derives the tables of modal/fused_pass.hpp; none if a mode has several rows, or its state does not follow from the
+// values of its row.
 inline void derive_port_recurrence(Component& c) {
     constexpr std::size_t chunk = kChunk;
     const std::size_t n = c.n;

@@ -40,13 +40,8 @@ inline bool load_parts(const LinearDescription& d, Solve& s, const std::vector<C
         expect("linear.hub.factor", d.hub.factor, {m});
         expect("linear.hub.span", d.hub.span, {d.hub.span.shape[0], r});
         expect("linear.hub.joined", d.hub.joined, {r, r});
-        double gamma = -2.0;
-        for (std::size_t j = 0; j < m; ++j) {
-            require(d.hub.point[j] >= -1 && d.hub.point[j] < int(d.hub.span.shape[0]), "linear.hub.point: there is no such point");
-            if (d.hub.point[j] < 0) continue;
-            require(gamma == -2.0 || gamma == d.gamma[j], "linear.hub: its connections have several gammas");
-            gamma = d.gamma[j];
-        }
+        for (const int point : d.hub.point)
+            require(point >= -1 && point < int(d.hub.span.shape[0]), "linear.hub.point: there is no such point");
         for (const int port : d.hub.ports)
             require(port >= 0 && port < c.n_ports && !c.driven, "linear.hub.ports: there is no such port");
         for (const auto& shares : c.shares) require(shares.empty(), "linear.hub: its component has an incidence as well");
@@ -84,7 +79,7 @@ inline SparseRows sparse_rows(std::size_t rows, std::size_t columns, const std::
             last = i;
         }
         layer.first = first / kLane * kLane, layer.end = int(padded(last + 1));
-        // whole vectors are read of what is multiplied, which is padded
+        // whole vectors are read of the factor, which is padded
         layer.in_order = layer.in_order && layer.first + layer.shift >= 0 && std::size_t(layer.end + layer.shift) <= padded(columns) + (columns > 0 ? kLane : 0);
     }
     return out;
@@ -139,18 +134,23 @@ inline Parts make_parts(const std::vector<Component>& components, const Solve& s
     std::map<std::pair<int, int>, double> reach;
     for (const Entry& e : solve.blocks)
         if (const int point = hub.point[e.column]; point >= 0) reach[{e.row, point}] += e.value * hub.factor[e.column];
-    std::vector<Entry> across, back, onto;
+    std::vector<Entry> across, back, onto, old;
+    out.hub_gamma = -1.0;
+    for (int j = 0; j < m; ++j)
+        if (hub.point[j] >= 0) out.hub_gamma = std::max(out.hub_gamma, solve.gamma[j]);
     for (const auto& [at, value] : reach) across.push_back({at.first, at.second, value}), back.push_back({at.second, at.first, value});
     out.constant.assign(out.r_width, 0.0), out.joined.assign(std::size_t(r) * out.r_width, 0.0);
     for (int j = 0; j < m; ++j) {
         if (hub.point[j] < 0) continue;
         onto.push_back({hub.point[j], j, hub.factor[j]});
-        out.hub_gamma = solve.gamma[j];
-        for (int i = 0; i < r; ++i)
-            out.constant[i] += hub.span[std::size_t(hub.point[j]) * r + i] * hub.factor[j] * solve.constant[j];
+        for (int i = 0; i < r; ++i) {
+            const double moved = hub.span[std::size_t(hub.point[j]) * r + i] * hub.factor[j];
+            out.constant[i] += moved * solve.constant[j];
+            if (solve.gamma[j] != out.hub_gamma && moved != 0.0) old.push_back({j, i, (solve.gamma[j] - out.hub_gamma) * moved});
+        }
     }
     out.reach = sparse_rows(m, points, across), out.load = sparse_rows(points, m, back);
-    out.onto_points = sparse_rows(points, m, onto);
+    out.onto_points = sparse_rows(points, m, onto), out.old = sparse_rows(m, r, old);
     for (int i = 0; i < r; ++i)
         for (int j = 0; j < r; ++j) out.joined[std::size_t(j) * out.r_width + i] = hub.joined[std::size_t(i) * r + j];
     out.own_motions = points == r;

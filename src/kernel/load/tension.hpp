@@ -26,9 +26,33 @@ inline void derive_pairs(const Component& c, int at, Tensions::String& string) {
         }
 }
 
+// Forces on the strings' ports per displacement of each, -s^T (B - B U K U^T B) s, s their shares of connections.
+inline void answer_in_parts(const Solve& solve, Tensions& t) {
+    const std::size_t n = t.ports.size(), m = solve.m, r = solve.hub.ports.size();
+    Array<double> blocks(n * m, 0.0), reach(n * r, 0.0), joined(n * r, 0.0);  // B s, U^T B s, K U^T B s
+    std::vector<std::vector<Entry>> columns(m);
+    for (const Entry& e : solve.blocks) columns[e.column].push_back(e);
+    for (std::size_t p = 0; p < n; ++p) {
+        for (const Share& s : t.ports[p].shares)
+            for (const Entry& e : columns[s.connection]) blocks[p * m + e.row] += e.value * s.factor;
+        for (std::size_t j = 0; r && j < m; ++j)
+            if (const double x = blocks[p * m + j]; x != 0.0 && solve.hub.point[j] >= 0)
+                for (std::size_t i = 0; i < r; ++i)
+                    reach[p * r + i] += solve.hub.span[std::size_t(solve.hub.point[j]) * r + i] * solve.hub.factor[j] * x;
+        for (std::size_t i = 0; i < r; ++i)
+            for (std::size_t j = 0; j < r; ++j) joined[p * r + i] += solve.hub.joined[i * r + j] * reach[p * r + j];
+    }
+    for (std::size_t p = 0; p < n; ++p)
+        for (std::size_t q = 0; q < n; ++q) {
+            double& to = t.onto_ports[p * t.width + q];
+            for (const Share& s : t.ports[q].shares) to -= s.factor * blocks[p * m + s.connection];
+            for (std::size_t i = 0; i < r; ++i) to += reach[q * r + i] * joined[p * r + i];
+        }
+}
+
 // Numbers the polarizations and their fixed ports, folds the answer of the linear connections to displacements of these
 // into matrices, and makes the buffers of a run.
-inline void make_tensions(const std::vector<Component>& components, const Layout& l, Tensions& t, std::size_t capacity,
+inline void make_tensions(const std::vector<Component>& components, const Solve& solve, const Layout& l, Tensions& t, std::size_t capacity,
                           const Nonlinear& nl, TensionState& ws) {
     t.parts.clear(), t.ports.clear(), t.n_sums = 0;
     if (t.strings.empty()) return;
@@ -51,7 +75,7 @@ inline void make_tensions(const std::vector<Component>& components, const Layout
             t.parts.push_back({i, int(s), int(t.ports.size()), t.n_sums});
             t.n_sums += kSharedSums + std::size_t(kPortSums) * c.n_ports;
             for (int p = 0; p < c.n_ports; ++p)
-                t.ports.push_back({int(s), l.row[i] + p, l.port[i] + p, place[i] + p});
+                t.ports.push_back({int(s), l.row[i] + p, l.port[i] + p, place[i] + p, c.shares[p]});
         }
         string.steady.clear();
         for (int p = 0; p < string.n; ++p)
@@ -59,8 +83,11 @@ inline void make_tensions(const std::vector<Component>& components, const Layout
     }
     const std::size_t n = t.ports.size(), width = padded(n);
     t.width = int(width);
-    t.onto_forces.assign(n * l.force_width, 0.0), t.onto_ports.assign(n * width, 0.0), t.onto_linear.assign(n * l.f_width, 0.0);
-    for (std::size_t p = 0; p < n; ++p) {
+    t.onto_ports.assign(n * width, 0.0);
+    const std::size_t of_one_matrix = l.in_parts ? 0 : n;
+    t.onto_forces.assign(of_one_matrix * l.force_width, 0.0), t.onto_linear.assign(of_one_matrix * l.f_width, 0.0);
+    if (l.in_parts) answer_in_parts(solve, t);
+    for (std::size_t p = 0; p < of_one_matrix; ++p) {
         const std::size_t from = t.ports[p].place;
         const double *linear = l.gather.data() + ((n_places + from) * l.f_width), *forces = l.direct.free.data() + from * l.force_width;
         std::copy_n(linear, l.f_width, t.onto_linear.data() + p * l.f_width);
@@ -75,7 +102,7 @@ inline void make_tensions(const std::vector<Component>& components, const Layout
     for (Array<double>* a : {&ws.reach, &ws.driven, &ws.answering, &ws.forces}) a->assign(width, 0.0);
     ws.stiff.assign(strings * width, 0.0);
     for (Array<double>* a : {&ws.matrix, &ws.upper}) a->assign(strings * lane, 0.0);
-    ws.linear.assign(l.f_width, 0.0), ws.y.assign(2 * n_places, 0.0);
+    ws.linear.assign(l.f_width, 0.0), ws.y.assign(padded(n_places) + 2 * kLane, 0.0);
     ws.has_meets.assign(k, 0), ws.meets.assign(k * width, 0.0), ws.z.assign(k * k, 0.0);
     ws.gap.assign(k * lane, 0.0), ws.solved.assign(strings * padded(k), 0.0), ws.row.assign(padded(k), 0.0);
 }

@@ -1,8 +1,8 @@
 // Port-recurrence form: one modal pass per block that moves modes under the forces of the block that ends and reads the
 // free motion of the next one, while they are in registers.
 //
-// It serves components whose modes are each read by one row. Such a mode is stepped in what its row reads of it,
-// s(b) = c E^b x, instead of its own two numbers: s and s+, or s and d = s+ - s where modes are slow (pass.hpp). With
+// It serves components whose modes are each read by one row. Such a mode is stepped in its share s(b) = c E^b x of that
+// row instead of its own two numbers: s and s+, or s and d = s+ - s where modes are slow (pass.hpp). With
 // h(k) = c E^k w the response to a port force F,
 //
 //     s(16) = ... + h(0) v + (h(1) - tr h(0)) v-,      s(17) = ... + h(1) v - det h(0) v-,
@@ -328,7 +328,7 @@ private:
         }
     }
 
-    // Writes what the pass read, from sample `first`.
+    // Writes the rows that the pass read, from sample `first`.
     void write_rows(int first) {
         constexpr int lanes = Simd::width;
         const auto& layout = block_.model.layout;

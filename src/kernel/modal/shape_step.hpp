@@ -1,7 +1,7 @@
 // A component of many ports whose modes are real, stepped sample by sample: mode k moves port p by phi_kp times one number.
 //
-// In each sample the forces F on the ports become modal forces, the modes move, and what they read becomes the free motion
-// of the next sample,
+// In each sample the forces F on the ports become modal forces, the modes move, and their rows become the free motion of
+// the next sample,
 //
 //     f_k = sum_p phi_kp F_p,    x+ = E x + f drive,    y_p = sum_k phi_kp (read E x+)_k,
 //
@@ -66,7 +66,7 @@ public:
     }
 
 private:
-    // What the modes read after a sample without forces.
+    // Rows of the modes after a sample without forces.
     V free_after(std::size_t k, V x, V y, int b) const {
         V out = S::load(s_.read_next.data() + k) * x + S::load(s_.read_next.data() + n_ + k) * y;
         for (const Input& input : inputs_)

@@ -1,4 +1,4 @@
-// Modal passes over a polarization under rising tension: one sums what a step needs, one makes it.
+// Modal passes over a polarization under rising tension: one forms the sums that a step needs, one makes the step.
 //
 // In the coordinates xi, v of scaled_modes.hpp, r the rows of the ports: with h = half, b = 2 xi + v + r f, f the forces
 // of the linear connections without tensions, and q = h (1 - h T) at the tension T counted on,

@@ -1,6 +1,6 @@
 """The definition of a listening test, ``test.json``: the manifest, and the blind codes of its trials.
 
-It is what `tonewood serve` reads. It names no condition of a code (that is the key), and it is not sent to browsers:
+`tonewood serve` reads it. It names no condition of a code (that is the key), and it is not sent to browsers:
 they get one page at a time.
 """
 

@@ -1,7 +1,7 @@
 """Groups of sounds of equal length and level, and the trials of the listeners.
 
 A *group* is a set of sound files that are equally long, have the same channels and are lowered together when one of
-them would pass the true-peak limit. A *trial* is what is judged at one time: a MUSHRA page, or one pair. A condition
+them would pass the true-peak limit. A *trial* is judged at one time: a MUSHRA page, or one pair. A condition
 that stands in two groups becomes two files with two codes. The repeats of a condition never meet on one rated page.
 """
 

@@ -2,7 +2,7 @@
 
 Schema ``tonewood-batch/1``, a YAML file. A manifest names instruments and scores; *factors* are parameters of the
 instrument (any path of the bundle) or of the render (``render.fs``, ``render.effects``, ...) with named levels;
-conditions are the crossed or listed levels. See `tonewood.batch.conditions` for what a manifest expands to.
+conditions are the crossed or listed levels; `tonewood.batch.conditions` expands them.
 """
 
 from __future__ import annotations
@@ -326,7 +326,7 @@ def load_manifest(path: str | os.PathLike[str]) -> Manifest:
     Raises
     ------
     ManifestError
-        One line: file, dotted key, what is wrong and what is allowed.
+        One line: file, dotted key, fault and the values allowed.
     """
     return check_manifest(load_yaml(path, error=ManifestError), file=Path(path))
 

@@ -1,4 +1,4 @@
-"""Pages of a listening test: one class per type of page, with what a manifest may say of it.
+"""Pages of a listening test: one class per type of page, with the keys that a manifest may give it.
 
 A text is a plain string, or a mapping from languages to strings; it is escaped wherever it is shown, and an empty line
 begins a new paragraph.

@@ -1,7 +1,7 @@
 """Pictures of a sound, waveform above spectrogram, composed as plain images: a batch has many of them.
 
-A figure with drawn axes takes a quarter of a second each, an image a tenth of that; what the axes would say is the
-same for all pictures and stands in `CAPTION`. One figure with axes is drawn of each group: how its sounds differ.
+A figure with drawn axes takes a quarter of a second each, an image a tenth of that; the axes are the same for all
+pictures and described in `CAPTION`. One figure with axes is drawn of each group: how its sounds differ.
 """
 
 from __future__ import annotations

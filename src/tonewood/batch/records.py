@@ -63,11 +63,11 @@ def file_records(
     identities: Mapping[str, dict[str, Any]],
     renders: Mapping[str, dict[str, Any]],
 ) -> list[dict[str, Any]]:
-    """One record per file: the condition, what it was rendered from, how the render went, and the file itself.
+    """One record per file: the condition, its sources, facts about the render, and the file itself.
 
     Parameters
     ----------
-    files : what was written.
+    files : that were written.
     conditions : by name.
     identities, renders : by content key; the renderer's identity of a sound, and its facts about the render.
     """

@@ -142,7 +142,7 @@ def _plain(value: Any) -> Any:
 
 
 def instrument_of(condition: Condition, allow_code: bool = False) -> Instrument:
-    """The bundle with the condition's overrides, and with what varies once per repeat."""
+    """The bundle with the condition's overrides, and with the draws of the repeat."""
     changes = json.dumps({**condition.overrides, **condition.render.effect_changes})
     draws = tuple(draw for draw in condition.draws if draw.note_field is None)
     return _changed(_loaded(condition.bundle, allow_code), changes, draws)

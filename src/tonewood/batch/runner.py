@@ -242,7 +242,7 @@ def run_batch(
     folder : made if need be; of it, listeners get sounds only, by `tonewood serve`.
     renderer : see `StimulusRenderer`.
     workers : where the work is done; rendering may go to a cluster, files are made here.
-    progress : called with the stage's name, what is done and what there is to do.
+    progress : called with the stage's name, the number done and the number in all.
 
     Raises
     ------

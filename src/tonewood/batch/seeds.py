@@ -1,4 +1,4 @@
-"""Random numbers that depend only on what they are for.
+"""Random numbers that depend only on their purpose.
 
 Every random choice of a batch draws from its own generator, made from the manifest's seed and a few labels. So a
 choice does not move when others are added, taken away or made in another order.
@@ -19,7 +19,7 @@ def generator(seed: int, *labels: object) -> np.random.Generator:
     Parameters
     ----------
     seed : the manifest's seed.
-    labels : what the choice is for, e.g. ``("dither", "page_1", "harp.low")``; compared as text.
+    labels : purpose of the choice, e.g. ``("dither", "page_1", "harp.low")``; compared as text.
     """
     return np.random.Generator(np.random.PCG64(int.from_bytes(_digest(seed, labels)[:16], "big")))
 

@@ -86,7 +86,7 @@ class Store:
             return Rendered(samples, facts["fs"], facts["info"])
 
     def facts(self, key: str) -> dict[str, Any]:
-        """Of the render of `key`: `fs`, `frames` and `info`, without reading its samples; raises as `load`."""
+        """Return `fs`, `frames` and `info` of the render of `key` without reading its samples; raises as `load`."""
         with self._open(key) as archive:
             return _facts(archive)
 

@@ -46,7 +46,7 @@ class Workers:
         return int(effective_n_jobs(self.jobs))
 
     def local(self) -> Workers:
-        """These workers without the cluster, for work on this machine's files."""
+        """Return these workers without the cluster, for work on this machine's files."""
         return Workers(self.jobs, self.backend)
 
     def each(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def batch(
-    manifest: Annotated[Path, typer.Argument(help="YAML file that says what is played, varied and heard")],
+    manifest: Annotated[Path, typer.Argument(help="YAML file of instruments, scores, factors and pages")],
     output: Annotated[Path, typer.Option("-o", "--output", help="folder; an unfinished one is taken up again")],
     jobs: Annotated[int, typer.Option(help="workers on this machine; -1 for one per core")] = -1,
     workers: Annotated[str, typer.Option(help="processes or threads")] = "processes",

@@ -105,7 +105,7 @@ def _body(model: Model) -> dict[str, Any]:
 
 
 def _microphone(response: MicrophoneResponse) -> dict[str, Any]:
-    """A microphone's strongest response to a string, and what is wrong with its table."""
+    """A microphone's strongest response to a string, and the fault of its table, if any."""
     doubt = None
     if response.peak == 0.0:
         doubt = "hears nothing of the strings: its table has no residues below the highest mode that is stepped"

@@ -166,7 +166,7 @@ def allow(option: str, value: float, low: float, high: float, unit: str) -> None
 
     Raises
     ------
-    TonewoodError : names the option and what is allowed.
+    TonewoodError : names the option and the values allowed.
     """
     if not low <= value <= high:
         raise TonewoodError(f"is {value:.12g} {unit}; {low:.12g} to {high:.12g} are allowed", key=option)

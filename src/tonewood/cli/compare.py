@@ -1,4 +1,4 @@
-"""``tonewood compare`` and ``tonewood report``: what instruments are, and what differs between them."""
+"""``tonewood compare`` and ``tonewood report``: facts of instruments, and differences between them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def compare(
 ) -> None:
     """Compare instruments, or one with its variants: modes, mobility, decays, wolf notes, sounds, parameters.
 
-    The first is what the others are compared with. Each --variant is the first instrument with values changed,
+    The others are compared with the first. Each --variant is the first instrument with values changed,
     'strings.E2.tension=80', several at once with semicolons between; 'strings_from=SET' puts a string set on. --set and
     --strings change all of them.
 

@@ -35,7 +35,7 @@ def fit(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="folder to write")],
     form: Annotated[
-        str | None, typer.Option(help="what was measured: accelerance, mobility or receptance, per N")
+        str | None, typer.Option(help="quantity measured: accelerance, mobility or receptance, per N")
     ] = None,
     scale: Annotated[
         float, typer.Option(help="SI units per unit of the responses: 9.80665 for g/N; 1 for m/s^2, m/s or m per N")
@@ -66,7 +66,7 @@ def fit(
     ] = None,
     hits: Annotated[int | None, typer.Option(help="hits that were averaged, where the files hold coherences")] = None,
     estimator: Annotated[str, typer.Option(help="of hits: H1 (noise in the motion) or H2 (in the force)")] = "H1",
-    title: Annotated[str | None, typer.Option(help="what was measured, for the sources")] = None,
+    title: Annotated[str | None, typer.Option(help="the object measured, for the sources")] = None,
     measured_by: Annotated[str | None, typer.Option(help="who measured it, for the sources; unknown otherwise")] = None,
     licence: Annotated[str | None, typer.Option(help="SPDX name of the data's licence; unknown otherwise")] = None,
     as_json: Json = False,
@@ -139,7 +139,7 @@ def _check_options(
 
 
 def _check_folder(output: Path) -> None:
-    """Refuse before any work what cannot be written."""
+    """Refuse before any work a target that cannot be written."""
     if output.exists() and not output.is_dir():
         raise TonewoodError("is a file; a folder is allowed", key="--output", file=output)
     if not output.absolute().parent.is_dir():
@@ -160,7 +160,9 @@ def _numbers(text: str | None) -> tuple[float, ...]:
         except ValueError:
             raise TonewoodError(f"{word!r} is no number; numbers by commas are allowed", key="--sensitivity") from None
         if out[-1] == 0 or not abs(out[-1]) < float("inf"):
-            raise TonewoodError(f"{word} is not allowed: what full scale stands for", key="--sensitivity")
+            raise TonewoodError(
+                f"{word} is not allowed: a value at full scale other than 0 is needed", key="--sensitivity"
+            )
     return tuple(out)
 
 

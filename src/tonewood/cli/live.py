@@ -42,7 +42,7 @@ def play_live(
     as_json: bool,
     stream: Any = None,
 ) -> None:
-    """Play until Ctrl-C, Esc on the computer's keys, or `duration` s; then print what was played and what was not."""
+    """Play until Ctrl-C, Esc on the computer's keys, or `duration` s; then print the notes played and dropped."""
     from tonewood.live.keyboard import HELP, ComputerKeyboard
     from tonewood.live.ports import MidiInput
     from tonewood.live.session import LiveSession

@@ -1,4 +1,4 @@
-"""Entry point: one line on stderr and exit code 2 for what a user can mend (1: no note played), 130 for Ctrl-C."""
+"""Entry point: one line on stderr and exit code 2 for errors a user can mend (1: no note played), 130 for Ctrl-C."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def render_options(values: dict[str, Any]) -> RenderOptions:
 
     Raises
     ------
-    TonewoodError : names the option and what is allowed.
+    TonewoodError : names the option and the values allowed.
     """
     numbers = {name for name in values if _takes_number(RenderOptions.model_fields[name])}
     given = {name: _number(value) if name in numbers else value for name, value in values.items()}
@@ -66,7 +66,7 @@ def render_options(values: dict[str, Any]) -> RenderOptions:
 
 
 def _number(text: str) -> float | str:
-    """Return the number that a text stands for; a word remains what it is."""
+    """Return the number that a text stands for, or the text if it is a word."""
     try:
         return float(text)
     except ValueError:

@@ -45,7 +45,7 @@ def play(
     ] = None,
     keyboard: Annotated[bool, typer.Option("--keyboard", help="play live with the computer's keys")] = False,
     record: Annotated[
-        Path | None, typer.Option(help="MIDI file of what was played live; `render --live` repeats it")
+        Path | None, typer.Option(help="MIDI file of the live playing; `render --live` repeats it")
     ] = None,
     ramp: Annotated[float, typer.Option(help="longest preparation of a live pluck, ms: part of the latency")] = 5.0,
     spacing: Annotated[
@@ -107,11 +107,11 @@ def play(
     if score is None:
         raise TonewoodError("there is no SCORE; without one give --midi-in or --keyboard to play live")
     if record is not None:
-        raise TonewoodError("records what is played live; with a SCORE there is nothing to record", key="--record")
+        raise TonewoodError("records live playing; with a SCORE there is nothing to record", key="--record")
     given = reading(start, stop, transpose, tempo, tracks)
     wanted, notes = level_name(level, gain_db=options.gain_db, limiter=limiter), read_score(score, **given)
     if wanted == "LUFS":
-        raise TonewoodError("the loudness of what is played is not known before; calibrated or peak", key="--level")
+        raise TonewoodError("the loudness of live playing is not known before; calibrated or peak", key="--level")
     with dropped_notes_listed():
         bundle = load(instrument, settings, allow_code, strings)
         if wanted == "peak":

@@ -257,7 +257,7 @@ def _write(
 
     Returns
     -------
-    clipped, peak : samples beyond full scale, and the largest one, of what was written.
+    clipped, peak : samples beyond full scale, and the largest one, of the file.
     gain : dB, of the level.
     """
     from tonewood.output.audio import SoundWriter

@@ -33,7 +33,7 @@ class Compiled:
     form : their real 2 x 2 blocks.
     ports : (n_ports,) rows of `basis.points` that connections act on, in order of their names.
     E : (n_modes, 2, 2) propagator of one step.
-    held : (n_modes, 2, 2) dt phi_1(A dt): what a force that is held over one step adds to the state, per its B.
+    held : (n_modes, 2, 2) dt phi_1(A dt): state added by a force that is held over one step, per its B.
     W : (n_ports, n_modes, 2) state added by a unit force held over one step.
     rows : (n_rows, n_modes, 2) displacement rows of the ports, then the readouts' rows.
     history : (BLOCK_SIZE, n_ports, n_rows) response of every row k steps after a unit force held over one step;
@@ -84,7 +84,7 @@ class Compiled:
         """(r,) as few of some ports (p,) as move the others with them, and (p, r) how, u = span u_r.
 
         Where p ports of a body move by r < p independent motions (a rigid bridge that heaves and rocks has two), r of
-        them span the rest in what they read and in what they push; a force on one is span^T f on those.
+        them span the rest, in displacements and in forces; a force on one is span^T f on those.
         """
         if (key := ports.tobytes()) not in self._motions:
             self._motions[key] = _independent(self, ports)
@@ -92,13 +92,13 @@ class Compiled:
 
     @cached_property
     def gap_velocity(self) -> Floats:
-        """(g, 2 n_modes) what its modes' numbers, (2, n_modes), add to the velocities of its gaps."""
+        """(g, 2 n_modes) velocities of its gaps per number of its modes, (2, n_modes)."""
         rows = self.form.rows("velocity", self.ports).swapaxes(1, 2)
         return np.asarray(self.shares @ rows.reshape(len(self.ports), 2 * self.basis.n_modes))
 
     @cached_property
     def gap_scatter(self) -> Floats:
-        """(g, 2 n_modes) what an impulse of 1 N s across each gap adds to these numbers."""
+        """(g, 2 n_modes) change of these numbers by an impulse of 1 N s across each gap."""
         B = self.form.B[self.ports].swapaxes(1, 2)
         return np.asarray(self.shares @ B.reshape(len(self.ports), 2 * self.basis.n_modes))
 

@@ -14,7 +14,7 @@ f = -(Z + S)^+ (g_u + gamma g - (1 + gamma) b); ^+ is the pseudo-inverse, so red
 For passive components no law here can create energy, whatever the step, stiffness or force: the work of f over a
 step is f (g+ - g), which is 0, minus a growth of the residual's potential, or minus spring energy and loss.
 
-Nonlinear laws (`laws`) act on what is left when these are eliminated: g_n+ = g_n,u + Z_nl f_l0 + Z~ f_n with
+Nonlinear laws (`laws`) act on their gaps with these eliminated: g_n+ = g_n,u + Z_nl f_l0 + Z~ f_n with
 Z~ = Z_nn - Z_nl G Z_ln. The residual compliance R of their gaps acts in series, as displacements rho that the laws see
 besides g,
 
@@ -77,7 +77,7 @@ Law = Rigid | SpringDashpot | NonlinearLaw
 FORGETTING = 4e3
 
 
-#: what a connection is for in an instrument: the joint of a string's end to the body, the dashpot of the finger that
+#: purpose of a connection in an instrument: the joint of a string's end to the body, the dashpot of the finger that
 #: holds a string while it is plucked, something that an attachment or exciter adds to a string, or something added to
 #: the body; empty outside of instruments
 Role = Literal["", "bridge", "hold", "attached", "added"]
@@ -92,7 +92,7 @@ class Connection:
     name : unique in its system.
     terms : shares of points in the gap.
     law : of the force.
-    role : what it is for; set by the assembly of an instrument, like the next two.
+    role : its purpose; set by the assembly of an instrument, like the next two.
     owner : string that it belongs to.
     part : key of the attachment or exciter that adds it; empty for the other roles.
     """
@@ -112,7 +112,7 @@ class LinearSolve:
     Attributes
     ----------
     on : (k,) their places.
-    by : what G is among them: the inverse of S + Z.
+    by : G among them: the inverse of S + Z.
     gamma : (m,) share of the old gap.
     offset : (m,) (1 + gamma) b, m.
     """
@@ -191,7 +191,7 @@ class LinearLaws:
         return cls(off, off, none, none, none).changed(dict(enumerate(laws)), dt)
 
     def changed(self, laws: Mapping[int, Law], dt: float) -> LinearLaws:
-        """These laws with others at some places; itself if their numbers are the same (other nonlinear laws)."""
+        """Return these laws with others at some places; itself if their numbers are the same (other nonlinear laws)."""
         numbers = {j: _numbers(law, dt) for j, law in laws.items()}
         if all(self._at(j) == now for j, now in numbers.items()):
             return self
@@ -259,7 +259,7 @@ class NonlinearLaws:
         return np.array([isinstance(law, Contact) for law in self.laws], dtype=bool)
 
     def changed(self, laws: Mapping[int, Law], dt: float) -> NonlinearLaws:
-        """These laws with others at some places; itself if no nonlinear law is concerned."""
+        """Return these laws with others at some places; itself if no nonlinear law is concerned."""
         known = dict(zip(self.index.tolist(), self.laws, strict=True))
         if not any(j in known or not isinstance(law, (Rigid, SpringDashpot)) for j, law in laws.items()):
             return self
@@ -272,7 +272,7 @@ class NonlinearLaws:
 class NonlinearGaps:
     """Compliance at the gaps of nonlinear laws while the linear connections carry no force.
 
-    Residual compliance between a nonlinear and a linear gap is left out: what stays is positive semi-definite.
+    Residual compliance between a nonlinear and a linear gap is left out: the rest is positive semi-definite.
 
     Attributes
     ----------
@@ -323,7 +323,7 @@ class NonlinearSolve:
 
     @property
     def theta(self) -> float:
-        """Of R in series."""
+        """Weight of the step's end in the law of R in series."""
         return self.gaps.laws.theta
 
     @property
@@ -377,11 +377,3 @@ def _numbers(law: Law, dt: float) -> tuple[bool, bool, float, float, float]:
         return False, False, 0.0, 0.0, 0.0
     alpha, beta = law.stiffness / 2 + law.damping / dt, law.stiffness / 2 - law.damping / dt
     return False, alpha > 0, *((1 / alpha, beta / alpha) if alpha > 0 else (0.0, 0.0)), law.offset
-
-
-def nonlinear_solve(
-    laws: Sequence[Law], linear: LinearSolve, compliance: Floats, residual: Floats, dt: float
-) -> NonlinearSolve | None:
-    """Eliminate the linear connections for the others; None if there are no others. Shapes as in `linear_solve`."""
-    chosen = NonlinearLaws.of(laws, dt)
-    return NonlinearSolve(NonlinearGaps.of(chosen, compliance, residual), linear) if chosen.laws else None

@@ -53,7 +53,7 @@ class GapCompliance:
         return np.asarray(np.bincount(self.layout.joints[1], each, m), dtype=np.float64)
 
     def in_parts(self, laws: LinearLaws) -> InverseInParts | None:
-        """Invert what linear connections see, in parts; None where there are few, or no parts."""
+        """Invert the compliance of linear connections in parts; None where there are few, or no parts."""
         if (k := len(laws.on)) < LEAST_IN_PARTS:
             return None
         place = np.full(len(self.layout.connections), -1)
@@ -123,7 +123,7 @@ class GapCompliance:
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
-    """Connections' forces under the compliance of what they join; solved for when first wanted."""
+    """Connections' forces under the compliance of the components that they join; solved for when first wanted."""
 
     connections: tuple[Connection, ...]
     linear: LinearLaws
@@ -133,17 +133,17 @@ class Elimination:
 
     @classmethod
     def of(cls, connections: tuple[Connection, ...], gap: GapCompliance, dt: float) -> Elimination:
-        """Of connections as they are, for a step of dt (s)."""
+        """Make it of connections as they are, for a step of dt (s)."""
         laws = [c.law for c in connections]
         return cls(connections, LinearLaws.of(laws, dt), NonlinearLaws.of(laws, dt), gap, dt)
 
     def with_gap(self, gap: GapCompliance) -> Elimination:
-        """These connections between other components."""
+        """Return the elimination of these connections between other components."""
         return Elimination(self.connections, self.linear, self.others, gap, self.dt)
 
     @property
     def laws_alone(self) -> Elimination:
-        """Its laws, between no components."""
+        """Return the elimination with its laws alone, between no components."""
         return self.with_gap(GapCompliance((), self.gap.layout))
 
     def with_laws(self, laws: Mapping[int, Connection]) -> Elimination:
@@ -158,7 +158,7 @@ class Elimination:
 
     @cached_property
     def solve(self) -> LinearSolve:
-        """Of the linear connections; found once for the same laws between the same components."""
+        """Solve of the linear connections; found once for the same laws between the same components."""
         known = self.gap.solves
         if self.linear not in known:
             known.clear()
@@ -167,12 +167,10 @@ class Elimination:
 
     def _solved(self) -> LinearSolve:
         if (by := self.gap.in_parts(self.linear)) is not None:
-            solve = self.linear.solved(by, self.gap.diagonal("compliance"), self.gap.diagonal("residual"))
-            if by.hub is None or np.ptp(solve.gamma[solve.on[by.hub.point >= 0]]) == 0.0:
-                return solve
+            return self.linear.solved(by, self.gap.diagonal("compliance"), self.gap.diagonal("residual"))
         return self.linear.solve(self.gap.compliance, self.gap.residual)
 
     @cached_property
     def nonlinear(self) -> NonlinearSolve | None:
-        """Of the others, if there are any."""
+        """Solve of the nonlinear connections, if there are any."""
         return NonlinearSolve(self.gap.seen_by(self.others), self.solve) if self.others.laws else None

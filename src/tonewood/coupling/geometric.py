@@ -15,7 +15,7 @@ Slopes in cosines, v_x = sum c_i cos(i pi x / L), make the strain a series of co
 H_n couples c_i with c_j where |i - j| = n or i + j = n. A longitudinal mode above the P-th would follow at once, and
 then its e_n is zero: it is left out together with e_n. With P = 0 and the end held, this is Kirchhoff and Carrier's
 string (`tension`): such strings are stepped here, too, where both kinds stand side by side. The squares of l_n are the
-energy of the longitudinal modes themselves, which are stepped exactly; what is left is
+energy of the longitudinal modes themselves, which are stepped exactly; the rest is
 U = EA L/2 sum g_n (s_n^2 + 2 s_n l_n), g_0 = 1, g_n = 1/2. U plus the energy of the modes is a sum of squares, so
 nothing can grow without limit.
 
@@ -232,7 +232,7 @@ class GeometricShares:
         return float(self.weights @ (0.5 * s * s + s * strain))
 
     def energy(self, y: Floats) -> float:
-        """U, J: what coordinates (n,) store besides the energy of the modes."""
+        """U, J: energy that coordinates (n,) store besides that of the modes."""
         return self.potential(self.squares(y), self.strains @ y)
 
     def gradient(self, y: Floats, s: Floats, strain: Floats) -> Floats:

@@ -22,7 +22,7 @@ class GeometricSolve(RisingSolve):
     """Steps the strings of a system whose longitudinal motion is coupled, and those beside them.
 
     A row of a state's ``tension`` is the mean additional tension of the last step, N; the shift C, J, with the sign of
-    psi; 0; and what V = psi^2 / 2 - C is beyond U, J. A row of zeros is a string whose C is still to be chosen.
+    psi; 0; and the excess of V = psi^2 / 2 - C over U, J. A row of zeros is a string whose C is still to be chosen.
     """
 
     def __init__(self, system: System):
@@ -105,7 +105,7 @@ class GeometricSolve(RisingSolve):
         return shift, float(np.copysign(np.sqrt(2 * (stored + shift)), row[1]))
 
     def _shift(self, q: int, x: Sequence[Floats], stored: float) -> float:
-        """C for the next steps, J: all energy of the string, or what U lacks if that is more, and a little."""
+        """C for the next steps, J: all energy of the string, or the shortfall of U if that is more, and a little."""
         modes = sum(part.energy(x[slot]) for slot, part in zip(self.slots[q], self.strings[q].parts, strict=True))
         return float(max(modes + stored, -stored, 0.0) + LEAST_SHIFT * self.strings[q].parts[-1].scale)
 

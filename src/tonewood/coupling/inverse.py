@@ -1,8 +1,8 @@
 """Inverse of the compliance that linear connections see: dense, or in parts that one component joins.
 
-Of m connections, M = Z + S is what their gaps move per force (`connections`). Without the component on which most of
-them meet, the hub (an instrument's body), M falls into small diagonal blocks D: strings touch each other nowhere else.
-The hub moves by r motions, which reach the gaps by U (m, r) and answer forces by C (r, r):
+Of m connections, M = Z + S is the motion of their gaps per force (`connections`). Without the component on which most
+of them meet, the hub (an instrument's body), M falls into small diagonal blocks D: strings touch each other nowhere
+else. The hub moves by r motions, which reach the gaps by U (m, r) and answer forces by C (r, r):
 
     M = D + U C U^T,      M^-1 = B - B U K U^T B,      B = D^-1,   H = U^T B U,   K = (I + C H)^-1 C
 
@@ -115,7 +115,7 @@ class InverseInParts:
 
     @classmethod
     def of(cls, k: int, entries: Entries, hub: Hub | None) -> InverseInParts | None:
-        """Invert `entries`, what k connections see besides the hub; None where the dense inverse is wanted."""
+        """Invert `entries`, compliance of k connections without the hub; None where the dense inverse is wanted."""
         found = _parts(k, entries)
         if found is None:
             return None

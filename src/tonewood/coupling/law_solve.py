@@ -1,4 +1,4 @@
-"""Forces of nonlinear laws over one step, all gaps at once: what the kernel does, in NumPy and without hurry.
+"""Forces of nonlinear laws over one step, all gaps at once: in NumPy, as the reference of the kernel.
 
 The linear connections are eliminated, so the gaps move to g+ = g_u + Z f with one symmetric, positive semi-definite Z.
 Laws with a potential see p = offset - g and are solved together by Newton's method on
@@ -8,12 +8,12 @@ Laws with a potential see p = offset - g and are solved together by Newton's met
 which never inverts Z, made safe by a search along the step: the slope of the convex function behind the equation,
 (Z df) . (f - f(p)), must have shrunk or turned. Friction is solved gap by gap, exactly, in between.
 
-Friction's curve falls, and what slides under one force of a contact, or one tension of its string, may stick under the
-next, and so on for ever. So each friction law keeps to a branch of its curve (`FrictionBranch`) until all else is
-found; then `solve_branches` changes a branch that the motion contradicts. At a given velocity the rest of the step is
-a monotone problem, with one solution, and the force it asks of friction rises with that velocity; where friction cannot
-stick, its curve is met on the way to the velocity without friction. Where changing branches goes on for too long,
-halving that interval finds the meeting.
+Friction's curve falls, and a gap that slides under one force of a contact, or one tension of its string, may stick
+under the next, and so on for ever. So each friction law keeps to a branch of its curve (`FrictionBranch`) until all
+else is found; then `solve_branches` changes a branch that the motion contradicts. At a given velocity the rest of the
+step is a monotone problem, with one solution, and the force it asks of friction rises with that velocity; where
+friction cannot stick, its curve is met on the way to the velocity without friction. Where changing branches goes on for
+too long, halving that interval finds the meeting.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class FrictionBranch:
     slip : m/s, relative velocity in the step before.
     branch : where it is held.
     held : m/s, velocity on the branch "held".
-    free, load, velocity, force : what the last solve found: m/s without this force; m/s that a friction coefficient
+    free, load, velocity, force : results of the last solve: m/s without this force; m/s that a friction coefficient
         of 1 takes; m/s; N.
     """
 
@@ -191,7 +191,7 @@ def find_forces(
     Z : (k, k) m/N.
     free, gap : (k,) m, g_u and g.
     guess : (k,) N, where to start: the forces of the step before.
-    branches : of the friction laws, by connection; what is open on them is decided.
+    branches : of the friction laws, by connection; open ones are decided.
     careful : friction forces are found by Newton's method, damped, where going from law to law does not end.
     """
     stored = np.array([j for j, law in enumerate(laws) if not isinstance(law, Friction)], dtype=np.intp)
@@ -245,7 +245,7 @@ def _find_friction(
     iterations = 0
 
     def wrong(f: Floats) -> tuple[Floats, bool]:
-        """Sets the forces of contacts in f; what is wrong with friction, m/s, and whether contacts were found."""
+        """Set the forces of contacts in f; return the residual of friction, m/s, and whether contacts were found."""
         nonlocal iterations
         found = True
         if stored.size:
@@ -306,7 +306,7 @@ def newton(
         r = law_force - f
         if not np.all(np.isfinite(r)):
             return f, iteration, False
-        # what the rounding of p makes of the forces: a dashpot over a short step lives on small differences
+        # effect of the rounding of p on the forces: that of a dashpot depends on small differences
         heard = np.abs(Z) @ (slope * np.maximum(np.abs(p), np.abs(old))) * ROUNDING
         if np.all(np.abs(Z @ r) <= TOLERANCE * np.abs(free - p).max(initial=0.0) + noise + heard):
             return f, iteration, True

@@ -46,7 +46,13 @@ class PotentialLaw(Protocol):
         """U(p), J."""
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
-        """Force over a step, N, and its slope with `new`, N/m."""
+        """Return the force over a step, N, and its slope with `new`, N/m.
+
+        Parameters
+        ----------
+        new, old : compressions p after and before the step, m.
+        dt : s, length of the step.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +122,8 @@ class HardeningSpring:
     cubic : k3, N/m^3.
     damping : c, N s/m.
     quadratic_damping : d, N s^2/m^2.
+    offset : gap at which the compression p is zero, m.
+    residual : whether the components' residual compliance yields too; see `connections`.
     """
 
     stiffness: float = 0.0
@@ -154,6 +162,8 @@ class SampledPotential:
     coefficients : (n, 4) of V = c0 + c1 u + c2 u^2 + c3 u^3, u = d - knots[i].
     loss : s/m, as in `Contact`; only for potentials that push one way, V' <= 0 at all samples.
     damping : N s/m, at all displacements.
+    offset : gap at which the elongation d is zero, m.
+    residual : as of `Contact`.
     """
 
     knots: Floats
@@ -180,7 +190,13 @@ class SampledPotential:
 
     @classmethod
     def from_potential(cls, displacement: ArrayLike, potential: ArrayLike, **options: Any) -> SampledPotential:
-        """V (J) at displacements (m), joined by the not-a-knot cubic spline."""
+        """Make one from samples of V, joined by the not-a-knot cubic spline.
+
+        Parameters
+        ----------
+        displacement, potential : (n,) d, m, increasing; V, J.
+        options : loss, damping, offset, residual.
+        """
         from scipy.interpolate import CubicSpline
 
         x = np.asarray(displacement, dtype=np.float64)
@@ -189,7 +205,13 @@ class SampledPotential:
 
     @classmethod
     def from_force(cls, displacement: ArrayLike, force: ArrayLike, **options: Any) -> SampledPotential:
-        """-V'(d) (N) at displacements (m), falling, joined by straight lines; V is 0 at the first."""
+        """Make one from samples of the force -V'(d), joined by straight lines; V is 0 at the first.
+
+        Parameters
+        ----------
+        displacement, force : (n,) d, m, increasing; -V', N, falling.
+        options : loss, damping, offset, residual.
+        """
         x, slope = np.asarray(displacement, dtype=np.float64), -np.asarray(force, dtype=np.float64)
         u, bend = np.diff(x), np.diff(slope) / np.diff(x)
         V = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * u)])
@@ -243,8 +265,8 @@ class SampledPotential:
 class Scalar:
     """A C function double(double) or double(double, void *) by its address.
 
-    Takes what SciPy's `LowLevelCallable` takes: one of these, a ctypes or cffi function pointer, a numba ``cfunc``'s
-    ``ctypes``, a PyCapsule; it is kept alive.
+    Takes the arguments of SciPy's `LowLevelCallable`: one of these, a ctypes or cffi function pointer, a numba
+    ``cfunc``'s ``ctypes``, a PyCapsule; it is kept alive.
 
     Raises
     ------
@@ -286,9 +308,11 @@ class CompiledPotential:
 
     Attributes
     ----------
-    potential, slope : V (J) and V' (N); see `Scalar` for what may be given.
+    potential, slope : V (J) and V' (N), each an argument of `Scalar`.
     loss : s/m, f loses `loss` |V'| d'; monotone for potentials that push one way.
     damping : N s/m.
+    offset : gap at which the elongation d is zero, m.
+    residual : as of `Contact`.
     """
 
     potential: Any
@@ -337,8 +361,8 @@ class Friction:
     (Smith & Woodhouse 2000, J. Mech. Phys. Solids 48, their hyperbola). At rest v is exactly 0 over the step.
 
     The curve falls, so a step may have three solutions. As McIntyre, Schumacher & Woodhouse (1983) take it from
-    Friedlander: what stuck goes on sticking while it can; what slid goes on sliding that way while it can, on the
-    outermost (stable) solution; otherwise it sticks if it can. The work f (g+ - g) is f velocity h from the partner
+    Friedlander: a gap that stuck goes on sticking while it can; one that slid goes on sliding that way while it can, on
+    the outermost (stable) solution; otherwise it sticks if it can. The work f (g+ - g) is f velocity h from the partner
     minus |f v| h of heat.
 
     Attributes
@@ -347,6 +371,7 @@ class Friction:
     static, dynamic : friction coefficients, static >= dynamic >= 0.
     speed : m/s, at which half of their difference is gone.
     velocity : m/s, of the partner along the gap.
+    residual : whether the components' residual compliance yields too; unstable with friction on short steps.
     """
 
     normal_force: float
@@ -372,6 +397,10 @@ class Friction:
         ----------
         free : m/s, velocity without friction.
         load : m/s, velocity that a friction coefficient of 1 takes away.
+
+        Returns
+        -------
+        The larger root of a quadratic, on the stable branch of the curve.
         """
         a = self.speed
         linear = a + load * self.dynamic - free
@@ -384,14 +413,20 @@ class Friction:
         return v if v > 0.0 else None
 
     def slide_on(self, free: float, load: float) -> float:
-        """`slide`, going on where there is none from where it ceases: continuous in `free` and `load`."""
+        """Return `slide`, or its continuation where there is no such v: continuous in `free` and `load`."""
         v = self.slide(free, load)
         if v is not None:
             return v
         return max(math.sqrt(load * (self.static - self.dynamic) * self.speed) - self.speed, 0.0)
 
     def velocity_after(self, free: float, load: float, before: float) -> float:
-        """Relative velocity over the step, 0 for sticking; `before` is that of the last step."""
+        """Return the relative velocity over the step, m/s, 0 for sticking; see the class for the choice of the branch.
+
+        Parameters
+        ----------
+        free, load : as for `slide`.
+        before : m/s, relative velocity in the last step.
+        """
         if before != 0.0:
             side = math.copysign(1.0, before)
             v = self.slide(side * free, load)

@@ -17,7 +17,13 @@ Places = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """Share of a point's motion in a readout; `quantity` is displacement, velocity or acceleration."""
+    """Share of a point's motion in a readout.
+
+    Attributes
+    ----------
+    component, point : names.
+    factor : of the motion.
+    """
 
     component: str
     point: str
@@ -30,6 +36,17 @@ class Readout:
 
     Displacement and velocity are read at the sample's time t_n; acceleration and force are means over the step that
     begins there, [t_n, t_n + h]: the force is constant over a step, and a mean needs no direct term.
+
+    Attributes
+    ----------
+    name : unique in its system.
+    quantity : ``displacement`` (m), ``velocity`` (m/s) or ``acceleration`` (m/s^2) of points, or ``force`` (N).
+    probes : of points.
+    forces : name of a connection, factor; where the quantity is force.
+
+    Raises
+    ------
+    ValueError : another quantity.
     """
 
     name: str
@@ -60,7 +77,7 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Of m connections between named components.
+    """Places of m connections between named components.
 
     Attributes
     ----------

@@ -145,7 +145,7 @@ class System:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the components."""
+        """Names of the components."""
         return self.layout.names
 
     @property
@@ -244,7 +244,7 @@ class System:
         return self._with(self.compiled, other.with_gap(self.elimination.gap))
 
     def _with(self, compiled: tuple[Compiled, ...], elimination: Elimination) -> System:
-        # what `replace` does; several of these are made for every note
+        # the same as `replace`, but quicker; several of these are made for every note
         return System(
             self.dt, self.layout, compiled, elimination.connections, elimination, self.tensions, self.stretches,
             self.is_on, self.phantoms, self.phantoms_on,
@@ -286,7 +286,7 @@ class System:
 
     @property
     def geometric(self) -> tuple[GeometricStretch, ...]:
-        """Those that are on of the strings whose longitudinal motion is coupled to the transverse one."""
+        """Strings whose longitudinal motion is coupled to the transverse one, and on."""
         return () if self.tensions else tuple(s for s, on in zip(self.stretches, self.is_on, strict=True) if on)
 
     @property

@@ -14,9 +14,9 @@ amplitude, and the step is linear: the tension is one more connection of the str
     g = 2 sqrt(kappa) a (y_f + y) / 2 (1 - alpha),      alpha = w a T / 2,
 
 y_f the coordinates after the step under all forces but the tension's and those of nonlinear connections, w the
-displacement over one step per modal force: the gradient of psi in the middle of the step, what the tension itself moves
-included to first order by its value T extrapolated from the last three steps. T = 2 sqrt(kappa) psi_m is the mean over
-the step; its time is the middle of it.
+displacement over one step per modal force: the gradient of psi in the middle of the step, the motion by the tension
+itself included to first order by its value T extrapolated from the last three steps. T = 2 sqrt(kappa) psi_m is the
+mean over the step; its time is the middle of it.
 
 psi and sqrt(kappa) S part by the error of the steps. Every 64 samples psi is put back and the kinetic energy of the
 string pays for it (`reset_psi`).
@@ -59,8 +59,8 @@ class TensionModulation:
     weights : component -> (n_modes,) a, 1 / (kg m); None takes ``stretch_part`` of the components' `metadata`, or
         else ``tension_part``, and follows them when a basis is exchanged.
     correction : with c > 0 each weight is multiplied by x / sin x, x = min(omega h, c). The average over the
-        step tunes partials by sin x / x of what the tension should; this undoes it for weak partials on strong low
-        ones, at the price of a larger error of S in bright tones. A higher rate is the exact cure.
+        step raises partials by sin x / x of the rise that the tension asks for; this undoes it for weak partials on
+        strong low ones, at the price of a larger error of S in bright tones. A higher rate is the exact cure.
     """
 
     name: str

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 #: steps after which psi is put back to sqrt(kappa) S
 RESET_STEPS = 64
-#: largest alpha, of the highest mode, at which the direction is corrected for what the tension moves
+#: largest alpha, of the highest mode, at which the direction is corrected for the motion by the tension
 LARGEST_ALPHA = 0.5
 
 
@@ -28,7 +28,7 @@ class TensionsOverStep:
     Attributes
     ----------
     reach : (m, s) gaps per psi_m.
-    own : (s,) g . w g, what g . y+ loses per psi_m.
+    own : (s,) g . w g, loss of g . y+ per psi_m.
     start : (s,) psi + g . (y_free - y) / 2, sqrt(J).
     linear : (m, m) N/m, forces of the linear connections against gaps.
     modal : component slot -> the string's place, its direction g (n_modes,), and (n_modes, 2) state per psi_m.
@@ -61,7 +61,7 @@ class TensionsOverStep:
         return np.asarray(-0.5 * np.linalg.solve(self.matrix, moved.T)) if moved.size else moved.T
 
     def after(self, x: Sequence[Floats], mean: Floats) -> list[Floats]:
-        """States x with what psi_m adds."""
+        """States x after the forces -psi_m g are added."""
         return [xi + self.modal[i][2] * mean[self.modal[i][0]] if i in self.modal else xi for i, xi in enumerate(x)]
 
 
@@ -100,7 +100,7 @@ class RisingSolve(ABC):
         Parameters
         ----------
         x, after : states by component slot before and after the step.
-        over : what `over` returned for the step, and `mean` (s,) its psi_m, sqrt(J).
+        over : result of `over` for the step, and `mean` (s,) its psi_m, sqrt(J).
         tension : (n_strings, 4) of the state before the step.
         step : number of the step's end since time 0.
         """

@@ -1,12 +1,12 @@
-"""Energy accounting on request: what is stored where, what exciters put in, what is lost, and whether it adds up.
+"""Energy accounting on request: stored energy by place, work of exciters, losses, and whether they add up.
 
 For every step of a run
 
     residual = [stored after] - [stored before] - [work of known forces] + [dissipated] - [booked].
 
 The terms are found apart from each other: stored energy from the states, dissipation and work in closed form from the
-state a step begins with and the forces over it (`energy_forms`), losses of connections from their laws
-(`energy_laws`). Whoever changes the energy between two steps (a string stopped, bent or joined anew) books
+state a step begins with and the forces over it (`energy.forms`), losses of connections from their laws
+(`energy.laws`). Whoever changes the energy between two steps (a string stopped, bent or joined anew) books
 the change. So the residual is rounding, or a mistake.
 
 Components that are driven one way (microphones) carry no energy of the instrument and are left out. Sound has
@@ -60,7 +60,7 @@ class EnergyAccount:
     system, state : where the account begins.
     interval : steps to one entry, counted from the beginning of each run that is followed.
     storages : storage functions of components whose modes are not real, for the points that connections and
-        `driven_points` act on, ports first; by default found with `passivity_storage.storage_matrix`.
+        `driven_points` act on, ports first; by default found with `passivity.storage.storage_matrix`.
     driven_points : component -> further points that known forces may act on; real modes need none named.
     """
 
@@ -77,7 +77,7 @@ class EnergyAccount:
         self._laws = LawEnergies(self.system)
         self._initial = self.stored(self.state)
         self._last = dict(self._initial)
-        #: what is stored after the changes made since the last step
+        #: stored energy after the changes made since the last step
         self._changed = dict(self._initial)
 
     def stored(self, state: State) -> dict[str, float]:
@@ -96,7 +96,7 @@ class EnergyAccount:
         self._booked[label] = self._booked.get(label, 0.0) + amount
 
     def book_change(self, label: str, state: State) -> None:
-        """Book what a change between two steps put in: stored energy of this state, less what was there before."""
+        """Book the energy that a change between two steps put in: stored energy of this state, less that before."""
         now = self.stored(state)
         self.book(label, sum(now.values()) - sum(self._changed.values()))
         self._changed = now
@@ -114,13 +114,14 @@ class EnergyAccount:
 
         Parameters
         ----------
-        before, after : states at the two ends; `before` need not be the last `after`, if what lies between is booked.
+        before, after : states at the two ends; `before` need not be the last `after`, if the changes between are
+            booked.
         forces : (n, m) N, connection forces, as a stepper returned them.
-        injections, controls : what the stepper was given: the motion between the two ends is found from them anew.
+        injections, controls : as the stepper was given them: the motion between the two ends is found from them anew.
         known : the forces behind the injections: their work is found from these.
 
-        The motion is made again from the forces. Where tensions rise far, what rounding adds to it grows within some
-        hundred steps: follow pieces of 64 there, and of 16 with longitudinal motion.
+        The motion is made again from the forces. Where tensions rise far, its rounding errors grow within some hundred
+        steps: follow pieces of 64 there, and of 16 with longitudinal motion.
         """
         x, series, tension, memory = self._states(before), before.series, before.tension, before.phantoms
         chunk = max(_CHUNK // self.interval, 1) * self.interval

@@ -7,8 +7,8 @@ F = c0 + c1 tau + c2 tau^2 with tau = t / d. With s = (x, c0, c1, 2 c2), all at 
     lost = d int_0^1 n(x, F) dtau = s^T N s,                  n a quadratic form: 2 sigma q'^2 of each real mode,
     d int_0^1 tau^j y'(t) dtau = L_j s,   j = 0, 1, 2,        so that int F y' dt = sum_j c_j L_j s.
 
-N and L_j are integrals of matrix exponentials, computed once for each length by doubling: what holds over half an
-interval gives it over the whole (Van Loan, IEEE Trans. Autom. Control 23 (1978) 395, has them from one exponential,
+N and L_j are integrals of matrix exponentials, computed once for each length by doubling: those over half an interval
+give those over the whole (Van Loan, IEEE Trans. Autom. Control 23 (1978) 395, has them from one exponential,
 which overflows for stiff modes). Nothing is read from the motion at the interval's end, so a balance that closes is
 evidence about the motion.
 """
@@ -183,7 +183,7 @@ class ComponentEnergy:
         return np.asarray(np.einsum("bti,bti->t", s @ forms.lost[:, :k, :k], s))
 
     def sound(self, forms: IntervalForms, s: Floats) -> Floats:
-        """Part of what is dissipated that is radiated, J, over each interval; (T,), zeros where it is not known."""
+        """Radiated part of the dissipated energy, J, over each interval; (T,), zeros where it is not known."""
         if self.radiated is None:
             return np.zeros(s.shape[1])
         k = s.shape[2]

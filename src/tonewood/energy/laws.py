@@ -26,12 +26,12 @@ _LOSSES = ("loss", "damping", "quadratic_damping")
 
 @dataclass(eq=False)
 class Flows:
-    """Of each connection that has any: energy stored at both ends of the steps, lost and supplied in each, J.
+    """Energy of connections, J: stored at both ends of the steps, lost and supplied in each; by those that have any.
 
     Attributes
     ----------
     stored : name -> (T + 1,).
-    lost, supplied : name -> (T,); supplied is what moving partners and scales put in.
+    lost, supplied : name -> (T,); supplied is the work of moving partners and scales.
     """
 
     stored: dict[str, Floats]
@@ -76,7 +76,7 @@ class LawEnergies:
         return path
 
     def _start(self, start: Floats) -> Floats:
-        """(k,) of what still yields in series."""
+        """(k,) displacements in series with the laws at the beginning."""
         if self._solve is None or not start.size:
             return np.zeros(self._on.size)
         return self._solve.carried_series(start)[self._on]
@@ -101,7 +101,7 @@ class LawEnergies:
 
         Parameters
         ----------
-        gaps : (T + 1, m) m, without what yields in series.
+        gaps : (T + 1, m) m, without displacements in series.
         series : (T + 1, k) m.
         forces : (T, m) N; only the work of partners is taken from them.
         moving : place among the nonlinear laws -> (4, T), as `System.controlled` gives it.
@@ -157,7 +157,7 @@ class LawEnergies:
         flows.stored[name] = np.concatenate([before[:1], after])
         flows.lost[name] = lost
         if moved is not None:
-            # the partner's motion within each step, and what changes at once between two
+            # the partner's motion within each step and its jumps between two
             flows.supplied[name] = f * (end - begin)
             flows.supplied[name][1:] += before[1:] - after[:-1]
 

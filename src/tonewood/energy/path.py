@@ -52,7 +52,7 @@ def step_again(
     tension : (n_tensions, 4) of the state at the start.
     sample : absolute number of the first step.
     forces : (T, m) N, constant over each step.
-    injections : what known forces add.
+    injections : state that known forces add.
     memory : (n_strings, MEMORY) of the longitudinal forces at the start, as in the state.
     """
     names, T = list(start), len(forces)

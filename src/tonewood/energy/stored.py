@@ -1,4 +1,4 @@
-"""Energy stored in a system of real modes: what a step can only lower unless something outside works on it."""
+"""Energy stored in a system of real modes: a step can only lower it unless something outside does work."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Energy:
     ----------
     modes : kinetic and potential energy of all two-way components.
     tension : psi^2 / 2 of the strings whose rising tension is on: EA/(8 L) S^2 but for the error of the steps; of
-        strings with longitudinal motion, what they store beside their modes, which may be negative.
+        strings with longitudinal motion, the energy beside that of their modes, which may be negative.
     connections : of springs and nonlinear potentials.
     residual : of residual compliance, of rigid joints and in series with nonlinear laws.
     """

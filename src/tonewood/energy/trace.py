@@ -27,7 +27,7 @@ class EnergyTrace:
     supplied : exciter -> (k,) work of its known forces in each interval.
     booked : label -> (k,) energy put in between steps, before or in the interval: bends, stops, impacts.
     lost : component or connection -> (k,) energy dissipated in each interval; ``COMPONENT.sound`` is radiated.
-    residual : (k,) what does not add up.
+    residual : (k,) difference that the terms leave: rounding.
     """
 
     time: Floats
@@ -52,7 +52,7 @@ class EnergyTrace:
 
     @property
     def power_in(self) -> Floats:
-        """(k,) W, mean power of exciters and of what is booked."""
+        """(k,) W, mean power of exciters and of booked changes."""
         into = _sum(self.supplied, self.time.size) + _sum(self.booked, self.time.size)
         return np.asarray(into / (self.steps * self.dt))
 

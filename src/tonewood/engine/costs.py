@@ -32,7 +32,7 @@ class Rates:
 
 
 class Costs:
-    """Least squares of the times of runs over what was stepped in them; no rate is negative.
+    """Least squares of the times of runs over the modes and effects stepped in them; no rate is negative.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which effects ran when, the bounds on what was left out, and what that saved."""
+"""Which effects ran when, the bounds on those left out, and the time saved."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tonewood.engine.costs import Costs
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """Upper bound on what is missing while an effect is left out.
+    """Upper bound on the error while an effect is left out.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class Bound:
     level: float = 0.0
 
     def larger(self, other: Bound) -> Bound:
-        """Return the larger of both bounds, each of cents and level."""
+        """Return the larger of this bound and `other`, cents and level each."""
         return Bound(max(self.cents, other.cents), max(self.level, other.level))
 
 
@@ -61,8 +61,8 @@ class EffectUsage:
 
     def __init__(self, fs: float, loads: Mapping[str, Mapping[str, float]], declared: Mapping[str, float]):
         self.fs, self.loads = fs, loads
-        #: samples, and steps of single modes
-        self.samples, self.mode_samples = 0, 0
+        #: samples stepped
+        self.samples = 0
         self.costs = Costs({name: declared[name] for name in loads})
         #: (effect, component) -> when it ran
         self.spans: dict[tuple[str, str], Spans] = defaultdict(Spans)
@@ -82,7 +82,6 @@ class EffectUsage:
         seconds : of the processor that its steps took.
         """
         self.samples += n
-        self.mode_samples += n * modes
         for name, components in running.items():
             if components:
                 self.running[name] += n

@@ -1,4 +1,4 @@
-"""Energy budget of an engine: what is stored where, the work of gestures, losses, and the cost of changes."""
+"""Energy budget of an engine: stored energy by place, the work of gestures, losses, and the energy of changes."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class EnergyBudget:
         return self.account.trace()
 
     def _known(self, active: Active) -> list[KnownForce]:
-        """Forces of a gesture on what is stepped and moves both ways."""
+        """Forces of a gesture on components that are stepped and move both ways."""
         play, system = active.play, self.account.system
         label = f"{play.string or play.at or 'gesture'} played"
         moving = [

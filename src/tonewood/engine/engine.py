@@ -2,7 +2,7 @@
 
 Every change (a stop, a bend, a damper, an effect switched) takes effect at a multiple of 64 samples counted from sample
 0; a finger tightens its hold at whole samples, and known forces act at any fraction of a sample. The points at which
-the engine stops depend only on what is played, so its samples are the same however they are asked for.
+the engine stops depend only on the timeline, so its samples do not depend on the blocks in which they are asked for.
 """
 
 from __future__ import annotations
@@ -84,15 +84,15 @@ class Engine:
     Parameters
     ----------
     model : assembled instrument.
-    timeline : what happens.
+    timeline : changes and gestures.
     energy : keep an `energy_budget`; many times slower, with the same samples.
 
     Attributes
     ----------
-    system, state : what is stepped, and its motion.
+    system, state : system that is stepped, and its motion.
     effects : of the model.
     switchings : switched effect -> components on which it runs: all that moves of it.
-    usage : what ran, and what was left out.
+    usage : of the effects: when they ran and were left out.
     peak : (n_readouts,) largest sample of each readout so far, where any effect is watched.
     recent : (n_readouts,) that of the last run.
     tail_level : dB re the peak at which the sound counts as decayed after the last event.
@@ -181,7 +181,7 @@ class Engine:
             self._control()
             start = self.state.sample
             steps = min(self._next_event(), end) - start
-            if self.energy_budget:  # it makes the motion again from the forces: what rounding adds must not grow long
+            if self.energy_budget:  # it makes the motion again from the forces: rounding must not grow long
                 steps = min(steps, GRID)
             before = self.state.copy() if self.energy_budget else None
             if self.system is not self.stepper.system:
@@ -241,7 +241,7 @@ class Engine:
         grid = now // GRID * GRID + GRID
         times = [grid + (_LONGEST - 1) * GRID, *(active.stop for active in self.active)]
         if (due := self.schedule.next_due) < math.inf:
-            # what is due is done at the last grid point before its time, which need not be a whole sample
+            # a change is made at the last grid point before its time, which need not be a whole sample
             times.append(due // GRID * GRID)
         times += [effect.next_watch(now, self.switchings[effect.name]) for effect in self._watched]
         until = math.ceil(min(times) / GRID) * GRID
@@ -250,7 +250,7 @@ class Engine:
         return min([max(until, grid) if now % GRID == 0 else grid, *steps])
 
     def _control(self) -> None:
-        """Do what is due: at a grid point bases, injections and effects, between them fingers' dashpots only."""
+        """Make the changes that are due: at a grid point bases, injections and effects, else fingers' dashpots only."""
         now = self.state.sample
         if now % GRID == 0:
             moved, fresh = self._take(now)
@@ -263,7 +263,7 @@ class Engine:
             self._exchange(self.connections.with_holds(self.system, wanted), "holds")
 
     def _switch(self, moved: Collection[str], fresh: Sequence[Play]) -> None:
-        """Switch effects on where they are wanted, and off where what is missing is within the budget."""
+        """Switch effects on where they are wanted, and off where the bound on the error is within the budget."""
         busy = {active.play.string or "" for active in self.active}
         for effect in self._watched:
             before = self.switchings[effect.name]

@@ -53,7 +53,7 @@ class Fretting:
 
     @property
     def unplucked(self) -> Fretting:
-        """It with the usual place of the pluck."""
+        """Return it with the usual place of the pluck."""
         return replace(self, place=None, width=0.0)
 
     def changed(self, change: Change) -> Fretting:

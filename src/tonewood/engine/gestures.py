@@ -88,7 +88,7 @@ def _sum(a: Course, b: Course) -> Course:
 
 
 def quasi_static(active: Sequence[Active], model: Model, system: System, start: int, n: int) -> Floats | None:
-    """Add what modes above the limit contribute to readouts of a component on which known forces act.
+    """Add the contribution of modes above the limit to readouts of a component on which known forces act.
 
     Those modes are not stepped. They follow a force F(t) by their compliance: y = R F with R = `ModalBasis.residual`
     between the point that is read and the point on which the force acts. Velocities take R F'; accelerations, means

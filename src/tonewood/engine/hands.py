@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from tonewood.engine.timeline import GRID, Change, Play
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event
+from tonewood.instrument.gestures import Event
 from tonewood.instrument.schema import NoteEnd, Playing
 from tonewood.score.assignment import Assigned
 

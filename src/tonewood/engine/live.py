@@ -29,7 +29,7 @@ from tonewood.engine.timeline import Change, Play
 from tonewood.engine.variation import Deviates, touched
 from tonewood.errors import ScoreError, TonewoodError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Place
+from tonewood.instrument.gestures import Event, Place
 from tonewood.score.causal import PEDALLED, CausalAssignment, Sounding
 from tonewood.score.note import Dropped, Note, ignored_name
 from tonewood.score.scales import note_number
@@ -183,7 +183,7 @@ class LivePlayer:
                 line.wanted = self._cents(line.voice)
 
     def all_off(self, channel: int | None = None, *, pedalled: bool = False) -> None:
-        """Release all keys of a channel, or of all; with `pedalled` also what the pedal holds."""
+        """Release all keys of a channel, or of all; with `pedalled` also the notes that the pedal holds."""
         for at in [at for at in self._held if channel in (None, at[0])]:
             for voice in list(self._held.get(at, ())):
                 self.release(voice)
@@ -212,7 +212,7 @@ class LivePlayer:
         return sum(line.voice is not None for line in self._lines.values())
 
     def tick(self) -> None:
-        """Enter into the engine's schedule what is due at the point of the grid that it has reached."""
+        """Enter into the engine's schedule the events due at the point of the grid that it has reached."""
         now = self.engine.state.sample
         for line in self._lines.values():
             if self._is_sustained(line.voice):
@@ -320,8 +320,8 @@ class LivePlayer:
 
     def _sounding(self, line: PlayedString) -> Sounding:
         voice = line.voice
-        worth = 0.0 if voice is None else 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
-        return Sounding(line.stop - self.capo, worth)
+        weight = 0.0 if voice is None else 1.0 if voice.key_down else PEDALLED if voice.pedalled else 0.0
+        return Sounding(line.stop - self.capo, weight)
 
     def _tapped(self, voice: Voice, now: int) -> bool:
         """Play a gesture on a point of the body."""

@@ -10,7 +10,7 @@ from tonewood.instrument.assembly import Model
 
 
 class LiveDampers:
-    """Where the dampers of every key are.
+    """State of the dampers of every key.
 
     Parameters
     ----------

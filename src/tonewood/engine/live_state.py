@@ -1,4 +1,4 @@
-"""State of an instrument that is played live: voices, strings, and counts of what was played."""
+"""State of an instrument that is played live: voices, strings, and counts of notes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 
 from tonewood.engine.timeline import Change, Play
-from tonewood.instrument.contract import Event
+from tonewood.instrument.gestures import Event
 from tonewood.score.assignment import Assigned
 from tonewood.score.note import Dropped, Note
 
@@ -40,7 +40,7 @@ class Voice:
 
 @dataclass(eq=False)
 class PlayedString:
-    """One string: its voice, stop, bend, and what is still to come of them."""
+    """One string: its voice, stop, bend, and the changes of them still to come."""
 
     voice: Voice | None = None
     stop: float = 0.0
@@ -53,7 +53,7 @@ class PlayedString:
 
 @dataclass(eq=False)
 class LiveCounters:
-    """Counts of what was played.
+    """Counts of notes and events.
 
     Attributes
     ----------

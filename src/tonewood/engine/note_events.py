@@ -8,8 +8,8 @@ from typing import Any
 
 from tonewood.errors import ScoreError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Exciter, Gesture
-from tonewood.instrument.gestures import is_played, places
+from tonewood.instrument.contract import Exciter
+from tonewood.instrument.gestures import Event, Gesture, is_played, places
 from tonewood.score.assignment import Assigned
 from tonewood.score.note import Note
 from tonewood.stepping.forcing import Segment
@@ -70,15 +70,16 @@ def is_where_asked(event: Event, assigned: Assigned, model: Model, file: str) ->
 
 
 def gripped(gesture: Gesture) -> Gesture:
-    """The same gesture with its finger's whole dashpot from the first touch on: each step of it costs a block time."""
+    """Return the gesture with its finger's whole dashpot from the first touch on: each change of it costs a block."""
     hold = gesture.hold
     return gesture if hold is None else replace(gesture, hold=replace(hold, grown=hold.start))
 
 
 def hurried(gesture: Gesture, available: float) -> Gesture:
-    """The same gesture prepared within `available` s: the string's last pluck has to be over before it begins.
+    """Return the gesture prepared within `available` s: the string's last pluck has to be over before it begins.
 
-    A gesture that moves a mass or a bow is not hurried: its impulse would change. It takes over from what went before.
+    A gesture that moves a mass or a bow is not hurried: its impulse would change. It takes over from the gesture
+    before.
     """
     if gesture.on is not None or gesture.motions:
         return gesture

@@ -64,7 +64,7 @@ class PedalCourses:
 
 
 def damper_course(shares: Steps, lifted: Iterable[tuple[float, float]]) -> Steps:
-    """Share of a damper's loss over time where it begins at 1: 0 while it is lifted, else what the pedal leaves."""
+    """Share of a damper's loss over time where it begins at 1: 0 while it is lifted, else as the pedal leaves it."""
     ends = [(begin, 1) for begin, _ in lifted] + [(end, -1) for _, end in lifted]
     times = sorted({time for time, _ in ends} | {time for time, _ in shares})
     counts: dict[float, int] = defaultdict(int)

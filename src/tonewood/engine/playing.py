@@ -15,7 +15,7 @@ from tonewood.engine.timeline import GRID, Change, Play, Timeline
 from tonewood.engine.variation import Deviates, moved, touched
 from tonewood.errors import NothingPlayedError, ScoreError
 from tonewood.instrument.assembly import Model
-from tonewood.instrument.contract import Event, Place
+from tonewood.instrument.gestures import Event, Place
 from tonewood.score.assignment import Assigned, PlayableString, assign
 from tonewood.score.controllers import Controllers, History
 from tonewood.score.note import Control, Dropped, Note, Score, ignored_name, volume_factors
@@ -33,7 +33,7 @@ class Performance:
 
     Attributes
     ----------
-    timeline : what happens.
+    timeline : changes and gestures.
     notes : every note played, with its string and stop.
     dropped : notes that cannot be played, and why.
     warnings : one line each.
@@ -226,7 +226,7 @@ def _event(
     controllers: Controllers,
     drawn: Deviates | None,
 ) -> Event:
-    """Return the values that the exciter is given: the note's own values, and what controllers are at."""
+    """Return the values that the exciter is given: the note's own, and those of controllers."""
     note, string = assigned.note, model.strings[on]
     name = note.technique or model.default_exciter
     values = event_values(note, model, lambda kind: controllers.at(kind, note.channel, note.time))
@@ -275,7 +275,7 @@ def _left_hand(
 
 
 def _glided(line: Sequence[Control], tick: float) -> list[Control]:
-    """The same bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate."""
+    """Return the bends with leaps drawn out to steps, one per `tick` (s), at no more than the greatest rate."""
     out: list[Control] = []
     value, step = 0.0, BEND_RATE * tick
     for i, control in enumerate(line):

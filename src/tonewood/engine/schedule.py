@@ -76,7 +76,7 @@ class Schedule:
         return due[following] if following < len(due) else math.inf
 
     def copy(self) -> Schedule:
-        """Copy of what is still due."""
+        """Copy with the changes and gestures still due."""
         other = Schedule(self.dt, ())
         other.stop, other._taken = self.stop, self._taken
         other._changes, other._plays = self._changes.copy(), self._plays.copy()

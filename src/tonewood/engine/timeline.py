@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from tonewood.instrument.contract import Gesture
+from tonewood.instrument.gestures import Gesture
 
 #: samples between two points of the control grid
 GRID = 64

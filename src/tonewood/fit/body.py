@@ -1,7 +1,7 @@
 """A passive body from residues: real modes with one shape per point.
 
 A real mode has A_ij = phi_i phi_j at every pair of points: positive where it is driven, of rank one, symmetric.
-Residues of a fit have noise, so the nearest such shapes are taken; `FittedBody.mobility` shows what that costs.
+Residues of a fit have noise, so the nearest such shapes are taken; `FittedBody.mobility` shows the error of that.
 
 * One reference r: phi_r = sqrt(A_rr), phi_i = A_ir / phi_r. Pairs of undriven points were not measured and follow from
   rank one; they have been 1 to 4 dB off (r.m.s.) where two modes coincide, which one reference cannot tell apart.
@@ -40,9 +40,9 @@ class FittedBody:
     shapes : (K, n_points) mass-normalised, 1/sqrt(kg).
     compliance : (n_points, n_points) m/N of modes above the band; positive semidefinite.
     cents, quality_error, shape_error : (K,) one standard deviation: of the frequency in cents, of Q relative, of the
-        shape at the driving point relative; nan of the row that stands for what lies below.
+        shape at the driving point relative; nan of the row that stands for the modes below the band.
     measured : (K,) whether the mode lies in the band.
-    dropped : what was left out and why, a line each.
+    dropped : modes and channels left out and why, a line each.
     """
 
     points: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""One figure of a fit: what was measured and what the body does, the error, what is uncertain, and the search."""
+"""One figure of a fit: the measured and the body's response, the error, the uncertainties, and the search."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ from tonewood.instrument.files import Files
 
 #: numbers a text field may be long
 _LONGEST = 64
-#: what UFF calls the ordinate, and a pressure among them; its number for a force
+#: numbers that UFF gives the ordinate, and a pressure among them; its number for a force
 _ORDINATES = {8: "receptance", 11: "mobility", 12: "accelerance"}
 _PRESSURE, _FORCES = 15, (0, 13)
 _MICROPHONE = "_Pa"
@@ -68,6 +68,15 @@ class Reading:
 def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
     """Read files that belong together: responses of one body, or hits on it.
 
+    Parameters
+    ----------
+    paths : of the files; frequency responses of one measurement, or recordings of hits.
+    reading : options of the command line: references, sensitivities, windows.
+
+    Returns
+    -------
+    Responses of all points at common frequencies, with their noise where it is known.
+
     Raises
     ------
     TonewoodError : a file cannot be read, contradicts another or says less than is needed; the line names it.
@@ -98,7 +107,7 @@ def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
             raise TonewoodError(f"says {other} while --form says {reading.form}", file=paths[0], key="--form")
     form = reading.form or (said.pop() if len(said) == 1 else "")
     if not form:
-        raise TonewoodError(f"what was measured is not said; {', '.join(FORMS)} are allowed", key="--form")
+        raise TonewoodError(f"the quantity measured is not stated; {', '.join(FORMS)} are allowed", key="--form")
     alpha = 0.0 if reading.window_tau is None else 1.0 / reading.window_tau
     motion, pressure = _split(rows)
     pairs = tuple(motion)
@@ -248,7 +257,7 @@ _TABLES = {"csv": _csv, "npz": _npz, "uff": _uff}
 
 def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str]) -> Responses:
     if reading.form is None:
-        raise TonewoodError(f"what was measured is not said; {', '.join(FORMS)} are allowed", key="--form")
+        raise TonewoodError(f"the quantity measured is not stated; {', '.join(FORMS)} are allowed", key="--form")
     struck: dict[str, list[tuple[Path, _Hit]]] = {}
     for path in paths:
         hit = _wav_hit(path, reading) if path.suffix.lower() == ".wav" else _csv_hit(path)

@@ -1,4 +1,4 @@
-"""One measurement fitted: checks, modes, a passive body, and what is uncertain about it."""
+"""One measurement fitted: checks, modes, a passive body, and its uncertainties."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Fit:
 
     @cached_property
     def without_db(self) -> list[float]:
-        """Of each mode: dB by which the mobility at the driving points changes at most if it is dropped."""
+        """Return for each mode the largest change, dB, of the mobility at the driving points if it is dropped."""
         r, body = self.responses, self.body
         s, driving = r.alpha + 2j * np.pi * r.freq, list(r.driving)
         out = []
@@ -182,6 +182,10 @@ def fit_responses(
     responses : of points and references; each reference was measured where it was driven.
     band : Hz, lower and upper end; the ends of the data where None.
     tell : called after each iteration of the search.
+
+    Returns
+    -------
+    The body, its modes with their uncertainties, and the checks.
 
     Raises
     ------

@@ -19,13 +19,13 @@ from tonewood.fit.fit import Fit
 from tonewood.fit.radiation import FittedRadiation
 from tonewood.whole_files import AtomicFile
 
-#: what nobody has said
+#: value of entries that nobody has stated
 UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
 class MeasuredPoint:
-    """Where a point is.
+    """Place of a point.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class MeasuredPoint:
 
 @dataclass(frozen=True)
 class Origin:
-    """Who measured what; nothing of it is made up.
+    """Origin of the measurement; nothing of it is made up.
 
     Attributes
     ----------
-    title : what was measured.
+    title : the object measured.
     measured_by : by whom.
     licence : SPDX name, of the data.
     """
@@ -142,7 +142,12 @@ class FitFolder:
 
         Parameters
         ----------
+        folder : path.
         draw : makes the figure; none is written without it.
+
+        Returns
+        -------
+        Paths of the files.
 
         Raises
         ------

@@ -65,7 +65,7 @@ def identify(
     """Identify the modes of a band.
 
     Known noise is raised where a first fit leaves more: leakage and nonlinearity must not become modes. Unknown noise
-    is taken from second differences first, then from what a fit leaves.
+    is taken from second differences first, then from the misfit of a fit.
 
     Parameters
     ----------
@@ -99,13 +99,13 @@ def identify(
     found = problem.solve(start)
     turned = float(np.median(found.chi2[:, len(start) : 2 * len(start)].mean(axis=0)))
     if turned < TURNED:
-        # what complex residues took upon themselves may be modes of their own: real ones that explain as much
+        # complex residues may stand for modes of their own: real ones that explain as much
         straight, more = sought(line, replace(shape, complex=False), start, note)
         if _akaike(straight, more) < _akaike(problem, start):
             start = more
     real, poles = straightened(line, shape, start)
     while (fewer := _without_idle_edges(real, poles)) != real.shape:
-        # a residual term that is no passive body's, or none: what it stood in for is sought as modes near the band
+        # a residual term that is no passive body's, or none: modes near the band are sought in its place
         cost = real.solve(poles).cost
         shape = replace(shape, lower=fewer.lower, upper=fewer.upper)
         real, poles = straightened(line, shape, poles)

@@ -9,7 +9,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-#: bins of the smoothing of a coherence, of second differences, and of what a fit leaves
+#: bins of the smoothing of a coherence, of second differences, and of the misfit of a fit
 _COHERENCE, _DIFFERENCES, _MISFIT = 31, 81, 201
 
 
@@ -31,13 +31,13 @@ def of_coherence(response: Complexes, coherence: Floats, n_hits: int) -> Floats:
 
 
 def of_neighbours(response: Complexes) -> Floats:
-    """The same from second differences of bins, which resonances wider than a few bins hardly add to."""
+    """Return the noise from second differences of bins, to which resonances wider than a few bins hardly add."""
     second = (response[:, :-2] - 2 * response[:, 1:-1] + response[:, 2:]) / np.sqrt(6)
     return of_misfit(np.pad(second, ((0, 0), (1, 1)), "edge"), _DIFFERENCES)
 
 
 def of_misfit(misfit: Complexes, width: int = _MISFIT) -> Floats:
-    """The same from what a model leaves: the running median of |.|^2 of complex Gaussian noise is sigma^2 ln 2."""
+    """Return the noise from the misfit of a model: the median of |.|^2 of complex Gaussian noise is sigma^2 ln 2."""
     power = median_filter(np.abs(misfit) ** 2, size=(1, width), mode="mirror")
     return np.asarray(np.sqrt(power / np.log(2)) + 1e-300)
 

@@ -56,11 +56,11 @@ class Poles:
         return Poles(self.log_freq[which], self.log_zeta[which])
 
     def sorted(self) -> Poles:
-        """The same, by frequency."""
+        """Return the poles sorted by frequency."""
         return self[np.argsort(self.log_freq)]
 
     def joined(self, other: Poles) -> Poles:
-        """These and others, sorted."""
+        """Return these poles and others, sorted by frequency."""
         return Poles(np.append(self.log_freq, other.log_freq), np.append(self.log_zeta, other.log_zeta)).sorted()
 
     def without(self, which: Sequence[int]) -> Poles:
@@ -68,9 +68,9 @@ class Poles:
         return Poles(np.delete(self.log_freq, which), np.delete(self.log_zeta, which))
 
     def damped_beyond(self, low: float, high: float) -> Poles:
-        """These, of which none beyond a band (Hz) rings longer, in periods, than any in it.
+        """Return the poles with those beyond a band (Hz) damped so that none rings for more periods than any in it.
 
-        Poles beyond the band stand for what lies there. Data of the band tell next to nothing of their damping, and a
+        Poles beyond the band stand for the modes there. Data of the band tell next to nothing of their damping, and a
         body that is played would ring with it.
         """
         inside = (self.freq >= low) & (self.freq <= high)
@@ -90,7 +90,7 @@ class Poles:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Bins of the band, and what is measured in them.
+    """Bins of the band, and the data measured in them.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Line:
         return np.asarray(self.alpha + 2j * np.pi * self.freq)
 
     def cut(self, first: int, stop: int, without: Complexes) -> Line:
-        """Some bins, less what others of the model do there, (P, stop - first)."""
+        """Some bins, less the response of the model's other modes there, (P, stop - first)."""
         half = None if self.half_width is None else self.half_width[first:stop]
         part = slice(first, stop)
         return Line(self.freq[part], self.mobility[:, part] - without, self.sigma[:, part], self.alpha, half)
@@ -160,7 +160,7 @@ class LinearFit:
     ----------
     cost : chi-squared, the sum of |misfit|^2 2 / sigma^2; its expectation is twice the number of numbers measured.
     residues : (P, n) of columns: A of all modes, B of all modes where complex, E, C.
-    chi2 : (P, n) what setting one to zero would add to the cost, the others adapting.
+    chi2 : (P, n) increase of the cost if one is set to zero and the others adapt.
     normal, gradient : (2K, 2K) and (2K,) of ln w then ln zeta, residues eliminated; where asked for.
     """
 
@@ -189,7 +189,7 @@ class Projection:
 
     Attributes
     ----------
-    line : what is measured.
+    line : data measured.
     shape : which residues there are.
     """
 
@@ -276,7 +276,7 @@ class Projection:
         return np.asarray(residues @ np.vstack([self.columns(poles)[0], self._edges]))
 
     def misfit(self, poles: Poles, residues: Floats) -> Complexes:
-        """(P, N) what is measured less the model."""
+        """(P, N) data less the model."""
         return np.asarray(self.line.mobility - self.model(poles, residues))
 
     def deviations(self, poles: Poles) -> tuple[Floats, Floats, Floats]:

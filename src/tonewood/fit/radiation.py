@@ -41,7 +41,7 @@ class FittedRadiation:
     channels : names of the microphones.
     poles : (K,) 1/s, of each conjugate pair the one with a positive imaginary part.
     low_cut : Hz, of the high-pass s^2 / ((s + a) (s + b)), a and b 0.8 and 1.25 times 2 pi low_cut.
-    heave, moment : (n_channels, K) Pa/(N s), residues of the pressure of a force at u = 0, and what u = 1 adds.
+    heave, moment : (n_channels, K) Pa/(N s), residues of the pressure of a force at u = 0, and its change to u = 1.
     error_db : (P, N) |fitted| re |measured|, dB, of each microphone and reference.
     """
 
@@ -88,7 +88,7 @@ def fit_radiation(
     *,
     tell: Callable[[Iteration], None] = lambda iteration: None,
 ) -> FittedRadiation | None:
-    """Fit the bank of all microphones; None where there are none.
+    """Fit the bank of all microphones; return None where there are none.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Measured responses of a body: what was measured where, and the checks that come before any fit."""
+"""Measured responses of a body: quantities and places, and the checks that come before any fit."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Responses:
     n_hits : averaged, or None where not known.
     alpha : 1/s, of an exponential window that is in the data.
     pressure : microphone and reference -> (N,) Pa/N.
-    files : name -> SHA-256 of what was read.
+    files : name -> SHA-256 of the bytes read.
     kept : hits kept and hits given, where raw hits were read.
     """
 
@@ -79,7 +79,11 @@ class Responses:
         return tuple(i for i, (point, reference) in enumerate(self.pairs) if point == reference)
 
     def band(self, low: float | None, high: float | None) -> Responses:
-        """The part between two frequencies, Hz, without 0 Hz.
+        """Return the part between two frequencies, without 0 Hz.
+
+        Parameters
+        ----------
+        low, high : Hz, both included; None is the end of the data.
 
         Raises
         ------
@@ -102,7 +106,7 @@ class Responses:
         )
 
     def renamed(self, names: Mapping[str, str]) -> Responses:
-        """The same with other names of points and microphones, old -> new.
+        """Return these responses with other names of points and microphones, old -> new.
 
         Raises
         ------
@@ -125,7 +129,7 @@ class Responses:
         return replace(self, pairs=pairs, pressure=pressure)
 
     def checked(self) -> Responses:
-        """These, if a passive body can have them.
+        """Return these responses if a passive body can have them.
 
         Raises
         ------
@@ -166,7 +170,7 @@ class Responses:
         return self
 
     def incoherent(self, i: int) -> list[tuple[float, float]]:
-        """Parts of the band, Hz, in which the coherence of a response (running median) is too low."""
+        """Return the parts of the band, Hz, in which the coherence of response `i` (running median) is too low."""
         if self.coherence is None:
             return []
         low = median_filter(self.coherence[i], size=min(_COHERENCE, self.freq.size), mode="mirror") < LEAST_COHERENCE

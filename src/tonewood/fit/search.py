@@ -109,7 +109,7 @@ def descend_in_groups(problem: Projection, poles: Poles, most: int) -> Poles:
 
 
 def _around(problem: Projection, poles: Poles, residues: Floats, mine: NDArray[np.intp]) -> Projection | None:
-    """The problem of some neighbouring modes on the bins around them, less what the others do; None of too few bins."""
+    """The problem of some neighbouring modes on the bins around them, less the others; None of too few bins."""
     k, n_kinds = len(poles), 1 + problem.shape.complex
     f, width = poles.freq[mine], 2 * poles.freq[mine] * np.exp(poles.log_zeta[mine])
     start = int(np.searchsorted(problem.line.freq, (f - 4 * width).min()))

@@ -89,7 +89,7 @@ def _numbers(entries: Sequence[Added]) -> tuple[list[float], list[float], list[f
 
 
 def _factor(i: int, entry: Added, points: Mapping[str, BodyPoint], file: Path | None) -> float:
-    """Displacement along the direction of what is added, per displacement of the point along its own."""
+    """Displacement along the direction of the part added, per displacement of the point along its own."""
     driven = {name: point for name, point in points.items() if point.driven}
     if entry.at not in driven:
         known = f"{did_you_mean(entry.at, driven)}there are {', '.join(driven)}"

@@ -77,7 +77,7 @@ def _read(path: Path) -> Arrays | None:
 
 @cache
 def _sources(package: str) -> str:
-    """Hash of a package's sources and of what computes for it."""
+    """Hash of a package's sources and of the libraries that compute for it."""
     digest = hashlib.sha256(f"{version('numpy')} {version('scipy')}".encode())
     for path in sorted((Path(__file__).parents[1] / package).glob("*.py")):
         digest.update(path.read_bytes())

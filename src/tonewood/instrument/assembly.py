@@ -1,6 +1,6 @@
 """Assembly: from an instrument to a model for one sampling rate.
 
-body -> strings (`string_assembly`) -> what touches them (`attached`) -> outputs (`output_assembly`) -> one system of
+body -> strings (`string_assembly`) -> attachments (`attached`) -> outputs (`output_assembly`) -> one system of
 components, connections and readouts.
 """
 
@@ -22,8 +22,8 @@ from tonewood.instrument.added import body_parts
 from tonewood.instrument.attached import Attached
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.choice import Choice, declared
-from tonewood.instrument.contract import BodyPoint, Exciter, Place
-from tonewood.instrument.gestures import places
+from tonewood.instrument.contract import BodyPoint, Exciter
+from tonewood.instrument.gestures import Place, places
 from tonewood.instrument.kept_tunings import KeptTunings
 from tonewood.instrument.output_assembly import OutputGroup, make_outputs, make_scene
 from tonewood.instrument.registry import MANIFEST
@@ -59,7 +59,7 @@ class Model:
     exciters : name -> plugin.
     default_exciter : name of the exciter of notes that name no technique.
     choice : effects that may run, and budgets; `system` does not contain effects that may not.
-    body : modes of the body with what is added to it, as its strings feel it; `system` has the parts by themselves.
+    body : modes of the body with the parts added to it, as its strings feel it; `system` has the parts by themselves.
     """
 
     instrument: Instrument
@@ -114,11 +114,17 @@ class Model:
         return {leader: of for leader, of in self.instrument.groups.items() if leader in self.strings}
 
     def exciter(self, name: str, string: str) -> Exciter[Any]:
-        """Return an exciter as it plays a string."""
+        """Return the exciter called `name` with the parameters that it has on a string."""
         return self.instrument.exciter(name, string)
 
     def place(self, string: str, stop: float = 0, *, una_corda: bool = False) -> Place:
-        """Place of a gesture: a string at a stop, and what is beside it of its key."""
+        """Return the place of a gesture: a string at a stop, and the other strings of its key.
+
+        Parameters
+        ----------
+        string, stop : name of the string; number of its stop, 0 open.
+        una_corda : whether the soft pedal is down, so that the hammer meets fewer strings, more softly.
+        """
         held, keys = self.strings[string], self.instrument.spec.keys
         strings: tuple[tuple[str, float], ...] = ()
         if keys is not None and (key := self.instrument.key_of.get(string)) is not None:
@@ -144,7 +150,7 @@ def assemble(
     fs : Hz.
     freq_limit : Hz, no mode is stepped above it; 0.45 fs.
     outputs : names of output groups; the bundle's first where left out.
-    by_string : whether each group is split into what each string gives of it, ``GROUP.STRING``, and ``GROUP.body``.
+    by_string : whether each group is split into the shares of all strings, ``GROUP.STRING``, and ``GROUP.body``.
 
     Raises
     ------

@@ -48,12 +48,18 @@ class Site:
         return self.group[0] if self.group else self.string
 
     def motion(self, point: str, direction: Vector, factor: float = 1.0) -> tuple[Term, ...]:
-        """Displacement of a point of the string along a direction, times `factor`."""
+        """Return the terms of a gap for the displacement of a point of the string along a direction, times `factor`.
+
+        Parameters
+        ----------
+        point : name of a place on the string.
+        direction : unit vector (x nut to bridge, y to treble, z out).
+        """
         shares = ((c, sum(a * b for a, b in zip(p, direction, strict=True))) for c, p in self.polarizations)
         return tuple(Term(c, point, factor * share) for c, share in shares if abs(share) > 1e-12)
 
     def lowered(self, x: float, clearance: Callable[[float], float]) -> float:
-        """Clearance under the string x metres from the bridge when it is pressed down at its stop, m.
+        """Return the clearance under the string x metres from the bridge when it is pressed down at its stop, m.
 
         `clearance` is the one under the open string. The stopped string is straight from the bridge to where its stop
         lies: c(x) - c(l) x / l.
@@ -112,7 +118,14 @@ class Motion:
 
 
 def loose_mass(mass: float, freq_rad: float = 0.0, damping_rate: float = 0.0) -> ModalBasis:
-    """A lump of `mass` kg that moves along one line, with the point ``mass``; on a spring if `freq_rad` > 0 (rad/s)."""
+    """Return a lump that moves along one line, with the point ``mass``; on a spring if `freq_rad` > 0.
+
+    Parameters
+    ----------
+    mass : kg.
+    freq_rad : rad/s, sqrt(k/m).
+    damping_rate : sigma = c / 2m, 1/s.
+    """
     return ModalBasis.real([freq_rad], [damping_rate], {"mass": [1.0]}, modal_mass=mass)
 
 

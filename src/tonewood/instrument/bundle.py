@@ -86,7 +86,7 @@ class Instrument(ModalViews):
         return properties_html(spec.title, rows)
 
     def _viewed(self) -> tuple[ModalBasis, Mapping[str, str]]:
-        """Modes of the body with what is added to it, and the point that each string ends on."""
+        """Modes of the body with the parts added to it, and the point that each string ends on."""
         body, manifest = self.body.basis(SHOWN_TO), self._files.manifest
         whole = body_parts(self.spec.body.added, body, self.body.points(), manifest).body
         return whole, {name: part.body_points[0] for name, part in self.spec.strings.items()}
@@ -100,6 +100,7 @@ class Instrument(ModalViews):
 
         Parameters
         ----------
+        name_or_path : name as `tonewood list` prints it, or path of the folder.
         allow_code : run plugins that lie as Python files in the bundle's folder; without it such a bundle is refused.
 
         Raises
@@ -128,7 +129,19 @@ class Instrument(ModalViews):
         *,
         allow_code: bool = False,
     ) -> Instrument:
-        """Make one from nested plain values; tables are read from `folder`, and of other files only those `granted`."""
+        """Make one from nested plain values, as they stand in an ``instrument.yaml``.
+
+        Parameters
+        ----------
+        values : key -> value.
+        folder : from which tables are read.
+        granted : other files that may be read.
+        allow_code : as for `load`.
+
+        Raises
+        ------
+        BundleError, PluginError : one line with file, key and reason.
+        """
         root = Path(folder)
         files = Files(root, root / registry.MANIFEST, granted)
         if edits := bundle_edits(values, files.manifest):
@@ -196,6 +209,10 @@ class Instrument(ModalViews):
         overrides : path -> value, ``{"scale": x}`` or ``{"fraction": x}``; see `overrides`. ``strings_from`` puts
             another string set on, before anything else is changed. A scale or keymap may be
             any file that the caller may read, while a bundle is confined to its folder.
+
+        Raises
+        ------
+        BundleError : a path is unknown, or a value is not allowed; one line.
 
         Examples
         --------
@@ -399,7 +416,7 @@ class Instrument(ModalViews):
             for string in attached.strings or ():
                 if string not in self.spec.strings:
                     raise self._none("string", string, self.spec.strings, f"connections.{name}.strings")
-        check_keys(self.spec, self._files.manifest)
+        check_keys(self.spec, self._files.manifest, self.open_note)
         playing = self.spec.playing
         self._parameter(playing.velocity.parameter, "playing.velocity.parameter")
         for control, entry in playing.controls.items():

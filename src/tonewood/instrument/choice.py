@@ -1,4 +1,4 @@
-"""Which of the effects that an instrument's plugins declare may run, and what leaving one out may cost."""
+"""Which of the effects that an instrument's plugins declare may run, and the budgets for leaving one out."""
 
 from __future__ import annotations
 

@@ -30,14 +30,13 @@ from numpy.typing import NDArray
 from tonewood.coupling.phantoms import PhantomPartials
 from tonewood.coupling.system import Drive, Readout
 from tonewood.errors import BundleError
-from tonewood.instrument.attached import Attached, Motion, Site
+from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.effects import BODY_MODES, OUTPUTS, SECOND_POLARIZATION, Effect
 from tonewood.instrument.files import Files
+from tonewood.instrument.gestures import Event, Gesture, Place
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.views import SHOWN_TO, ModalViews
 from tonewood.params import Parameters, Vector, validated
-from tonewood.stepping.forcing import SampledForce
-from tonewood.stepping.forcing import Segment as Segment
 from tonewood.tables import properties_html
 
 if TYPE_CHECKING:
@@ -77,6 +76,12 @@ class Plugin(ABC, Generic[P]):
     def from_values(cls, values: Mapping[str, Any], files: Files | None = None, key: str = "") -> Plugin[P]:
         """Make one from plain values, as they stand in a bundle.
 
+        Parameters
+        ----------
+        values : name of a parameter -> value.
+        files : folder of the bundle, for tables; none by default.
+        key : of the part in the bundle, for errors.
+
         Raises
         ------
         BundleError : a value is unknown, missing or out of range.
@@ -97,7 +102,7 @@ class Plugin(ABC, Generic[P]):
         return self.key.rpartition(".")[2]
 
     def fault(self, reason: str, key: str = "") -> BundleError:
-        """Make an error that names the bundle's file and the part's key."""
+        """Return an error with this reason that names the bundle's file and the part's key, and a `key` below it."""
         return BundleError(reason, file=self.files.manifest, key=".".join(k for k in (self.key, key) if k))
 
 
@@ -180,6 +185,10 @@ class Resonator(Plugin[P]):
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         """Carry the string's motion from one stop to another.
 
+        Parameters
+        ----------
+        old, new : bases of this string at two stops, or at two tensions.
+
         Returns
         -------
         displacement, velocity : (n_new, n_old), q_new = displacement @ q_old and q_new' = velocity @ q_old' of the
@@ -187,7 +196,13 @@ class Resonator(Plugin[P]):
         """
 
     def carried(self, old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-        """Carry one motion, coordinates q and q', from one stop to another; override it where that is faster."""
+        """Return one motion carried from one stop to another; override it where that is faster.
+
+        Parameters
+        ----------
+        old, new : as for `transfer`.
+        q, velocity : (n_old,) coordinates and their rates.
+        """
         displacement, moving = self.transfer(old, new)
         return displacement @ q, moving @ velocity
 
@@ -239,122 +254,6 @@ class Body(Plugin[P], ModalViews):
         return basis, {point: point for point in basis.points}
 
 
-@dataclass(frozen=True, slots=True)
-class Hold:
-    """Dashpot of a finger on the string, from `start` to `stop`; dissipates only.
-
-    Attributes
-    ----------
-    start, grown, stop : s; the damping grows smoothly from `start` to `grown`, and ends at `stop`.
-    damping : N s/m, from `grown` on.
-    """
-
-    start: float
-    grown: float
-    stop: float
-    damping: float
-
-    def at(self, time: float) -> float:
-        """Damping at a time, N s/m."""
-        if not self.start <= time < self.stop:
-            return 0.0
-        s = 1.0 if self.grown <= self.start else min((time - self.start) / (self.grown - self.start), 1.0)
-        return self.damping * s * s * (3.0 - 2.0 * s)
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """One event for an exciter: a note, or the part of one that it plays.
-
-    Attributes
-    ----------
-    values : parameters of the exciter that this event changes, e.g. ``force`` or ``from_bridge``.
-    freq : pitch that will sound, Hz; 0 where there is none.
-    duration : s, of the note; infinite if it is not known.
-    stop, stop_before : stops of the string at this event and at the one before it on this string (0 open).
-    length_before : m, speaking length at `stop_before`; 0 where there is no string.
-    """
-
-    values: Mapping[str, float] = field(default_factory=dict)
-    freq: float = 0.0
-    duration: float = math.inf
-    stop: float = 0.0
-    stop_before: float = 0.0
-    length_before: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Place of a gesture: a string with its speaking length (m), or a point of the body (length 0).
-
-    `planes` is the number of the string's polarizations, `tension` (N) its tension at this stop, `strings` those of its
-    key, each with a factor on the force of the exciter's contact with it: 0 where the exciter misses it.
-    """
-
-    name: str
-    length: float = 0.0
-    planes: int = 1
-    tension: float = 0.0
-    strings: tuple[tuple[str, float], ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Gesture:
-    """Known forces at one place.
-
-    Attributes
-    ----------
-    segments : in time order, seconds relative to the event's time; negative times prepare it.
-    from_bridge : place on the string, m; None on a body, and where the last gesture on the string was.
-    angle_deg : of the force, from the first polarization towards the second.
-    hold : dashpot of the finger on the string, or None.
-    on : input that the forces enter, one of those that the exciter has `attach`ed; None for the string itself.
-    motions : of the partners of the exciter's own connections.
-    stops : course of the string's stop, in segments like those of a force; after them the stop is that of the note.
-        On a fretted string it is rounded down to a fret. Without segments the note's stop holds from the gesture's
-        start on.
-    touches : point the exciter has `attach`ed -> course of its place, m from the bridge; followed on the control grid.
-        Points that are not named lie where `attach` has put them.
-    width : m, of the string, about `from_bridge`, over which the forces are spread evenly; 0 for a point.
-    noise : a random part of the force, added to the segments; None without one.
-    """
-
-    segments: tuple[Segment, ...]
-    from_bridge: float | None = None
-    angle_deg: float = 0.0
-    hold: Hold | None = None
-    on: str | None = None
-    motions: tuple[Motion, ...] = ()
-    stops: tuple[Segment, ...] = ()
-    touches: Mapping[str, tuple[Segment, ...]] = field(default_factory=dict)
-    width: float = 0.0
-    noise: SampledForce | None = None
-
-    @property
-    def start(self) -> float:
-        """Beginning of the gesture, s relative to the event."""
-        begins = [s.start for s in self._pieces] + [part.start for part in (self.hold, self.noise) if part]
-        return min(begins, default=0.0)
-
-    @property
-    def stop(self) -> float:
-        """End of the gesture, s relative to the event."""
-        ends = [s.stop for s in self._pieces] + [part.stop for part in (self.hold, self.noise) if part]
-        return max(ends, default=0.0)
-
-    @property
-    def _pieces(self) -> tuple[Segment, ...]:
-        return self.segments + tuple(s for motion in self.motions for s in motion.segments)
-
-    def force(self, time: float) -> float:
-        """Force at a time without its random part, N."""
-        return sum(
-            s.c0 + s.c1 * (time - s.start) + s.c2 * (time - s.start) ** 2
-            for s in self.segments
-            if s.start <= time < s.stop
-        )
-
-
 class Exciter(Plugin[P]):
     """Turns each event into a gesture."""
 
@@ -384,19 +283,29 @@ class Exciter(Plugin[P]):
         if not values:
             return self.parameters
         merged = {**self.parameters.model_dump(by_alias=True), **values}
-        checked = validated(type(self.parameters), merged, key=self.key, file=self.files.manifest)
-        return checked
+        return validated(type(self.parameters), merged, key=self.key, file=self.files.manifest)
 
     def attach(self, name: str, site: Site) -> Attached | None:
-        """Components and connections that an exciter adds to a string: a hammer's mass and felt, a bow's hair.
+        """Return components and connections that it adds to a string: a hammer's mass and felt, a bow's hair.
 
         They act on the string's point ``pluck``, which follows the place of the gesture. None for known forces alone.
+
+        Parameters
+        ----------
+        name : of the part in the bundle; names of components and connections begin with ``STRING.name``.
+        site : geometry of the string at one stop.
         """
         return None
 
     @abstractmethod
     def gesture(self, event: Event, place: Place) -> Gesture:
-        """Forces of one event at `place`."""
+        """Return the forces of one event.
+
+        Parameters
+        ----------
+        event : values that it changes, pitch, duration, stops.
+        place : string with its length and tension at this stop, or point of the body.
+        """
 
 
 class Attachment(Plugin[P]):
@@ -406,7 +315,13 @@ class Attachment(Plugin[P]):
 
     @abstractmethod
     def attach(self, name: str, site: Site) -> Attached:
-        """Places, components and connections on a string at a stop; `name` is the part's key in the bundle."""
+        """Return places, components and connections on a string at a stop.
+
+        Parameters
+        ----------
+        name : the part's key in the bundle.
+        site : geometry of the string at this stop. At every stop the same names and terms; laws may differ.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -432,7 +347,7 @@ class Scene:
     Attributes
     ----------
     body_points : name -> place and direction.
-    bridge_forces : of every string polarization that moves the body, and of what is added to the body.
+    bridge_forces : of every string polarization that moves the body, and of the parts added to the body.
     string_points : ``string.point`` -> (component, point, unit vector of that polarization), for each polarization.
     end_forces : string -> (connection, unit vector): force of the string on its bridge is minus the connection's.
     freq_upper : Hz, highest frequency that will be stepped.
@@ -479,11 +394,17 @@ class Pickup(Plugin[P]):
     @property
     @abstractmethod
     def unit(self) -> str:
-        """Unit of what is read."""
+        """Unit of the quantity read."""
 
     @abstractmethod
     def rows(self, name: str, scene: Scene) -> PickupRows:
-        """Make the readouts of the channels; the name of every component added begins with the group's `name`."""
+        """Return the readouts of the channels.
+
+        Parameters
+        ----------
+        name : of the group of channels; the name of every component added begins with it.
+        scene : points and forces that can be read.
+        """
 
 
 #: kind -> base class; a plugin derives from exactly one of them

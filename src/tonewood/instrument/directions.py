@@ -24,7 +24,7 @@ Direction = Annotated[Literal["x", "y", "z"] | Vector, AfterValidator(_unit)]
 
 
 def unit_vector(direction: str | Vector) -> Vector:
-    """Three numbers of length exactly 1."""
+    """Return a direction, ``x``, ``y``, ``z`` or three numbers, as three numbers of length 1."""
     if isinstance(direction, str):
         return AXES[direction]
     length = math.hypot(*direction)

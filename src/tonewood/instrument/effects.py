@@ -1,4 +1,4 @@
-"""Effects: what a render may leave out, declared by the plugin that adds it, with a bound on the error.
+"""Effects: parts of the physics that a render may leave out, declared by the plugin that adds them, with error bounds.
 
 An *additive* effect adds sound: its bound is the largest sample it can add, in dB re the loudest one. A *detuning*
 effect moves partials: its bound is in cents. The two budgets, ``budget_db`` and ``budget_cents``, are compared with
@@ -19,11 +19,11 @@ _CENTS = 1200.0 / math.log(2.0)
 
 @dataclass(frozen=True, slots=True)
 class Norms:
-    """Upper bounds on what an effect acts on; foreseen from the score or computed from the motion.
+    """Upper bounds on the motion that an effect acts on; foreseen from the score or computed from the motion.
 
     Attributes
     ----------
-    level : amplitude at the outputs of what would be left out, ratio to the loudest sample.
+    level : amplitude at the outputs of the sound left out, ratio to the loudest sample.
     energy : J, of the string.
     tension, axial_stiffness : N, of the string.
     length : m, speaking.
@@ -37,7 +37,7 @@ class Norms:
 
 
 def level_db(norms: Norms) -> float:
-    """Level of what would be missing, in dB re the loudest sample."""
+    """Level of the sound left out, in dB re the loudest sample."""
     return 20 * math.log10(norms.level) if norms.level > 0 else -math.inf
 
 
@@ -68,15 +68,15 @@ class Effect:
     Attributes
     ----------
     name : the word for it in ``effects: [names]``.
-    adds : what it adds, one line.
+    adds : the sound or motion that it adds, one line.
     kind : ``additive`` or ``detuning``.
     before : when the score calls for it, one line.
-    during : what is watched while it is left out, one line.
-    bound : what leaving it out costs at most: dB re the loudest sample, or cents.
-    cost : what it takes per sample, in units of one mode stepped linearly; given the number of modes or of points.
+    during : the quantity watched while it is left out, one line.
+    bound : largest error of leaving it out: dB re the loudest sample, or cents.
+    cost : time per sample, in units of one mode stepped linearly; given the number of modes or of points.
     basic : whether it belongs to the plain instrument, which ``none`` and lists of names do not reduce.
     title : in words, for summaries; the name if empty.
-    runtime : makes of (model, effect, component -> plugin) what the engine steps, counts and reports: a
+    runtime : makes of (model, effect, component -> plugin) the object that the engine steps, counts and reports: a
         `RuntimeEffect`, or a `SwitchedEffect` that is switched on and off while the engine steps; see
         `tonewood.engine.effects.base`. None for effects that always run, and for contacts.
     """
@@ -150,7 +150,14 @@ OUTPUTS = Effect(
 
 
 def contact_effect(name: str, adds: str, *, basic: bool = False) -> Effect:
-    """A contact that is left out while a bound on the motion says that it touches nothing: nothing is lost by that."""
+    """Return the effect of a contact, left out while a bound on the motion excludes touch: nothing is lost by that.
+
+    Parameters
+    ----------
+    name : the word for it in ``effects: [names]``.
+    adds : the contact in words, one line.
+    basic : whether it belongs to the plain instrument.
+    """
     return Effect(
         name, adds, "additive", "always watched", "a bound on the string's motion at each point until the next look",
         cost=lambda n: 0.5 * n, basic=basic,

@@ -50,17 +50,17 @@ class Pitch:
 
     @property
     def freq(self) -> float:
-        """Of the string-dominated mode, Hz."""
+        """Frequency of the string-dominated mode, Hz."""
         return self.modes[0].freq
 
     @property
     def error_cents(self) -> float:
-        """Of the string-dominated mode against the note."""
+        """Cents of the string-dominated mode above the note."""
         return cents(self.freq / self.wanted_freq)
 
     @property
     def t60(self) -> float:
-        """Of the string-dominated mode, s."""
+        """T60 of the string-dominated mode, s."""
         return t60(-self.modes[0].pole.real)
 
 
@@ -142,22 +142,32 @@ def feel(model: Model, name: str) -> StringFeel:
 
 
 def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
-    """Pitch of a string at one stop, tuned, or at the bundle's tension where it asks for no compensation."""
+    """Return the pitch of a string at one stop of a `model`: tuned, or at the bundle's tension without compensation."""
     held = model.strings[string]
     tuned = held.tuned(stop)
     return Pitch(string, stop, held.open_note + stop, held.freq(stop), tuned.tension, tuned.modes, tuned.wolf)
 
 
 def pitches(model: Model, strings: Sequence[str] | None = None) -> list[Pitch]:
-    """Pitches of the strings named at every whole stop; of the first of every key where none are."""
+    """Return the pitches of `strings` of a `model` at every whole stop; of each key's first where none are named."""
     names = model.groups if strings is None else strings
     return [pitch(model, name, stop) for name in names for stop in range(model.strings[name].n_stops + 1)]
 
 
 def partials(model: Model, string: str, stop: int = 0, *, count: int = 12) -> list[Partial]:
-    """String-dominated coupled modes, at most `count` of them and below the string's highest mode.
+    """Find the partials of a string on its body: string-dominated coupled modes.
 
     The search for each begins at the partial of that number of the same string, at its tension, on a rigid bridge.
+
+    Parameters
+    ----------
+    model : assembled instrument.
+    string, stop : name of the string; number of its stop, 0 open.
+    count : of partials at most; they lie below the string's highest mode.
+
+    Returns
+    -------
+    Partials from the first on, each with frequency, cents, T60 and shares of energy.
     """
     at, coupled = pitch(model, string, stop), model.strings[string].coupled(stop)
     joint = coupled.joint(at.tension)
@@ -192,7 +202,7 @@ def held_partials(basis: ModalBasis, count: int) -> list[float]:
 def bridge_mobility(
     model: Model, freq: Sequence[float] | Floats, strings: Sequence[str] | None = None
 ) -> dict[str, Complexes]:
-    """Driving-point mobility of the body where each string ends, (m/s)/N; without strings, with what is added to it.
+    """Driving-point mobility of the body where each string ends, (m/s)/N; without strings, with the parts added to it.
 
     Parameters
     ----------

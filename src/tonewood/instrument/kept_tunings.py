@@ -49,7 +49,7 @@ class KeptTunings:
         self._complete = False
 
     def save(self) -> None:
-        """Write what has been added; what cannot be written costs time alone."""
+        """Write the tunings added; a file that cannot be written costs time alone."""
         if self._complete or self.path is None:
             return
         try:

@@ -64,7 +64,7 @@ class Keys(Parameters):
 
     table: str | None = described("CSV file in the bundle; see Table of keys", default=None)
     exciter: Name | None = described("exciter whose parameters the table gives", default=None)
-    damper: dict[str, Any] = described("what the rows do not say of dampers", default={})
+    damper: dict[str, Any] = described("values of dampers that the rows leave out", default={})
     pedals: Pedals = described("where keys have dampers", default=Pedals())
     entries: dict[Name, KeyEntry] = described(
         "name -> key, beside those of the table", default={}, max_length=MOST_STRINGS

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,14 +31,14 @@ from tonewood.errors import BundleError, ScoreError, TonewoodError
 from tonewood.instrument.files import Files
 from tonewood.instrument.key_schema import MOST_STRINGS
 from tonewood.instrument.schema import Bundle, PluginPart
-from tonewood.score.scales import note_number
+from tonewood.score.scales import note_name, note_number
 from tonewood.validation_messages import did_you_mean
 
 _PLAIN = ("note", "strings", "una_corda", "damped", "kind")
 _YES_NO = {"yes": True, "no": False}
 _MOST = 6
 _WHOLE = re.compile(r"[+-]?[0-9]{1,15}")
-#: signs in names of notes, and what stands for them in the names of keys
+#: signs in names of notes, and the letters for them in the names of keys
 _SIGNS = str.maketrans({"#": "s", "\u266f": "s", "\u266d": "b", "-": "m"})
 
 
@@ -51,7 +51,7 @@ class KeyRows:
     values : of the bundle.
     file : of the table.
     places : dotted path in `values` -> (line, column, or the words before the dots of the columns below it); line 0 for
-        what stands in the bundle itself, under that key.
+        values of the bundle itself, under that key.
     """
 
     values: Mapping[str, Any]
@@ -78,7 +78,7 @@ def with_keys(values: Mapping[str, Any], files: Files) -> KeyRows:
 
     Raises
     ------
-    BundleError : names file, line, column, value and what is allowed.
+    BundleError : names file, line, column, value and the values allowed.
     """
     keys = values.get("keys")
     if not isinstance(keys, Mapping) or not isinstance(keys.get("table"), str):
@@ -244,7 +244,7 @@ def _no_exciter(name: str, known: Collection[str]) -> str:
 
 
 def _pitches(entries: Mapping[str, Any]) -> dict[float, str]:
-    """Pitch -> key, of the entries beside a table whose notes are ones; what is wrong with others is said elsewhere."""
+    """Pitch -> key, of the entries beside a table with valid notes; the check of the schema refuses the others."""
     out: dict[float, str] = {}
     for name, entry in entries.items():
         note = entry.get("note") if isinstance(entry, Mapping) else None
@@ -257,13 +257,18 @@ def _pitches(entries: Mapping[str, Any]) -> dict[float, str]:
     return out
 
 
-def check_keys(spec: Bundle, file: Any) -> None:
+def check_keys(spec: Bundle, file: Any, open_note: Callable[[str], float]) -> None:
     """Check that keys name strings of the instrument, each once.
+
+    Parameters
+    ----------
+    open_note : string -> its note number.
 
     Raises
     ------
     BundleError : one does not, or two share a string, or the una corda pedal leaves more strings than there are; a
-        key's note is none; or there is no table whose dampers `keys.damper` would describe.
+        key's note is none, or not that of its first string; or there is no table whose dampers `keys.damper` would
+        describe.
     """
     if spec.keys and spec.keys.damper and spec.keys.table is None:
         reason = "is for the rows of a table, which gave them to its keys; keys.entries.NAME.damper is allowed"
@@ -272,8 +277,7 @@ def check_keys(spec: Bundle, file: Any) -> None:
     for name, key in (spec.keys.entries if spec.keys else {}).items():
         at = f"keys.entries.{name}"
         try:
-            if isinstance(key.note, str):
-                note_number(key.note)
+            note = note_number(key.note) if isinstance(key.note, str) else key.note
         except ScoreError as fault:
             raise BundleError(fault.reason, file=file, key=f"{at}.note") from None
         for string in key.strings:
@@ -284,6 +288,11 @@ def check_keys(spec: Bundle, file: Any) -> None:
                 reason = f"string {string!r} is one of key {taken[string]}; a string has one key"
                 raise BundleError(reason, file=file, key=f"{at}.strings")
             taken[string] = name
+        if abs(open_note(first := key.strings[0]) - note) >= 0.5:
+            reason = (
+                f"is {key.note}, and its string {first} sounds {note_name(open_note(first))}; the same note is allowed"
+            )
+            raise BundleError(reason, file=file, key=f"{at}.note")
         if key.una_corda is not None and key.una_corda > len(key.strings):
             reason = f"is {key.una_corda}; 1 to {len(key.strings)}, the number of its strings, are allowed"
             raise BundleError(reason, file=file, key=f"{at}.una_corda")
@@ -326,7 +335,7 @@ def merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 def _places(
     name: str, strings: list[str], exciter: Any, row: _Row, defaults: Any, damper: Mapping[str, Any]
 ) -> dict[str, tuple[int, str]]:
-    """Dotted path of what a row gives -> its line, and the words in the header that stand for the path."""
+    """Dotted path of a row's values -> its line, and the words in the header that stand for the path."""
     line, entry = row.line, f"keys.entries.{name}"
     out = {entry: (line, ""), f"keys.{name}.{exciter}": (line, str(exciter))}
     out |= {f"{entry}.damper.{key}": (0, f"keys.damper.{key}") for key in damper}

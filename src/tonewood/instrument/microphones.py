@@ -35,11 +35,12 @@ class Microphones(Pickup[P]):
         inputs: Mapping[str, tuple[tuple[str, str, float], ...]],
         quantity: str = "displacement",
     ) -> PickupRows:
-        """Rows of a bank with a point per channel.
+        """Return the rows of a bank with a point per channel.
 
         Parameters
         ----------
         name : of the group, and of the bank's component.
+        basis : modes of the bank.
         drives : connections' forces on points of the bank; those without effect are left out.
         inputs : body point -> (component, point, factor), where a known force on the body drives the bank.
         quantity : of the bank's points that is pressure.
@@ -54,7 +55,13 @@ class Microphones(Pickup[P]):
     def at_points(
         self, name: str, scene: Scene
     ) -> tuple[list[str], list[Drive], dict[str, tuple[tuple[str, str, float], ...]]]:
-        """Driven points of the body, and the drives and inputs of a bank that has a point ``at_POINT`` for each."""
+        """Return the body's driven points, and the drives and inputs of a bank with a point ``at_POINT`` for each.
+
+        Parameters
+        ----------
+        name : of the group, and of the bank's component.
+        scene : points and forces of the instrument.
+        """
         driven = [point for point, place in scene.body_points.items() if place.driven]
         drives = [Drive(name, f"at_{f.point}", f.connection, f.factor) for f in scene.bridge_forces]
         return driven, drives, {point: ((name, f"at_{point}", 1.0),) for point in driven}

@@ -53,7 +53,7 @@ class Mounted:
     Parameters
     ----------
     strings : name -> string; the first polarization of each, and the second where there is one.
-    body : what they end on.
+    body : on which they end.
     """
 
     def __init__(self, strings: Mapping[str, StringModel], body: ModalBasis):
@@ -68,7 +68,7 @@ class Mounted:
         star = Star(self._body, [ports for name in self.strings for ports in rays[name]])
         alone = at.modes[0].pole
         radius = alone.imag * (ratio_of_cents(REACH_CENTS) - 1)
-        zeros = star.zeros_within(1j * alone.imag, radius) or [star.newton(alone) or alone]
+        zeros = star.zeros_within(1j * alone.imag, radius, starts=[alone]) or [alone]
         own = 1 + self._owner.index(at.string)
         found = sorted(((star.shares(s), s) for s in zeros), key=lambda pair: -float(pair[0][own]))
         shares, s = found[0]
@@ -92,7 +92,7 @@ def mounted_pitches(model: Model, found: Sequence[Pitch]) -> list[MountedPitch]:
     """Return pitches of strings with others mounted beside them.
 
     A string that has a damper stands beside those of its key, which are lifted with it, the others with all strings
-    that have none: what is under its damper is taken not to move.
+    that have none: a string under its damper is taken not to move.
     """
     free = {name: string for name, string in model.strings.items() if string.damper is None}
     undamped = Mounted(free, model.body)

@@ -1,7 +1,7 @@
 """A bundle of one's own, begun from another one or from the folder of a fit: text with comments where a person decides.
 
-Nothing in it is credited to anybody who has not said so: what is copied from a bundle is of unknown origin until its
-maker fills it in, with a note that tells what it was there. The sources stay, since their licences ask for it.
+Nothing in it is credited to anybody who has not said so: values copied from a bundle are of unknown origin until its
+maker fills that in, with a note that tells their kind there. The sources stay, since their licences ask for it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _DECIDE = {
     "licence": "# DECIDE: may others use it? An SPDX name such as CC-BY-4.0; the licences of the sources hold as well.",
     "provenance": (
         "# DECIDE: where does each figure come from? measured, published, computed (these need a source), authored or\n"
-        "# stand_in. `tonewood check` lists what is unknown."
+        "# stand_in. `tonewood check` lists unknown ones."
     ),
     "body": (
         "# DECIDE: is this the body? `tonewood fit` makes one from a measurement. Masses, springs, dashpots on it go\n"
@@ -62,10 +62,15 @@ def new_bundle(folder: Path, source: str, *, strings: str | None = None, allow_c
     folder : to make; its last part is the instrument's name.
     source : an installed instrument, a bundle's folder, or the folder of a fit.
     strings : named string set; of a fit ej46 where left out, of a bundle its own.
+    allow_code : run plugins that lie as Python files in the source's folder.
+
+    Returns
+    -------
+    The instrument, loaded from its new folder.
 
     Raises
     ------
-    BundleError : the name is no name, the source is none of these, or what is made of it cannot be played.
+    BundleError : the name is no name, the source is none of these, or the bundle made of it cannot be played.
     OutputError : the folder is there already, or cannot be made; nothing stays behind.
     """
     name = folder.name
@@ -137,7 +142,7 @@ def _from_bundle(name: str, original: Instrument, strings: str | None) -> str:
     lines = [line for line in head.splitlines() if "yaml-language-server" not in line]
     out = [MODELINE + "\n", *(line + "\n" for line in lines)]
     for key, block in blocks:
-        if key == "description":  # it credits what was copied
+        if key == "description":  # it credits the bundle copied
             continue
         out += _comment(key)
         out.append(changed.get(key, block))
@@ -153,7 +158,7 @@ def _from_bundle(name: str, original: Instrument, strings: str | None) -> str:
 
 
 def _with_strings(blocks: Sequence[tuple[str, str]], values: Mapping[str, Any], strings: str) -> list[tuple[str, str]]:
-    """The blocks with another string set in place of what strings say about themselves."""
+    """The blocks with another string set in place of the strings' own values."""
     merged = values["strings"]
     rest = {k: v for k, v in merged.items() if k != "defaults"}
     dropped = _given_by(strings)

@@ -27,7 +27,7 @@ class OutputGroup:
     name : of the group.
     channels : names, in order.
     readouts : their places among the system's readouts.
-    quantity, unit : what is read.
+    quantity, unit : quantity read, and its unit.
     full_scale : value at 0 dBFS, in `unit`, before gain and pan.
     note : for the user, one line.
     gain_db, pan : dB, and -1 (left) to 1 (right); None where it is not placed.
@@ -155,7 +155,7 @@ def make_scene(
     added: Sequence[BridgeForce] = (),
     body: Body[Any] | None = None,
 ) -> Scene:
-    """Describe to pickups what they can read, up to the frequency `limit` (Hz); `added` are forces beside strings'."""
+    """Describe to pickups the points and forces they can read, up to `limit` (Hz); `added`: forces beside strings'."""
     bridge_forces, string_points, end_forces = list(added), {}, {}
     for name, string in strings.items():
         end_forces[name] = tuple((f"{p.component}.bridge", p.direction) for p in string.ends)

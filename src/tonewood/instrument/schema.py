@@ -30,11 +30,11 @@ _MOVED = r"^(channel_pressure|cc([0-9]|[1-9][0-9]|1[01][0-9]|12[0-7]))$"
 class Source(Parameters):
     """Source of figures."""
 
-    text: str = described("who, what, where it was published")
+    text: str = described("author, title, place of publication")
     doi: str | None = described("digital object identifier", default=None)
     url: str | None = described("address, where there is no DOI", default=None)
     licence: str = described("SPDX name, or `facts` for figures that are nobody's")
-    changes: str | None = described("what was done to the data, and by whom", default=None)
+    changes: str | None = described("changes made to the data, and by whom", default=None)
 
 
 class Provenance(Parameters):
@@ -45,7 +45,7 @@ class Provenance(Parameters):
         "stand_in for figures nobody has published; unknown where nobody has said yet"
     )
     source: str | None = described("key of `sources`; needed if measured, published or computed", default=None)
-    note: str | None = described("what to know about them", default=None)
+    note: str | None = described("remark on them", default=None)
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = described(
         "SHA-256 of the bytes of the table that these figures are; `check` tells when it is another", default=None
     )
@@ -101,7 +101,7 @@ class StringSetEntry(Parameters):
     core: float = quantity("1", low=0.05, high=1.0, default=1.0, doc="share of the diameter that bends and stretches")
     density: float | None = quantity("kg/m^3", low=100.0, high=3e4, default=None, doc="effective, of the whole string")
     linear_density: float | None = quantity("kg/m", low=1e-5, high=0.3, default=None, doc="mass per length")
-    young: float | None = quantity("Pa", low=1e8, high=1e12, default=None, doc="of what bends and stretches")
+    young: float | None = quantity("Pa", low=1e8, high=1e12, default=None, doc="of the part that bends and stretches")
     bending_stiffness: float | None = quantity("N m^2", low=0.0, high=1.0, default=None, doc="E I")
     loss: dict[str, Any] | None = described("loss law and its numbers", default=None)
 
@@ -180,7 +180,7 @@ class StringPart(PluginPart):
 
     @property
     def ends(self) -> tuple[str, ...]:
-        """Its ends, ``body.POINT`` each."""
+        """Points of the body that the string ends on, ``body.POINT`` each."""
         return (self.end,) if isinstance(self.end, str) else tuple(self.end)
 
     @property
@@ -242,7 +242,7 @@ class TuningSettings(Parameters):
         default="coupled",
     )
     hold: Literal["pitch", "tension"] = described(
-        "where coupled, what an open string keeps: pitch (its note; the tension is what that needs) or tension (that "
+        "where coupled, an open string keeps its pitch (its note; the tension follows) or its tension (that "
         "of the bundle; the pitch of the string and of its stops follows)",
         default="pitch",
     )
@@ -384,7 +384,7 @@ class OutputPart(PluginPart):
         doc="-1 left to 1 right, at constant power: one channel becomes two, two are balanced",
     )
     delay: float = quantity("s", low=0.0, high=0.1, default=0.0, doc="of its channels, to the nearest frame")
-    note: str | None = described("what this output is, and is not", default=None)
+    note: str | None = described("meaning and limits of this output", default=None)
 
 
 class Effects(Parameters):
@@ -401,26 +401,26 @@ class Bundle(Parameters):
     schema_: Literal["tonewood-instrument/2"] = Field(alias="schema", description="version of this format")
     name: Name = described("as it is called on the command line")
     title: str = described("one line")
-    description: str | None = described("what to know about it", default=None)
+    description: str | None = described("remarks for users", default=None)
     licence: str = described("SPDX name, of the bundle's data")
     sources: dict[Name, Source] = described("key -> where figures come from")
-    provenance: dict[str, Provenance] = described("dotted path, * for one level -> what kind of figures", default={})
-    body: BodyPart = described("what the strings are joined to")
+    provenance: dict[str, Provenance] = described("dotted path, * for one level -> kind of figures", default={})
+    body: BodyPart = described("part that the strings are joined to")
     strings: dict[Name, StringPart] = described(
         "name -> string, from bass to treble", min_length=1, max_length=MOST_STRINGS
     )
     strings_from: str | None = described(
-        "named string set, for what `strings` does not say; `tonewood list` has their names", default=None
+        "named string set, for values that `strings` leaves out; `tonewood list` has their names", default=None
     )
     keys: Keys | None = described("strings that one note plays together, their hammers and dampers", default=None)
     stops: Stops = described("frets", default=Stops())
     tuning: TuningSettings = described("pitch", default=TuningSettings())
-    exciters: dict[Name, PluginPart] = described("name -> what plays", min_length=1, max_length=MOST_PARTS)
+    exciters: dict[Name, PluginPart] = described("name -> way of playing", min_length=1, max_length=MOST_PARTS)
     playing: Playing = described("from notes to gestures", default=Playing())
     outputs: list[OutputPart] = described(
         "groups of channels; the first is the default", min_length=1, max_length=MOST_PARTS
     )
-    effects: Effects = described("what may be left out", default=Effects())
+    effects: Effects = described("effects that may be left out", default=Effects())
     oversampling: Literal[1, 2, 4] = described(
         "steps per sample at standard accuracy: more where something lies on a string while it sounds", default=1
     )
@@ -431,7 +431,9 @@ class Bundle(Parameters):
         default=0.5,
         doc="steps at draft accuracy per step at standard, in quarters: more where a draft would lose a contact",
     )
-    connections: dict[Name, ConnectionPart] = described("name -> what touches strings besides the body", default={})
+    connections: dict[Name, ConnectionPart] = described(
+        "name -> part that touches strings besides the body", default={}
+    )
 
     @field_validator("draft_oversampling")
     @classmethod

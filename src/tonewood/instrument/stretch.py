@@ -15,7 +15,7 @@ octaves 12:6 to 16:8, from C5 on 2:1. The cents s_i by which the notes i are rai
 with s = 0 at A4.
 
 The second sum joins the twelve chains of octaves; it moves an octave by less than 0.1 cent. The curve of s over a piano
-is what Railsback measured.
+is the one that Railsback measured.
 
 Sources: O. L. Railsback, J. Acoust. Soc. Am. 9 (1938) 274; O. H. Schuck and R. W. Young, J. Acoust. Soc. Am. 15
 (1943) 1, who derive the stretch from beats of octaves; H. Fletcher, J. Acoust. Soc. Am. 36 (1964) 203, for B;

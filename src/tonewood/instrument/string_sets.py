@@ -1,4 +1,4 @@
-"""Named string sets: what a set of strings says about those of an instrument.
+"""Named string sets: values that a set of strings gives those of an instrument.
 
     mu = rho pi d^2 / 4  or  T / (2 L f)^2,    EI = E pi d_c^4 / 64,    EA = E pi d_c^2 / 4,    d_c = core d,
 
@@ -55,7 +55,7 @@ def with_set(values: Mapping[str, Any], name: str, *, over: bool, file: Any = No
     Parameters
     ----------
     values : of the bundle, `strings.defaults` merged.
-    over : whether the set's values replace those of the bundle, or only fill in what it does not say.
+    over : whether the set's values replace those of the bundle, or only fill in those that it leaves out.
 
     Raises
     ------

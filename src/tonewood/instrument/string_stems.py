@@ -1,6 +1,6 @@
-"""Outputs by string: what each string's force on the body, and its own motion, give of every channel.
+"""Outputs by string: the share of each string's force on the body, and of its own motion, in every channel.
 
-Body and microphones are linear, so that a readout is the sum of what each connection's force gives of it. Each string
+Body and microphones are linear, so that a readout is the sum of the shares of all connections' forces. Each string
 has copies of the microphones' banks, and of the body where it is read, driven one way by the connections that the
 string owns; readouts of strings keep their own probes. The rest, of known forces on the body and of parts joined to it,
 is the stem ``body``. All stems of a channel add up to it, also where a string that is stopped anew gives the bridge an
@@ -17,7 +17,7 @@ from tonewood.coupling.layout import Drive, Probe, Readout
 from tonewood.instrument.output_assembly import OutputGroup, Outputs
 from tonewood.modal.modes import ModalBasis
 
-#: stem of what no string owns
+#: stem of the parts that no string owns
 BODY = "body"
 
 

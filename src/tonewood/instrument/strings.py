@@ -96,7 +96,7 @@ class StringModel:
         #: stop, points, those that do not move, width of the pluck -> basis with them at the first guess of its tension
         self._placed: dict[tuple[object, ...], ModalBasis] = {}
         self._gains: dict[float, float] = {}
-        #: number of modes and length -> what the damper adds to their rates
+        #: number of modes and length -> decay rates that the damper adds
         self._damper_rates: dict[tuple[int, float], Floats] = {}
         self._longitudinal_bases: dict[float, ModalBasis] = {}
 
@@ -375,7 +375,7 @@ class StringModel:
 
         The ideal stop's compensation is a tension; here, where all stops share the open string's, it is a length, and
         between whole stops it is interpolated. A stiff string is bent across the finger, not hinged there, and speaks
-        as if it were sqrt(EI/T) / 2 shorter: half of what a clamp does.
+        as if it were sqrt(EI/T) / 2 shorter: half of the shortening by a clamp.
         """
         length, tension = self.length(stop), self.tension(0.0)
         if self.stopping.compensate == "each_stop":

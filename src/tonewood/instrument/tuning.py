@@ -119,7 +119,7 @@ class StringOnBody:
         return self._at(tension)[0]
 
     def bases(self, tension: float) -> Sequence[ModalBasis]:
-        """Of the string alone at a tension, one per polarization."""
+        """Bases of the string alone at a tension, one per polarization."""
         return self._at(tension)[1]
 
     def _at(self, tension: float) -> tuple[Joint, Sequence[ModalBasis]]:

@@ -1,1 +1,1 @@
-"""The published systems, the methods they are compared with, and what accuracy costs."""
+"""The published systems, the methods they are compared with, and the cost of accuracy."""

@@ -16,8 +16,8 @@ to the error e = exact - update. Under a force exp(i omega t) that sums up in cl
 For small |lambda| h the error of P1 is the mode's response to a force -h^2 r''/12 (k1 = -1/6); that of
 P2 over two steps to h^4 (lambda r''' - r''''/4)/45 (k1 = z/120, k2 = -1/120), of fourth order for an oscillating and
 for a decaying mode alike. For lambda h far below -1 they are the responses to (h/2) r''/lambda and
-(h^2/3) r'''/lambda: small, and of first and second order. In between P2 seems to be of third order, which is what the
-thesis has for heavy damping.
+(h^2/3) r'''/lambda: small, and of first and second order. In between P2 seems to be of third order, as the thesis
+has it for heavy damping.
 """
 
 from __future__ import annotations

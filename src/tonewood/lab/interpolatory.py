@@ -61,7 +61,7 @@ class Update:
 
     @property
     def order_uneven(self) -> int:
-        """The same where sample times are uneven."""
+        """Stated order in h with uneven nodes."""
         return self.order if self.within else self.degree + 1
 
     @property
@@ -152,7 +152,7 @@ def respond(
     update : how.
     basis : any modes: under-, critically and over-damped, repeated, rigid-body.
     forces : point -> F(t), N, asked for at arrays of times.
-    times : (n,) s, rising, in steps of any length; what does not fill a last update is left out.
+    times : (n,) s, rising, in steps of any length; times that do not fill a last update are left out.
     start : (n_modes, 2) state, rest if left out (see `synthesis.initial_state`).
     """
     t = np.asarray(times, dtype=np.float64)

@@ -1,7 +1,7 @@
 """Equations of motion of a structure with an attached substructure, as Klosner & Ranlet (1978) write them.
 
 The main structure S is in its modes, d_S = phi_S q_S (mass-normalised here, so mu_S = I), the substructure in
-fixed-base or free-free modes; what joins them is the interaction force F_bar on the substructure. External forces may
+fixed-base or free-free modes; the interaction force F_bar on the substructure joins them. External forces may
 act on the substructure too (Appendix A). Misprints put right: Eq. 31 (and A-33) needs the mass of the unconstrained
 dofs, m_hat, as Eq. 20 has it; A-35 needs the transpose of T_cb; in A-42 the term Q_G is Q_delta.
 """
@@ -127,7 +127,7 @@ def free_free_form(main: MainStructure, sub: FreeFreeModes, interface: NDArray[n
     squared = np.concatenate([main.omega, sub.omega[finite]]) ** 2
     scatter_main = np.concatenate([main.loaded, np.zeros(k)])
     scatter_sub = np.vstack([np.zeros((n, n_dof)), shapes.T])
-    lag = -soft[interface] @ soft.T  # what forces on the substructure do to its massless modes, seen in the gap
+    lag = -soft[interface] @ soft.T  # motion of its massless modes by forces on the substructure, seen in the gap
     r, V = sla.eigh(soft[interface] @ soft[interface].T)
     stiff = r > 1e-12 * max(float(r.max()), np.finfo(float).tiny)
     G = V[:, stiff] / r[stiff] @ V[:, stiff].T

@@ -4,8 +4,8 @@
     u+ = u + h v + h^2 [(1/2 - beta) a + beta a+],    v+ = v + h [(1 - gamma) a + gamma a+]
 
 alpha = 0, beta = 1/4, gamma = 1/2 is the average-acceleration method. HHT-alpha (Hilber, Hughes & Taylor 1977), alpha
-in [-1/3, 0], beta = (1 - alpha)^2/4, gamma = 1/2 - alpha, is of second order and damps what it does not resolve: for
-an infinite frequency its multipliers have moduli up to (1 + alpha)/(1 - alpha). The first acceleration is that of
+in [-1/3, 0], beta = (1 - alpha)^2/4, gamma = 1/2 - alpha, is of second order and damps modes that it does not resolve:
+for an infinite frequency its multipliers have moduli up to (1 + alpha)/(1 - alpha). The first acceleration is that of
 equilibrium; a stiff mode that is out of balance at the start then overshoots in velocity, in proportion to omega h, and
 damping that couples it to the others carries that over.
 """

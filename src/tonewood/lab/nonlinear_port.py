@@ -1,7 +1,7 @@
 """Nonlinear laws between components: discrete forces that cannot create energy, and the solve that finds them.
 
 Over one step the gaps of m ports move by p+ = p_u - Z F, where p_u is where they would go without the laws, Z the port
-compliance over the step (symmetric, positive semi-definite), and F = phi(p+; p) what the laws pull with. Every law here
+compliance over the step (symmetric, positive semi-definite), and F = phi(p+; p) the forces of the laws. Every law here
 is monotone in p+, so the convex function behind p+ = p_u - Z phi(p+) has one minimum, whatever the step and the force.
 """
 
@@ -29,7 +29,7 @@ class PortLaw(Protocol):
         """Force (N) over a step that takes the gap from `old` to `new` (m), and its slope dF/dnew >= 0 (N/m)."""
 
     def continuous(self, gap: float, rate: float) -> float:
-        """F(delta, delta') itself, N: what the discrete force tends to."""
+        """F(delta, delta') itself, N: the limit of the discrete force for short steps."""
 
     def energy(self, gap: float) -> float:
         """V(delta), J."""

@@ -1,4 +1,4 @@
-"""How far from proportional the damping of M, C, K is, in numbers, and what a reduction to real modes does to them.
+"""How far from proportional the damping of M, C, K is, in numbers, and their change by a reduction to real modes.
 
 Four indices, 0 for proportional damping, from the two works the thesis names (Chinnakonda 2007, refs. 9 and 10) and
 older ones:

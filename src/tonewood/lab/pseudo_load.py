@@ -91,7 +91,7 @@ class PseudoLoad:
         rtol: float = 1e-13,
         max_iterations: int = 500,
     ) -> tuple[Floats, float]:
-        """The same by iteration over windows of some steps.
+        """Return the response by iteration over windows of some steps.
 
         Returns
         -------

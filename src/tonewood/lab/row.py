@@ -1,4 +1,4 @@
-"""One checked quantity: what a validation prints, and what a test asserts.
+"""One checked quantity, which a validation prints and a test asserts.
 
 A row is a *validation* where the system under test was given and the reference came from elsewhere. Where the system
 was made so as to give the reference (a reconstruction's figures, a stand-in's level), the row shows only that this
@@ -17,7 +17,7 @@ class Row:
 
     Attributes
     ----------
-    system, quantity : what was computed, of what.
+    system, quantity : the quantity computed, and its system.
     source : where the reference comes from (paper and equation or table, closed form, direct solution).
     reference, value : in the unit named by `quantity`.
     tolerance : largest error that passes.

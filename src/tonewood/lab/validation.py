@@ -2,8 +2,8 @@
 
 Rows whose system was fitted to the reference are called regression, not validation (see `lab.row`).
 
-Each module of `lab.systems` offers ``rows()`` and, where there are figures to redraw, ``plots(directory)``; what is
-listed here is run by ``tonewood validate``, and by the tests.
+Each module of `lab.systems` offers ``rows()`` and, where there are figures to redraw, ``plots(directory)``;
+``tonewood validate`` and the tests run those listed here.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ def run(only: Sequence[str] | None = None) -> list[Row]:
 
 
 def run_each(only: Sequence[str] | None = None) -> Iterator[tuple[str, list[Row]]]:
-    """The same, system by system, as each is done."""
+    """Yield the rows system by system, as each is done."""
     for name in selected(only):
         yield name, list(_module(name).rows())
 
 
 def draw(directory: Path, only: Sequence[str] | None = None) -> list[Path]:
-    """Redraw the papers' figures as PNG files; the paths of what was written."""
+    """Redraw the papers' figures as PNG files; return their paths."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as fault:

@@ -184,7 +184,7 @@ def answers_of(test: ListeningTest) -> list[ListenerAnswers]:
 
 
 def _append(path: Path, line: bytes, *, sync: bool = True) -> None:
-    """Append a line by one write and wait until it is on the disk; what a full disk took of it is cut off again.
+    """Append a line by one write and wait until it is on the disk; the part that a full disk took is cut off again.
 
     Parameters
     ----------

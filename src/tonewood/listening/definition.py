@@ -72,7 +72,7 @@ class ListeningTest:
         return list(found)
 
     def texts(self, language: str) -> dict[str, str]:
-        """Words of the pages in a language; what it lacks is in English."""
+        """Words of the pages in a language; missing ones are in English."""
         built_in = built_in_texts()
         base = language.partition("-")[0]
         own = self.manifest.texts

@@ -82,7 +82,7 @@ def read_panel(path: Path) -> SimulatedPanel:
 
     Raises
     ------
-    ListeningError : names file, key and what is allowed.
+    ListeningError : names file, key and the values allowed.
     """
     try:
         return SimulatedPanel.model_validate(load_yaml(path, error=ListeningError))

@@ -1,6 +1,6 @@
 """The server of a listening test: one page at a time, one answer at a time.
 
-A browser gets the step of its session: texts, slots and what may be answered. It asks for sounds by slot, never by code
+A browser gets the step of its session: texts, slots and the answers allowed. It asks for sounds by slot, never by code
 or name, and only for those of its step. No other file can be reached: there is no listing, and no path leads from an
 address to the disk.
 

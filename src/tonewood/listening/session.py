@@ -262,7 +262,7 @@ def choices(page: AnyPage, step: Step) -> list[str]:
 
 
 def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, Any]:
-    """The answer to a step, with nothing in it but what is asked.
+    """The answer to a step, with nothing in it beside the fields asked for.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A step as a browser gets it: texts in the listener's language, slots, and what may be answered; no code, no level."""
+"""A step as a browser gets it: texts in the listener's language, slots, and the answers allowed; no code, no level."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def shown(test: ListeningTest, session: Session, language: str) -> dict[str, Any
 
 
 def kind_of_texts(page: AnyPage) -> str:
-    """Key of a page's built-in texts: forced choices differ by what is asked."""
+    """Key of a page's built-in texts: forced choices differ by their question."""
     if isinstance(page, (AfcPage, StaircasePage)):
         return "afc_question" if page.question else f"afc_{page.intervals}"
     return page.type

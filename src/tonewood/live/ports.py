@@ -43,7 +43,7 @@ def midi_inputs() -> list[str]:
 
 @contextmanager
 def _library_silent() -> Iterator[None]:
-    """Keep what a C library prints off the standard error: its error comes as an exception, too."""
+    """Keep messages of a C library off the standard error: its error comes as an exception, too."""
     try:
         kept = os.dup(2)
     except OSError:  # there is no standard error

@@ -1,4 +1,4 @@
-"""MIDI messages to what `Live` plays: channels, bend ranges, pedals, and the zones of MPE.
+"""MIDI messages to calls of `Live`: channels, bend ranges, pedals, and the zones of MPE.
 
 MPE (MIDI Polyphonic Expression, MMA M1-100-UM, 2018): registered parameter 6 on channel 1 with n gives channels 2 to
 n + 1 to the lower zone, on channel 16 channels 15 down to 16 - n to the upper one. In a zone every note has a channel

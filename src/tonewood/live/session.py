@@ -62,7 +62,7 @@ class LiveSession:
         return parts | {"device": self.stream.device_latency}
 
     def status(self) -> str:
-        """One line for a meter: load of the last blocks, underruns, notes that sound, and what was lost."""
+        """One line for a meter: load of the last blocks, underruns, notes that sound, and events lost."""
         loads = self.stream.loads.copy() or (0.0,)
         player = self.live.player
         line = f"load {100 * sum(loads) / len(loads):3.0f} %, worst {100 * max(loads):3.0f} %"

@@ -1,7 +1,8 @@
-"""Takes: what came in while an instrument was played live, as a MIDI file that plays back to the same samples.
+"""Takes: the messages of live playing as a MIDI file that plays back to the same samples.
 
 One tick of the file is one frame of the sound, so that every message keeps the frame before which it came. The track's
-name holds what else the samples depend on: ``tonewood take; fs=48000; ramp=0.005; spacing=2; instrument=...``.
+name holds the other values that the samples depend on: ``tonewood take; fs=48000; ramp=0.005; spacing=2;
+instrument=...``.
 """
 
 from __future__ import annotations

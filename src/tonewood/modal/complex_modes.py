@@ -6,7 +6,7 @@ modal velocities and w = Omega q the elastic part of the modal displacements,
     s' = S s + (0, P^T f),    S = [[0, Omega], [-Omega, -C~]],    |s|^2 / 2 = energy.
 
 S + S^T = -diag(0, 2 C~) is never positive for a passive component, so the null vectors of S from the right are those
-from the left, and they can be split off without loss: what is left is regular, and rigid-body motion needs no
+from the left, and they can be split off without loss: the rest is regular, and rigid-body motion needs no
 limit. S^T = J S J with J = diag(-I, I) makes every left eigenvector the right one with signs; with acoustic dofs the
 signs of their rows turn once more (Fabre, Le Carrou & Chomette 2024, Eq. 16). In these coordinates Eq. 20 reads
 Pi = (s^T J s) / lambda.
@@ -146,7 +146,7 @@ def _split(S: Floats, damping: Floats, omega: Floats, e: int) -> tuple[Floats, F
 def _rigid_modes(P: Floats, omega: Floats, e: int, steady: Floats, slip: Floats) -> list[_Mode]:
     """Modes of pole 0.
 
-    A steady motion b' = l f carries the rigid bodies along, a' = b + ..., y = r a + (what bends) b. The displacement
+    A steady motion b' = l f carries the rigid bodies along, a' = b + ..., y = r a + (shape bent) b. The displacement
     `slip` (n_rigid, n_dof) that unit impulses leave behind in the rigid bodies goes along the steady motions as far as
     it can, and the rest of it is real poles at 0: bodies that damping brings to rest elsewhere.
     """

@@ -15,10 +15,10 @@ by the multiplicative iteration s <- s (U^T e) / (U^T U s) from s_k = R/2 <phi_k
 raises the sum. Rates of loss cannot create energy, whatever their size.
 
 Holds where the felt is small against the string's wave impedance Z = sqrt(T mu): the damping between different partials
-that is left out is of the order R / (pi Z) of what is kept. On a piano's C4, felt 45 mm wide at 0.84 to 0.92 of the
-length, the first 24 partials are within 0.4 % of the mean rate of a dashpot solved exactly for R up to Z / 10, within
-9 % for Z / 2; at 0.75 the partials that have their node there keep up to 18 % of it, which rates that are not negative
-cannot take away.
+that is left out is of the order R / (pi Z) of the damping that is kept. On a piano's C4, felt 45 mm wide at 0.84 to
+0.92 of the length, the first 24 partials are within 0.4 % of the mean rate of a dashpot solved exactly for R up to
+Z / 10, within 9 % for Z / 2; at 0.75 the partials that have their node there keep up to 18 % of it, which rates that
+are not negative cannot take away.
 
 Source: first-order perturbation of modal damping, J. Woodhouse, J. Sound Vib. 215 (1998) 547, eq. 8; iteration:
 M. E. Daube-Witherspoon and G. Muehllehner, IEEE Trans. Med. Imaging 5 (1986) 61.
@@ -40,7 +40,7 @@ _ITERATIONS = 100
 
 
 def damper_rates(basis: ModalBasis, resistance: float, place: float, width: float = 0.0) -> Floats:
-    """Return what a felt adds to the decay rate of every mode of a string.
+    """Return the decay rates that a felt adds to the modes of a string.
 
     Parameters
     ----------

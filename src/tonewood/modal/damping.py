@@ -1,4 +1,4 @@
-"""How far the damping of a body couples its modes, and what leaving that coupling out makes of them.
+"""How far the damping of a body couples its modes, and the modes without that coupling.
 
 The modes of a body whose damping is not proportional are complex: its points do not pass through zero together. Three
 descriptions of one body (Fabre, Le Carrou & Chomette 2024, section 3) are distinguished here by a *damping case*:
@@ -82,7 +82,7 @@ def damping_groups(basis: ModalBasis, threshold: float = 0.2) -> list[NDArray[np
 
 
 def with_damping_case(basis: ModalBasis, case: str, threshold: float = 0.2) -> ModalBasis:
-    """The same body under another damping case.
+    """Return the body under another damping case.
 
     Parameters
     ----------

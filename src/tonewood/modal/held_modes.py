@@ -6,7 +6,7 @@ free-interface coordinates q (mass-normalised, frequencies w_k, shapes a_k at th
 
     sum_k a_k^2 / (w_k^2 - W_j^2) = 0,      u_jk = g_j a_k / (w_k^2 - W_j^2),      |u_j| = 1,
 
-and g_j is both the force that mode j exerts on what holds it per unit amplitude, and how strongly a motion d of the
+and g_j is both the force that mode j exerts on the clamp per unit amplitude, and how strongly a motion d of the
 point drives it, p_j'' + 2 s_j p_j' + W_j^2 p_j = g_j d.
 """
 

@@ -46,7 +46,7 @@ def loaded(basis: ModalBasis, rows: ArrayLike, mass: ArrayLike, damping: ArrayLi
 
     Returns
     -------
-    The modes of the whole, the same points, and what R is left.
+    The modes of the whole, the same points, and the R that is left.
 
     Raises
     ------

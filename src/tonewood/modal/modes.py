@@ -1,4 +1,4 @@
-"""Modes of one component, and what can be asked of them.
+"""Modes of one component: poles, shapes at points, frequency responses, static compliance.
 
 Three kinds of mode, distinguished by `kind`; every one is a real 2 x 2 block once it is stepped (see `propagator`):
 
@@ -49,7 +49,7 @@ class ModalBasis(ModalViews):
     residual_at : (x, y) in m -> m/N, residual compliance between two places, of arrays element by element; None as
         above.
     places : point name -> place in m, where `shape` is given.
-    metadata : what the maker of the basis wants to remember of it (its plugin reads it when a stop changes).
+    metadata : further data of the maker of the basis (its plugin reads them when a stop changes).
     """
 
     poles: Complexes
@@ -115,8 +115,17 @@ class ModalBasis(ModalViews):
         damping_rate : (n_modes,) sigma = zeta omega, 1/s.
         points : name -> (n_modes,) shape, or name -> place in m when `shape` is given.
         modal_mass : (n_modes,) or scalar, kg (with unit-free shapes); shapes become mass-normalised, 1/sqrt(kg).
-        static_compliance : (x, y) in m -> m/N of *all* modes; what the kept ones leave of it is the residual.
+        static_compliance : (x, y) in m -> m/N of *all* modes; less that of the kept ones it is the residual.
         residual : (n_points, n_points) m/N instead of `static_compliance`.
+        metadata : kept with the basis.
+
+        Returns
+        -------
+        A basis of kind ``PAIR``, or ``BLOCK`` where a mode is rigid, critically or over-damped.
+
+        Raises
+        ------
+        ValueError : a frequency is negative or not finite, or a damping rate not finite.
         """
         omega = np.atleast_1d(np.asarray(natural_freq_rad, dtype=np.float64))
         sigma = np.broadcast_to(np.asarray(damping_rate, dtype=np.float64), omega.shape).copy()
@@ -189,6 +198,12 @@ class ModalBasis(ModalViews):
         right, left : point name -> (n_modes,) complex. A given `left` already holds 1/Pi.
         norm : (n_modes,) or scalar, Pi of Eq. 20.
         acoustic : names of the points that are pressures (velocity potentials).
+        residual : (n_points, n_points) m/N, static compliance of modes that are left out.
+        metadata : kept with the basis.
+
+        Raises
+        ------
+        ValueError : a pole has a negative imaginary part, points of the shapes differ, or `shapes_of` is neither.
         """
         lam = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
         if np.any(lam.imag < 0):
@@ -285,7 +300,12 @@ class ModalBasis(ModalViews):
             raise ValueError(f"no point {point!r}; there are {', '.join(self.points)}") from None
 
     def with_places(self, places: Mapping[str, float]) -> ModalBasis:
-        """Return the same basis with more named points, at places in m along the component."""
+        """Return the same basis with more named points, at places in m along the component.
+
+        Raises
+        ------
+        ValueError : the component has no shape between its named points.
+        """
         if self.shape is None or not self.is_real:
             raise ValueError("this component has named points only")
         new = {name: x for name, x in places.items() if name not in self.points}
@@ -313,7 +333,7 @@ class ModalBasis(ModalViews):
         )
 
     def select(self, modes: NDArray[np.intp] | NDArray[np.bool_], *, fold: bool = True) -> ModalBasis:
-        """Keep some modes; with `fold` the static compliance of the others goes into the residual.
+        """Return a basis of some modes; with `fold` the static compliance of the others goes into the residual.
 
         The shape function of a component with places keeps only the same modes.
         """
@@ -378,11 +398,16 @@ class ModalBasis(ModalViews):
         Parameters
         ----------
         freq : (n,) Hz.
+        output, input : names of the point that is read, and of the one that is driven.
         frf_form : ``receptance`` (m/N), ``mobility`` ((m/s)/N) or ``accelerance`` ((m/s^2)/N).
 
         Returns
         -------
         (n,) complex.
+
+        Raises
+        ------
+        ValueError : `frf_form` is none of these, or there is no such point.
         """
         power = {"receptance": 0, "mobility": 1, "accelerance": 2}.get(frf_form)
         if power is None:

@@ -71,7 +71,7 @@ class RealForm:
     Attributes
     ----------
     A : (n_modes, 2, 2) generators, 1/s.
-    B : (n_points, n_modes, 2) what a unit force at a point does to x'.
+    B : (n_points, n_modes, 2) x' per force at a point.
     C : (n_points, n_modes, 2) displacement rows, m.
     """
 
@@ -189,7 +189,7 @@ _INVERSE = (1.0 / np.arange(1, SERIES_TERMS))[:, None, None, None]
 def moments(begin: Floats, end: Floats, coefficients: Floats, dt: float, n_cells: int) -> Floats:
     """Integrals of ((m - s) / dt)^j / j! F(s) over parts of a step, m the middles of its cells.
 
-    Times an `impulse_series` they are what the force adds to a state over the step. By Gauss's quadrature, with as many
+    Times an `impulse_series` they are the state that the force adds over the step. By Gauss's quadrature, with as many
     nodes as make it exact.
 
     Parameters

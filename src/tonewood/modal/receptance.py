@@ -1,4 +1,4 @@
-"""Components seen through their ports, at complex frequency: what the modes of a coupled system are found with.
+"""Receptance of components at their ports, at complex frequency; the modes of a coupled system follow from it.
 
     H(s) = sum_k r_k l_k^T / (s - lambda_k) + conj. part + sum_blocks r l^T / (s^2 + 2 sigma s + omega^2) + R
 
@@ -194,13 +194,16 @@ class Joint:
                 found.append(s)
         return found
 
-    def zeros_within(self, centre: complex, radius: float, *, places: int = 48) -> list[complex]:
+    def zeros_within(
+        self, centre: complex, radius: float, *, starts: Sequence[complex] = (), places: int = 48
+    ) -> list[complex]:
         """Every zero of M within a circle, by integrals of M^-1 along it, each made exact by Newton's rule.
 
         The poles of M are none of M^-1. Moments A_k = sum_j u_j^(k + 1) M(z_j)^-1, k = 0 .. 5, u = (z - centre) /
         radius, as block Hankel matrices H_0 of A_0 .. A_4 and H_1 of A_1 .. A_5: the eigenvalues of H_0^+ H_1 are the
         zeros' u, up to three per port. Newton's rule from there removes the error of a finite number of `places`; zeros
-        outside the circle are dropped.
+        outside the circle are dropped. A zero whose residue is small beside others may be missed: `starts` are further
+        places from which Newton's rule begins.
 
         Source: W.-J. Beyn, Linear Algebra and its Applications 436 (2012) 3839, section 5.
         """
@@ -216,7 +219,7 @@ class Joint:
         rank = int(np.count_nonzero(size > _RANK * size[0]))
         small = (U[:, :rank].conj().T @ hankel(1) @ Vh[:rank].conj().T) / size[:rank]
         found: list[complex] = []
-        for start in centre + radius * np.linalg.eigvals(small):
+        for start in (*(centre + radius * np.linalg.eigvals(small)), *starts):
             s = self.newton(complex(start))
             if s is not None and abs(s - centre) <= radius and all(abs(s - other) > 1e-9 * abs(s) for other in found):
                 found.append(s)

@@ -11,8 +11,8 @@ Fixed-base modes sin(n pi x / L), n = 1 .. N, and one constraint mode, the stati
 and its N + 1 modes are those of the string with its bridge end free. Unlike modes cos((2n - 1) pi x / 2L), whose
 slope at the bridge is zero, they converge at once: a body joined to them meets the string's true end impedance.
 
-Loss. A law gives the decay rate of the partials between *fixed* ends, sigma_n: that is how strings are measured, and
-what a string on a bridge nearly is. Fixed-end partial n is a mixture of the free-end modes k, with shares P_nk of its
+Loss. A law gives the decay rate of the partials between *fixed* ends, sigma_n: so strings are measured, and the end on
+a bridge is nearly fixed. Fixed-end partial n is a mixture of the free-end modes k, with shares P_nk of its
 mass (rows sum to 1), so that to first order in the loss it decays at sum_k P_nk s_k. Rates s_k = sigma(omega_k) would
 give another law: a mean over the neighbours n +- 1/2 and a long tail, 19 % too low at n = 1 if eta is constant.
 Therefore s_k >= 0 is found from sum_k P_nk s_k = sigma_n (`loss_rates`). The modes stay real, so the string is passive
@@ -42,7 +42,13 @@ _LOSS_PATIENCE = 25
 
 
 def wavenumber(freq_rad: ArrayLike, tension: float, linear_density: float, bending_stiffness: float) -> Floats:
-    """Wavenumber k of a travelling wave, 1/m: mu omega^2 = T k^2 + EI k^4, in a form that does not cancel."""
+    """Return the wavenumber k of a travelling wave, 1/m: mu omega^2 = T k^2 + EI k^4, in a form that does not cancel.
+
+    Parameters
+    ----------
+    freq_rad : (n,) omega, rad/s.
+    tension, linear_density, bending_stiffness : T, N; mu, kg/m; EI, N m^2, may be 0.
+    """
     w2 = linear_density * np.asarray(freq_rad, dtype=np.float64) ** 2
     return np.asarray(np.sqrt(2 * w2 / (tension + np.sqrt(tension**2 + 4 * bending_stiffness * w2))))
 
@@ -158,7 +164,7 @@ def _count_below(limit: float, length: float, tension: float, linear_density: fl
     """Largest N + 1 for which all modes lie below `limit`, rad/s; 0 if there is none.
 
     By Sylvester's law of inertia the N + 1 eigenvalues lie below the limit where K - limit^2 M is negative definite:
-    its diagonal in the sines is, and so is what remains of the ramp when they are eliminated.
+    its diagonal in the sines is, and so is the Schur complement of the ramp.
     """
     n_sines = int(length / np.pi * wavenumber(limit, tension, linear_density, bending_stiffness))
     k = np.arange(1, n_sines + 1) * np.pi / length

@@ -61,7 +61,17 @@ def string_transfer(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
 
 
 def string_carry(old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:
-    """Carry one motion, modal coordinates q and q': what the matrices of `string_transfer` do, without making them."""
+    """Carry one motion as the matrices of `string_transfer` do, without making them.
+
+    Parameters
+    ----------
+    old, new : bases, as for `string_transfer`.
+    q, velocity : (n_old,) modal coordinates and their rates.
+
+    Returns
+    -------
+    (n_new,) coordinates and rates in the new basis.
+    """
     vec, sines = _array(old, "vec"), _Sines.of(old, new)
     shape = _displaced(old, new, sines, (vec @ q)[:, None])
     moving = _moving(old, new, sines, (vec @ velocity)[:, None])
@@ -82,10 +92,10 @@ def _displaced(old: ModalBasis, new: ModalBasis, sines: _Sines, c: Floats) -> Fl
 
 
 def _moving(old: ModalBasis, new: ModalBasis, sines: _Sines, c: Floats) -> Floats:
-    """The same for velocities."""
+    """Coefficients (ramp, sines) on the new string of velocities c (1 + n_sines, n) of the old one."""
     L, L_new, k_new = _number(old, "length"), _number(new, "length"), sines.a[:, None]
     if L_new <= L:
-        # what is left of the old ramp once the new one is taken off: (1/L' - 1/L) x, by its sine coefficients
+        # the old ramp less the new one: (1/L' - 1/L) x, by its sine coefficients
         ramp = 2 / L_new * (L_new / L - 1) * np.cos(k_new * L_new) / k_new
     else:
         ramp = -2 / (L_new * L) * np.sin(k_new * L) / k_new**2
@@ -104,7 +114,7 @@ def _to_modes(basis: ModalBasis, c: Floats) -> Floats:
 def retuned(
     basis: ModalBasis, freq_rad: Floats, damping_rate: Floats, changes: Mapping[str, object] | None = None
 ) -> ModalBasis:
-    """Real modes with other frequencies and losses, same shapes and places.
+    """Return real modes with other frequencies and losses, same shapes and places.
 
     Parameters
     ----------
@@ -148,7 +158,7 @@ class _Sines:
 
     @classmethod
     def between(cls, n: int, L: float, n_new: int, L_new: float) -> _Sines:
-        """Of n sines on the length L (m) with n_new ones on L_new."""
+        """Make the products of n sines on the length L (m) with n_new ones on L_new."""
         a, b, length = _wavenumbers(n_new, L_new), _wavenumbers(n, L), min(L, L_new)
         nearest = np.clip(np.rint(a * L / np.pi).astype(np.intp) - 1, 0, max(len(b) - 1, 0))
         i = np.flatnonzero(np.abs(a - b[nearest]) * length < 1e-3) if len(b) else np.zeros(0, dtype=np.intp)
@@ -165,7 +175,7 @@ class _Sines:
         return self._with_close(out, c, -1.0)
 
     def cosine(self, c: Floats) -> Floats:
-        """The same with cosines."""
+        """Sums over cosines of the old wavenumbers b with coefficients c (n_b, n)."""
         a, b = self.a[:, None], self.b[:, None]
         (sa, ca), (sb, cb) = self._ends
         out = a * sa * (self.inverse @ (cb * c)) - ca * (self.inverse @ (b * sb * c))
@@ -179,7 +189,7 @@ class _Sines:
 
     @cached_property
     def _close_sinc(self) -> tuple[Floats, Floats]:
-        """Of pairs of nearly one wavenumber: sinc of their difference and of their sum."""
+        """Sinc of the difference and of the sum of pairs of nearly one wavenumber."""
         i, j = self.close
         difference, total = ((f(self.a[i], self.b[j])) * self.length / np.pi for f in (np.subtract, np.add))
         return np.sinc(difference), np.sinc(total)

@@ -150,7 +150,8 @@ def initial_state(
 ) -> Floats:
     """Modal state of a given motion, exact for a full basis and its projection for a part of it.
 
-    Starting from x0, v0 is what the momenta M v0 + C x0 (an impulse) and M x0 (a doublet) would do to a system at rest:
+    A start from x0, v0 is the response of a system at rest to the momenta M v0 + C x0 (an impulse) and M x0 (a
+    doublet):
 
         x(0) = B (M v0 + C x0) + A B M x0.
 

@@ -1,4 +1,4 @@
-"""Modes as a table and as figures: what a basis, a body and an instrument show in a notebook."""
+"""Modes as a table and as figures: of a basis, a body and an instrument, for notebooks."""
 
 from __future__ import annotations
 

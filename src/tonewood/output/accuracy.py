@@ -25,7 +25,7 @@ class Accuracy:
     Attributes
     ----------
     name : of the setting.
-    factor : ratio of the engine's rate to that at `standard`; None is what the bundle asks for a draft.
+    factor : ratio of the engine's rate to that at `standard`; None is the ratio that the bundle names for a draft.
     """
 
     name: AccuracyName

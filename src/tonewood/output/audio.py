@@ -85,7 +85,12 @@ class Audio:
         return made
 
     def plot_decay(self, *, range_db: float = 80.0) -> Figure:
-        """Draw the level over time, 10 lg of the mean square over 20 ms and all channels, dB re full scale."""
+        """Draw the level over time, 10 lg of the mean square over 20 ms and all channels, dB re full scale.
+
+        Parameters
+        ----------
+        range_db : dB shown below the maximum.
+        """
         time, level = level_curve(self.samples, self.fs)
         made, axes = figure(heights=[4.0])
         axes[0, 0].plot(time, level, color=COLOURS[0], lw=LINE)
@@ -105,6 +110,11 @@ class Audio:
 
     def save(self, path: str | os.PathLike[str], subtype: str | None = None) -> int:
         """Write a sound file; returns how many samples lay beyond full scale, and warns if there were any.
+
+        Parameters
+        ----------
+        path : whose suffix names the format: ``.wav``, ``.flac`` or ``.rf64``.
+        subtype : of the samples, e.g. ``PCM_24``; by default that of the format.
 
         Raises
         ------
@@ -155,7 +165,7 @@ def file_format(path: str | os.PathLike[str], subtype: str | None, n_bytes_neede
 class SoundWriter:
     """Streams blocks into a sound file that appears under its name only when it is complete.
 
-    Used with ``with``; leaving it by an error (or Ctrl-C) removes what was written.
+    Used with ``with``; leaving it by an error (or Ctrl-C) removes the file begun.
 
     Parameters
     ----------

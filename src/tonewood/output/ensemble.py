@@ -93,7 +93,7 @@ def read_ensemble(path: str | os.PathLike[str]) -> list[EnsemblePart]:
 
 @dataclass(frozen=True)
 class Stem:
-    """One part rendered: what it is, its sound in the mix (n, 2) before the mix's gain, and its summary."""
+    """One part rendered: its description, its sound in the mix (n, 2) before the mix's gain, and its summary."""
 
     part: EnsemblePart
     samples: Floats

@@ -1,4 +1,4 @@
-"""The level of what is written or played: calibrated, or brought to a peak or a loudness by one gain for all.
+"""The level of a file or of playing: calibrated, or brought to a peak or a loudness by one gain for all.
 
 Calibrated, full scale is the `full_scale` of the bundle's output, e.g. 40 Pa. A gain of g dB makes it
 full_scale / 10^(g / 20).
@@ -51,13 +51,13 @@ def level_name(given: str | None, *, gain_db: float, limiter: bool) -> LevelName
 
 
 def meaning(groups: Sequence[OutputGroup], gain_db: float) -> str:
-    """Say what full scale is after a gain, e.g. ``0 dBFS is 12.6 Pa``."""
+    """Return the meaning of full scale after a gain, e.g. ``0 dBFS is 12.6 Pa``."""
     values = [f"{g.full_scale / 10 ** ((gain_db + g.gain_db) / 20):.4g} {g.unit}" for g in groups]
     return f"gain {gain_db:+.1f} dB, 0 dBFS is {', '.join(values)}"
 
 
 def preview_gain(score: Score, instrument: Instrument, options: RenderOptions) -> float:
-    """Gain (dB) that brings the loudest two seconds of a score near `PEAK`, for what is played as it is rendered.
+    """Gain (dB) that brings the loudest two seconds of a score near `PEAK`, for sound that is played as it is rendered.
 
     These are where the sum of squares of the forces is largest; they are rendered without effects that may be left out.
     0 where none of their notes can be played.

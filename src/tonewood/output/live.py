@@ -39,7 +39,7 @@ RAMP = (1e-3, 0.1)
 
 @dataclass(frozen=True, slots=True)
 class LiveSummary:
-    """Summary of what was played live.
+    """Summary of live playing.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class LiveSummary:
     peak_dbfs : largest sample re full scale.
     clipped : samples beyond full scale.
     process_s : seconds of computing.
-    effects : what ran and what was left out.
+    effects : when they ran and were left out.
     """
 
     frames: int
@@ -85,8 +85,8 @@ class Live:
     ----------
     instrument : a loaded instrument, or its name or folder.
     fs : sampling rate, Hz.
-    options : as for `Renderer`, single ones as keywords too; tail, lead-in, longest duration and the account of energy
-        are for scores.
+    options, settings : as for `Renderer`, single ones as keywords; tail, lead-in, longest duration and the account of
+        energy are for scores.
     ramp : s, longest preparation of a pluck; a shorter one is heard as a thump.
     spacing : control intervals between the beginnings of notes that come together, 0 for none: a chord is strummed.
         One interval is 64 steps, 1.3 ms at 48 kHz; the default lets six notes cost no more than their time.
@@ -161,7 +161,7 @@ class Live:
     def latency(self) -> float:
         """Longest time from an event to its sound, s, without that of blocks and the device.
 
-        One interval of the control grid, what the resampler looks ahead, and the preparation of a pluck.
+        One interval of the control grid, the look-ahead of the resampler, and the preparation of a pluck.
         """
         return self.ramp + GRID / self.model.fs - self._resampler.frame(0) / self.fs
 
@@ -212,15 +212,25 @@ class Live:
         return self.player.note_on(given)
 
     def note_off(self, note: float | str, channel: int = 0) -> bool:
-        """Release the key of a pitch, that struck first if there are several; returns whether there was one."""
+        """Release the key of a pitch, that struck first if there are several; returns whether there was one.
+
+        Parameters
+        ----------
+        note, channel : as for `note_on`.
+        """
         return self.player.note_off(Note(0.0, note=note).note or 0.0, channel)
 
     def release(self, voice: Voice) -> None:
-        """Release the key of a note that `note_on` returned."""
+        """Release the key of a note: the `voice` that `note_on` returned."""
         self.player.release(voice)
 
     def control(self, number: int, value: float, channel: int = 0) -> None:
-        """Move controller `number` to a value from 0 to 1: 64 the sustain pedal, 7 and 11 volume, others by bundle."""
+        """Move controller `number` to a value from 0 to 1: 64 the sustain pedal, 7 and 11 volume, others by bundle.
+
+        Raises
+        ------
+        TonewoodError : another number than 0 to 127, or another value; also for a channel that is none.
+        """
         if number not in range(128) or not 0.0 <= value <= 1.0:
             raise TonewoodError(f"controller {number} at {value!r}: 0 to 127, at values 0 to 1, are allowed")
         self.player.control(f"cc{number}", value, channel)
@@ -228,15 +238,30 @@ class Live:
     def pressure(self, value: float, channel: int = 0, note: float | None = None) -> None:
         """Press on the keys of a channel, or on one, 0 to 1.
 
-        Pressure on a channel moves what the bundle maps ``channel_pressure`` to, for the notes that follow; without
-        that, and on a single key, it has no effect and is counted.
+        Pressure on a channel moves the parameter to which the bundle maps ``channel_pressure``, for the notes that
+        follow; without that, and on a single key, it has no effect and is counted.
+
+        Parameters
+        ----------
+        value : 0 to 1.
+        channel : 0 to 15.
+        note : MIDI number of a single key.
+
+        Raises
+        ------
+        TonewoodError : a value is out of range.
         """
         if not 0.0 <= value <= 1.0:
             raise TonewoodError(f"pressure of {value!r}: 0 to 1 is allowed")
         self.player.control("channel_pressure" if note is None else "polyphonic_pressure", value, channel)
 
     def bend(self, cents: float, channel: int | None = None) -> None:
-        """Bend the strings of a channel, or all, to so many cents above their notes; followed at 40 cents per ms."""
+        """Bend the strings of a channel, or all, to so many cents above their notes; followed at 40 cents per ms.
+
+        Raises
+        ------
+        TonewoodError : more than 12800 cents up or down.
+        """
         if not -12800.0 <= cents <= 12800.0:
             raise TonewoodError(f"a bend of {cents!r} cents: -12800 to 12800 are allowed")
         self.player.bend(cents, channel)
@@ -249,7 +274,7 @@ class Live:
         self.player.all_off(channel, pedalled=True)
 
     def release_keys(self, channel: int | None = None) -> None:
-        """Release all keys of a channel, or of all; the pedal holds on what it holds."""
+        """Release all keys of a channel, or of all; notes that the pedal holds sound on."""
         self.player.all_off(channel)
 
     def process(self, frames: int) -> Floats:
@@ -258,6 +283,7 @@ class Live:
         Raises
         ------
         NumericalError : the state is no longer finite.
+        TonewoodError : `frames` is below 1.
         """
         if frames < 1:
             raise TonewoodError(f"is {frames}; 1 or more is allowed", key="frames")

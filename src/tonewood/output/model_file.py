@@ -26,7 +26,7 @@ from tonewood.engine.gestures import forces
 from tonewood.engine.timeline import Play, Timeline
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.instrument.assembly import assemble
-from tonewood.instrument.contract import Event
+from tonewood.instrument.gestures import Event
 from tonewood.output.inputs import InstrumentLike, as_instrument
 from tonewood.output.routing import Routing
 from tonewood.stepping.kernel import KernelStepper

@@ -114,7 +114,7 @@ class RenderOptions(Parameters):
 
     @classmethod
     def of(cls, options: RenderOptions | None, fs: float | None, settings: Mapping[str, Any]) -> RenderOptions:
-        """Return `options` with a sampling rate (Hz) and single settings in their place."""
+        """Return `options` with the sampling rate `fs` (Hz) and single settings in their place."""
         if options is not None and fs is None and not settings:
             return options
         given = {} if options is None else {name: getattr(options, name) for name in options.model_fields_set}

@@ -1,7 +1,7 @@
 """A render foreseen: which effects will run on which strings, when and why, and how long it will take.
 
 The score is played through at a third of the sampling rate, with switched effects watched but not switched: that shows
-what would be switched when. Steps are timed on the first second of sound, at the full rate.
+which would be switched, and when. Steps are timed on the first second of sound, at the full rate.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Plan:
     duration_s : of sound, with its tail.
     predicted_s : of computing, without load.
     timed_s : of sound on which that rests.
-    notes_dropped : what cannot be played, and why.
+    notes_dropped : notes that cannot be played, and why.
     """
 
     effects: Sequence[PlannedEffect]
@@ -58,12 +58,27 @@ def plan(
     progress: Callable[[float], None] | None = None,
     **settings: Any,
 ) -> Plan:
-    """Foresee a render; `Renderer` has the same options, and warns of dropped notes."""
+    """Foresee a render: the effects that will run, and the time of computing.
+
+    Parameters
+    ----------
+    score, instrument, fs, options, settings : as for `Renderer`, which warns of dropped notes, too.
+    progress : called with the score time reached (s).
+
+    Returns
+    -------
+    The plan: length, notes dropped, effects with their times, predicted seconds.
+
+    Raises
+    ------
+    NothingPlayedError : no note can be played.
+    TonewoodError : something is out of range; one line.
+    """
     score, instrument = as_score(score), as_instrument(instrument)
     options = RenderOptions.of(options, fs, settings)
     low = max(options.fs // _SKETCH, min(_LEAST_FS, options.fs))
     sketched = options.at(fs=low, accuracy="standard", oversampling=None, freq_limit=None)
-    # what is imported and kept the first time belongs to no second of sound
+    # imports and caches of the first time belong to no second of sound
     first_second = _TIMED if options.max_duration is None else min(_TIMED, options.max_duration)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DroppedNotesWarning)  # the last one, which is not at a lower rate, warns
@@ -126,7 +141,7 @@ class SwitchedRate:
 
 
 def predicted(timed: Spent, extra: float, first: Spent, whole: Spent) -> float:
-    """Seconds for a whole score without what switched effects take.
+    """Seconds for a whole score without the time of switched effects.
 
     Parameters
     ----------

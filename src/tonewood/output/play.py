@@ -42,6 +42,7 @@ def play(
     Raises
     ------
     OutputError : there is no PortAudio or no such device, in one line.
+    TypeError : a score without an instrument, or a renderer with one.
     """
     if isinstance(source, Renderer):
         if instrument is not None or fs is not None or options is not None or settings:

@@ -50,7 +50,7 @@ class Summary:
 
     Attributes
     ----------
-    frames, fs, duration_s : length of what was rendered, lead-in included.
+    frames, fs, duration_s : length of the sound, lead-in included.
     render_s : seconds of computing, without import and load.
     realtime_factor : seconds of sound per second of computing.
     n_modes : modes that were stepped, at most at a time.
@@ -59,7 +59,7 @@ class Summary:
     peak_dbfs : largest sample re full scale.
     end : why it ended: decayed, tail cap or maximum duration.
     warnings : one line each.
-    effects : what ran and what was left out, one per effect and component.
+    effects : when they ran and were left out, one per effect and component.
     ignored : kind of MIDI message or controller without effect -> number of them.
     zero_frame : frame of score time 0: the lead-in's length.
     tensions : strings whose given and used tension differ noticeably.
@@ -101,7 +101,7 @@ class Checkpoint:
 def assembled(instrument: Instrument, options: RenderOptions, *, by_string: bool = False) -> Model:
     """The model that a `Renderer` steps: of an instrument, at the engine's rate of these options.
 
-    With `by_string` its outputs are split into what each string gives of them; see `assemble`.
+    With `by_string` its outputs are split into the shares of all strings; see `assemble`.
     """
     engine_fs = float(_steps(instrument, options) * options.fs)
     limit = None if options.freq_limit is None else min(options.freq_limit, FREQ_LIMIT * engine_fs)
@@ -132,7 +132,7 @@ class Renderer:
     score : notes and controllers, or the path of a MIDI file.
     instrument : a loaded instrument, or its name or folder.
     fs : sampling rate, Hz.
-    options : of the render; single ones may be given as keywords instead.
+    options, settings : of the render; single ones may be given as keywords instead.
     model : that `assembled` made of this instrument and these options, for several renders; else it is made.
 
     Raises
@@ -214,6 +214,7 @@ class Renderer:
         Raises
         ------
         NumericalError : the state is no longer finite; nothing of that block is yielded.
+        TonewoodError : `block_size` is below 1.
         """
         if block_size < 1:
             raise TonewoodError(f"is {block_size}; 1 or more is allowed", key="block_size")
@@ -262,7 +263,7 @@ class Renderer:
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Restore a snapshot; the samples that follow are the same to the last bit."""
+        """Restore a `checkpoint` of this renderer; the samples that follow are the same to the last bit."""
         self.engine.restore(checkpoint.engine)
         self._resampler.memory, self._routing.memory = (memory.copy() for memory in checkpoint.memory)
         self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
@@ -309,7 +310,7 @@ class Renderer:
         since_end = self.time - self.performance.timeline.stop
         while len(self._recent) > 1 and self._recent[0][0] <= now - _WINDOW * self.fs - _TICKS * GRID:
             self._recent.pop(0)
-        late = len(self._routing.memory) / self.fs  # what a delayed channel has still to give
+        late = len(self._routing.memory) / self.fs  # sound still due of a delayed channel
         if self._end or not self.engine.done or since_end < _WINDOW + late:
             return
         if max(p for _, p in self._recent) <= self._loudest * 10 ** (self.options.tail_level_db / 20):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-#: attenuation of what would alias, dB; width of the transition re the lower of the two rates
+#: attenuation of frequencies that would alias, dB; width of the transition re the lower of the two rates
 _ATTENUATION_DB, _TRANSITION = 110.0, 0.1
 
 

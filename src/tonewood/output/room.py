@@ -127,7 +127,7 @@ class Room:
         self._responses = responses
 
     def process(self, blocks: Iterable[Floats]) -> Iterator[Floats]:
-        """Yield the blocks (m, channels) with the room's sound, and what rings after them."""
+        """Yield the blocks (m, channels) with the room's sound, and its reverberation after them."""
         from scipy.signal import fftconvolve
 
         rest = np.zeros((0, self._responses.shape[1]))

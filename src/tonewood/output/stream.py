@@ -1,4 +1,4 @@
-"""Blocks computed ahead of a sound card by a thread of their own, with what that cost."""
+"""Blocks computed ahead of a sound card by a thread of their own, and the time that takes."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Playback:
 class AudioStream:
     """Computes blocks ahead of a sound card, in a thread, and gives them out in a callback.
 
-    The thread takes what `send` has left, asks the source for a block and passes it through the chain. The callback has
-    the form that `sounddevice.OutputStream` asks for; it only copies a block that is ready, or counts an underrun and
-    gives silence.
+    The thread takes the calls that `send` has left, asks the source for a block and passes it through the chain. The
+    callback has the form that `sounddevice.OutputStream` asks for; it only copies a block that is ready, or counts an
+    underrun and gives silence.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Passivity of a `ModalBasis` at the points where forces act: tested, or repaired.
 
-`passivity.check` and `passivity_repair.repair` speak of poles and shapes alone. A basis also has points that are only
-heard (no force acts there, so nothing can be gained there), modes that are second-order blocks with shapes of another
-meaning, and a residual compliance.
+`passivity.conditions.check` and `passivity.repair.repair` speak of poles and shapes alone. A basis also has points that
+are only heard (no force acts there, so nothing can be gained there), modes that are second-order blocks with shapes of
+another meaning, and a residual compliance.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ _RESIDUAL = 1e-9
 def check_basis(basis: ModalBasis, driven: Sequence[str], *, dt: float | None = None) -> PassivityReport:
     """Test whether forces at the points `driven` can draw energy from a component without end.
 
-    First-order modes (``PAIR``, ``REAL``) go through `passivity.check`. ``BLOCK`` modes are passive by themselves when
-    they are real modes of mass, stiffness and damping that are not negative, and faults otherwise. The residual
-    compliance has to be positive semidefinite: connections store energy in it.
+    First-order modes (``PAIR``, ``REAL``) go through `passivity.conditions.check`. ``BLOCK`` modes are passive by
+    themselves when they are real modes of mass, stiffness and damping that are not negative, and faults otherwise. The
+    residual compliance has to be positive semidefinite: connections store energy in it.
 
     Parameters
     ----------
@@ -50,13 +50,19 @@ def check_basis(basis: ModalBasis, driven: Sequence[str], *, dt: float | None = 
 
 
 def repair_basis(basis: ModalBasis, driven: Sequence[str], *, max_change: float) -> ModalBasis:
-    """Return the nearest basis that is passive at the points `driven`; what is only heard stays as it is.
+    """Return the nearest basis that is passive at the points `driven`; other points stay as they are.
 
     The repair is described in the metadata under ``repair``.
 
+    Parameters
+    ----------
+    basis : modes of one component.
+    driven : names of points of the basis; repeated names count once.
+    max_change : largest relative change of the response that is allowed, as for `passivity.repair.repair`.
+
     Raises
     ------
-    PassivityError : see `passivity_repair.repair`.
+    PassivityError : see `passivity.repair.repair`.
     """
     from tonewood.passivity.repair import repair
 

@@ -45,7 +45,7 @@ from tonewood.modal.mobility import (
     step_gain,
 )
 
-#: default tolerance: share of |Y| (or of what it is compared with) by which a sign may be wrong. Rounding of a
+#: default tolerance: share of |Y| (or of the quantity it is compared with) by which a sign may be wrong. Rounding of a
 #: 40-degree-of-freedom eigenproblem reaches 1e-11; the growth 1e-9 allows takes days to be heard.
 TOLERANCE = 1e-9
 
@@ -121,7 +121,7 @@ class PassivityReport:
         return max((v.size for v in self.violations), default=0.0)
 
     def summary(self) -> str:
-        """One line: passive, or what is wrong and where."""
+        """One line: passive, or the fault and its frequency or point."""
         return "passive" if self.passive else "not passive: " + "; ".join(self.faults)
 
     def require(self, *, file: str | None = None, key: str | None = None) -> None:
@@ -371,7 +371,7 @@ def _solve_blocks(poles: Complexes, shift: float, rhs: Floats, n: int) -> Floats
 
 
 def _crossing(excess: Callable[[Floats], Floats], outside: float, inside: float) -> float:
-    """Where the excess changes its sign between two points of known sign."""
+    """Return the point at which the excess changes its sign between two points of known sign."""
     from scipy.optimize import brentq
 
     low, high = min(outside, inside), max(outside, inside)

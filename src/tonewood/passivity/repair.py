@@ -55,7 +55,7 @@ class RepairedBasis:
     peak_level_db : largest change of |Y| at a peak of the mobility, dB.
     direct_skew : remaining direct term (skew: lossless) relative to sum 2 |r||l|.
     iterations : of the solver, for the variant kept.
-    before, after : reports of `passivity.check`.
+    before, after : reports of `passivity.conditions.check`.
     """
 
     poles: Complexes

@@ -127,7 +127,7 @@ def _of_modes(poles: Complexes, right: Complexes, left: Complexes, partner: list
         r, l_ = right[:, k], left[:, k]
         strength = complex(r.conj() @ r) and complex(np.sum(r * l_) / (r.conj() @ r))
         if k in partner or strength == 0:
-            continue  # the fast half of an overdamped mode is done with the slow one; what is not driven stays at rest
+            continue  # the fast half of an overdamped mode is done with the slow one; undriven modes stay at rest
         if k in conjugate:
             # r l^T = -i b phi phi^T with r = turn phi: mass 1 / (2 b omega_d), coordinate q = 2 Re(turn z)
             turn = np.exp(0.5j * np.angle(np.sum(r**2)))

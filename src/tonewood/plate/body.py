@@ -146,11 +146,6 @@ class BodyModes:
             self, residual=residual, volumes=self.volumes[:, keep], back_volumes=self.back_volumes[:, keep], **few
         )
 
-    @property
-    def net_volume(self) -> Floats:
-        """(n,) m^3 displaced outwards by top and hole together."""
-        return np.asarray(self.volumes.sum(axis=0))
-
     def named(self) -> dict[str, int]:
         """Numbers of the modes that are called A0 and T1.
 
@@ -293,8 +288,8 @@ def _with_air(
 
     Returns
     -------
-    modes; (m,) Hz of the cavity; for the plate modes left out, the residual (p, p) m/N and what the points (p,) move by
-    per pressure of each of the cavity's modes, m/Pa.
+    modes; (m,) Hz of the cavity; for the plate modes left out, the residual (p, p) m/N and the displacement of the
+    points (p,) per pressure of each of the cavity's modes, m/Pa.
     """
     from scipy.linalg import solve
 

@@ -114,8 +114,8 @@ def microphone(
 def _background(sources: Sources, at: ArrayLike, top: float, delay: float) -> Complexes:
     """Poles of high damping up to `_BEYOND` times `top` (Hz), and that of the shelf.
 
-    A delay of T changes over 1/T Hz: poles 1/T apart and as wide, T the spread of delays, follow what the tails of the
-    body's modes add up to between their resonances.
+    A delay of T changes over 1/T Hz: poles 1/T apart and as wide, T the spread of delays, follow the sum of the tails
+    of the body's modes between their resonances.
     """
     farthest = max(float(r.max(initial=0.0)) for r in (sources.distances(at), sources.distances_behind(at)))
     spread = farthest / SOUND_SPEED - delay
@@ -134,7 +134,7 @@ def _frequencies(poles: Complexes, highest: float) -> Floats:
 
 
 def _columns(s: NDArray[np.inexact], poles: Complexes) -> Complexes:
-    """(n, 2 m) what the real and the imaginary part of each residue add to the response."""
+    """(n, 2 m) response per real and per imaginary part of each residue."""
     upper, lower = 1 / (s - poles), (poles.imag > 0) / (s - poles.conj())
     return np.asarray(np.hstack([upper + lower, 1j * (upper - lower)]))
 

@@ -1,4 +1,4 @@
-"""Outlines of plates: closed rings of points, what lies inside of them, and where integrals are evaluated.
+"""Outlines of plates: closed rings of points, the area inside of them, and the points of integrals over it.
 
 A ring is an (n, 2) array, m, closed from its last point to its first. The first ring of a plate is its outline, the
 others are holes. Coordinates: x nut to bridge, y bass to treble.
@@ -125,10 +125,10 @@ class Quadrature:
 
 
 def quadrature(grid: SplineGrid, rings: Sequence[Floats], strips: int = 4) -> Quadrature:
-    """Points of integrals over what lies inside the rings.
+    """Points of integrals over the area inside the rings.
 
     Cells away from the rings take (p + 1)^2 Gauss points. Cells that a ring may cut are scanned along y at p + 1 Gauss
-    abscissae in each of `strips` parts of their width; what lies inside of each scan line takes p + 1 Gauss points.
+    abscissae in each of `strips` parts of their width; each part of a scan line inside takes p + 1 Gauss points.
     """
     g, w = np.polynomial.legendre.leggauss(grid.degree + 1)
     g, w = (g + 1) / 2, w / 2

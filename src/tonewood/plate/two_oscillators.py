@@ -15,7 +15,7 @@ its power, spread evenly over a sphere, gives
 
     |p_k| = sqrt(rho c eta omega_k / 4 pi) / r |q_k'|.
 
-Phases between modes above T1 are made up: levels in bands are what this tells, not a waveform.
+Phases between modes above T1 are made up: this estimates levels in bands, not a waveform.
 """
 
 from __future__ import annotations

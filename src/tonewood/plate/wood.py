@@ -66,7 +66,7 @@ class Species:
     ----------
     wood : typical figures; a single board differs by up to a factor of two.
     source : of elastic constants and density.
-    assumed : constants that the source does not give, and what stands for them.
+    assumed : constants that the source does not give, and the values taken for them.
     """
 
     wood: Wood

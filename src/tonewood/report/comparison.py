@@ -73,11 +73,11 @@ class NoteMatch:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Facts of instruments, and what differs between them; of one instrument, a report.
+    """Facts of instruments, and differences between them; of one instrument, a report.
 
     Attributes
     ----------
-    instruments : the first is what the others are compared with.
+    instruments : the others are compared with the first.
     modes : by frequency; wolves : the most severe first; notes : from bass to treble.
     parameters : those that differ, by key.
     tones : names of the notes that at least one instrument plays.
@@ -111,7 +111,7 @@ def compare(
     velocity_midi: float = 80.0,
     tell: Callable[[float], None] = lambda share: None,
 ) -> Comparison:
-    """Compute the facts of instruments and what differs between them.
+    """Compute the facts of instruments and the differences between them.
 
     Parameters
     ----------

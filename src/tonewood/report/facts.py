@@ -1,4 +1,4 @@
-"""Facts of an instrument as plain data: what a report states and a comparison compares.
+"""Facts of an instrument as plain data, for reports and comparisons.
 
 Frequencies and decays are those of the coupled modes (poles), not measured in a rendered sound:
 
@@ -177,7 +177,7 @@ class InstrumentFacts:
 
     @property
     def short(self) -> str:
-        """Label and what tells it apart from the others: its changes, or its name; 40 characters at most."""
+        """Label, and its changes or its name, which tell it apart from the others; 40 characters at most."""
         text = "; ".join(self.changes) or self.name
         return f"{self.label}: {text if len(text) <= 36 else text[:35] + '…'}"
 

@@ -26,7 +26,7 @@ class ParameterValue:
 def parameters(instrument: Instrument) -> dict[str, ParameterValue]:
     """Every value of a bundle, defaults included: dotted key -> value and unit; without empty lists and groups.
 
-    A key ``table`` is given with the SHA-256 of the file's bytes, so that tables of one name differ by what they hold.
+    A key ``table`` is given with the SHA-256 of the file's bytes, so that tables of one name differ by their contents.
     """
     plugins: dict[str, Mapping[str, Plugin[Any]]] = {
         "body": {"": instrument.body},

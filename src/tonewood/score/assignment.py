@@ -114,12 +114,12 @@ def assign(
 
     Parameters
     ----------
-    notes : with a pitch (`note` or `freq`), or a string (with a stop, or open), or both; what is given is honoured.
+    notes : with a pitch (`note` or `freq`), or a string (with a stop, or open), or both; given values are kept.
         A pitch up to 50 cents off a stop is played there, the difference is `Assigned.cents`.
     strings : of the instrument.
     channel_per_string : notes of the first MIDI channel go to the first string, and so on.
     tuning : for notes given by `freq`, and for the size of `cents`; twelve equal steps, A4 at 440 Hz by default.
-    costs : weights of what is minimised.
+    costs : weights of the terms that are minimised.
 
     Returns
     -------

@@ -2,9 +2,9 @@
 
 The cost is that of `fingering`, of one chord after the other, and the cheapest way to play a chord is final:
 
-    position · Σ stops  +  shift · |hand − hand before|  +  stretch · max(0, span − 3)²  +  cut · Σ worth of ended notes
+    position · Σ stops + shift · |hand − hand before| + stretch · max(0, span − 3)² + cut · Σ weight of ended notes
 
-A sounding note is worth 1 while its key is down, `PEDALLED` while only the pedal holds it, and 0 afterwards; the same
+A sounding note weighs 1 while its key is down, `PEDALLED` while only the pedal holds it, and 0 afterwards; the same
 stop struck again costs nothing. A note always gets a string if one of them has its pitch: if all of these sound, the
 one that costs least is taken, and the note on it ends.
 """
@@ -23,16 +23,16 @@ from tonewood.score.fingering import HAND_SPAN, REACH, Chord, FingeringCosts, Op
 from tonewood.score.note import Dropped, Note
 from tonewood.score.scales import Tuning
 
-#: worth of a note that only the pedal holds
+#: weight of a note that only the pedal holds
 PEDALLED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Sounding:
-    """A note on a string now: its stop, and its worth from 0 (let go) to 1 (key down)."""
+    """A note on a string now: its stop, and its weight from 0 (let go) to 1 (key down)."""
 
     stop: float
-    worth: float
+    weight: float
 
 
 class CausalAssignment:
@@ -102,17 +102,17 @@ class CausalAssignment:
         n, costs = len(self.strings), self._costs
         now = Chord(0.0, (0.0,) * len(chord), (1.0,) * len(chord), tuple(tuple(options) for _, options in chord))
         ways = ways_to_play(now, n, costs)
-        stop, worth = np.zeros(n), np.zeros(n)
+        stop, weight = np.zeros(n), np.zeros(n)
         for i, string in enumerate(self.strings):
             if (note := sounding.get(string.name)) is not None:
-                stop[i], worth[i] = note.stop, note.worth
+                stop[i], weight[i] = note.stop, note.weight
         stopped = np.isfinite(ways.low)
         one, other = np.where(stopped, ways.high - HAND_SPAN, -math.inf), np.where(stopped, ways.low, math.inf)
         hand = np.clip(self.hand, np.minimum(one, other), np.maximum(one, other))
         ended = ways.used & (stop != ways.stop)
         far = (stop < hand[:, None] - REACH) | (stop > hand[:, None] + HAND_SPAN + REACH)
         ended |= ~ways.used & (stop > 0) & far
-        total = ways.cost + costs.shift * np.abs(hand - self.hand) + costs.cut * (ended * worth).sum(axis=1)
+        total = ways.cost + costs.shift * np.abs(hand - self.hand) + costs.cut * (ended * weight).sum(axis=1)
         best = int(np.argmin(total))
         self.hand = float(hand[best])
         return ways.choice[best]

@@ -5,7 +5,7 @@ The cost of a piece is the sum over its chords of
     position · Σ stops                          low positions
   + shift    · |hand − hand before|             few and small shifts
   + stretch  · max(0, span − 3)²                four neighbouring frets are comfortable, more cost, none is forbidden
-  + cut      · Σ what remains of ended notes    as a fraction of their duration, 0 for the same stop struck again
+  + cut      · Σ time cut off ended notes       as a fraction of their duration, 0 for the same stop struck again
 
 The hand is the stop under the first finger; it begins at stop 1 and covers `HAND_SPAN` more. It moves only when the
 stopped notes of a chord lie outside it, and then as little as possible; open strings leave it where it is. A stopped

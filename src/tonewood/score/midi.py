@@ -3,7 +3,8 @@
 Decisions where the format leaves a choice, or files are often wrong:
 
 - Format 2 holds independent patterns: they are played one after the other, each with its own tempo map.
-- The k-th note-off of a key ends the k-th note-on still held; striking a key again ends what only the pedal holds.
+- The k-th note-off of a key ends the k-th note-on still held; striking a key again ends a note that only the pedal
+  holds.
 - Notes shorter than `MIN_DURATION` are lengthened to it, longer than `MAX_DURATION` shortened to it: nothing plucked
   sounds longer.
 - Silence longer than `LONG_GAP` is reported; `MAX_SILENCE` of it in all is refused, and so is a piece beyond
@@ -203,6 +204,12 @@ def write_midi(score: Score, path: str | os.PathLike[str], *, bpm: float = 120.0
     Times are rounded to the tick, 60 / (bpm · ticks_per_beat) s; choose `bpm` so that the beats of the piece fall on
     ticks. A note needs a whole MIDI number in `note`; `velocity_midi` None is written as 80, `channel` None as the
     first. String, force, place and technique have no MIDI message and are not written.
+
+    Parameters
+    ----------
+    score, path : the score, and the file to write.
+    bpm : beats per minute.
+    ticks_per_beat : of the file.
 
     Raises
     ------

@@ -36,7 +36,7 @@ _MOST_DIVISIONS = 16384
 
 
 def read_musicxml(data: bytes, path: Path) -> WrittenMusic:
-    """Read MusicXML; raises a `ScoreError` of one line for what is none."""
+    """Read MusicXML; raises a `ScoreError` of one line for a file that is none."""
     if data[:2] == b"PK":
         container = parsed(member(data, "META-INF/container.xml", path), path)
         roots = [e.get("full-path", "") for e in container.iter() if _name(e) == "rootfile"]
@@ -65,7 +65,7 @@ def _name(element: Element) -> str:
 
 
 def _partwise(root: Element) -> Element:
-    """The same score, part by part."""
+    """Return the score part by part."""
     out = Element("score-partwise")
     out.extend(e for e in root if e.tag != "measure")
     parts: dict[str, Element] = {}

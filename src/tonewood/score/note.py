@@ -122,7 +122,14 @@ def ignored_name(kind: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A controller's value from `time` on: `kind` is ``bend`` (cents), ``ccN`` or ``channel_pressure`` (0..1).
+    """A controller's value from a time on.
+
+    Attributes
+    ----------
+    time : s.
+    kind : ``bend`` (cents), ``ccN`` or ``channel_pressure`` (0..1).
+    value : in that unit.
+    channel : MIDI channel 0..15, or None for all notes.
 
     Raises
     ------
@@ -145,7 +152,15 @@ class Control:
 
 @dataclass(frozen=True, slots=True)
 class Dropped:
-    """A note that cannot be played, and why."""
+    """A note that cannot be played, and why.
+
+    Attributes
+    ----------
+    time : s.
+    note : MIDI number, if it has one.
+    channel : MIDI channel 0..15, if it has one.
+    reason : one line.
+    """
 
     time: float
     note: float | None
@@ -155,7 +170,21 @@ class Dropped:
 
 @dataclass(frozen=True)
 class Score:
-    """Notes and controls in time order, with notes dropped, warnings, and kinds of messages ignored while reading."""
+    """Notes and controls in time order.
+
+    Attributes
+    ----------
+    notes, controls : of the score.
+    dropped : notes that could not be read.
+    warnings : lines about the file.
+    name : of the score, or of its file.
+    metadata : texts of the file, such as its title.
+    ignored : kind of a message or mark -> how many of them were ignored while reading.
+
+    Raises
+    ------
+    ScoreError : `notes` is no list of notes.
+    """
 
     notes: Sequence[Note]
     controls: Sequence[Control] = ()
@@ -194,7 +223,7 @@ def volume_factors(score: Score) -> list[float]:
 
     Returns
     -------
-    factors : one per note of `score.notes`, in their order.
+    factors : one per note of the score, in its order.
 
     Source: General MIDI 2 (MIDI Manufacturers Association 1999), page 8: "Gain in dB = 40 log10(cc7/127) +
     40 log10(cc11/127)".

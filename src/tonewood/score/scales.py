@@ -279,7 +279,7 @@ def _lines(path: str | os.PathLike[str]) -> Iterator[tuple[int, str]]:
 
 
 def _pitch(text: str, number: int, path: str | os.PathLike[str]) -> float:
-    """Cents of a pitch line: a value with a point is cents, any other a ratio; what follows it is a remark."""
+    """Cents of a pitch line: a value with a point is cents, any other a ratio; the rest of the line is a remark."""
     word = text.split()[0]
     cents = math.nan
     if _CENTS.fullmatch(word):

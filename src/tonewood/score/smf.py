@@ -1,6 +1,6 @@
 """Standard MIDI Files byte by byte: chunks, tracks, events, and a list of their errors.
 
-The reader is this project's own, not mido's: a damaged file must still give what can be read of it. mido gives up
+The reader is this project's own, not mido's: a damaged file must still give its readable part. mido gives up
 the whole file at the first fault, with whichever exception the fault happens to raise, and takes SMPTE division for
 a number of ticks per beat. Here a track that cannot be parsed is kept up to that byte, and the next chunk is searched
 for; only a file without header or tracks is refused. Every byte is read a bounded number of times.

@@ -1,7 +1,7 @@
 """Written music, as MusicXML and tablatures have it, to a score: repeats, tempo, ties, ornaments, marks.
 
 Readers fill `WrittenMusic`; times are quarter notes from the beginning of a measure. `performed` unfolds repeats, turns
-quarter notes into seconds, and plays what a player makes of the signs:
+quarter notes into seconds, and plays the signs as a player would:
 
 =============  ========================================================================================================
 tie            one note of both lengths

@@ -11,11 +11,11 @@ from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
 
-#: bytes of a file, and of what is in an archive
+#: bytes of a file, and of a member of an archive
 MAX_BYTES = 64 * 2**20
 #: largest number in a score
 MOST = 1e9
-#: raised by zipfile for what is no archive, or damaged
+#: raised by zipfile for a file that is no archive, or damaged
 _BROKEN_ARCHIVE = (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
 
 

@@ -1,4 +1,4 @@
-"""A compiled system as the arrays that the C++ kernel loads: modes last, padded; ports by what acts on them."""
+"""A compiled system as the arrays that the C++ kernel loads: modes last, padded; fixed and contact ports apart."""
 
 from __future__ import annotations
 

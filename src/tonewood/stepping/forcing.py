@@ -1,4 +1,4 @@
-"""Known forces in time, compiled to what a stepper adds to its modes: exact for any piecewise quadratic force."""
+"""Known forces in time, compiled to injections into modes: exact for any piecewise quadratic force."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class SampledForce:
         return self.at((sample + 0.5 + np.arange(n)) * dt - time)
 
     def course(self, dt: float, *, time: float = 0.0, first: int) -> Course:
-        """Return it from step to step, from the step `first` on."""
+        """Return it from step to step of `dt` s, from the step `first` on; `time` (s) is that of its event."""
         begin = max(first, math.floor((time + self.start) / dt))
         n = max(math.ceil((time + self.stop) / dt) - begin, 0)
         return Course(dt, (), begin, np.stack([self.by_step(begin, n, dt, time), np.zeros(n), np.zeros(n)]))
@@ -108,8 +108,8 @@ class Course:
     Attributes
     ----------
     dt : s, step; step n is [n dt, (n + 1) dt].
-    parts : step, and what of it the force fills: begin and end (s from its beginning), coefficients there; of steps
-        with breakpoints.
+    parts : step, and the part of it that the force fills: begin and end (s from its beginning), coefficients there; of
+        steps with breakpoints.
     start, values : (3, n) constant, linear and quadratic part at the beginning of each step from `start` on, that lies
         inside one piece; 0 in other steps.
     """
@@ -221,7 +221,7 @@ def compile_force(
     pieces : in time order, not overlapping, times relative to `time`.
     dt : s, step.
     time : s, absolute time of the pieces' origin; step n is [n dt, (n + 1) dt].
-    first : earliest step to compile (absolute); what lies before it is left out.
+    first : earliest step to compile (absolute); earlier ones are left out.
     factor : multiplies the force.
     """
     impulses = impulse_series(basis, real_form(basis), basis.index(point), dt)

@@ -70,13 +70,13 @@ def compiler() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Shortcuts:
-    """Which shortcuts of the kernel are on; ``docs/kernel.md`` derives each and says what it gains.
+    """Which shortcuts of the kernel are on; ``docs/kernel.md`` derives each and states its gain.
 
-    None of them changes what is solved: samples are the same bit for bit, or within 1e-12 of their peak where the page
-    says so.
+    None of them changes the equations that are solved: samples are the same bit for bit, or within 1e-12 of their peak
+    where the page says so.
     """
 
-    #: modes that one row reads are stepped in what it reads of them, moved and read in one pass
+    #: modes that one row reads are stepped in their share of that row, moved and read in one pass
     fused_pass: bool = True
     #: port forces of linear connections in one product; contact-free samples without the general step
     direct_step: bool = True
@@ -97,7 +97,7 @@ class KernelStepper:
 
     Parameters
     ----------
-    system : what to step.
+    system : to be stepped.
     isa : instruction set, by default `instruction_set()`.
     shortcuts : which shortcuts of the kernel are on, by default all.
     """
@@ -157,9 +157,10 @@ class KernelStepper:
 
     def _describe(self, system: System, cached: frozenset[int]) -> Description:
         """Describe a system; components with a key among `cached` come without arrays."""
-        in_parts = not any(system.is_on)
-        by = system.solve.by
-        hub = by.hub if in_parts and isinstance(by, InverseInParts) else None
+        by, tensions = system.solve.by, describe_tensions(system)
+        hub = by.hub if isinstance(by, InverseInParts) else None
+        in_parts = hub is None or not any(hub.slot in slots for _, _, slots in tensions["strings"])
+        hub = hub if in_parts else None
         wiring, terms = self._wired(system, hub)
         weights = system.force_weights()
         components = self._components(system, wiring, terms)
@@ -167,13 +168,13 @@ class KernelStepper:
             "components": [{"key": c["key"]} if c["key"] in cached else c for c in components],
             "linear": describe_linear(system.solve, weights, wiring, in_parts),
             "nonlinear": self._laws_and_gaps(system, terms, np.ascontiguousarray(weights[:, self._nonlinear])),
-            "tensions": describe_tensions(system),
+            "tensions": tensions,
             "phantoms": describe_phantoms(system),
             "shortcuts": self._shortcuts,
         }
 
     def _laws_and_gaps(self, system: System, terms: Terms, weights: Floats) -> Description:
-        """Describe the nonlinear connections; arrays of what has not changed are those of the last description."""
+        """Describe the nonlinear connections; unchanged arrays are those of the last description."""
         nonlinear, on = system.nonlinear, self._active
         laws: tuple[NonlinearLaw, ...] = () if nonlinear is None else nonlinear.laws
         if laws is not self._laws:

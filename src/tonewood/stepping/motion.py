@@ -1,7 +1,7 @@
 """Between a mode's two numbers and its motion (q, q'), and the velocities that joined parts must share.
 
-Displacement and velocity are what carries over when a string is stopped, bent or damped: z itself does not, because
-its meaning depends on the pole.
+Displacement and velocity carry over when a string is stopped, bent or damped; z itself does not, because its meaning
+depends on the pole.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""The scheme in NumPy, sample by sample: the same words as `docs/theory.md`, and what the kernel is held to.
+"""The scheme in NumPy, sample by sample: in the words of `docs/theory.md`, and the reference of the kernel.
 
 One step: propagate every component without connections, read the gaps, find the forces, correct:
 
     x_u = E x + injections,   g_u = sum A C x_u,   f = -G (g_u + gamma g) + G b',   x+ = x_u + W A^T f.
 
-Nonlinear connections see what the linear ones leave of their gaps (`connections`), and their forces are found together
-(`law_solve`). The rising tension of a string, with its longitudinal motion where that is stepped, is one more linear
-force along a direction known beforehand (`tension`, `geometric`).
+Nonlinear connections see their gaps with the linear ones eliminated (`connections`), and their forces are found
+together (`law_solve`). The rising tension of a string, with its longitudinal motion where that is stepped, is one more
+linear force along a direction known beforehand (`tension`, `geometric`).
 """
 
 from __future__ import annotations
@@ -84,7 +84,8 @@ class NumpyStepper:
 
         Raises
         ------
-        NumericalError : the state is no longer finite, or a step's forces were not found; names what and when.
+        NumericalError : the state is no longer finite, or a step's forces were not found; names component or
+            connection, and time.
         """
         s = self.system
         m = len(s.connections)

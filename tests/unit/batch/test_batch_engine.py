@@ -1,4 +1,4 @@
-"""Conditions on a real instrument: what a batch relies on."""
+"""Conditions on a real instrument, as a batch relies on them."""
 
 from __future__ import annotations
 

@@ -380,7 +380,7 @@ def test_a_damaged_render_is_not_there(tmp_path: Path, rng: np.random.Generator)
     damaged += [whole[:at] + bytes([value]) + whole[at + 1 :] for at in ends for value in (0xFF, whole[at] ^ 1)]
     for raw in damaged:
         store.path("k").write_bytes(raw)
-        if store.has("k"):  # what was changed says nothing, a date for instance
+        if store.has("k"):  # the change says nothing, a date for instance
             assert np.array_equal(store.load("k").samples, samples)
         else:
             with pytest.raises(OutputError, match="damaged or gone"):

@@ -1,4 +1,4 @@
-"""Laws of connections: what their forces do to gaps and to energy, against laws written out by hand."""
+"""Laws of connections: effect of their forces on gaps and energy, against laws written out by hand."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_no_law_creates_energy(seed, m, lost):
     stored = sum(
         law.stiffness / 2 * (new[j] ** 2 - old[j] ** 2) for j, law in enumerate(laws) if not isinstance(law, Rigid)
     )
-    # sizes of what cancels
+    # sizes of the terms that cancel
     scale = float(np.abs(f) @ (np.abs(new) + np.abs(old) + np.abs(free)))
     assert f @ (new - old) + stored <= 1e-9 * scale
 

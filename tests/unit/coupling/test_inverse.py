@@ -12,6 +12,7 @@ from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.coupling.inverse import MOST_IN_PART, DenseInverse, Hub, InverseInParts
 from tonewood.coupling.laws import Contact, HardeningSpring
 from tonewood.coupling.system import Probe, Readout, System
+from tonewood.coupling.tension import TensionModulation
 from tonewood.modal.modes import ModalBasis
 from tonewood.stepping.forcing import Segment, compile_force
 from tonewood.stepping.kernel import KernelStepper, Shortcuts
@@ -64,9 +65,24 @@ def test_a_hub_much_softer_than_the_parts_is_left_to_the_dense_inverse(rng):
 
 
 def strings_on_a_body(
-    rng, n=30, *, points=9, motions=4, residual=2e-8, joined=0.0, dashpots=True, held=True, laws=False
+    rng,
+    n=30,
+    *,
+    points=9,
+    motions=4,
+    residual=2e-8,
+    joined=0.0,
+    dashpots=True,
+    held=True,
+    laws=False,
+    rising=0,
+    bare=99,
 ):
-    """n strings of a body's points that move by fewer motions; a held one touches nothing, some have dashpots."""
+    """n strings of a body's points that move by fewer motions; a held one touches nothing, some have dashpots.
+
+    The tension of the first ones rises by a few per cent at 1e-6 in each coordinate. Every `bare`-th has no residual:
+    where the body has none either, its end is held at the gap alone, not at the gap and its rate.
+    """
     shapes = rng.normal(size=(points, motions)) @ rng.normal(size=(motions, 20))
     names = [f"p{i}" for i in range(points)]
     freq = np.sort(rng.uniform(100, 4000, 20)) * 2 * np.pi
@@ -77,7 +93,9 @@ def strings_on_a_body(
     for i in range(n):
         own = 2 * np.pi * rng.uniform(80, 300) * np.arange(1, 12)
         place = {"end": np.ones(11) * 30, "mid": 30 * np.sin(np.arange(1, 12) * 0.4)}
-        parts[f"s{i}"] = ModalBasis.real(own, np.full(11, 0.5), place, residual=1e-8 * np.eye(2))
+        parts[f"s{i}"] = ModalBasis.real(
+            own, np.full(11, 0.5), place, residual=1e-8 * np.eye(2) * (i % bare != bare - 1)
+        )
         at = () if held and i % 5 == 4 else (Term("body", names[i // 3 % points], -1.0),)
         joints.append(Connection(f"s{i}.end", (Term(f"s{i}", "end"), *at)))
         if dashpots and i % 4 == 0:
@@ -86,7 +104,9 @@ def strings_on_a_body(
         joints.append(Connection("rail", (Term("body", "p2"),), HardeningSpring(2e4, 1e9, damping=1.0)))
         joints.append(Connection("stop", (Term("s1", "mid"), Term("body", "p4", -1.0)), Contact(1e7, 1.5)))
     out = [Readout("x", "acceleration", (Probe("body", "p0"),)), Readout("f", "force", forces=(("s0.end", 1.0),))]
-    return System.build(parts, joints, out, dt=DT)
+    weights = np.arange(1, 12) ** 2.0
+    tensions = [TensionModulation(f"T{i}", (f"s{i}",), 6e13, 1.0, {f"s{i}": weights}) for i in range(rising)]
+    return System.build(parts, joints, out, dt=DT, tensions=tensions)
 
 
 #: those of 16 motions or more step the body sample by sample
@@ -96,6 +116,11 @@ CASES = {
     "a residual that joins all": {"joined": 0.5, "dashpots": False},
     "a residual that joins many": {"joined": 0.5, "n": 80, "points": 24},
     "own motions, many": {"points": 19, "motions": 19, "n": 60}, "many motions": {"points": 24, "motions": 17, "n": 80},
+    "several gammas": {"residual": 0.0, "bare": 7},
+    "several gammas, own motions": {"points": 19, "motions": 19, "n": 60, "residual": 0.0, "bare": 4, "rising": 5},
+    "rising": {"rising": 9}, "rising, all at one point": {"points": 12, "motions": 1, "rising": 3},
+    "rising, own motions": {"points": 12, "motions": 12, "rising": 30},
+    "rising, many motions": {"points": 24, "motions": 17, "n": 80, "rising": 40},
 }  # fmt: skip
 
 
@@ -106,6 +131,7 @@ def test_kernel_and_twin_solve_in_parts_what_the_whole_matrix_solves(rng, case, 
     monkeypatch.setattr(elimination, "LEAST_IN_PARTS", 20)
     system = strings_on_a_body(np.random.default_rng(seed), **what)
     assert isinstance(system.solve.by, InverseInParts)
+    assert "parts" in KernelStepper(system).describe()["linear"]
     start = system.start()
     for name, compiled in zip(system.names, system.compiled, strict=True):
         system.modes_of(start, name)[:] = 1e-6 * rng.normal(size=(2, compiled.basis.n_modes))
@@ -122,6 +148,8 @@ def test_kernel_and_twin_solve_in_parts_what_the_whole_matrix_solves(rng, case, 
     for other in found[1:]:
         for a, b in zip(other, found[0], strict=True):
             np.testing.assert_allclose(a, b, rtol=0, atol=3e-11 * np.abs(b).max())
+    without, _ = KernelStepper(system.with_tensions(())).run(start.copy(), 150, [knock(system)])
+    assert (np.abs(without - found[0][0]).max() > 1e-4 * np.abs(without).max()) == ("rising" in what)
 
 
 def general(system):
@@ -148,16 +176,18 @@ def test_runs_cut_at_windows_give_the_same_bits(rng, case, monkeypatch):
     np.testing.assert_array_equal(cut.modes, whole.modes)
 
 
-def test_laws_act_on_a_body_in_parts_as_in_one_matrix(rng, monkeypatch):
+@pytest.mark.parametrize("rising", [0, 12])
+def test_laws_act_on_a_body_in_parts_as_in_one_matrix(rng, rising, monkeypatch):
     """A contact on the body itself and one on a string, the body stepped sample by sample."""
     seed = int(rng.integers(10**6))
     found = []
     for least in (20, 10**6):
         monkeypatch.setattr(elimination, "LEAST_IN_PARTS", least)
-        with_laws = strings_on_a_body(np.random.default_rng(seed), 60, points=24, motions=17, laws=True)
+        with_laws = strings_on_a_body(np.random.default_rng(seed), 60, points=24, motions=17, laws=True, rising=rising)
         assert isinstance(with_laws.solve.by, InverseInParts) == (least == 20)
         for stepper in (NumpyStepper(with_laws), KernelStepper(with_laws)):
             state = with_laws.start()
+            state.modes[0] = 2e-7 if rising else 0.0
             found.append(stepper.run(state, 200, [knock(with_laws)]))
             assert np.any(found[-1][1][:, -2:] != 0.0, axis=0).all()
     for other in found[1:]:

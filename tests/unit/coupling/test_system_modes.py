@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
+from system_modes import coupled_modes
 from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.coupling.system_modes import coupled_modes
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.receptance import Joint, Ports
 from tonewood.modal.string_modes import string_basis

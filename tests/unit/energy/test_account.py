@@ -344,7 +344,7 @@ def test_mechanical_energy_of_a_complete_set_of_complex_modes():
     trace = followed(system, known, 960, account=account)
     assert trace.worst_residual < 1e-10
     assert trace.worst_cumulative_residual < limit(trace)
-    # what it says at the end is (v M v + u K u) / 2
+    # its value at the end is (v M v + u K u) / 2
     wrong = replace(storage, Q=storage.Q * 1.001)
     account = EnergyAccount(system, system.start(), 480, {"body": wrong}, {"body": ("n0",)})
     assert followed(system, known, 960, account=account).worst_residual > 1e-6

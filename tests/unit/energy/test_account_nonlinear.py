@@ -83,7 +83,7 @@ def test_every_step_adds_up(name, make):
 
 
 def test_bow_supplies_and_heats():
-    """A bow keeps the string going: what it supplies goes into heat at the contact and losses of the parts."""
+    """A bow keeps the string going: its work goes into heat at the contact and losses of the parts."""
     system, _ = scene(LAWS["bow"])
     trace = followed(system, [], 9600, block=960, interval=96)
     assert trace.worst_residual < 1e-10
@@ -95,7 +95,7 @@ def test_bow_supplies_and_heats():
 
 @pytest.mark.parametrize("name", ["contact", "lossy contact", "hardening spring"])
 def test_moving_partner_is_outside_work(name):
-    """A barrier pushed through the string and taken back, at a pressure that rises: its work is what goes in."""
+    """A barrier pushed through the string and taken back, at a pressure that rises: its work is all that goes in."""
     system, _ = scene(LAWS[name])
     t = np.arange(961) / 960
     offset = LAWS[name].offset + 3e-4 * np.sin(np.pi * t) ** 2

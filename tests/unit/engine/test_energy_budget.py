@@ -27,7 +27,7 @@ BUSY = tw.Score(
 
 #: instruments whose strings play few notes
 OWN = {
-    # a body of complex modes: what it stores follows from its passivity
+    # a body of complex modes: its stored energy follows from its passivity
     "african_harp": tw.Score(
         [
             tw.Note(0.0, 0.05, string="s4", stop=0, force=1.0),
@@ -52,7 +52,7 @@ def balanced(trace: EnergyTrace) -> None:
     assert trace.peak > 0
     assert trace.worst_residual <= 1e-10
     assert trace.worst_cumulative_residual <= 1e-10 + 4e-16 * steps
-    # what yields at several contacts at once loses as a whole
+    # a compliance at several contacts at once loses as a whole
     assert trace.power_lost.min() >= -1e-9 * trace.peak
 
 

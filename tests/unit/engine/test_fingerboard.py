@@ -1,4 +1,4 @@
-"""Strings as they are held: what is kept or derived is what would be made anew, and not without end."""
+"""Strings as they are held: kept or derived ones equal those made anew, and are not kept without end."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ def model(request: pytest.FixtureRequest) -> Model:
 
 
 def test_a_place_is_compiled_as_if_it_were_the_first(model: Model) -> None:
-    """Bit for bit: samples do not depend on what was played before."""
+    """Bit for bit: samples do not depend on earlier renders."""
     name = next(iter(model.strings))
     stop = min(2, model.strings[name].n_stops)
     ways = [Fretting(stop, place=place, width=width) for place, width in ((0.1, 0.0), (0.123, 4e-3), (0.2, 8e-3))]

@@ -11,8 +11,7 @@ import tonewood.authoring as ta
 from tonewood.engine.engine import Engine
 from tonewood.engine.timeline import Play, Timeline
 from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.contract import Gesture
-from tonewood.instrument.gestures import smooth_step
+from tonewood.instrument.gestures import Gesture, smooth_step
 
 Floats = NDArray[np.float64]
 FS = 48000

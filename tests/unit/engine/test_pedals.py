@@ -1,4 +1,4 @@
-"""Keys and pedals: when dampers rise and fall, and what that does to the strings."""
+"""Keys and pedals: when dampers rise and fall, and the effect on the strings."""
 
 from __future__ import annotations
 

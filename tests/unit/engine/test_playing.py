@@ -1,4 +1,4 @@
-"""From notes to hands: what is played when, on which string, and what happens at a note's end."""
+"""From notes to hands: gestures, their times and strings, and the end of a note."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_controls_cost_n_log_n(instrument: str, kind: str) -> None:
         return Counted.count
 
     for n in (40, 160):
-        # a few passes, sorts of what is sorted, and some bisections per note; all with all would be 20 n^2
+        # a few passes, sorts of sorted lists, and some bisections per note; all with all would be 20 n^2
         assert 0 < compared(n) < 8 * 20 * n + 8 * n * math.log2(20 * n)
 
 

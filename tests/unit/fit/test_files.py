@@ -1,4 +1,4 @@
-"""Files of measurements: every kind says the same, and what is wrong with one is reported in one line."""
+"""Files of measurements: every kind says the same, and a fault of one is reported in one line."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def test_what_is_wrong_with_a_table_is_reported_in_one_line(tmp_path, text, repo
 
 def test_what_is_wrong_with_a_measurement_is_reported_in_one_line(tmp_path):
     path = write_csv(tmp_path / "a.csv")
-    with pytest.raises(TonewoodError, match="--form: what was measured is not said"):
+    with pytest.raises(TonewoodError, match="--form: the quantity measured is not stated"):
         read_responses([path], Reading())
     with pytest.raises(TonewoodError, match="negative real part over"):
         read_responses([path], Reading("accelerance")).checked()

@@ -1,4 +1,4 @@
-"""``tonewood fit`` and ``tonewood new``: from files to an instrument that plays what was measured."""
+"""``tonewood fit`` and ``tonewood new``: from files to an instrument that plays the measured body."""
 
 from __future__ import annotations
 
@@ -222,7 +222,7 @@ def test_ctrl_c_leaves_nothing(folder):
         "import tonewood.fit.fit as f\n"
         "real = f.identify\n"
         "def stopped(*a, **k):\n"
-        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored by what a shell runs behind it
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored by background jobs of a shell
         "    os.kill(os.getpid(), signal.SIGINT)\n"
         "    return real(*a, **k)\n"
         "f.identify = stopped\n"

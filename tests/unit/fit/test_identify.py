@@ -15,7 +15,7 @@ PAIR = Shape((0,), 2)
 
 
 def score(truth, freq, mobility, sigma, known=True, below=np.inf):
-    """Identifiable modes, those found, false ones, and worst errors of what was found: cents, Q, residue."""
+    """Identifiable modes, those found, false ones, and worst errors of those found: cents, Q, residue."""
     found = identify(freq, mobility, Shape((0,), len(mobility)), sigma=sigma if known else None)
     wanted = truth.identifiable(freq, sigma)
     wanted = wanted[truth.freq[wanted] < below]
@@ -90,7 +90,7 @@ def test_coupled_damping_makes_no_false_modes():
     error = rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape)
     found = identify(freq, clean + sigma / np.sqrt(2) * error, PAIR, sigma=sigma)
     assert found.turned > 30  # the phases stand far out of the noise
-    assert len(found.poles) <= n + 2  # rows beyond the band may stand for what lies there
+    assert len(found.poles) <= n + 2  # rows beyond the band may stand for modes there
     inside = (found.poles.freq > 70) & (found.poles.freq < 2000)
     assert np.count_nonzero(inside) == n
 
@@ -129,7 +129,7 @@ def test_gradient_is_that_of_the_cost():
 
 
 def test_standard_deviations_are_what_the_errors_are():
-    """Of 40 realisations: the errors re their deviations have an r.m.s. of 1, within what 40 draws allow."""
+    """Of 40 realisations: the errors re their deviations have an r.m.s. of 1, within the spread of 40 draws."""
     truth, freq = random_body(3, seed=2, high=700.0), np.arange(60.0, 800.5)
     ratios = []
     for seed in range(40):

@@ -50,7 +50,7 @@ def test_ten_grams_on_the_bridge(guitar):
     ],
 )
 def test_what_is_heard_of_a_tap(guitar, entry, impedance):
-    """Bridge and microphones after a tap, with all strings: what is added divides both by 1 + Z Y, Y with strings.
+    """Bridge and microphones after a tap, with all strings: a part added divides both by 1 + Z Y, Y with strings.
 
     On the line Re s = 20 1/s, so that the end of the record does not matter.
     """
@@ -95,7 +95,7 @@ def test_what_is_heard_of_a_tap(guitar, entry, impedance):
     ],
 )
 def test_nothing_of_it_makes_energy(guitar, entry):
-    """Put in = stored + lost, to rounding, with what is stored in the lump and lost in its dashpot."""
+    """Put in = stored + lost, to rounding, with the energy stored in the lump and lost in its dashpot."""
     score = tw.Score([tw.Note(0.0, 0.1, string="G3", stop=0, force=2.0)])
     audio = tw.render(score, guitar.replace({"body.added": [entry]}), fs=48000, max_duration=0.1, energy=True)
     assert audio.energy.peak > 1e-4

@@ -115,7 +115,7 @@ def test_room_for_every_stop(model: Model) -> None:
 
 
 def test_power_passes_the_bridge_whole(model: Model) -> None:
-    """Undamped parts, any tilt: what leaves the strings enters the body, to rounding."""
+    """Undamped parts, any tilt: the energy that leaves the strings enters the body, to rounding."""
     instrument = model.instrument.replace(
         {"strings.*.loss": {"law": "sigma", "sigma0": 0.0}, "strings.*.end_compliance": 1e-7}
     )
@@ -187,7 +187,7 @@ def test_a_struck_body_does_not_ring_at_nyquist() -> None:
 
 def test_seats_do_not_detune(make: Make) -> None:
     """The seat's compliance lengthens the string by T R: well under 0.02 cent, alike for every partial."""
-    from tonewood.coupling.system_modes import coupled_modes
+    from system_modes import coupled_modes
 
     freqs = []
     for compliance in (0.0, 2e-8):

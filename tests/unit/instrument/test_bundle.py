@@ -1,4 +1,4 @@
-"""Bundles: what is read, what is refused and how it is reported, what overrides change."""
+"""Bundles: values read, faults refused and their messages, changes by overrides."""
 
 from __future__ import annotations
 

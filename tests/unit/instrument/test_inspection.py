@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tonewood as tw
-from tonewood.coupling.system_modes import coupled_modes
+from system_modes import coupled_modes
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.inspection import (
     bridge_mobility,

@@ -1,4 +1,4 @@
-"""Table of keys: strings, hammers and dampers of every row, and what is said about bad rows."""
+"""Table of keys: strings, hammers and dampers of every row, and messages about bad rows."""
 
 from __future__ import annotations
 
@@ -159,6 +159,9 @@ def test_what_would_have_no_effect_is_refused(few: tw.Instrument) -> None:
         few.replace({"keys.damper.resistance": 5.0})
     with pytest.raises(BundleError, match=r"keys\.entries\.C4\.note: 'H' is not a note"):
         few.replace({"keys.entries.C4.note": "H"})
+    with pytest.raises(BundleError, match=r"keys\.entries\.C4\.note: is C5, and its string C4_1 sounds C4; the same"):
+        few.replace({"keys.entries.C4.note": "C5"})
+    assert few.replace({"keys.entries.C4.note": 60}).open_note("C4_1") == 60
 
 
 def test_keys_may_stand_beside_those_of_the_table(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tonewood.coupling.system_modes import CoupledModes, coupled_modes
+from system_modes import CoupledModes, coupled_modes
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.inspection import pitch

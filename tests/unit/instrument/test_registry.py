@@ -17,7 +17,7 @@ from tonewood.instrument import registry
 
 @pytest.fixture
 def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A distribution that announces what its entry_points.txt says."""
+    """A distribution that announces the lines of its entry_points.txt."""
     (tmp_path / "foreign-1.0.dist-info").mkdir()
     (tmp_path / "foreign-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: foreign\nVersion: 1.0\n")
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -36,7 +36,7 @@ def announce(folder: Path, text: str) -> None:
 def test_a_foreign_plugin_is_found(foreign: Path) -> None:
     announce(foreign, "[tonewood.plugins]\nknock = foreign_plugin:Knock\n")
     (foreign / "foreign_plugin.py").write_text(
-        "from tonewood.instrument.contract import Exciter, Gesture, Segment\n"
+        "from tonewood.authoring import Exciter, Gesture, Segment\n"
         "from tonewood.params import Parameters, quantity\n"
         "class P(Parameters):\n    force: float = quantity('N', default=1.0, doc='peak')\n"
         "class Knock(Exciter):\n    'A knock.'\n    Parameters = P\n"

@@ -58,7 +58,7 @@ def test_every_set_has_the_pitch_of_its_notes(name):
 
 
 def test_a_bundle_names_its_set(tmp_path):
-    """Keys of the bundle's own strings go first; what the set gives has the set's source."""
+    """Keys of the bundle's own strings go first; values of the set have the set's source."""
     folder = tmp_path / "mine"
     with pytest.raises(SystemExit):
         run(["new", str(folder), "--from", "classical_guitar", "--strings", "ej45"])

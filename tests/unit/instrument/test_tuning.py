@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tonewood.coupling.system_modes import CoupledModes, coupled_modes
+from system_modes import CoupledModes, coupled_modes
 from tonewood.errors import BundleError
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument

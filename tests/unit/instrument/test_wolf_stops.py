@@ -11,7 +11,7 @@ import math
 import numpy as np
 import pytest
 
-from tonewood.coupling.system_modes import coupled_modes
+from system_modes import coupled_modes
 from tonewood.instrument.assembly import Model, assemble
 from tonewood.instrument.bundle import Instrument
 from tonewood.instrument.inspection import pitches

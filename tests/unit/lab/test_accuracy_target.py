@@ -1,4 +1,4 @@
-"""The cheapest setting that meets a target: how targets are read, what a reference is worth, what is found."""
+"""The cheapest setting that meets a target: how targets are read, the error of a reference, the setting found."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ def test_newmark_is_newmark_on_the_system_without_its_constraint(name: str, meth
     reduced = Matrices(N.T @ N, N.T @ np.diag(2 * m.sigma) @ N, N.T @ np.diag(m.omega2) @ N)
     x = plucked(flat)
     q = np.einsum("nij,nj->ni", m.read, x)[:, 0]
-    motion, _ = method.run(reduced, DT, 501, (N.T @ q, np.zeros(N.shape[1])))  # type: ignore[attr-defined]  # what both methods share
+    motion, _ = method.run(reduced, DT, 501, (N.T @ q, np.zeros(N.shape[1])))  # type: ignore[attr-defined]  # of both methods
     wanted = motion @ (m.outs @ N).T
     runner = Runner(build(name, flat, DT))
     runner.start(x)

@@ -32,7 +32,7 @@ def test_explicit_methods_fail_where_their_limits_say(grid: StabilityGrid, metho
     cells = [c for c in grid.cells if c.method == method and c.system == stability.LINEAR]
     assert {c.verdict for c in cells} == {STABLE, NAN}
     for cell in cells:
-        # highest partial of the string of 110 Hz; a fifth is left for what coupling does to it
+        # highest partial of the string of 110 Hz; a fifth is left for its shift by coupling
         reach = 2 * np.pi * 110 * cell.n_modes / cell.fs / limit
         if reach > 1.25:
             assert cell.verdict == NAN

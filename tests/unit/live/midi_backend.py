@@ -16,7 +16,7 @@ def get_devices(**_: Any) -> list[dict[str, Any]]:
 
 
 class Input(BaseInput):
-    """A port that gives what `feed` has put in."""
+    """A port that gives the messages that `feed` has put in."""
 
     def _open(self, **_: Any) -> None:
         OPEN[self.name] = self

@@ -13,7 +13,7 @@ from tonewood.errors import ScoreError, TonewoodError
 
 
 def played(instrument: tw.Instrument, events: dict[int, Any], frames: int, block: int, **options: Any) -> np.ndarray:
-    """Sound with events, frame -> what is called with the instrument, in blocks that end where an event comes."""
+    """Sound with events, frame -> function called with the instrument, in blocks that end where an event comes."""
     live = tw.Live(instrument, prepare=False, **options)
     out, due = [], sorted(events)
     while live.frames < frames:

@@ -159,7 +159,7 @@ class FakeCard:
 
 
 def session(live: tw.Live, sources: list[Any], n_blocks: int, **options: Any) -> tuple[LiveSession, np.ndarray, Any]:
-    """Play some blocks; the sound is what the card has got."""
+    """Play some blocks; return the sound that the card has got."""
     made = LiveSession(live, sources, **options)
 
     def take_blocks() -> bool:

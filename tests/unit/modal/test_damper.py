@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from system_modes import coupled_modes
 from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.coupling.system_modes import coupled_modes
 from tonewood.modal.damper import damper_rates
 from tonewood.modal.string_modes import string_basis
 from tonewood.modal.string_transfer import retuned

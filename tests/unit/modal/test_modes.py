@@ -1,4 +1,4 @@
-"""Bases against the matrices they come from: frequency responses, static deflection, what is folded away."""
+"""Bases against the matrices they come from: frequency responses, static deflection, residuals of folded modes."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_shape_scale_does_not_matter():
     right = {p: basis.right[i] * turn for i, p in enumerate(basis.points)}
     norm = (basis.right[0] / basis.left[0]) * turn**2
     again = ModalBasis.complex(basis.poles, right, norm=norm)
-    # the modes' shares cancel far above them: what a response is rounded to are its largest shares
+    # the modes' shares cancel far above them: a response is rounded to its largest shares
     s = 2j * np.pi * FREQS[:, None]
     residues = basis.right[basis.points.index("n3")] * basis.left[basis.points.index("n1")]
     shares = np.abs(s * residues / (s - basis.poles)) + np.abs(s * residues.conj() / (s - basis.poles.conj()))

@@ -1,4 +1,4 @@
-"""Phi functions, flows and what polynomial forces add, against scipy's matrix exponential."""
+"""Phi functions, flows and states added by polynomial forces, against scipy's matrix exponential."""
 
 from __future__ import annotations
 

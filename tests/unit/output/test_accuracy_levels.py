@@ -39,13 +39,13 @@ def test_resampler_keeps_what_lies_below_and_delays_nothing(ratio: str, share: f
 
 @pytest.mark.parametrize("ratio", RATIOS)
 def test_resampler_removes_what_would_alias(ratio: str) -> None:
-    """Above the lower Nyquist frequency: what would fold down, and images of what the engine computes."""
+    """Above the lower Nyquist frequency: aliases, and images of the engine's sound."""
     p, q = Fraction(ratio).as_integer_ratio()
     n = np.arange(8000)
     low = 0.3 if p < q else 0.51 / float(Fraction(ratio))
     _, got = resampled(ratio, np.cos(2 * np.pi * low * n)[:, None], 0, 512)
     got = got[1000:-10, 0]
-    if p < q:  # the tone itself stays: what is left without it
+    if p < q:  # the tone itself stays: the rest without it
         t = np.arange(len(got)) * low * p / q
         basis = np.stack([np.cos(2 * np.pi * t), np.sin(2 * np.pi * t)], axis=1)
         got = got - basis @ scipy.linalg.lstsq(basis, got)[0]

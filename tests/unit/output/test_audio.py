@@ -1,4 +1,4 @@
-"""Sound files: what is written is what is read back, or nothing is there."""
+"""Sound files: the samples written are those read back, or no file is there."""
 
 from __future__ import annotations
 

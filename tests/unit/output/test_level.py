@@ -1,4 +1,4 @@
-"""Levels of what is written and played: the gain, what it leaves unchanged, and what the summary says."""
+"""Levels of files and of playing: the gain, the parts it leaves unchanged, and the summary."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_what_full_scale_is_after_a_gain() -> None:
 
 
 def test_the_preview_finds_the_loudest_part() -> None:
-    """With its gain the whole piece peaks at -4 dBFS, what rings on included: within 1.5 dB."""
+    """With its gain the whole piece peaks at -4 dBFS, the tail included: within 1.5 dB."""
     monochord = tw.load_instrument("monochord")
     notes = [tw.Note(0.5 * i, 0.4, note=45 + i % 3, velocity_midi=30) for i in range(16)]
     notes[11] = tw.Note(5.5, 0.4, note=52, velocity_midi=120)

@@ -1,4 +1,4 @@
-"""The limiter: never above its ceiling, never touching what is below it, the same for every block size."""
+"""The limiter: never above its ceiling, samples below it untouched, the same for every block size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scores nobody would write, on a whole guitar: what sounds is finite, as loud as its plucks, and dies away."""
+"""Scores nobody would write, on a whole guitar: the sound is finite, as loud as its plucks, and dies away."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_it_sounds_sane(oddity: Callable[[], list[Event]], tmp_path: Path, guita
     summary = renderer.summary()
     assert FS // 2 < len(samples) <= FS
     assert np.isfinite(samples).all()
-    # what was in the file was played or is listed
+    # each note of the file was played or is listed
     asked = len(score.notes)
     assert summary.notes + len(summary.notes_dropped) + len(_shared(summary)) >= asked
     # six strings at the greatest force stay within full scale; a lone pluck is heard

@@ -17,7 +17,7 @@ from tonewood.output.limiter import Limiter
 
 
 class FakeStream:
-    """Calls back from a thread of its own and keeps what it got."""
+    """Calls back from a thread of its own and keeps the blocks."""
 
     status: Any = None
 

@@ -1,4 +1,4 @@
-"""Facts of reports against closed forms, a rendered sound, and what a caller changed."""
+"""Facts of reports against closed forms, a rendered sound, and a caller's changes."""
 
 from __future__ import annotations
 

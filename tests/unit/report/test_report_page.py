@@ -1,4 +1,4 @@
-"""The page of a comparison: whole, offline, escaped, and in a browser sample for sample what was rendered."""
+"""The page of a comparison: whole, offline, escaped, and in a browser sample for sample as rendered."""
 
 from __future__ import annotations
 

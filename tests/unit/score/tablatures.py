@@ -1,4 +1,4 @@
-"""One small piece in every format: what a guitarist writes down, made by other programs or by hand."""
+"""One small piece in every format that guitarists use, made by other programs or by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Damaged MIDI files: what can be read is read, with a warning, or one line says why not. Nothing else happens."""
+"""Damaged MIDI files: readable parts are read, with a warning, or one line says why not. Nothing else happens."""
 
 from __future__ import annotations
 

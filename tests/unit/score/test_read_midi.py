@@ -270,6 +270,6 @@ def test_times_agree_with_mido(tmp_path_factory, notes, tempos, division):
 
 
 def test_end_of_track_is_where_the_builder_puts_it():
-    """The builders themselves are sound: mido reads what they make."""
+    """The builders themselves are sound: mido reads their files."""
     file = mido.MidiFile(file=io.BytesIO(header() + chunk(b"MTrk", ONE_NOTE + END)))
     assert [m.type for m in file.tracks[0]] == ["note_on", "note_off", "end_of_track"]

@@ -1,4 +1,4 @@
-"""Scores that musicians write: MusicXML, Guitar Pro 3 to 5, 7; against what the formats say, note by note."""
+"""Scores that musicians write: MusicXML, Guitar Pro 3 to 5, 7; against the files' contents, note by note."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_every_format_has_its_strings_and_frets(tmp_path: Path, suffix: str) -> 
     assert all(n.duration == pytest.approx(1.0) and "tablature" in n.marks for n in score.notes)
     repeated = suffix in (".musicxml", ".mxl")
     assert places(score)[4:] == ([(t + 4.0, p, s) for t, p, s in FOUR] if repeated else [])
-    # what is in the file counts, not its name
+    # the contents of the file count, not its name
     other = path.rename(tmp_path / "study.mid")
     assert tw.read_score(other).notes == score.notes
 

@@ -1,4 +1,4 @@
-"""Strings with obstacles and with rising tension, on a body: what the tests of nonlinear steps are run on."""
+"""Strings with obstacles and with rising tension, on a body: scenes of the tests of nonlinear steps."""
 
 from __future__ import annotations
 

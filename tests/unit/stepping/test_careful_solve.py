@@ -76,7 +76,7 @@ def stretching(n_modes=None, n_longitudinal=None):
 
 @pytest.mark.parametrize("share", [2.0, 10.0])
 def test_a_slack_string_loses_energy(share):
-    """Compressed by `share` of what its tension at rest stretches it by."""
+    """Compressed by `share` of the stretch by its tension at rest."""
     system = stretching()
     state = plucked(system, 5e-3, ("y", "z"))
     string = GeometricSolve(system).strings[0]
@@ -103,7 +103,7 @@ def test_a_slack_string_loses_energy(share):
 
 @pytest.mark.parametrize("make", [NumpyStepper, KernelStepper])
 def test_a_step_that_cannot_be_found_is_refused_in_one_line(monkeypatch, make):
-    """And what was lost names string and time."""
+    """And the error names string and time."""
     system = modulated_guitar(frets=SOFT)
     monkeypatch.setattr(law_solve, "newton", lambda laws, Z, free, old, dt, scale, guess, noise: (guess, 1, False))
     if make is KernelStepper:

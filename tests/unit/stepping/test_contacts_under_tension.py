@@ -67,7 +67,7 @@ def test_every_kind_of_connection_meets_rising_tension(name):
 @pytest.mark.validate
 def test_thousands_of_steps_stay_together():
     ours, theirs, stepper = both(modulated_guitar(1, 30, frets=SOFT), 3.0, 3000)
-    # each step finds its tension to 1e-11 of itself; what 3000 of them leave has no smaller bound than their sum
+    # each step finds its tension to 1e-11 of itself; 3000 of them have no smaller bound than their sum
     same(ours[0], theirs[0], 3000 * 1e-11)
     assert stepper.statistics.solves > 500
 

@@ -109,7 +109,7 @@ def test_random_plucks_near_the_clearance_miss_no_contact(isa):
     rng = np.random.default_rng(11)
     touched = unread = 0
     for _ in range(16):
-        # from far below what reaches a fret to what just does, each string for itself
+        # from far below the least amplitude that reaches a fret up to it, each string for itself
         heights = rng.uniform(-1, 1, (2, 2)) * 10 ** rng.uniform(-4.0, -2.8, (2, 1))
         state = plucked(system, heights, rng.uniform(0.05, 0.5, 2) * LENGTH)
         (_, forces), statistics = both_ways(system, state, 640, isa)
@@ -158,7 +158,7 @@ def test_a_string_at_rest_is_shaken_against_its_frets(clearance):
 @pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("modulated", [(), (0, 1)])
 def test_strings_drawn_near_their_frets_miss_no_contact(isa, modulated):
-    """Known forces that grow, are let go or strike: what they hold and what they shake is bounded block by block."""
+    """Known forces that grow, are let go or strike: held and free motion are bounded block by block."""
     system = fretted(1e-3, modulated=modulated)
     rng = np.random.default_rng(7)
     touched, unread = 0, 0

@@ -1,4 +1,4 @@
-"""Strings with longitudinal motion: the potential, its forces, energy, phantom partials, and what they reduce to."""
+"""Strings with longitudinal motion: the potential, its forces, energy, phantom partials, and limiting cases."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_the_gradient_is_that_of_the_potential() -> None:
 
 @pytest.mark.parametrize("height", [5e-3, 5e-2, 0.3])
 def test_modes_never_hold_more_than_twice_the_energy_that_is_there(height: float) -> None:
-    """However far beyond its validity it is plucked: what the potential may lack is bounded by its shift."""
+    """However far beyond its validity it is plucked: the shortfall of the potential is bounded by its shift."""
     system = held_string(48000.0, ("y", "z"), basis=transverse(30, bending=BENDING), motion=longitudinal(6))
     stepper, state = KernelStepper(system), plucked(system, height, ("y", "z"))
     stepper.run(state, 1)
@@ -179,7 +179,7 @@ def test_phantom_partials_are_at_sums_and_differences_and_as_strong_as_theory_sa
 
 
 def test_without_longitudinal_modes_it_is_the_string_of_one_rising_tension() -> None:
-    """Two schemes of second order: what lies between them falls with the square of the step."""
+    """Two schemes of second order: their difference falls with the square of the step."""
     apart = []
     for fs in (48000.0, 96000.0):
         basis = transverse(40)
@@ -224,7 +224,7 @@ def test_kernel_and_twin_agree_on_a_body_that_the_string_pulls_both_ways() -> No
     ends = {"y": (Term("body", "bridge", -1.0),), "x": (Term("body", "bridge", -0.3),)}
     system = held_string(48000.0, ("y", "z"), others={"body": body()}, ends=ends)
     agree(system, plucked(system, 3e-3, ("y", "z")), 120)
-    # and nothing is lost on the way into the body and back but what the body's losses take
+    # and nothing is lost on the way into the body and back but by the body's losses
     state, stepper = plucked(system, 3e-3, ("y", "z")), KernelStepper(system)
     stepper.run(state, 1)
     path = []

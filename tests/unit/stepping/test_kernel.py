@@ -85,10 +85,11 @@ def rounding_of_gaps(system, state):
 
 
 def assert_twins(system, injections, steps=200, isa=None, start=None, tolerance=TOLERANCE):
-    """Outputs, forces and state of the two steppers agree up to the rounding of what the forces are solved from.
+    """Outputs, forces and state of the two steppers agree up to the rounding of the gaps that the forces are solved
+    from.
 
     Forces are G times gaps, so rounding of the gaps comes back times |G|, which carries the condition of the solve. A
-    rigid connection keeps what an earlier step left: a force held over a step has a sampling zero at -1 in the
+    rigid connection keeps the error of an earlier step: a force held over a step has a sampling zero at -1 in the
     displacement after it, so an error d of the gaps leaves the second difference of d, up to 4 |G| d, in every later
     force (Astrom, Hagander & Sternby, Automatica 20, 1984).
     """

@@ -201,7 +201,7 @@ def test_rising_tension_takes_the_steps_of_its_twin(force, isa):
     out, forces = stepper.run(b, n)
     assert_same(out, expected, 1e-9)
     np.testing.assert_allclose(forces, expected_forces, atol=1e-9 * np.abs(expected_forces).max())
-    # a string that hardly moves: its tension is what rounding leaves of the others' motion
+    # a string that hardly moves: its tension is the rounding of the others' motion
     np.testing.assert_allclose(b.tension, a.tension, rtol=1e-8, atol=1e-12 * np.abs(a.tension).max())
     assert stepper.statistics.redone == 0
 

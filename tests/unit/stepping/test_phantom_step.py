@@ -103,7 +103,7 @@ def test_the_force_grows_with_the_square() -> None:
 
 
 def test_switched_off_it_has_no_force() -> None:
-    """Off, samples are those of a system without it, and what it remembers is cleared."""
+    """Off, samples are those of a system without it, and its memory is cleared."""
     system = string_on_mass().with_phantoms([])
     state = plucked(system, 1e-3)
     state.phantoms[:] = 1.0

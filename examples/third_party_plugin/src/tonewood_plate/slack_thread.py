@@ -4,7 +4,7 @@
 
 with d the displacement of the string at the knot along `direction`, s the slack and k the stiffness of the thread.
 It is solved for at every step. While the string cannot reach the end of the slack the thread does nothing: there it is
-switched off, and nothing is lost. `ThreadEffect` is what decides that.
+switched off, and nothing is lost. `ThreadEffect` decides that.
 """
 
 from __future__ import annotations

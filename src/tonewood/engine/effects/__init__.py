@@ -1,4 +1,4 @@
-"""Effects of a model while it is stepped: which there are, when they run, what is left out."""
+"""Effects of a model while it is stepped: which there are, when they run, when they are left out."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _BUILT_IN: Mapping[str, Maker] = {
     TOUCH_NOISE.name: GestureEffect,
     SQUEAK.name: GestureEffect,
 }
-#: kind of plugin -> what its effects are if nothing else is said; those of strings and bodies always run
+#: kind of plugin -> class of its effects if nothing else is said; those of strings and bodies always run
 _BY_KIND: Mapping[str, Maker] = {"connection": ContactEffect, "exciter": ContactEffect, "pickup": PickupEffect}
 
 

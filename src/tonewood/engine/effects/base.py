@@ -1,18 +1,18 @@
-"""The protocol of effects: what the engine, its snapshots, the usage of effects and the plan know of any of them.
+"""The protocol of effects, by which the engine, its snapshots, the usage of effects and the plan use any of them.
 
 An effect is declared by a plugin (`instrument.effects.Effect`). For one model the engine makes a `RuntimeEffect` of
-it, which says when the effect ran, what was left out, and why. One that is switched on and off while the engine steps
-is a `SwitchedEffect`:
+it, which says when the effect ran, when it was left out, and why. One that is switched on and off while the engine
+steps is a `SwitchedEffect`:
 
 ========  ===========================================================================================================
-watch     Look at the motion, and return the components on which the effect is wanted, with bounds on what is missing.
-apply     Return the system with the effect on some components and off on the others; `cost` says what that costs.
-report    Say how long the effect ran, what was left out and the bound on it.
-plan      The same of a render that is foreseen; `load` says what its steps cost.
+watch     Look at the motion, and return the components on which the effect is wanted, with bounds on the error without.
+apply     Return the system with the effect on some components and off on the others; `cost` gives its energy.
+report    Say how long the effect ran and was left out, with the bound on the error.
+plan      The same of a render that is foreseen; `load` gives the cost of its steps.
 restore   Nothing to do: all that moves is a `Switching`, a plain value that the engine owns and copies.
 ========  ===========================================================================================================
 
-An effect object itself does not change after it is made; it may keep what it has computed from the model.
+An effect object itself does not change after it is made; it may keep results computed from the model.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Watched:
     Attributes
     ----------
     wanted : components on which the effect is to run from now on.
-    bounds : component, bound on what is missing without the effect, and whether it is left out; in order.
+    bounds : component, bound on the error without the effect, and whether it is left out; in order.
     until, levels : of `Switching`.
     """
 
@@ -87,7 +87,7 @@ class Moment:
 
     Attributes
     ----------
-    system, state : what is stepped, and its motion; `state.sample` is now.
+    system, state : system that is stepped, and its motion; `state.sample` is now.
     frettings : string -> how it is held.
     peak : (n_readouts,) largest sample of each readout so far.
     moved : strings that are held otherwise from now on.
@@ -118,7 +118,7 @@ class Run:
     Attributes
     ----------
     start, n : first sample, and how many.
-    system : what was stepped.
+    system : that was stepped.
     acted : connections that had a force; linear ones may be left out.
     held : strings that a gesture's finger held.
     switchings : effect -> state of its switches.
@@ -143,12 +143,12 @@ class EffectReport:
     name : of the effect.
     component : string, ``body``, part or output group.
     seconds_active : of sound while it was stepped; of a contact or a finger, while it touched.
-    seconds_saved : of computing, from what steps took in this render; from the declared costs where none were made.
-    bound : on what leaving it out cost, in `unit`; None where it was never left out, or by choice, unwatched.
+    seconds_saved : of computing, from the times of steps in this render; from the declared costs where none were made.
+    bound : on the error of leaving it out, in `unit`; None where it was never left out, or by choice, unwatched.
         Nothing is lost by leaving out contacts that touch nothing: there it is 0.
     unit : dB re the loudest sample, or cents.
-    bound_db : of an effect in cents, besides `bound`: what was missing at the outputs, dB re the loudest sample; None
-        as there.
+    bound_db : of an effect in cents, besides `bound`: level of the sound missing at the outputs, dB re the loudest
+        sample; None as there.
     title : the effect in words.
     """
 
@@ -193,7 +193,7 @@ class Foreseen:
 
     Attributes
     ----------
-    usage : what ran in the sketch.
+    usage : of the effects in the sketch.
     seconds : of sound.
     computing : (effect, component) -> s of computing that its steps will take.
     """
@@ -215,12 +215,12 @@ class RuntimeEffect:
 
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
         self.model, self.effect, self.plugins = model, effect, plugins
-        #: whether it may run at all; what is left out by choice is not in the model
+        #: whether it may run at all; an effect left out by choice is not in the model
         self.chosen = effect.name in model.choice.names
 
     @property
     def name(self) -> str:
-        """Of the effect."""
+        """Name of the effect."""
         return self.effect.name
 
     @property
@@ -233,12 +233,12 @@ class RuntimeEffect:
         return ()
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
-        """Report what ran, what was left out and the bound."""
+        """Report how long it ran and was left out, and the bound, from the `usage` of all effects."""
         whole = usage.seconds(usage.samples) if self.chosen else 0.0
         return [self._report(component, whole) for component in self.components]
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
-        """When it will run, and why."""
+        """Return when it will run, and why, from the sketch of a render."""
         spans, why = (((0.0, foreseen.seconds),), self.effect.before) if self.chosen else ((), self._left_out)
         return [PlannedEffect(self.name, component, spans, why, None) for component in self.components]
 
@@ -277,7 +277,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         return self.model.choice.mode == "auto" and self.chosen and bool(self.components)
 
     def prepare(self, timeline: Timeline) -> None:
-        """Learn what will be played, before the first step; nothing of it by default."""
+        """Read the score, as `timeline`, before the first step; does nothing by default."""
 
     def start(self) -> Switching:
         """State before anything has moved."""
@@ -285,7 +285,10 @@ class SwitchedEffect(RuntimeEffect, ABC):
 
     @abstractmethod
     def next_watch(self, sample: int, switching: Switching) -> int:
-        """First sample after `sample` at which `watch` has to be called, whatever is played; a multiple of `GRID`."""
+        """Return the first sample after `sample` at which `watch` has to be called, whatever is played.
+
+        It is a multiple of `GRID`, 64 samples; `switching` is the state of the effect now.
+        """
 
     @abstractmethod
     def watch(self, moment: Moment, switching: Switching) -> Watched | None:
@@ -293,33 +296,51 @@ class SwitchedEffect(RuntimeEffect, ABC):
 
         Called at every point of the control grid at which the engine stops: those of `next_watch`, and wherever a
         string is held otherwise or a gesture begins or ends. The decision must not depend on calls at other points.
+
+        Parameters
+        ----------
+        moment : the system, its motion, and the events at this point.
+        switching : state of the effect now.
         """
 
     @abstractmethod
     def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
-        """Return the system with the effect on these components and off all others; itself if it is so already."""
+        """Return the system with the effect on these components and off all others; itself if it is so already.
+
+        Parameters
+        ----------
+        system : to be changed.
+        on : components.
+        frettings : string -> its stop and how it is held.
+        """
 
     def cost(self, moment: Moment, component: str, on: bool) -> float:
-        """Energy that switching a component on (or off) would add, J. A negative energy is lost, and costs nothing."""
+        """Return the energy that switching a component on (or off) at a `moment` would add, J; below 0 it is lost."""
         return 0.0
 
     def payers(self, component: str) -> Sequence[str]:
-        """Components of the system whose kinetic energy pays for a switch; real modes."""
+        """Return the components of the system whose kinetic energy pays for a switch of `component`; real modes."""
         return ()
 
     def reset(self, system: System, state: State, changed: Collection[str]) -> None:
-        """Clear what the state remembers of components that have just been switched."""
+        """Clear the memory in the state of components that have just been switched, in place.
+
+        Parameters
+        ----------
+        system, state : after the switch.
+        changed : components.
+        """
 
     def load(self, component: str) -> float:
-        """Size of the effect on a component, in modes: what it costs per sample grows with it."""
+        """Size of the effect on a component, in modes: its cost per sample grows with it."""
         return 0.0
 
     def running(self, run: Run) -> Collection[str]:
-        """Where it is on."""
+        """Components on which it is on."""
         return run.switchings[self.name].on
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
-        """When it was on, what was left out and the bound."""
+        """When it was on and left out, and the bound."""
         out = []
         for component in self.components:
             spans, bound = usage.spans[self.name, component], usage.left_out.get((self.name, component))
@@ -336,7 +357,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         return out
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
-        """When it will be on, why, and what its steps will take."""
+        """When it will be on, why, and the time of its steps."""
         if not self.chosen:
             return super().plan(foreseen)
         out = []
@@ -351,7 +372,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         return out
 
     def why(self, usage: EffectUsage, component: str) -> str:
-        """One line: why it will run as it is foreseen."""
+        """Return a line for the plan: why it will run on a `component` as its `usage` foresees."""
         mode = self.model.choice.mode
         if mode != "auto":
             return "always: effects are all" if mode == "all" else "always: it is among those named"
@@ -373,12 +394,12 @@ def switch(effect: SwitchedEffect, moment: Moment, before: Switching, found: Wat
 
 
 def pay(effect: SwitchedEffect, moment: Moment, component: str, on: bool) -> bool:
-    """Debit what a switch costs from kinetic energy, in the moment's state; returns whether there was enough.
+    """Debit the energy of a switch from kinetic energy, in the moment's state; returns whether there was enough.
 
     Displacements stay, and so do the velocities of points that rigid connections join: the rest v of the velocities of
     the effect's `payers`, orthogonal to these points' shapes, is scaled by sqrt(1 - cost / (v^2 / 2)). Nothing of the
     switch so reaches the body at once. (An impulse that makes joined velocities equal would be heard at -60 dB: they
-    differ from sample to sample by what a force that is constant over a step leaves.)
+    differ from sample to sample by the error of a force that is constant over a step.)
     """
     cost, system, state = effect.cost(moment, component, on), moment.system, moment.state
     if cost <= 0.0:
@@ -414,7 +435,7 @@ def motion(system: System, state: State, component: str) -> tuple[Floats, Floats
 
 
 def next_multiple(sample: int, points: int) -> int:
-    """First multiple of so many points of the control grid after a sample."""
+    """Return the first sample after `sample` that is a multiple of so many `points` of the control grid."""
     step = GRID * points
     return sample // step * step + step
 

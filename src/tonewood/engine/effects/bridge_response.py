@@ -63,7 +63,7 @@ class BridgeResponse:
         respond = response(body, form, self.freq_rad, np.vstack([gaps, rows]), entry)
         n = len(self.components)
         self._own = body, form, entry
-        # forces of what is added to the body per force of a string
+        # forces of the parts added to the body per force of a string
         reaction = -impedance[:, None] * respond[: len(added)]
         heard = respond[len(added) :] * (1j * self.freq_rad) ** direct[:, None, None]
         names = [*(end.name for end in ends), *self.components[len(ends) :]]
@@ -97,7 +97,7 @@ class BridgeResponse:
         return self._at(self.heard, component, freq_rad)
 
     def stopped_at(self, component: str, freq_rad: Floats) -> Floats:
-        """(n_readouts, n) bound on what is heard besides, per N, when a force of these frequencies stops at once."""
+        """(n_readouts, n) bound on the transient, per N, when a force of these frequencies stops at once."""
         return self._at(self.stopped, component, freq_rad)
 
     def _at(self, sizes: Floats, component: str, freq_rad: Floats) -> Floats:

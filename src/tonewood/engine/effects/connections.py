@@ -33,6 +33,10 @@ class SwitchedConnections(SwitchedEffect, ABC):
     A subclass says when, in `next_watch` and `watch`. Off, a connection has no force and its kernel no port to solve
     for. Switching it on costs the potential of its law at the gap as it is, U(offset - g), which the string's kinetic
     energy pays; switching it off loses that potential.
+
+    Parameters
+    ----------
+    model, effect, plugins : as for `RuntimeEffect`; `plugins` are the attachments.
     """
 
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
@@ -54,7 +58,7 @@ class SwitchedConnections(SwitchedEffect, ABC):
         return [self.model.system.connections[j].name for j in self._places[string]]
 
     def laws(self, string: str, fretting: Fretting) -> list[Law]:
-        """Laws of a string's connections at its stop while they are on, in the order of `names`."""
+        """Return the laws of a string's connections while they are on, in the order of `names`, at its stop."""
         key = string, fretting.stop
         if key not in self._laws:
             here = {c.name: c.law for c in self.model.strings[string].connections(fretting.stop)}
@@ -93,7 +97,7 @@ class SwitchedConnections(SwitchedEffect, ABC):
     def cost(self, moment: Moment, component: str, on: bool) -> float:
         """Potential of the laws that are switched, J, with the sign of the switch.
 
-        On, they are those of the string's stop; what the components yield besides their modes can only lower it.
+        On, they are those of the string's stop; the residual compliance of the components can only lower it.
         """
         gap, total = gaps(moment.system, moment.state), 0.0
         laws = self.laws(component, moment.frettings[component])

@@ -21,7 +21,7 @@ class LongitudinalEffect(RuntimeEffect):
         return () if switching is None else switching.on.intersection(self.plugins)
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
-        """When the coupling was on, and the bound on what was missing meanwhile.
+        """When the coupling was on, and the bound on the error meanwhile.
 
         Its saving is part of that of the rising tension; of a string that is never coupled, its declared cost.
         """

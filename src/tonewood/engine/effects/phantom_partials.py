@@ -1,6 +1,6 @@
 """Phantom partials that are driven one way, switched on and off string by string.
 
-They run from any gesture on a string until bounds on what would be missing (`effects.phantoms`, from the string's
+They run from any gesture on a string until bounds on the missing sound (`effects.phantoms`, from the string's
 partials and the body's response) add up to the budget over all strings without them. Strings on which they are
 off are looked at where they hold a thousandth of the energy of the one that holds most: otherwise their phantom
 partials, which go with the energy, are some 60 dB below those of that one; they are not in the sum, so that the budget
@@ -92,7 +92,7 @@ class PhantomPartialsEffect(SwitchedEffect):
             if missing + level > self.budget * (_LEAVE if name in switching.on else 1.0):
                 wanted.add(name)
             else:
-                missing += level  # what several strings leave out adds up
+                missing += level  # levels that several strings leave out add up
         bounds = [(name, Bound(level=level), name not in wanted) for name, level in levels.items()]
         return Watched(frozenset(wanted), bounds)
 
@@ -102,7 +102,7 @@ class PhantomPartialsEffect(SwitchedEffect):
         return system if same else system.with_phantoms(on)
 
     def reset(self, system: System, state: State, changed: Collection[str]) -> None:
-        """Clear what the longitudinal modes remember."""
+        """Clear the state of the longitudinal modes."""
         if state.phantoms.size:
             state.phantoms[[p.name in changed for p in system.phantoms]] = 0.0
 
@@ -116,7 +116,7 @@ class PhantomPartialsEffect(SwitchedEffect):
         """One line."""
         if self.model.choice.mode != "auto":
             return super().why(usage, component)
-        return f"from a gesture until what would be missing is below {self.model.choice.budget_db:g} dB"
+        return f"from a gesture until the missing sound is below {self.model.choice.budget_db:g} dB"
 
     def _planes(self, name: str) -> Sequence[str]:
         return [p.component for p in self.model.strings[name].polarizations]

@@ -7,7 +7,7 @@ frequency W the n-th longitudinal mode, of W_n and decay s, answers with the str
     e_n = s_n (2 i s W - W^2) / (W_n^2 - W^2 + 2 i s W)
 
 and EA e_n acts on the bridge: phantom partials. Their amplitudes are added up as if all were in step, each as loud as
-the body makes its frequency. So are what longitudinal modes do by themselves when they are driven no more, and the
+the body makes its frequency. So are the free decay of the longitudinal modes when they are driven no more, and the
 click of the mean tension. All that is at most C^T M C. The same stresses move partials, as a
 tension would: by no more than C^T N C. Partials drift with the tension; a resonance is taken to reach as far as they
 may.
@@ -49,12 +49,12 @@ class PartialSlopes:
 
     @classmethod
     def of(cls, compiled: Compiled, held: HeldModes) -> PartialSlopes:
-        """Of a transverse component and its modes with the bridge held."""
+        """Make them of a transverse component and its modes with the bridge held."""
         part, n = compiled.geometric, held.n_modes
         if part is None:
             raise ValueError("the component is no part of a string with longitudinal motion")
         shapes = part.slopes @ held.vectors[:, : part.n].T
-        # a held mode is one sine but for what bending and the bridge's ramp make of it
+        # a held mode is one sine but for the change by bending and the bridge's ramp
         slope = np.sqrt(np.sum(shapes**2, axis=0))[:n]
         rows = held.vectors * held.stiffness / held.freq_rad[:, None] ** 2
         return cls(slope[:, None] * rows, (slope / held.freq_rad)[:, None] * rows)
@@ -87,11 +87,11 @@ class Phantoms:
     def of(
         cls, law: GeometricStretch, compiled: Mapping[str, Compiled], tension: float, response: BridgeResponse
     ) -> Phantoms:
-        """Of a string under a tension (N).
+        """Make them of a string under a tension (N).
 
         Parameters
         ----------
-        compiled : component -> what is stepped.
+        compiled : component -> its modes as they are stepped.
         """
         longitudinal = compiled[law.longitudinal or ""]
         held = {name: HeldModes.of(compiled[name].basis, "bridge") for name in law.components}
@@ -114,7 +114,7 @@ class Phantoms:
                 answer = np.hypot(combined**2, 2 * s * combined) / np.hypot(away, 2 * s * combined + 1e-9 * W**2)
                 moved += driven * answer.sum(axis=0)
                 after = own_per_newton[:, order - 1]
-            # what is driven, and what is left over when that stops: a mode bent as the slopes had it
+            # the driven motion, and the motion that is left when that stops: a mode bent as the slopes had it
             bent = 2.0 + (answer.sum(axis=0) if order else 0.0)
             heard += driven * (np.sum(per_newton * answer * audible, axis=1) + after[:, None, None] * bent)
         return cls(

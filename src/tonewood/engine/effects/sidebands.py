@@ -71,7 +71,7 @@ class Plane:
 
     @classmethod
     def of(cls, component: str, basis: ModalBasis, held: HeldModes, system: System, response: BridgeResponse) -> Plane:
-        """Of a component and its modes with the bridge held."""
+        """Make it of a component and its modes with the bridge held."""
         w, g, s = held.freq_rad, held.force, held.damping_rate
         n, m = w[:, None, None], w[None, :_BEATING, None]
         freq = np.abs(n + 2 * m * np.array([-1.0, 1.0]))
@@ -169,7 +169,7 @@ class Sidebands:
 
     @classmethod
     def of(cls, compiled: Mapping[str, Compiled], rise: float, system: System, response: BridgeResponse) -> Sidebands:
-        """Of a string's transverse components."""
+        """Make them of a string's transverse components."""
         planes = {}
         before: tuple[ModalBasis, HeldModes] | None = None
         for name, part in compiled.items():

@@ -49,7 +49,7 @@ SELDOM = 64
 #: some 20 ms/s (a steel guitar's string at 48 kHz)
 SHORTEST = 0.3
 #: least share of the time of all strings, by their modes, for which rises must be likely to be left out: below it,
-#: looking costs what leaving out saves (some 5 % of a render; strings whose tension rises cost some 50 %)
+#: looking costs as much as leaving out saves (some 5 % of a render; strings whose tension rises cost some 50 %)
 WORTH = 0.1
 #: s, longest time for which a rise goes on without another look at its bound
 _LONGEST_UNWATCHED = 0.5
@@ -78,7 +78,7 @@ class Forms:
 
     @classmethod
     def of(cls, compiled: Compiled) -> Forms:
-        """Of real modes."""
+        """Make them of a component of real modes."""
         basis = compiled.basis
         one, none = np.ones(basis.n_modes), np.zeros(basis.n_modes)
         (qx, vx), (qy, vy) = (to_motion(basis, np.stack(unit)) for unit in ((one, none), (none, one)))
@@ -102,7 +102,7 @@ class TensionEffect(SwitchedEffect):
         self._strings = tuple(self._laws) if self.chosen else tuple(stiff)
         #: strings whose longitudinal motion is coupled
         self.longitudinal = {g.name: g for g in system.stretches if g.longitudinal is not None}
-        # what moves at a string, a hammer on its way, may give its energy to the string at the next moment
+        # a mass that moves at a string, a hammer on its way, may give its energy to the string at the next moment
         parts = [(i, c) for i, t in enumerate(system.rising) for c in (*t.components, *_partners(system, t))]
         self._slots = [system.slot(c) for _, c in parts]
         self._owner = np.array([i for i, _ in parts], dtype=np.intp)
@@ -121,7 +121,7 @@ class TensionEffect(SwitchedEffect):
         self._starts = np.cumsum([0, *sizes[:-1]]).astype(np.intp)
         self._forms = np.zeros((3, len(self._places)))
         self._formed: list[Compiled | None] = [None] * len(self._slots)
-        # the modes that they describe, and what its strings rise per joule, cents: `Effect.bound` is proportional
+        # the modes that they describe, and the rise of its strings per joule, cents: `Effect.bound` is proportional
         self._compiled: Sequence[Compiled] = ()
         self._rising: list[tuple[Compiled, ...]] = [()] * len(self.components)
         self._per_joule = np.zeros(len(self.components))
@@ -135,7 +135,7 @@ class TensionEffect(SwitchedEffect):
     def prepare(self, timeline: Timeline) -> None:
         """Decide from the score whether looking for rises to leave out pays; if not, all rise all the time.
 
-        Nothing is known beforehand of what is played live: then it is looked for.
+        Of live playing nothing is known beforehand: then they are looked for.
         """
         if super().watched and timeline.plays:
             self._worth = self.idle_share(timeline) >= WORTH
@@ -143,8 +143,8 @@ class TensionEffect(SwitchedEffect):
     def idle_share(self, timeline: Timeline) -> float:
         """Estimate the share of time, by modes of strings, in which the rise will be within the budget of cents.
 
-        A pluck makes a rise of what its force stores on the open string, and that falls as the least damped mode's
-        energy. Other gestures are taken to need no rise, and the level of sidebands is left out.
+        A pluck makes a rise by the energy that its force stores on the open string, and that falls as the least damped
+        mode's energy. Other gestures are taken to need no rise, and the level of sidebands is left out.
         """
         system, end = self.model.system, max(timeline.stop, _TINY)
         self._follow(system)
@@ -246,7 +246,7 @@ class TensionEffect(SwitchedEffect):
         return f"{rises}; the budget is {self.model.choice.budget_cents:g}"
 
     def energies(self, system: System, state: State) -> Floats:
-        """(n_strings,) J, energy of each string's modes, and of what moves at it."""
+        """(n_strings,) J, energy of each string's modes, and of the masses that move at it."""
         if system.compiled is not self._compiled:
             self._follow(system)
         x, y = state.modes[:, self._places]
@@ -283,7 +283,7 @@ class TensionEffect(SwitchedEffect):
         energies: Floats,
         levels: dict[str, float],
     ) -> dict[str, Bound]:
-        """Bound on what leaving out strings' rise would cost: cents, and levels of `names`.
+        """Bound on the error of leaving out strings' rise: cents, and levels of `names`.
 
         The strings with the least level share the budget: a string's level is the sum of its own and of all lower
         ones. A string beyond the budget of cents is not looked at further, its level is infinite.
@@ -430,7 +430,7 @@ class TensionEffect(SwitchedEffect):
 
 
 def _partners(system: System, law: TensionModulation | GeometricStretch) -> list[str]:
-    """Components of what touches a string: hammers, fingers, rings."""
+    """Components that touch a string: hammers, fingers, rings."""
     own = law.parts if isinstance(law, GeometricStretch) else law.components
     there = [n for n in system.names if system.owners.get(n) == law.name and n not in own]
     return [n for n in there if system.compiled[system.slot(n)].basis.is_real]

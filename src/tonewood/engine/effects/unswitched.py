@@ -29,7 +29,7 @@ class SecondPolarizationEffect(RuntimeEffect):
         return tuple(name for name in self.plugins if len(self.model.instrument.polarizations(name)) > 1)
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
-        """Its declared cost is saved where it is left out."""
+        """Report the effect; its declared cost is saved where it is left out."""
         reports = super().report(usage)
         if self.chosen:
             return reports
@@ -115,7 +115,7 @@ class GestureEffect(OccasionalEffect):
         return {play.string for play in run.plays if play.string is not None and play.exciter in self.plugins}
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
-        """When they will act, and what that will take."""
+        """When they will act, and the time that will take."""
         out = super().plan(foreseen)
         if not self.chosen:
             return out

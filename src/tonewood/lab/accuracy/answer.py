@@ -1,4 +1,4 @@
-"""The first screen of the page: what an error costs on each system, by us, by the best other method, at least."""
+"""The first screen of the page: the least time for an error on each system, by us and by the best other method."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Attacks on stability: scenes that are meant to make energy, and what of it they make.
+"""Attacks on stability: scenes that are meant to make energy, and the energy that they make.
 
 Undamped where a loss could hide a gain. The energy is read from the states, by `energy.account` and by the energy
 budget of a render, which know nothing of how a step is made.
@@ -97,7 +97,7 @@ def run(*, quick: bool = False, tell: Callable[[float], None] | None = None) -> 
 
 
 def section(attacks: Sequence[Attack]) -> str:
-    """Markdown: what was attacked, and what came of it."""
+    """Markdown: the attacks and their results."""
     return f"{TEXT}\n\n{table(attacks)}"
 
 
@@ -261,14 +261,14 @@ def unequal_masses(mass: float, steps: int) -> Attack:
 
 
 def redundant_joints(steps: int) -> Attack:
-    """The same joint four times, once in other units and once nearly."""
+    """State one joint four times, once in other units and once nearly."""
     links = [_joint(), _joint("again"), _joint("thousandfold", share=1e3)]
     terms = (Term("string", "bridge"), Term("body", "s1", -1.0), Term("string", "stop", 1e-9))
     return _followed("redundant joints", _on_body(0.1, [*links, Connection("nearly", terms, Rigid())]), steps)
 
 
 def contradictory_joints(steps: int) -> Attack:
-    """The same gap asked to be 1 and 3 micrometres wide."""
+    """Ask one gap to be 1 and 3 micrometres wide."""
     links = [_joint("one", 1e-6), _joint("three", 3e-6)]
     return _followed("contradictory joints", _on_body(0.1, links), steps, size=1e-2)
 

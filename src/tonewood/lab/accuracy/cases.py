@@ -43,7 +43,7 @@ class Case:
     name, title : short, and as a heading.
     build : highest string mode in Hz -> problem, one driven and one read point.
     true_poles : poles of partials 1, 2, ..., 1/s, by a way that knows no modes of strings.
-    damped_as : in words, what its bodies' damping is.
+    damped_as : in words, the damping of its bodies.
     string : its only string, if there is but one.
     """
 
@@ -94,7 +94,7 @@ def real_modes_of(problem: Problem) -> Problem:
 
 
 def undamped(problem: Problem) -> Problem:
-    """The same real modes without damping."""
+    """Return the problem with its real modes undamped."""
     parts = {}
     for name, basis in problem.components.items():
         if not basis.is_real:
@@ -119,7 +119,7 @@ def sliding_string(string: ExactString, freq_upper: float, *, residual: bool) ->
     """The string in modes cos((2 n - 1) pi x / 2 L), free to slide at the bridge (Antunes & Debut 2017; Fabre 2024).
 
     Their slope at the bridge is zero, so the static ramp is found only as a sum that converges like 1 / N; `residual`
-    puts what the kept modes leave of it, and of all other static compliance, into the residual compliance.
+    puts the part of it that the kept modes leave, and of all other static compliance, into the residual compliance.
     """
     s = string
     mu, T, EI, L = s.linear_density, s.tension, s.bending_stiffness, s.length
@@ -284,7 +284,7 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
 
     def poles() -> Complexes:
         found = partials()
-        # twice the modes: what the highest partials lack of them is then far below a thousandth of a cent
+        # twice the modes: the error of the highest partials by the missing ones is far below a thousandth of a cent
         return continuous_poles(build(2 * FREQ_UPPER), np.array([s for _, s in found]), [j for j, _ in found])
 
     of = f" (partials of {', '.join(strings)})" if strings is not None else ""

@@ -14,7 +14,7 @@ from tonewood.lab.accuracy.nonlinear_cases import hard_obstacle_case, klosner_ca
 from tonewood.lab.accuracy.pareto import DECAY, PITCH, WAVEFORM, Headline, Measure, headlines
 from tonewood.lab.accuracy.study import Point, Tell, silent
 
-#: name -> what makes the case
+#: name -> maker of the case
 SYSTEMS: Mapping[str, Callable[[], Case | NonlinearCase]] = {
     "fabre_guitar": fabre_case,
     "harp": harp_case,
@@ -27,7 +27,7 @@ SYSTEMS: Mapping[str, Callable[[], Case | NonlinearCase]] = {
     "hard_obstacle": hard_obstacle_case,
     "klosner_d": klosner_case,
 }
-#: what a quick run takes instead: all strings sound, but the poles of two are sought
+#: cases that a quick run takes instead: all strings sound, but the poles of two are sought
 QUICK: Mapping[str, Callable[[], Case | NonlinearCase]] = {
     "classical_guitar": partial(guitar_case, strings=("E2", "E4")),
 }
@@ -45,7 +45,7 @@ class Outcome:
     ----------
     name, title : of the system.
     truth : where its reference comes from.
-    measures : what the methods are compared by, the first one on the chart.
+    measures : by which the methods are compared, the first one on the chart.
     points : in the order they were made.
     """
 
@@ -83,7 +83,7 @@ def study(name: str, *, quick: bool = False, tell: Tell = silent) -> Outcome:
         measure = PITCH if case.pitch else WAVEFORM
         return Outcome(name, case.title, points[0].note.rpartition("; ")[2], (measure,), tuple(points))
     points = linear.study(case, quick=quick, tell=tell)
-    # where there are many strings most methods lose some partials: the chart is of what all of them have
+    # where there are many strings most methods lose some partials: the chart is of those that all of them have
     measures = (WAVEFORM, PITCH, DECAY) if isinstance(case, GuitarCase) else (PITCH, DECAY, WAVEFORM)
     return Outcome(name, case.title, linear.truth_of(case, points), measures, tuple(points))
 

@@ -1,4 +1,4 @@
-"""The user's dial: what ``draft``, ``standard`` and ``reference`` differ by on an instrument, and what they cost.
+"""The user's dial: differences between ``draft``, ``standard`` and ``reference`` on an instrument, and their cost.
 
 A note is rendered with each, and its partials are held against those of ``reference`` (`partials.compare`): once where
 the motion is regular, many times with forces a little apart where it is sensitive.
@@ -51,7 +51,7 @@ The middle string of every instrument, one open note of MIDI velocity {VELOCITY_
 {DURATION:g} s. Median / worst over the partials, of the first twenty, that lie within 40 dB of the loudest, against
 `reference`: pitch and level from {STEADY:g} s after the note on; decay as the slope, in dB per second, of the energy
 still to come (Schroeder's backward integration, ISO 3382-1), which is the rate of an exponential and still a number
-where partials beat or feed each other. A bow plays for half of the time, and the decay is what follows. Waveform: the
+where partials beat or feed each other. A bow plays for half of the time; the decay is that after it. Waveform: the
 relative difference in the first second, under a Hann window, after the mean delay is taken out (accelerations are means
 over the step that begins at a frame, half a step early).
 
@@ -85,7 +85,7 @@ BUDGET_TEXT = f"""\
 ## Effects and their budgets
 
 The same comparison for `--effects`: a string of the steel-string guitar plucked with {FORCE:g} N, against all effects.
-Auto leaves out what stays within `--budget-cents` and `--budget-db`, bounds on pitch and on what is added, so
+Auto leaves out effects within `--budget-cents` and `--budget-db`, bounds on pitch and on the sound added, so
 differences of the pitch lie below them. A rise that is left out turns the phase of partials: that is the difference of
 waveforms, which no budget bounds, and in two planes that beat the one of decay."""
 
@@ -123,7 +123,7 @@ def measure(instrument: Instrument, string: str, *, nudge: bool = True) -> list[
 
     Parameters
     ----------
-    nudge : also what `reference` does for a thousandth more force; where that is much, strokes are compared by their
+    nudge : also the notes of `reference` for a thousandth more force; where that is much, strokes are compared by their
         means. Without it one stroke is, and not for so long.
     """
     case = NoteCase.of(instrument, string, DURATION if nudge else SHORT, fs=FS)

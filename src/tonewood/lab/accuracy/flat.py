@@ -1,4 +1,4 @@
-"""Components and rigid constraints as flat arrays over all modes: what every method is made from.
+"""Components and rigid constraints as flat arrays over all modes, from which every method is made.
 
     x' = A x + B f,   gaps g = C x,   constraint forces f.
 
@@ -47,7 +47,7 @@ class Flat:
 
     @property
     def n_modes(self) -> int:
-        """Of all components."""
+        """Number of modes of all components."""
         return sum(basis.n_modes for basis in self.problem.components.values())
 
     @cached_property
@@ -57,7 +57,7 @@ class Flat:
 
     @cached_property
     def B(self) -> Floats:
-        """(m, n, 2) what unit constraint forces do to x'."""
+        """(m, n, 2) x' per constraint force."""
         return self._gather(tuple(c.terms for c in self.problem.constraints), "B")
 
     @cached_property
@@ -67,7 +67,7 @@ class Flat:
 
     @cached_property
     def scatter(self) -> Floats:
-        """(n_inputs, n, 2) what unit forces at the driven points do to x'."""
+        """(n_inputs, n, 2) x' per force at the driven points."""
         return self._gather(tuple((t,) for t in self.problem.inputs), "B")
 
     @cached_property
@@ -125,8 +125,8 @@ class Flat:
     def energy_weights(self) -> Floats:
         """(n, 2, 2) E = sum x^T w x / 2: kinetic and potential energy of real modes, J.
 
-        Of complex modes omega |r| / |l| |z|^2, the same up to what no splitting of a non-proportionally damped motion
-        into modes can tell.
+        Of complex modes omega |r| / |l| |z|^2, the same up to the terms that two modes of a non-proportionally damped
+        motion have in common.
         """
         out = np.zeros((self.n_modes, 2, 2))
         for name, basis in self.problem.components.items():
@@ -168,7 +168,7 @@ class RealModes:
     Attributes
     ----------
     omega2, sigma : (n,) 1/s^2, 1/s.
-    gaps, outs : (., n) shapes at the rigid gaps and at what is read.
+    gaps, outs : (., n) shapes at the rigid gaps and at the readouts.
     read : (n, 2, 2) state x -> (q, q').
     """
 
@@ -209,7 +209,7 @@ def inverses(blocks: Floats) -> Floats:
 
 
 def through(rows: Floats, blocks: Floats) -> Floats:
-    """Rows (k, n, 2) times blocks (n, 2, 2): what the rows read after the blocks have acted."""
+    """Rows (k, n, 2) times blocks (n, 2, 2): the rows of a state after the blocks have acted."""
     out = np.empty_like(rows)
     out[..., 0] = rows[..., 0] * blocks[:, 0, 0] + rows[..., 1] * blocks[:, 1, 0]
     out[..., 1] = rows[..., 0] * blocks[:, 0, 1] + rows[..., 1] * blocks[:, 1, 1]

@@ -56,7 +56,7 @@ def study(case: Case, *, quick: bool = False, tell: Tell = silent) -> list[Point
 
 
 def truth_of(case: Case, points: Sequence[Point]) -> str:
-    """Where poles and waveform that methods are held against come from."""
+    """Return the source of the poles and the waveform that methods are compared with."""
     if isinstance(case, GuitarCase):
         return (
             "poles by Newton's method on the continuous system with string modes to 40 kHz; waveform by this scheme at "
@@ -121,7 +121,7 @@ def _dials(subject: Subject, quick: bool) -> Iterator[Make]:
 
 
 def exchanged(flat: Flat, name: str, basis: ModalBasis) -> Flat:
-    """The same with another basis for one component."""
+    """Return the arrays with another basis for one component."""
     return Flat(replace(flat.problem, components={**flat.problem.components, name: basis}))
 
 

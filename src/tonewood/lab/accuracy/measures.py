@@ -41,7 +41,7 @@ class PoleErrors:
 
 
 def pole_errors(found: Complexes, true: Complexes, numbers: NDArray[np.intp] | None = None) -> PoleErrors:
-    """Of poles against the true ones; a partial farther off than half its distance to the next (nan too) is lost.
+    """Compare poles with the true ones; a partial farther off than half its distance to the next (nan too) is lost.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class WaveErrors:
 def wave_errors(y: Floats, true: Floats, fs: float, partials: Complexes) -> WaveErrors:
     """Compare displacements (n,) at fs Hz.
 
-    The spectral distance is that of accelerations, nearer to what is heard: levels in third-octave bands from 50 Hz to
+    The spectral distance is that of accelerations, nearer to hearing: levels in third-octave bands from 50 Hz to
     16 kHz of the spectrum under a Hann window, times omega^2; rms of the level difference over all bands where the true
     one is within 80 dB of the loudest. Spurious is the largest acceleration in the spectrum of y - y_true farther than
     20 Hz from every true partial.

@@ -131,7 +131,7 @@ class Arrays:
     law : (l, n) shapes at the gaps of laws.
     weights : (n_tensions, n) k.
     stiffness : (n_tensions,) EA/2L.
-    laws : what acts on the gaps.
+    laws : of the gaps.
     G : (r, r) force of rigid connections per acceleration.
     """
 
@@ -170,7 +170,7 @@ class Arrays:
         return np.asarray(a - m.gaps.T @ (self.G @ (m.gaps @ a)))
 
     def energy(self, q: Floats, v: Floats) -> float:
-        """Of modes, tensions and laws, J."""
+        """Energy of modes, tensions and laws, J."""
         total = 0.5 * float(v @ v + self.modes.omega2 @ q**2)
         for weight, stiffness in zip(self.weights, self.stiffness, strict=True):
             total += stiffness / 4 * float(weight @ q**2) ** 2
@@ -180,7 +180,7 @@ class Arrays:
 
 
 def replace_law(connection: Connection) -> Connection:
-    """The same gap, rigid."""
+    """Return a rigid connection over the same gap."""
     return Connection(connection.name, connection.terms)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -138,8 +136,3 @@ def klosner_case() -> NonlinearCase:
         bent,
         slow=False,
     )
-
-
-def nonlinear_cases() -> Sequence[NonlinearCase]:
-    """All four."""
-    return tension_case(), obstacle_case(), hard_obstacle_case(), klosner_case()

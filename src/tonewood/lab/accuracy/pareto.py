@@ -1,4 +1,4 @@
-"""Error against time: which points are worth having, and what the same error costs by another method."""
+"""Error against time: which points are on the front, and the time for the same error by another method."""
 
 from __future__ import annotations
 

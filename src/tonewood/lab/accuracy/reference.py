@@ -7,7 +7,6 @@ still is from its limit is shown by the same at half that rate.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -45,7 +44,7 @@ class ExactMotion:
     Attributes
     ----------
     poles : (k,) 1/s, conjugates included.
-    shares : (k, n_outputs) m, what each contributes to the readouts.
+    shares : (k, n_outputs) m, contribution of each to the readouts.
     """
 
     poles: Complexes
@@ -95,7 +94,7 @@ class FineMotion:
 
     Attributes
     ----------
-    flat, start : what moves, and from where.
+    flat, start : system that moves, and its state at the start.
     duration : s.
     rate : Hz.
     """
@@ -130,11 +129,3 @@ class FineMotion:
         state = stepper.start()
         state.modes[:] = self.flat.state_of(self.start, system)
         return stepper.run(state, n + 1)[0]
-
-
-def reference_of(flat: Flat, start: Floats, *, largest: int = 400) -> Motion:
-    """Exact where an eigenvalue solver can do it in seconds, fine otherwise."""
-    return ExactMotion.of(flat, start) if flat.n_modes <= largest else FineMotion(flat, start)
-
-
-Reference = Callable[[], Motion]

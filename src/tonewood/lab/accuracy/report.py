@@ -15,7 +15,7 @@ INTRODUCTION = """\
 ## How it is measured
 
 Every method steps the same modes of the same system with the same compiler flags, so that their times can be compared:
-what differs is the integrator, and the level at which the connections are held together. All systems are held still by
+only the integrator differs, and the level at which the connections are held together. All systems are held still by
 a constant force and let go; nothing but the method's own stepping then makes an error.
 
 - **tonewood**: exact flow of every mode under forces held over a step, gaps closed at its end; modes above 0.45 of the
@@ -62,8 +62,8 @@ order, and unstable with modes above the Nyquist frequency.
 *Superposition* of the coupled modes has no error of pitch or waveform at any rate, as long as no stop, bend or contact
 changes; the eigenproblem of the whole is not in its time.
 
-For an instrument of your own: `tonewood accuracy -i INSTRUMENT --target 1cent` prints the cheapest setting, what it
-costs and the settings around it, with the own error of the reference that it judges by. Targets are pitch (`1cent`),
+For an instrument of your own: `tonewood accuracy -i INSTRUMENT --target 1cent` prints the cheapest setting, its
+cost and the settings around it, with the own error of the reference that it judges by. Targets are pitch (`1cent`),
 decay (`5%decay`), level (`0.5dB`) and waveform (`-60dB`) of the worst partial, or several with commas; `--notes` names
 notes, `--plot` draws the frontier, and `--apply` prints the options alone:
 
@@ -144,7 +144,7 @@ class Study:
 
 
 _PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>What accuracy costs in time</title><style>
+<html lang="en"><head><meta charset="utf-8"><title>Accuracy and its cost in time</title><style>
 body {{ font: 15px/1.5 sans-serif; max-width: 100em; margin: 2em auto; padding: 0 1em }}
 table {{ border-collapse: collapse; font-size: 12px; margin: 1em 0; display: block; overflow-x: auto }}
 td, th {{ border: 1px solid #ccc; padding: 2px 6px; text-align: right }}
@@ -156,7 +156,7 @@ td:first-child, th:first-child {{ text-align: left }} img {{ max-width: 100% }}
 
 
 def _html(text: str) -> str:
-    """Of headings, paragraphs, lists, tables and pictures as they occur here."""
+    """Return headings, paragraphs, lists, tables and pictures, as they occur here, as HTML."""
     out = []
     for block in text.strip().split("\n\n"):
         lines = block.splitlines()

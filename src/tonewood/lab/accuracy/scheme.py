@@ -1,4 +1,4 @@
-"""One method on one problem at one step length, as arrays for the compiled loop, and what is read off them."""
+"""One method on one problem at one step length, as arrays for the compiled loop, and quantities read off them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Methods of the literature as arrays for one compiled loop: what an integrator reads, keeps and pushes.
+"""Methods of the literature as arrays for one compiled loop: rows read, state kept, columns of forces.
 
     f_n = -(G r_n + K f_(n-1)),   every mode moves on under f_n, f_(n-1), ...,   r_(n+1) is read from the new state
 
@@ -37,7 +37,7 @@ def _flow_scheme(
     *, begin: Callable[[Floats], tuple[Floats, Floats]] | None = None, ahead: Floats | None = None,
     shift: Floats | None = None,
 ) -> Scheme:  # fmt: skip
-    """scatter: by phase and lag (m, n, 2).  ahead: (m, n, 2) that forces add to what the readouts see, first phase."""
+    """scatter: by phase and lag (m, n, 2).  ahead: (m, n, 2) that forces add to the state read out, first phase."""
     m, phases, lags = len(G[0]), len(scatter), len(scatter[0])
     out_memory = np.zeros((phases, len(flat.out), m))
     if ahead is not None:
@@ -148,7 +148,7 @@ def simpson(flat: Flat, dt: float) -> Scheme:
     """Simpson's rule over two steps; its middle state, where the force is asked for, by the trapezoidal rule."""
     E = flat.flow(dt, 0)[0]
     kick, turned = dt / 3 * flat.B, apply(E, flat.B)
-    # what the middle state has more than is kept of the force before: 1/2 instead of 1/3
+    # share of the force before in the middle state beyond the share that is kept: 1/2 instead of 1/3
     missing = dt / 6 * turned
     G = [_through_kick(flat, kick), _through_kick(flat, 0.5 * dt * flat.B)]
     K = G[1] @ product(flat.CA2, missing)
@@ -261,7 +261,7 @@ def build(name: str, flat: Flat, dt: float) -> Scheme:
 
     Raises
     ------
-    ValueError : it has no place for what the problem has (modes that are not real).
+    ValueError : it has no place for parts of the problem (modes that are not real).
     """
     return SCHEMES[name](flat, dt)
 

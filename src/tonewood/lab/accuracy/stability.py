@@ -1,9 +1,9 @@
 """Which methods stay stable where: modes x pluck force x sampling rate, each let go from a pluck and watched.
 
-A run is *stable* if its energy, or what stands for it, never exceeds `GROWTH` times that of the pluck; it *grows* if
-it does, and it ends as *NaN* if a number is no longer finite. Undamped and lightly damped systems only: what a method
-adds has nowhere to hide. In a linear system the pluck's force is but a scale; it matters where it raises a string's
-tension.
+A run is *stable* if its energy, or its measure of it, never exceeds `GROWTH` times that of the pluck; it *grows* if
+it does, and it ends as *NaN* if a number is no longer finite. Undamped and lightly damped systems only: no loss hides
+the energy that a method adds. In a linear system the pluck's force is but a scale; it matters where it raises a
+string's tension.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Cell:
 
     Attributes
     ----------
-    system, method : what was stepped, how.
+    system, method : names.
     n_modes : of the string.  force : N.  fs : Hz.
     verdict : stable, grows or NaN.
     growth : largest energy seen, as a factor of that of the pluck; infinite if it was not finite.
@@ -92,7 +92,7 @@ class StabilityGrid:
     attacks: Sequence[Attack] = ()
 
     def verdicts(self, method: str) -> list[str]:
-        """Of one method."""
+        """Verdicts of one method."""
         return [cell.verdict for cell in self.cells if cell.method == method]
 
     def table(self) -> str:

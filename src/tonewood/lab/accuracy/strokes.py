@@ -48,7 +48,7 @@ class NoteCase:
 
     Attributes
     ----------
-    instrument, string, stop : what is played.
+    instrument, string, stop : of the note.
     force : N or m/s, as the exciter has it.
     let_go : s, of a note that is driven until then; 0 if it is left alone from the first.
     duration : s of sound.
@@ -75,7 +75,7 @@ class NoteCase:
         renderer = Renderer(Score([note]), instrument, fs)
         motions = [m for play in renderer.performance.timeline.plays for m in play.gesture.motions]
         force = renderer.model.playing.velocity.value(VELOCITY_MIDI) if force is None else force
-        # what moves on at a velocity goes on giving energy
+        # a partner that moves at a velocity goes on giving energy
         let_go = 0.5 * duration if any(m.quantity == "velocity" for m in motions) else 0.0
         return cls(instrument, string, stop, force, let_go, duration, fs)
 

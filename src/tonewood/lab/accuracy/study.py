@@ -54,14 +54,14 @@ class Point:
     Attributes
     ----------
     system, method : names; methods are those of `LABELS`.
-    dial, value : what is varied along the line, and its value here.
+    dial, value : parameter varied along the line, and its value here.
     fs : Hz.  n_modes : stepped.
     stable : stable, grows or NaN.
     cents_median, cents_worst, cents_20, decay_median, decay_worst, lost : see `measures.PoleErrors`.
     waveform, spectral_db, spurious_db : see `measures.WaveErrors`.
     energy : drift of the undamped system's energy within 1 s, relative.
     seconds, seconds_low, seconds_high : of computing per second of sound: median, 10th and 90th percentile.
-    note : what else is to be said.
+    note : further remarks.
     """
 
     system: str
@@ -87,7 +87,7 @@ class Point:
     note: str = ""
 
     def to_dict(self) -> dict[str, object]:
-        """Fields for JSON; what is not known is None."""
+        """Fields for JSON; unknown ones are None."""
         return {key: None if isinstance(v, float) and not np.isfinite(v) else v for key, v in asdict(self).items()}
 
 
@@ -114,7 +114,7 @@ SECOND_ORDER = ("verlet", "newmark", "hht")
 
 
 class Subject:
-    """A case as some methods see it: its modes, what is true of it, and where the motion starts.
+    """A case as some methods see it: its modes, its true values, and the state in which the motion starts.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class Subject:
         return real_modes_of(problem) if self.real else problem
 
     def flat(self, freq_upper: float = FREQ_UPPER) -> Flat:
-        """The same, made once."""
+        """Return the problem as flat arrays, made once for each limit (Hz)."""
         if freq_upper not in self._flats:
             self._flats[freq_upper] = Flat(self.problem(freq_upper))
         return self._flats[freq_upper]
@@ -175,7 +175,7 @@ class Subject:
         return ExactMotion.of(fine, self.start(fine), FREQ_UPPER)
 
     def displacement(self, fs: float, n: int) -> Floats:
-        """Of the true motion, see `reference.Motion`; made once for each rate."""
+        """Return the true motion, see `reference.Motion`; made once for each rate."""
         if (fs, n) not in self._displacements:
             self._displacements[fs, n] = self.motion.displacement(fs, n)
         return self._displacements[fs, n]
@@ -197,7 +197,7 @@ class Subject:
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """A point without its time, and what to time."""
+    """A point without its time, and the run to be timed."""
 
     point: Point
     task: Task | None

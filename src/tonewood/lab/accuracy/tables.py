@@ -22,7 +22,7 @@ EXPECTED_CENTS = 0.01
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """Few digits; nothing for what is not known."""
+    """Few digits; nothing for an unknown value."""
     if value is None or not math.isfinite(value):
         return ""
     return f"{value:.{digits}g}" if value == 0 or 1e-3 <= abs(value) < 1e4 else f"{value:.{digits - 1}e}"
@@ -90,7 +90,7 @@ def headline_table(outcomes: Sequence[Outcome], measure: Measure) -> str:
 
 
 def method_table(outcome: Outcome) -> str:
-    """One system: time ratio at equal error by every measure, and what each method reaches at best."""
+    """One system: time ratio at equal error by every measure, and the least error of each method."""
     names = [name for name, found in outcome.headlines.items() if found]
     if not names:
         return "Nothing to compare with in a quick run."

@@ -56,7 +56,7 @@ class Worst:
 
     @classmethod
     def of(cls, errors: Sequence[PartialErrors]) -> Worst:
-        """Of several notes."""
+        """Return the worst errors of several notes."""
         waves = [e.waveform for e in errors]
         return cls(
             max(e.cents_worst for e in errors),
@@ -128,7 +128,7 @@ class Target:
         return all(limit is None or (found is not None and found <= limit) for limit, found in pairs)
 
     def excess(self, errors: Worst) -> float:
-        """Largest ratio of an error to what is allowed."""
+        """Largest ratio of an error to its limit."""
         pairs = [(getattr(self.limits, n), getattr(errors, n)) for n in NAMES]
         return max(math.inf if found is None else found / limit for limit, found in pairs if limit is not None)
 
@@ -173,7 +173,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """A setting, its errors, and what it costs.
+    """A setting, its errors, and its cost.
 
     Attributes
     ----------
@@ -198,11 +198,11 @@ class Frontier:
 
     Attributes
     ----------
-    instrument, target, notes, fs : what was asked.
+    instrument, target, notes, fs : of the question.
     tried : from cheap to dear.
     reference : steps per frame of the reference.
     own : its own error.
-    modes : what twice as high a limit of the strings' modes changes, at twice the rate of `standard`; the bundle's
+    modes : change by twice as high a limit of the strings' modes, at twice the rate of `standard`; the bundle's
         limit is part of the instrument and counts in no error.
     strokes : whose means were compared; 1 where a thousandth more force changes little.
     default : errors and cost of a render without any options.
@@ -397,7 +397,7 @@ class _Search:
         return self._made(setting, strokes, self._held_against(strokes))
 
     def _timed(self, tried: Sequence[Tried]) -> list[Tried]:
-        """The same from cheap to dear, timed on the first note, all in turn."""
+        """Return the settings from cheap to dear, timed on the first note, all in turn."""
         tasks = []
         for t in tried:
             renderer = self.cases[0].renderer(t.setting.options)

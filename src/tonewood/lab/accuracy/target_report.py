@@ -24,7 +24,7 @@ HEADS = {
 
 
 def summary(found: Frontier) -> str:
-    """The answer first, then what it rests on, then the table."""
+    """The answer first, then its grounds, then the table."""
     lines = [_answer(found), "", *_ground(found), "", table(found)]
     return "\n".join(lines)
 
@@ -41,8 +41,8 @@ def _answer(found: Frontier) -> str:
     meets = "meets it, too" if default.met else "does not meet it"
     return (
         f"{asked}: {best.setting.words}\n"
-        f"It takes {number(best.seconds, 3)} s of computing per second of sound, {number(ratio, 2)} times what a "
-        f"render without options takes, which {meets} ({_worded(default.errors)})."
+        f"It takes {number(best.seconds, 3)} s of computing per second of sound, {number(ratio, 2)} times as "
+        f"long as a render without options, which {meets} ({_worded(default.errors)})."
     )
 
 
@@ -57,8 +57,8 @@ def _ground(found: Frontier) -> list[str]:
     ]
     if found.strokes > 1:
         out.append(
-            f"A thousandth more force changes these notes: compared are means over {found.strokes} strokes, and what "
-            "two halves of the reference's strokes differ by counts as its own error."
+            f"A thousandth more force changes these notes: compared are means over {found.strokes} strokes, and the "
+            "difference of two halves of the reference's strokes counts as its own error."
         )
     return out
 

@@ -56,7 +56,7 @@ class Problem:
         return self._assemble(terms, "C")
 
     def columns(self, terms: tuple[tuple[Term, ...], ...]) -> Floats:
-        """(n, len(terms)) what unit forces on weighted sums of points do to x'."""
+        """(n, len(terms)) x' per force on weighted sums of points."""
         return self._assemble(terms, "B").T
 
     @property
@@ -66,7 +66,7 @@ class Problem:
 
     @property
     def gap_columns(self) -> Floats:
-        """(n, m) what unit constraint forces do to x'."""
+        """(n, m) x' per constraint force."""
         return self.columns(tuple(c.terms for c in self.constraints))
 
     @property
@@ -99,7 +99,7 @@ class Problem:
         return out
 
     def system(self, dt: float) -> System:
-        """The same problem for the project's own stepper."""
+        """Return the problem for the project's own stepper."""
         readouts = [
             Readout(f"{i}", "displacement", (Probe(t.component, t.point, t.factor),))
             for i, t in enumerate(self.outputs)
@@ -128,7 +128,7 @@ class StepMap:
     ----------
     dt : s.
     T : (k, k) real or complex; multi-step methods keep their past in x.
-    now, next : (k, n_inputs) what forces at the beginning and the end of the step do.
+    now, next : (k, n_inputs) x per force at the beginning and at the end of the step.
     output : (n_outputs, k).
     embed : (k, n) puts a state of `Problem.generator` into x.
     """

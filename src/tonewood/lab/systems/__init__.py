@@ -1,1 +1,1 @@
-"""The published systems: what was computed of them, against what, and their figures."""
+"""The published systems: quantities computed of them, their references, and their figures."""

@@ -240,7 +240,7 @@ def _alternatives() -> Iterator[Row]:
             n = round(DURATION / dt) + 1
             forces = sampled_forces(np.arange(n) * dt)
             once = split.one_shot(forces, dt)
-            # P1 is exact for the same broken line, so what is left is the pseudo-load's own error
+            # P1 is exact for the same broken line, so the rest is the pseudo-load's own error
             line = respond(P1, basis_of(system), FORCES, np.arange(n) * dt).displacement
             errors.append(float(np.abs(once - line).max()))
             if steps == 40:

@@ -4,7 +4,8 @@
 c3 = 0, driven by opposite forces of 10 N at 1.5 Hz. Light damping is c = 4 pi/50 N s/m, very heavy c = 4 pi.
 
 *Stiff system* (Fig. 3.10): the first spring 1e4 times as stiff, the third left out; free motion from u = (1, 10). The
-first mode, near 1 Hz, stands for what matters, the second, near 100 Hz, for a spurious one of a discretised continuum.
+first mode, near 1 Hz, stands for those that matter, the second, near 100 Hz, for a spurious one of a discretised
+continuum.
 
 The eigenproblems are the generalised ones, A - lambda B and K^ - lambda M^; the thesis prints them as standard ones.
 """
@@ -116,7 +117,7 @@ STIFF_DAMPING = {True: 4 * np.pi / 10, False: 4 * np.pi / 5}
 
 
 def two_step(system: Matrices, n_modes: int, times: ArrayLike, start: ArrayLike, update: Update = P1) -> Response:
-    """Real modal reduction first, complex modes of what is left second (the thesis' algorithm, p. 17).
+    """Real modal reduction first, complex modes of the reduced system second (the thesis' algorithm, p. 17).
 
     Returns
     -------

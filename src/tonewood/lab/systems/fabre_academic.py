@@ -49,7 +49,7 @@ def subsystems() -> dict[str, Matrices]:
 
 
 def whole(parts: dict[str, Matrices]) -> Matrices:
-    """Both put together: dofs m1, m2, m3, m4 + m5, m6 .. m9."""
+    """Assemble both parts: dofs m1, m2, m3, m4 + m5, m6 .. m9."""
     eye = np.eye(8)
     return assembled.joined([parts["S1"], parts["S2"]], [eye[:4], eye[3:]])
 
@@ -91,7 +91,7 @@ def impulse_response(given: Problem, method: str, n: int, fs: float = FS) -> Flo
 
 
 def exact_impulse_response(system: Matrices, n: int, fs: float = FS) -> Floats:
-    """The same from the matrix exponential of the assembled system."""
+    """Return the impulse response from the matrix exponential of the assembled system."""
     v0 = sla.solve(system.M, np.eye(8)[1])
     return assembled.free_motion(system, np.zeros(8), v0, 1 / fs, n)[:, 7]
 

@@ -48,7 +48,7 @@ def exact_string() -> ExactString:
 
 
 def string(freq_upper: float | None = None, n_modes: int | None = None) -> ModalBasis:
-    """Its modes, with the point ``pluck``."""
+    """Return the string's modes, with the point ``pluck``."""
     s = exact_string()
     basis = string_basis(
         s.length,
@@ -114,7 +114,7 @@ def pluck(given: Problem, fs: float, duration: float) -> Floats:
     step = METHODS["held_position"].step_matrix(given, 1 / fs)
     ramp = FORCE * np.arange(round(RAMP * fs) + 1)[:, None] / (RAMP * fs)
     driven, x = step.advance(np.zeros(len(step.T)), ramp)
-    # released at its peak: what follows is free motion from the state there
+    # released at its peak: free motion from the state there follows
     free, _ = step.advance(x, np.zeros((round((duration - RAMP) * fs) + 1, 1)))
     return np.concatenate([driven, free[1:]])[:, 0]
 

@@ -129,7 +129,7 @@ def plots(directory: Path) -> list[Path]:
     fig, axis = figure(1, 1, size=(8, 6))
     rates = np.array([50.0 * 2**i for i in range(8)])
     for i, method in enumerate(METHODS.values()):
-        dashed = "--" if method.name in ("linear_position",) else "-"
+        dashed = "--" if method.name == "linear_position" else "-"
         label = f"{method.name}, order {method.order}" + (" (unstable)" if dashed == "--" else "")
         axis.loglog(rates, pole_errors(method, rates), dashed + "osv^"[i % 4], color=f"C{i}", label=label, markersize=4)
     axis.set(xlabel="sampling rate (Hz)", ylabel="largest relative pole error", ylim=(1e-15, 1))

@@ -1,6 +1,6 @@
 """The harp of Fabre, Le Carrou & Chomette (2024, section 3.2.2): their string on a stand-in for their body.
 
-The paper does not print the 32 complex modes of the instrument; see `harp_body` for what takes their place. String 4 is
+The paper does not print the 32 complex modes of the instrument; `harp_body` takes their place. String 4 is
 the paper's: radius .4 mm, 52.3 cm, 247 Hz, at 23.6 degrees to the soundboard, so that its end moves by cos 23.6 times
 the board's displacement, and the force on the board carries the same factor; its axial part is left out.
 """
@@ -47,7 +47,7 @@ def exact_string() -> ExactString:
 
 
 def string(n_modes: int) -> ModalBasis:
-    """Its modes, with the point ``pluck``."""
+    """Return the string's modes, with the point ``pluck``."""
     s = exact_string()
     basis = string_basis(
         s.length,
@@ -97,7 +97,7 @@ def partial_levels(response: Complexes, freq: Floats, partials: Floats) -> Float
 
 
 def rows() -> Iterator[Row]:
-    """Modes of the body, groups, coupled poles and waveform; what the damping cases make of the partials."""
+    """Modes of the body, groups, coupled poles and waveform; the partials of each damping case."""
     body, (matrices, _) = harp_body(), harp_body_matrices()
     poles = assembled.poles(matrices)
     error = max(float(np.min(np.abs(body.poles - p)) / abs(p)) for p in poles)

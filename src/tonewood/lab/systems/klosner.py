@@ -74,14 +74,14 @@ def coupled_frequencies(form: str, n_modes: int, count: int) -> Floats:
         A = free_free_form(main, free_free_modes(sub.sub_mass, sub.sub_stiffness), sub.foot).A
     n = len(A) // 2
     squared = np.sort(sla.eigvals(-A[n:, :n]).real)
-    # sines of even order are at rest at the middle and stay what they were
+    # sines of even order are at rest at the middle and stay as they were
     own = BEAM.natural_freq_rad(n_modes)[1::2]
     apart = [w for w in np.sqrt(squared) if np.abs(own - w).min() > 1e-9 * w]
     return np.array(apart[:count])
 
 
 def exact_frequencies(count: int) -> Floats:
-    """The same from the closed form: midspan receptance of the beam times dynamic stiffness of the chain = -1."""
+    """Return the frequencies where midspan receptance of the beam times dynamic stiffness of the chain is -1."""
     from scipy.optimize import brentq
 
     def stiffness(w: float) -> float:
@@ -176,7 +176,7 @@ def _printed_modes() -> Iterator[Row]:
 
 
 def _motions() -> Iterator[Row]:
-    """Both forms of every problem, with forces on the main structure and on the substructure (Appendix A)."""
+    """Yield rows for both forms of every problem, with forces on both structures (Appendix A)."""
     for problem in problems():
         linear = problem.mounting is None
         system = f"klosner {problem.name}"

@@ -47,7 +47,7 @@ FORMS = ("fixed-base", "free-free")
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A main structure, a substructure, what joins them and what drives them.
+    """A main structure, a substructure, their connection and the forces that drive them.
 
     Attributes
     ----------
@@ -137,12 +137,12 @@ def problem_d(mounting: Mounting | None = None, elements: int = 4) -> Problem:
 
 
 def problems() -> tuple[Problem, ...]:
-    """All four."""
+    """Return problems A to D."""
     return problem_a(), problem_b(), problem_c(), problem_d()
 
 
 def loaded(problem: Problem) -> Problem:
-    """The same, with forces on the substructure as well: on its foot and inside it (Appendix A)."""
+    """Return the problem with forces on the substructure as well: on its foot and inside it (Appendix A)."""
     n = len(problem.sub_mass)
     return replace(problem, sub_direction=np.linspace(0.6, 1.0, n), sub_load=triangle(1.5, 0.11, 0.06))
 
@@ -169,7 +169,7 @@ def assembled(problem: Problem, dt: float, n: int) -> Motion:
         x = _superposed(A, columns[:, 0], columns[:, 1:], problem, dt, n)
         rate = x @ A[size:].T + np.outer(on_main, acceleration[:, 0]) + np.outer(on_sub, acceleration[:, 1])
         d = x[:, :size] @ place.T
-        # momentum balance of the foot: M d'' + K d = F at the interface, less what acts there from outside
+        # momentum balance of the foot: M d'' + K d = F at the interface, less the external force there
         force = (rate @ place.T @ problem.sub_mass + d @ problem.sub_stiffness)[:, 0]
         return Motion(x[:, :size] @ to_main, d, force - on_sub * problem.sub_direction[0])
     law, gap = problem.mounting, to_main - place[0]
@@ -264,7 +264,7 @@ def by_engine(problem: Problem, form: str, dt: float, n: int) -> Motion:
     injections = engine_injections(problem, system)
     if problem.mounting is None:
         out, force = NumpyStepper(system).run(system.start(), n, injections)
-        # a massless foot moves with S; its own readout leaves out what its residual compliance gives
+        # a massless foot moves with S; its own readout leaves out the motion of its residual compliance
         out[:, 1] = out[:, 0]
     else:
         out, force = PortStepper(system, {"mount": problem.mounting}).run(system.start(), n, injections)

@@ -8,7 +8,7 @@ velocities, so that the motion stays in the null space N of [C; C A],
 
     f = -(C A B)^+ C A^2 x,     poles = eig N^T (A - B (C A B)^+ C A^2) N,
 
-which is what Udwadia and Kalaba's equation says for a linear system; redundant constraints are legal. C B = 0 is used:
+which is Udwadia and Kalaba's equation for a linear system; redundant constraints are legal. C B = 0 is used:
 a force moves a component with mass through its velocity only.
 """
 
@@ -130,8 +130,8 @@ def _eliminated(A: Floats, B: Floats, C: Floats, R: Floats, connections: Sequenc
 def _energy(basis: ModalBasis, states: Complexes) -> Floats:
     """(n,) mean energy of motions x exp(s t), (2 n_modes, n); omega^2 |r| / (2 omega |l|) (|x1|^2 + |x2|^2) per pair.
 
-    For mass-normalised real modes this is their kinetic and potential energy; for others the same up to what no
-    splitting of a coupled system's energy can tell.
+    For mass-normalised real modes this is their kinetic and potential energy; for others the same up to the terms that
+    two modes have in common, which belong to neither.
     """
     omega = np.sqrt(basis.stiffness)
     size_r, size_l = np.abs(basis.right).max(axis=0), np.abs(basis.left).max(axis=0)
