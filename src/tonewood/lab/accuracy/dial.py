@@ -60,8 +60,9 @@ over the step that begins at a frame, half a step early).
 Time is processor time of one thread, the median of {REPEATS} renders that take turns (`reference`: one). Where a
 thousandth more force changes `reference` by more than a fifth of a limit, contacts or a bow make the motion sensitive:
 two strokes never sound alike, and no step is fine enough to tell which one follows. Properties that strokes have in
-common are compared then: the mean pitch of {STROKES} strokes with forces spread over {100 * SPREAD:g} % to either side, and the mean energy of their partials. *{OTHERS}* holds one half of them
-against the other: that much is left to chance."""
+common are compared then: the mean pitch of {STROKES} strokes with forces spread over {100 * SPREAD:g} % to either side,
+and the mean energy of their partials. *{OTHERS}* holds one half of them against the other: that much is left to
+chance."""
 
 WHY = """\
 ### Why a draft makes longer steps
