@@ -55,7 +55,7 @@ class Switching:
     on : components on which the effect runs.
     pending : components on which it is wanted, but which cannot pay for the switch yet.
     until : component -> sample before which it stays on unwatched, since its bound is far above the budget.
-    levels : component -> level of what was missing when that was last computed, in units of the effect's choice.
+    levels : component -> level of the missing sound as last computed, in a unit of the effect's own.
     """
 
     on: frozenset[str] = frozenset()
