@@ -6,8 +6,8 @@ Six strings of `steel_guitar`, frets low enough that the strings buzz. Each stri
 second stop, slides to its seventh and back to its third, and is plucked again; 2.5 s of sound at 48 kHz. The linear
 instrument has neither frets nor rising tensions. The scenes take turns, a block each, on one core; a row has the least
 processor time of the rounds per second of sound, over that of the linear one and over the steps of the linear one
-alone, the share of it in steps, and what the solver of contacts did. Most of the linear one's time goes to the bases of
-strings whose stops change.
+alone, the share of it in steps, and the counters of the solver of contacts. Most of the linear one's time goes to the
+bases of strings whose stops change.
 """
 
 from __future__ import annotations

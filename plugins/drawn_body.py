@@ -40,7 +40,7 @@ from tonewood.authoring import (
 
 Floats = NDArray[np.float64]
 #: x and y, m
-Place = tuple[Number, Number]
+Coordinates = tuple[Number, Number]
 
 #: bytes of a drawing that is read
 MOST_SVG = 4_000_000
@@ -106,7 +106,9 @@ class Outline(Parameters):
     """Outline of a plate, in one of four ways."""
 
     guitar: GuitarOutline | None = described("a guitar by its length and three widths", default=None)
-    points: list[Place] | None = described("[x, y] of its corners, m", default=None, min_length=3, max_length=4000)
+    points: list[Coordinates] | None = described(
+        "[x, y] of its corners, m", default=None, min_length=3, max_length=4000
+    )
     table: str | None = described("CSV file in the bundle with columns x and y, m", default=None)
     svg: SvgOutline | None = described("a path of an SVG drawing, y downwards", default=None)
     smooth: bool = described("a smooth curve through the points instead of straight sides", default=False, strict=True)
@@ -141,8 +143,8 @@ class EdgeParameters(Parameters):
 class Brace(Parameters):
     """A brace of rectangular section below the plate, or a bridge above it; its grain runs from start to stop."""
 
-    start: Place = described("[x, y] of its first end, m")
-    stop: Place = described("[x, y] of its other end, m")
+    start: Coordinates = described("[x, y] of its first end, m")
+    stop: Coordinates = described("[x, y] of its other end, m")
     width: float = quantity("m", low=1e-4, high=0.5, doc="of its section, in the plate's plane")
     height: Number | list[Number] = described("m, of its section; a list for heights spread evenly from start to stop")
     wood: WoodParameters | None = described("of which it is made; that of the plate where left out", default=None)
@@ -187,7 +189,7 @@ class PlateParameters(Parameters):
 class Soundhole(Parameters):
     """A round hole in the top."""
 
-    centre: Place = described("[x, y], m")
+    centre: Coordinates = described("[x, y], m")
     radius: float = quantity("m", low=1e-3, high=1.0, doc="of the hole")
 
 
@@ -205,7 +207,7 @@ class Air(Parameters):
 class PlatePoint(Parameters):
     """A place of the top: where a string ends, a finger taps, a pickup reads."""
 
-    at: Place = described("[x, y], m")
+    at: Coordinates = described("[x, y], m")
     direction: Direction = described("x, y, z or a unit vector: displacement is counted along it", default="z")
     height: float | None = quantity(
         "m", low=0.0, high=0.5, default=None, doc="above the top's middle surface; saddle_height where left out"

@@ -33,15 +33,15 @@ class Mean(Parameters):
     mean: list[str] = described("points whose mean is read", min_length=1)
 
 
-Source = str | Mean
+Places = str | Mean
 
 
 class PointPickupParameters(Parameters):
     """Parameters of the pickup."""
 
     quantity: Literal["displacement", "velocity", "acceleration", "force"] = described("quantity read")
-    at: Source | None = described("point, or {mean: [points]}: one channel with the group's name", default=None)
-    channels: dict[str, Source] | None = described("name -> point or {mean: [points]}: several channels", default=None)
+    at: Places | None = described("point, or {mean: [points]}: one channel with the group's name", default=None)
+    channels: dict[str, Places] | None = described("name -> point or {mean: [points]}: several channels", default=None)
     direction: Direction = described("direction in which points of strings are read", default="z")
 
     @model_validator(mode="after")
@@ -74,7 +74,7 @@ class PointPickup(Pickup[PointPickupParameters]):
             tuple(self._readout(f"{name}.{channel}", source, scene) for channel, source in sources.items())
         )
 
-    def _readout(self, name: str, source: Source, scene: Scene) -> Readout:
+    def _readout(self, name: str, source: Places, scene: Scene) -> Readout:
         points = source.mean if isinstance(source, Mean) else [source]
         share, direction = 1.0 / len(points), unit_vector(self.parameters.direction)
         if self.parameters.quantity == "force":

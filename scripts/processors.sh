@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Runs the tests of arrays and lab, and `tonewood validate`, as other machines would: under each processor kernel of
 # OpenBLAS, under each instruction set of the kernel, and under BLAS's default number of threads. A processor kernel is
-# run together with the instruction set of its time, so that three runs meet all of them; which of the two a failure is
-# of, the same tests under one alone say. Names those this processor lacks, and leaves out what the plain test command
+# run together with the instruction set of its time, so that three runs meet all of them; the same tests under one of
+# the two alone say which one fails. Names those this processor lacks, and leaves out those that the plain test command
 # runs anyway. The environment that is active needs tonewood with its extra `test`. Arguments go to pytest, in place of
 # the default choice of tests.
 set -euo pipefail

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes a release of what is committed: the sdist from a clean folder, and for each interpreter a wheel from that sdist,
+# Makes a release of the last commit: the sdist from a clean folder, and for each interpreter a wheel from that sdist,
 # with the platform tag that auditwheel finds, installed into a fresh environment where it renders a scale.
 #     scripts/release.sh [INTERPRETER...]      default: python3; results in dist/
 # Linux on this machine's processor only; for other systems there are settings of cibuildwheel in pyproject.toml.

@@ -147,12 +147,17 @@ def test_the_search_for_clauses_finds_some(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_public_class_name_means_one_class():
-    homes = defaultdict(list)
+    """And no alias of a type has the name of a class."""
+    homes, aliases = defaultdict(list), defaultdict(list)
     for path in PYTHON:
         if "lab" in path.parts:  # papers call different things the same
             continue
+        place = str(path.relative_to(ROOT))
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                homes[node.name].append(str(path.relative_to(ROOT)))
+                homes[node.name].append(place)
+            elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+                aliases[node.targets[0].id].append(place)
     twice = {name: places for name, places in homes.items() if len(places) > 1}
     assert not twice
+    assert {name: places for name, places in aliases.items() if name in homes} == {}

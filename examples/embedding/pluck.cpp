@@ -1,4 +1,4 @@
-// Loads a saved instrument, plucks its strings one after the other, and writes what sounds to a WAV file.
+// Loads a saved instrument, plucks its strings one after the other, and writes the sound to a WAV file.
 //     pluck MODEL.tonewood OUT.wav [SECONDS]
 // The model is that of tonewood.output.model_file.save_model; no Python takes part. Build: CMakeLists.txt beside this.
 #include <chrono>

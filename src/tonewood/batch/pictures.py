@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.batch.stimuli import Audio
+from tonewood.batch.stimuli import Samples
 from tonewood.plotting import COLOURS, DASHES, LEVELS, LINE, figure, frequency_axis, legend, plain, title
 from tonewood.whole_files import whole_file
 
@@ -34,7 +34,7 @@ _INK = (*(int(COLOURS[0][i : i + 2], 16) for i in (1, 3, 5)), 255)
 Pixels = NDArray[np.uint8]
 
 
-def write_picture(path: Path, audio: Audio, fs: int) -> None:
+def write_picture(path: Path, audio: Samples, fs: int) -> None:
     """Write waveform (all channels, one over the other) and spectrogram (of their mean) as PNG."""
     from matplotlib.image import imsave
 
@@ -46,7 +46,7 @@ def write_picture(path: Path, audio: Audio, fs: int) -> None:
         imsave(stream, image, format="png", metadata={"Software": None})  # type: ignore[dict-item]  # stubs lack None
 
 
-def _waveform(audio: Audio) -> Pixels:
+def _waveform(audio: Samples) -> Pixels:
     """Columns from the least to the largest sample, shape (WAVE_HEIGHT, WIDTH, 4)."""
     edges = np.linspace(0, len(audio), WIDTH + 1).astype(int)[:-1]
     peak = float(np.max(np.abs(audio), initial=0.0)) or 1.0
@@ -86,7 +86,7 @@ def _spectrogram(sound: NDArray[np.float64], fs: int) -> Pixels:
     return pixels
 
 
-def write_differences(path: Path, sounds: Mapping[str, Audio], fs: int, heading: str) -> None:
+def write_differences(path: Path, sounds: Mapping[str, Samples], fs: int, heading: str) -> None:
     """Write how sounds differ from the first: levels of third-octave bands and level over time, both as differences.
 
     Parameters
@@ -127,7 +127,7 @@ def _band_levels(sound: NDArray[np.float64], fs: int, centres: NDArray[np.float6
     return np.asarray(10 * np.log10(np.maximum(total[high] - total[low], 1e-12 * float(power.max(initial=1e-30)))))
 
 
-def _levels(sound: Audio, hop: int) -> NDArray[np.float64]:
+def _levels(sound: Samples, hop: int) -> NDArray[np.float64]:
     """Level of blocks of `hop` samples, dB re full scale."""
     blocks = np.pad(sound**2, ((0, -len(sound) % hop), (0, 0))).reshape(-1, hop, sound.shape[1])
     return np.asarray(10 * np.log10(np.maximum(blocks.mean(axis=(1, 2)), 1e-12)))

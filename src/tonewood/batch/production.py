@@ -159,7 +159,7 @@ def longest(settings: Stimuli) -> int:
     return max(1, round(seconds * settings.fs))
 
 
-def prepared(rendered: Rendered, settings: Stimuli, role: str = "sound", room: Path | None = None) -> st.Audio:
+def prepared(rendered: Rendered, settings: Stimuli, role: str = "sound", room: Path | None = None) -> st.Samples:
     """A render at the files' rate and channels, aligned, trimmed and faded; low-passed if it is an anchor."""
     audio = st.resampled(rendered.samples, rendered.fs, settings.fs)
     if room is None:
@@ -179,7 +179,7 @@ def prepared(rendered: Rendered, settings: Stimuli, role: str = "sound", room: P
 
 
 @cache
-def room_response(path: Path, settings: Stimuli) -> st.Audio:
+def room_response(path: Path, settings: Stimuli) -> st.Samples:
     """The impulse response of a room at the files' rate, (n, 1 or `channels`).
 
     Raises

@@ -29,7 +29,7 @@ from tonewood.output.loudness import resampled as resampled
 from tonewood.output.loudness import true_peak as true_peak
 from tonewood.units import decibel
 
-Audio = NDArray[np.float64]
+Samples = NDArray[np.float64]
 PEAK_MARGIN_DB = 0.01  # a page lowered for its true peak ends this much below the limit: room for dither
 BITS = {"PCM_16": 16, "PCM_24": 24}
 
@@ -57,7 +57,7 @@ class Measured:
     true_peak_dbtp: float
 
 
-def with_channels(audio: Audio, channels: int, downmix: str = "mean") -> Audio:
+def with_channels(audio: Samples, channels: int, downmix: str = "mean") -> Samples:
     """The sound with so many channels: mono is the mean of all or the first, more come from mono only."""
     present = audio.shape[1]
     if present == channels:
@@ -69,7 +69,7 @@ def with_channels(audio: Audio, channels: int, downmix: str = "mean") -> Audio:
     raise StimulusError(f"{present} channels cannot become {channels}; allowed: 1, {present}")
 
 
-def faded(audio: Audio, fs: int, fade_in: float, fade_out: float) -> Audio:
+def faded(audio: Samples, fs: int, fade_in: float, fade_out: float) -> Samples:
     """A copy with raised-cosine fades, ``(1 - cos(pi t / T)) / 2``; fades longer than the sound share it.
 
     Parameters
@@ -93,7 +93,7 @@ def _raised_cosine(n: int) -> NDArray[np.float64]:
     return np.asarray((1.0 - np.cos(np.pi * np.arange(n) / n)) / 2.0 if n else np.empty(0))
 
 
-def measured(audio: Audio, fs: int) -> Measured:
+def measured(audio: Samples, fs: int) -> Measured:
     """Loudness (BS.1770-4), sample peak and true peak.
 
     A sound shorter than a gating block is padded with zeros to one block and measured whole: no gate can apply. Nor
@@ -104,7 +104,7 @@ def measured(audio: Audio, fs: int) -> Measured:
     return Measured(lufs, loudest(audio, fs), gated, decibel(peak), decibel(true_peak(audio)))
 
 
-def level_gain_db(audio: Audio, fs: int, method: str, target_lufs: float, window: float = 0.1) -> float:
+def level_gain_db(audio: Samples, fs: int, method: str, target_lufs: float, window: float = 0.1) -> float:
     """Gain in dB that brings a sound to a loudness by ``bs1770_gated`` or ``loudest``; 0 for ``none``.
 
     Raises
@@ -123,7 +123,7 @@ def page_drop_db(true_peaks_dbtp: list[float], limit_dbtp: float) -> float:
     return excess + PEAK_MARGIN_DB if excess > 0 else 0.0
 
 
-def quantised(audio: Audio, subtype: str, random: np.random.Generator) -> NDArray[np.int16 | np.int32]:
+def quantised(audio: Samples, subtype: str, random: np.random.Generator) -> NDArray[np.int16 | np.int32]:
     """Integer samples with triangular dither of two steps' width, shape (n, channels).
 
     The error has zero mean and a variance of a quarter of a squared step, whatever the sound.
@@ -152,7 +152,7 @@ def samples_sha256(samples: NDArray[Any]) -> str:
     return hashlib.sha256(np.ascontiguousarray(samples, dtype=samples.dtype.newbyteorder("<")).tobytes()).hexdigest()
 
 
-def anchor(audio: Audio, fs: int, cutoff: int) -> Audio:
+def anchor(audio: Samples, fs: int, cutoff: int) -> Samples:
     """The low-pass anchor of BS.1534-3, linear phase, no delay, as long as the sound.
 
     Mask of the 3.5 kHz anchor: within 0.1 dB up to the cutoff, 25 dB down 500 Hz above it, 50 dB 1 kHz above it; the

@@ -17,10 +17,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Audio = NDArray[np.float64]
+Samples = NDArray[np.float64]
 
 
-def onset(audio: Audio, level_db: float) -> int:
+def onset(audio: Samples, level_db: float) -> int:
     """Index of the first sample at or above a level re the peak; 0 for silence.
 
     Parameters
@@ -33,12 +33,12 @@ def onset(audio: Audio, level_db: float) -> int:
     return int(np.argmax(envelope >= peak * 10.0 ** (level_db / 20.0))) if peak > 0.0 else 0
 
 
-def shifted(audio: Audio, by: int) -> Audio:
+def shifted(audio: Samples, by: int) -> Samples:
     """The sound with `by` zeros put before it, or, if negative, so many samples cut from its beginning."""
     return audio[-by:] if by <= 0 else np.pad(audio, ((by, 0), (0, 0)))
 
 
-def end(audio: Audio, block: int, level_db: float) -> int:
+def end(audio: Samples, block: int, level_db: float) -> int:
     """Length up to the end of the last block above a level re the loudest block; at least one block.
 
     Parameters
@@ -54,7 +54,7 @@ def end(audio: Audio, block: int, level_db: float) -> int:
     return min(n, (int(above[-1]) + 1 if above.size else 1) * block)
 
 
-def convolved(audio: Audio, response: Audio) -> Audio:
+def convolved(audio: Samples, response: Samples) -> Samples:
     """The sound in a room: each channel with its channel of the impulse response, or one with all of the other.
 
     Parameters

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, StringSetName, load, print_json
+from tonewood.cli.common import AllowCode, BundleName, Json, Overrides, StringSetName, load, print_json
 from tonewood.cli.options import render_options
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ LOUD = 1e3
 
 
 def check(
-    instrument: Bundle,
+    instrument: BundleName,
     fs: Annotated[int, typer.Option(help="sampling rate to assemble it at, Hz")] = 48000,
     strings: StringSetName = None,
     settings: Overrides = None,

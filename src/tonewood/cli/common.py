@@ -65,7 +65,7 @@ OneInstrument = Annotated[
     str | None,
     typer.Option("-i", "--instrument", help="name of a bundle, or path to its folder", autocompletion=installed),
 ]
-Bundle = Annotated[
+BundleName = Annotated[
     str,
     typer.Argument(help="name of a bundle, or path to its folder", metavar="INSTRUMENT", autocompletion=installed),
 ]

@@ -10,7 +10,7 @@ import typer
 
 from tonewood.cli.common import (
     AllowCode,
-    Bundle,
+    BundleName,
     Json,
     Overrides,
     StringSetName,
@@ -34,9 +34,9 @@ Notes = Annotated[
     str | None,
     typer.Option(metavar="NOTES", help="notes to play, E2,A3, or places STRING:STOP, A2:12; see below for the default"),
 ]
-Page = Annotated[Path | None, typer.Option("-o", "--output", help="write the page to this file, .html")]
+PagePath = Annotated[Path | None, typer.Option("-o", "--output", help="write the page to this file, .html")]
 Duration = Annotated[float, typer.Option(help="of each note, s")]
-Velocity = Annotated[float, typer.Option(help="MIDI velocity of each note, 1 to 127")]
+NoteVelocity = Annotated[float, typer.Option(help="MIDI velocity of each note, 1 to 127")]
 Rate = Annotated[int, typer.Option(help="sampling rate, Hz")]
 
 #: lines of a kind that are printed; the page and the JSON have all
@@ -57,9 +57,9 @@ def compare(
         ),
     ] = None,
     notes: Notes = None,
-    output: Page = None,
+    output: PagePath = None,
     duration: Duration = 4.0,
-    velocity: Velocity = 80.0,
+    velocity: NoteVelocity = 80.0,
     fs: Rate = 48000,
     strings: StringSetName = None,
     settings: Overrides = None,
@@ -88,11 +88,11 @@ def compare(
 
 
 def report(
-    instrument: Bundle,
+    instrument: BundleName,
     notes: Notes = None,
-    output: Page = None,
+    output: PagePath = None,
     duration: Duration = 4.0,
-    velocity: Velocity = 80.0,
+    velocity: NoteVelocity = 80.0,
     fs: Rate = 48000,
     strings: StringSetName = None,
     settings: Overrides = None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tonewood.cli.common import AllowCode, Bundle, Json, Overrides, StringSetName, load, need, print_json
+from tonewood.cli.common import AllowCode, BundleName, Json, Overrides, StringSetName, load, need, print_json
 from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.modal.views import SHOWN_TO
@@ -24,7 +24,7 @@ _LISTED = 12
 
 
 def modes(
-    instrument: Bundle,
+    instrument: BundleName,
     string: Annotated[str | None, typer.Option(help="name of one string; all of them otherwise")] = None,
     stop: Annotated[int, typer.Option(help="stop at which partials are listed, 0 is open")] = 0,
     count: Annotated[int, typer.Option(help="partials listed of each string")] = 12,

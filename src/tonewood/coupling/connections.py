@@ -44,7 +44,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """Share of one point in a gap: `factor` times the displacement of ``component.point``."""
+    """Share of one point in a gap: `factor` times the displacement of ``component.point``, m."""
 
     component: str
     point: str
@@ -60,7 +60,16 @@ class Rigid:
 
 @dataclass(frozen=True, slots=True)
 class SpringDashpot:
-    """f = -stiffness (g - offset) - damping g', in N/m and N s/m; acts on the stepped modes only."""
+    """Spring and dashpot, f = -stiffness (g - offset) - damping g'; they act on the stepped modes only.
+
+    Over a step f = -stiffness ((g+ + g)/2 - offset) - damping (g+ - g)/h: of second order, passive at any h.
+
+    Attributes
+    ----------
+    stiffness : N/m.
+    damping : N s/m.
+    offset : gap without force, m.
+    """
 
     stiffness: float = 0.0
     damping: float = 0.0
@@ -85,7 +94,7 @@ Role = Literal["", "bridge", "hold", "attached", "added"]
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """A law acting on a gap.
+    """A law acting on a gap: g = sum factor y(point), and the force f of the law acts as factor f on each point.
 
     Attributes
     ----------

@@ -85,7 +85,7 @@ class GapCompliance:
         at = self.compiled[hub].gaps
         made = found(residual, self._hub(hub, place))
         if made is None and np.any(self.compiled[hub].residual) and np.all(laws.rigid[at[place[at] >= 0]]):
-            # its residual compliance would join the parts: it goes with the hub's motions
+            # its residual compliance joins connections that are in parts otherwise: it goes with the hub's motions
             return found(np.where(kept, residual, 0.0), self._hub(hub, place, yields=True))
         return made
 

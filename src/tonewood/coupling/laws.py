@@ -43,7 +43,7 @@ class PotentialLaw(Protocol):
         """Whether the residual compliance of the components acts in series with the law."""
 
     def energy(self, p: float) -> float:
-        """U(p), J."""
+        """Return U(p), J."""
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
         """Return the force over a step, N, and its slope with `new`, N/m.
@@ -82,11 +82,11 @@ class Contact:
             raise ValueError("a contact needs stiffness and loss that are not negative and an exponent of 1 or more")
 
     def energy(self, p: float) -> float:
-        """U(p), J."""
+        """Return U(p), J."""
         return float(self.stiffness / (self.exponent + 1) * max(p, 0.0) ** (self.exponent + 1))
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
-        """See `PotentialLaw`."""
+        """Return force (N) and slope (N/m) over a step of `dt` s from compression `old` to `new`, m."""
         high, low = (new, old) if new > old else (old, new)
         if high <= 0.0:
             return 0.0, 0.0
@@ -114,7 +114,8 @@ class Contact:
 class HardeningSpring:
     """Two-sided spring and dashpots: f = k p + k3 p^3 + c p' + d p' |p'|.
 
-    Discrete gradient k (p+ + p)/2 + k3 (p+ + p)(p+^2 + p^2)/4; the dashpots see the mean rate.
+    Discrete gradient k (p+ + p)/2 + k3 (p+ + p)(p+^2 + p^2)/4 (Greenspan 1984, Gonzalez 1996); the dashpots see the
+    mean rate.
 
     Attributes
     ----------
@@ -138,11 +139,11 @@ class HardeningSpring:
             raise ValueError("stiffness and damping of a spring must not be negative")
 
     def energy(self, p: float) -> float:
-        """U(p), J."""
+        """Return U(p), J."""
         return p * p * (0.5 * self.stiffness + 0.25 * self.cubic * p * p)
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
-        """See `PotentialLaw`."""
+        """Return force (N) and slope (N/m) over a step of `dt` s from compression `old` to `new`, m."""
         total, squares, rate = new + old, new * new + old * old, (new - old) / dt
         f = total * (0.5 * self.stiffness + 0.25 * self.cubic * squares)
         f += (self.damping + self.quadratic_damping * abs(rate)) * rate
@@ -154,7 +155,8 @@ class HardeningSpring:
 class SampledPotential:
     """V(d) between samples, d = g - offset: f = -V'(d) (1 - loss d') - damping d', piecewise cubic and convex.
 
-    Make one with `from_potential` or `from_force`. Outside the samples the force goes on in a straight line.
+    Make one with `from_potential` or `from_force`. Outside the samples the force goes on in a straight line. Over a
+    step f is the discrete gradient -[V(d+) - V(d)]/(d+ - d) (Greenspan 1984, Gonzalez 1996).
 
     Attributes
     ----------
@@ -228,7 +230,7 @@ class SampledPotential:
         return value + out * (slope + 0.5 * bend * out), slope + bend * out, bend
 
     def energy(self, p: float) -> float:
-        """U(p), J."""
+        """Return U(p), J."""
         return self._at(-p)[0]
 
     def _gained(self, a: float, b: float) -> float:
@@ -249,7 +251,7 @@ class SampledPotential:
         return total
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
-        """See `PotentialLaw`."""
+        """Return force (N) and slope (N/m) over a step of `dt` s from compression `old` to `new`, m."""
         low, high = min(-new, -old), max(-new, -old)
         at_new = self._at(-new)[1]
         gradient = -(self._gained(low, high) / (high - low) if high > low else at_new)
@@ -330,11 +332,11 @@ class CompiledPotential:
             raise ValueError("loss and damping must not be negative")
 
     def energy(self, p: float) -> float:
-        """U(p), J."""
+        """Return U(p), J."""
         return float(self.potential(-p))
 
     def force(self, new: float, old: float, dt: float) -> tuple[float, float]:
-        """See `PotentialLaw`."""
+        """Return force (N) and slope (N/m) over a step of `dt` s from compression `old` to `new`, m."""
         step, middle = new - old, 0.5 * (new + old)
         gradient = 0.5 * sum(weight * -self.slope(-(middle + 0.5 * step * node)) for node, weight in GAUSS)
         if step != 0.0:
@@ -391,7 +393,7 @@ class Friction:
         return 0.0
 
     def slide(self, free: float, load: float) -> float | None:
-        """Largest v > 0 with v + load mu(v) = free, m/s; None if there is none.
+        """Return the largest v > 0 with v + load mu(v) = free, m/s; None if there is none.
 
         Parameters
         ----------

@@ -63,9 +63,14 @@ class Readout:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A one-way input: `point` of a driven component receives `factor` times the force of a connection.
+    """A one-way input: a point of a driven component receives `factor` times the force of a connection.
 
-    With `impulses` it receives also those by which joined points are given one velocity (`stepping.motion`).
+    Attributes
+    ----------
+    component, point : names.
+    connection : its name in the system.
+    factor : on its force.
+    impulses : whether it receives also those by which joined points are given one velocity (`stepping.motion`).
     """
 
     component: str

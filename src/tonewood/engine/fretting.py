@@ -22,7 +22,7 @@ from tonewood.stepping.motion import from_motion, to_motion
 
 Floats = NDArray[np.float64]
 #: component -> force of its bridge on a string's end, N
-BridgeForce = Callable[[str], float]
+ForceAtBridge = Callable[[str], float]
 
 #: compiled bases that are kept for use again, and of those of each string
 _CACHE, _WAYS = 96, 10
@@ -149,7 +149,7 @@ class FrettedBases:
         return {c.name: c for c in touching if c.name not in self.model.resting}
 
     def carried(
-        self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], bridge_force: BridgeForce
+        self, name: str, before: Fretting, after: Fretting, modes: Mapping[str, Floats], bridge_force: ForceAtBridge
     ) -> dict[str, Floats]:
         """Project the motion of a string to the bases of another way to hold it.
 
@@ -185,7 +185,7 @@ class FrettedBases:
         return string.bases(fretting.stop, bend_cents=fretting.cents, whole=True)
 
 
-def bridge_forces(system: System, state: State) -> BridgeForce:
+def bridge_forces(system: System, state: State) -> ForceAtBridge:
     """Return the forces of bridges on strings' ends, N, from the residual compliance; all are solved for at once."""
 
     @cache
@@ -199,7 +199,7 @@ def bridge_forces(system: System, state: State) -> BridgeForce:
     return lambda component: found()[component]
 
 
-def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, component: str, bridge_force: BridgeForce) -> Floats:
+def _resized(old: ModalBasis, new: ModalBasis, modes: Floats, component: str, bridge_force: ForceAtBridge) -> Floats:
     """Return the modes' numbers for the same shapes at other frequencies or decay rates.
 
     Modes that leave the basis lose their energy, and their compliance goes into the residual. Modes that come back are

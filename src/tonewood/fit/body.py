@@ -60,7 +60,7 @@ class FittedBody:
         return f"<FittedBody of {self.freq.size} modes at {', '.join(self.points)}>"
 
     def mobility(self, freq: Floats, pairs: tuple[tuple[str, str], ...], alpha: float = 0.0) -> Complexes:
-        """(P, N) (m/s)/N at some pairs of points, on s = alpha + j 2 pi freq."""
+        """Return the mobility (P, N), (m/s)/N, at some pairs of points, on s = alpha + j 2 pi freq."""
         s = alpha + 2j * np.pi * freq
         w = 2 * np.pi * self.freq[:, None]
         resonance = s / (s * s + w / self.quality[:, None] * s + w * w)

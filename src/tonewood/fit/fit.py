@@ -107,7 +107,7 @@ class Fit:
         return out
 
     def facts(self) -> dict[str, Any]:
-        """Everything but the curves, for JSON."""
+        """Return everything but the curves, for JSON."""
         r, body, line = self.responses, self.body, self.modes.problem.line
         return {
             "files": dict(r.files),
@@ -142,7 +142,7 @@ class Fit:
         }  # fmt: skip
 
     def table(self) -> str:
-        """The body as a CSV table of `modal_table` (`shapes: points`); numbers read back are the same numbers."""
+        """Return the body as a CSV table of `modal_table` (`shapes: points`); numbers read back are the same."""
         r, body = self.responses, self.body
         head = [
             f"# Fitted to {', '.join(r.files) or 'responses'} from {r.freq[0]:g} to {r.freq[-1]:g} Hz; mass-normalised "

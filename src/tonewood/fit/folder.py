@@ -73,7 +73,7 @@ class FitFolder:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def facts(self) -> dict[str, Any]:
-        """Everything but the curves, for JSON."""
+        """Return everything but the curves, for JSON."""
         radiation = self.radiation
         heard = None
         if radiation is not None:
@@ -86,7 +86,7 @@ class FitFolder:
         }  # fmt: skip
 
     def parts(self) -> str:
-        """Keys of an ``instrument.yaml`` that the measurement tells: sources, provenance, body, outputs."""
+        """Return the keys of an ``instrument.yaml`` that the measurement tells: sources, provenance, body, outputs."""
         r, body, origin = self.fit.responses, self.fit.body, self.origin
         files = ", ".join(f"{name} (SHA-256 {sha256})" for name, sha256 in r.files.items()) or UNKNOWN
         band = f"{r.freq[0]:g} to {r.freq[-1]:g} Hz"

@@ -56,14 +56,14 @@ class FittedRadiation:
         return f"<FittedRadiation of {self.poles.size} modes to {', '.join(self.channels)}>"
 
     def pressure(self, freq: Floats, u: float, alpha: float = 0.0) -> Complexes:
-        """(n_channels, N) Pa/N of a force at u, on s = alpha + j 2 pi freq."""
+        """Return the pressure (n_channels, N), Pa/N, of a force at u, on s = alpha + j 2 pi freq."""
         s = (alpha + 2j * np.pi * freq)[:, None]
         residues = self.heave + u * self.moment
         bank = residues @ (1 / (s - self.poles)).T + residues.conj() @ (1 / (s - self.poles.conj())).T
         return np.asarray(bank * _high_pass(s[:, 0], self.low_cut))
 
     def table(self) -> str:
-        """The bank as a CSV table; numbers read back are the same numbers."""
+        """Return the bank as a CSV table; numbers read back are the same numbers."""
         parts = ("re", "im", "moment_re", "moment_im")
         names = [f"{channel}_{part}" for channel in self.channels for part in parts]
         rows = [

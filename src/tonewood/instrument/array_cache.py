@@ -32,7 +32,7 @@ _MOST_RECENT = 16
 def cached_arrays(
     inputs: Mapping[str, Any], make: Callable[[], Mapping[str, NDArray[Any]]], package: str = "plate"
 ) -> Arrays:
-    """Arrays that `make` returns, computed once for the same inputs.
+    """Return the arrays of `make`, computed once for the same inputs.
 
     Parameters
     ----------

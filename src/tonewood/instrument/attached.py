@@ -113,7 +113,7 @@ class Motion:
     segments: tuple[Segment, ...]
 
     def course(self, times: ArrayLike) -> Floats:
-        """Values at times (n,); 0 outside the segments."""
+        """Return the values at times (n,); 0 outside the segments."""
         return course(self.segments, times)
 
 

@@ -283,7 +283,7 @@ class Instrument(ModalViews):
         return read_tuning(scale, keymap, reference_freq=part.reference_freq)
 
     def open_note(self, string: str) -> float:
-        """Note number of an open string, fractional where it is given by its frequency."""
+        """Return the note number of an open string, fractional where it is given by its frequency."""
         part = self.spec.strings[string]
         try:
             if part.freq is not None:
@@ -295,7 +295,7 @@ class Instrument(ModalViews):
             raise self._fault(fault.reason, f"strings.{string}.note") from None
 
     def polarizations(self, string: str) -> tuple[Vector, ...]:
-        """Directions in which a string moves, tilt included."""
+        """Return the directions in which a string moves, tilt included."""
         part = self.spec.strings[string]
         size = sum(x * x for x in part.axis) ** 0.5
         if abs(size - 1.0) > 1e-2:
@@ -306,7 +306,7 @@ class Instrument(ModalViews):
             raise self._fault(str(fault), f"strings.{string}.polarizations") from None
 
     def provenance(self, path: str) -> Provenance | None:
-        """Provenance of the value at a dotted path: the most specific entry that matches."""
+        """Return the provenance of the value at a dotted path: the most specific entry that matches."""
         best: tuple[tuple[int, int], Provenance] | None = None
         parts = path.split(".")
         for pattern, entry in self.spec.provenance.items():
@@ -318,11 +318,11 @@ class Instrument(ModalViews):
         return best[1] if best else None
 
     def stand_ins(self) -> list[str]:
-        """Paths of values that the bundle declares to be stand-ins."""
+        """Return the paths of values that the bundle declares to be stand-ins."""
         return [path for path, entry in self.spec.provenance.items() if entry.kind == "stand_in"]
 
     def of_unknown_origin(self) -> list[str]:
-        """Paths of values of which nobody has said yet where they come from."""
+        """Return the paths of values of which nobody has said yet where they come from."""
         return [path for path, entry in self.spec.provenance.items() if entry.kind == "unknown"]
 
     def table_doubts(self) -> list[str]:
@@ -482,7 +482,7 @@ def _with_strings(values: dict[str, Any], files: Files) -> dict[str, Any]:
 
 @without_collecting
 def load_instrument(name_or_path: str | os.PathLike[str], *, allow_code: bool = False) -> Instrument:
-    """Load an installed instrument by name, or a folder with an ``instrument.yaml``; see `Instrument.load`."""
+    """Load an instrument; `name_or_path`, `allow_code` and errors are those of `Instrument.load`."""
     return Instrument.load(name_or_path, allow_code=allow_code)
 
 

@@ -164,7 +164,7 @@ class Resonator(Plugin[P]):
 
     @abstractmethod
     def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ModalBasis:
-        """Modes of the string with its bridge end free.
+        """Return the modes of the string with its bridge end free.
 
         Parameters
         ----------
@@ -231,7 +231,7 @@ class Body(Plugin[P], ModalViews):
 
     @abstractmethod
     def basis(self, freq_upper: float) -> ModalBasis:
-        """Modes below `freq_upper` (Hz); the static compliance of the others goes into the residual.
+        """Return the modes below `freq_upper` (Hz); the static compliance of the others goes into the residual.
 
         Real modes may have ``radiated`` in their metadata, (n_modes,) share of each mode's loss that is sound: accounts
         of energy then have an entry ``body.sound``.
@@ -239,14 +239,14 @@ class Body(Plugin[P], ModalViews):
 
     @abstractmethod
     def points(self) -> Mapping[str, BodyPoint]:
-        """Every point of the basis with its direction."""
+        """Return every point of the basis with its direction."""
 
     def sources(self, freq_upper: float) -> Sources | None:
-        """Volume sources of the modes of ``basis(freq_upper)``, in its order; None where they are not known."""
+        """Return volume sources of the modes of ``basis(freq_upper)``, in its order; None where they are not known."""
         return None
 
     def facts(self) -> Sequence[str]:
-        """Lines about the body for `tonewood modes`; none by default."""
+        """Return lines about the body for `tonewood modes`; none by default."""
         return ()
 
     def _viewed(self) -> tuple[ModalBasis, Mapping[str, str]]:
@@ -274,7 +274,7 @@ class Exciter(Plugin[P]):
         return 0.0
 
     def adjusted(self, values: Mapping[str, float]) -> P:
-        """Parameters with an event's values in place of the bundle's.
+        """Return the parameters with an event's values in place of the bundle's.
 
         Raises
         ------
@@ -412,6 +412,6 @@ KINDS: dict[str, type[Plugin[Any]]] = {c.kind: c for c in (Resonator, Body, Exci
 
 
 def dot(a: Sequence[float], b: Sequence[float]) -> float:
-    """Scalar product of two directions; 0 if it is below 1e-12."""
+    """Return the scalar product of two directions `a` and `b`; 0 if it is below 1e-12."""
     value = math.fsum(x * y for x, y in zip(a, b, strict=True))
     return 0.0 if abs(value) < 1e-12 else value

@@ -32,7 +32,7 @@ class Hold:
     damping: float
 
     def at(self, time: float) -> float:
-        """Damping at a time, N s/m."""
+        """Return the damping at a time, N s/m."""
         if not self.start <= time < self.stop:
             return 0.0
         s = 1.0 if self.grown <= self.start else min((time - self.start) / (self.grown - self.start), 1.0)
@@ -130,7 +130,7 @@ class Gesture:
         return self.segments + tuple(s for motion in self.motions for s in motion.segments)
 
     def force(self, time: float) -> float:
-        """Force at a time without its random part, N."""
+        """Return the force at a time without its random part, N."""
         return sum(
             s.c0 + s.c1 * (time - s.start) + s.c2 * (time - s.start) ** 2
             for s in self.segments

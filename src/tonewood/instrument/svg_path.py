@@ -22,7 +22,11 @@ _SIDES = 64
 
 
 def svg_ring(data: str) -> Floats:
-    """(n, 2) ring of the first closed part of a path, in the path's own units and axes.
+    """Return the (n, 2) ring of the first closed part of a path, in the path's own units and axes.
+
+    Parameters
+    ----------
+    data : attribute ``d`` of the path.
 
     Raises
     ------

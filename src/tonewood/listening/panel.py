@@ -46,7 +46,7 @@ from tonewood.yaml_io import load_yaml
 
 #: points of the scale of 100 in one grade of BS.1116
 _POINTS = 25.0
-Effects = dict[Name, dict[str, float]]
+EffectSizes = dict[Name, dict[str, float]]
 
 
 class PanelThreshold(Section):
@@ -64,12 +64,12 @@ class SimulatedPanel(Section):
     """Parameters of simulated listeners; a factor that is not named has no effect."""
 
     schema_: str = Field(alias="schema", pattern=r"^tonewood-panel/1$")
-    ratings: Effects = Field(default_factory=dict, description="factor -> level -> points")
+    ratings: EffectSizes = Field(default_factory=dict, description="factor -> level -> points")
     interactions: dict[str, float] = Field(
         default_factory=dict, description="'factor=level, factor=level' -> points more where all hold"
     )
-    d_prime: Effects = Field(default_factory=dict, description="factor -> level -> position")
-    preference: Effects = Field(default_factory=dict, description="factor -> level -> logits")
+    d_prime: EffectSizes = Field(default_factory=dict, description="factor -> level -> position")
+    preference: EffectSizes = Field(default_factory=dict, description="factor -> level -> logits")
     thresholds: dict[str, PanelThreshold] = Field(default_factory=dict, description="number of the page -> threshold")
     anchors: dict[str, float] = Field(default_factory=lambda: {"anchor35": 25.0, "anchor70": 55.0})
     listener_sd: float = Field(default=6.0, ge=0, description="points, of a listener's own deviation")
@@ -209,7 +209,7 @@ class _Listener:
             return str(self.random.choice([*others, str(correct)]))
         return str(correct) if self.random.random() < share else str(self.random.choice(others))
 
-    def _effect(self, effects: Effects, code: str) -> float:
+    def _effect(self, effects: EffectSizes, code: str) -> float:
         levels = self.key.stimuli[code].levels
         return sum(of.get(levels.get(name, ""), 0.0) for name, of in effects.items())
 
@@ -217,7 +217,7 @@ class _Listener:
         levels = self.key.stimuli[code].levels
         return sum(points for rule, points in self.panel.interactions.items() if _rule(rule).items() <= levels.items())
 
-    def _difference(self, effects: Effects, first: str, second: str) -> float:
+    def _difference(self, effects: EffectSizes, first: str, second: str) -> float:
         more = self._interaction(second) - self._interaction(first) if effects is self.panel.ratings else 0.0
         return self._effect(effects, second) - self._effect(effects, first) + more
 

@@ -193,7 +193,7 @@ class Replay:
         self._over = "maximum duration" if capped else "tail cap"
 
     def summary(self) -> Summary:
-        """Summary of the frames so far."""
+        """Return the summary of the frames so far."""
         found = self.live.summary()
         cut = [f"{found.cut} notes end early: their string is needed again"] if found.cut else []
         return Summary(

@@ -37,12 +37,12 @@ _EQUAL = 1e-8
 
 #: pole, kind, stiffness, damping rate, right and left shape at all dofs
 _Mode = tuple[complex, int, float, float, Complexes, Complexes]
-Modes = tuple[Complexes, NDArray[np.uint8], Floats, Floats, Complexes, Complexes]
+ModeArrays = tuple[Complexes, NDArray[np.uint8], Floats, Floats, Complexes, Complexes]
 
 
 def complex_modes(
     P: Floats, omega: Floats, damping: Floats, sign: Floats, *, least_pairing: float = 1e-4
-) -> Modes | None:
+) -> ModeArrays | None:
     """Modes of q'' + C~ q' + Omega^2 q = P^T f,  x = P q.
 
     Parameters

@@ -82,7 +82,7 @@ def damping_groups(basis: ModalBasis, threshold: float = 0.2) -> list[NDArray[np
 
 
 def with_damping_case(basis: ModalBasis, case: str, threshold: float = 0.2) -> ModalBasis:
-    """Return the body under another damping case.
+    """Return the body under another damping case (Fabre et al. 2024, section 3).
 
     Parameters
     ----------

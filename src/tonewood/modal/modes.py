@@ -36,6 +36,10 @@ _BLOCK_ABOVE = 0.7
 class ModalBasis(ModalViews):
     """Modes of one uncoupled component: poles, left and right shapes at named points, residual compliance.
 
+        z_k' = lambda_k z_k + sum_i l_ik f_i,      y_i = 2 Re sum_k r_ik z_k + sum_j R_ij f_j      (``PAIR``)
+
+    in m, N and s; l = psi_l / Pi holds the norm Pi of Fabre et al. (2024), Eq. 20. Real modes are mass-normalised.
+
     Attributes
     ----------
     poles : (n_modes,) complex, 1/s. The slower pole of a ``BLOCK``.
@@ -107,7 +111,7 @@ class ModalBasis(ModalViews):
         residual: ArrayLike | None = None,
         metadata: Mapping[str, object] | None = None,
     ) -> ModalBasis:
-        """Real modes q'' + 2 sigma q' + omega^2 q = phi f / m of any damping, rigid-body modes included.
+        """Make a basis of real modes q'' + 2 sigma q' + omega^2 q = phi f / m of any damping, rigid bodies included.
 
         Parameters
         ----------
@@ -186,7 +190,7 @@ class ModalBasis(ModalViews):
         residual: ArrayLike | None = None,
         metadata: Mapping[str, object] | None = None,
     ) -> ModalBasis:
-        """Complex modes: poles and right shapes psi_r; left shapes follow where they are not given.
+        """Make a basis of complex modes: poles and right shapes psi_r; left shapes follow where they are not given.
 
         Left shapes are psi_l / Pi with psi_l = psi_r at structural points and -psi_r at `acoustic` ones (Fabre et al.
         2024, Eq. 16). Shapes measured as displacement and *pressure* (``shapes_of="pressure"``) have their acoustic
@@ -284,7 +288,7 @@ class ModalBasis(ModalViews):
         )
 
     def residues(self, point: str) -> Floats:
-        """(n_modes,) size of each mode's residue at a driving point, 1/kg: phi^2 of a mass-normalised real mode.
+        """Return (n_modes,) sizes of the residues at a driving point, 1/kg: phi^2 of a mass-normalised real mode.
 
         Y(s) = sum A s / (s^2 + 2 sigma s + omega^2) of real modes has A = phi^2; left shapes hold -i / 2 omega_d of it.
         """
@@ -293,7 +297,7 @@ class ModalBasis(ModalViews):
         return np.asarray(np.abs(self.right[i] * self.left[i]) * gain)
 
     def index(self, point: str) -> int:
-        """Row of a named point; ValueError names the points there are."""
+        """Return the row of a named point; a ValueError names the points there are."""
         try:
             return self.points.index(point)
         except ValueError:
@@ -380,7 +384,7 @@ class ModalBasis(ModalViews):
         return np.asarray(0.5 * (out + out.T), dtype=np.float64)
 
     def static_compliance(self) -> Floats:
-        """(n_points, n_points) m/N: displacement under a constant unit force, residual included.
+        """Return (n_points, n_points) displacements under a constant unit force, residual included, m/N.
 
         Raises
         ------
@@ -391,7 +395,7 @@ class ModalBasis(ModalViews):
         return self._static(np.ones(self.n_modes, dtype=bool)) + self.residual
 
     def frf(self, freq: ArrayLike, output: str, input: str, frf_form: str = "mobility") -> Complexes:
-        """Frequency response between two points.
+        """Return the frequency response between two points.
 
         Y(omega) = (i omega)^p [ sum_k r_k l_k / (i omega - lambda_k) + conj. part + R ],  p = 0, 1, 2.
 

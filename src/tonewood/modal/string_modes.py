@@ -63,10 +63,13 @@ def string_basis(
     freq_upper: float | None = None,
     n_modes: int | None = None,
 ) -> ModalBasis:
-    """Component modes of a string: every mode below `freq_upper`, or just `n_modes` of them.
+    """Return component modes of a string: every mode below `freq_upper`, or just `n_modes` of them.
 
-    The number of fixed-base modes is chosen so that the highest of the N + 1 modes, some 15 % above the N-th sine,
-    still lies below the limit: a basis from which solved modes are dropped detunes coupled partials by cents.
+        u(x, t) = (1 - x/L) a_0(t) + sum_n a_n(t) sin(n pi x/L),      x = 0 at the bridge,
+
+    mu u'' = T u_xx - EI u_xxxx between hinged ends, in modes of these functions. The number of
+    fixed-base modes is chosen so that the highest of the N + 1 modes, some 15 % above the N-th sine, still lies below
+    the limit: a basis from which solved modes are dropped detunes coupled partials by cents.
 
     Parameters
     ----------
@@ -91,6 +94,8 @@ def string_basis(
     ------
     ValueError : a parameter is out of range, not even one mode lies below `freq_upper`, or the loss law gives a
         negative or infinite number.
+
+    Source: Klosner and Ranlet (1978), fixed-base modes and a constraint mode, eqs. 1-8; docs/theory.md, section 4.
     """
     if not (length > 0 and tension > 0 and linear_density > 0 and bending_stiffness >= 0):
         raise ValueError("a string needs length, tension and linear density above 0 and a bending stiffness not below")

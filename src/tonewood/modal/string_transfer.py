@@ -38,7 +38,7 @@ Floats = NDArray[np.float64]
 
 
 def string_transfer(old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
-    """Matrices that carry modal coordinates from one basis of a string to another of its bases.
+    """Return matrices that carry modal coordinates from one basis of a string to another of its bases.
 
     Parameters
     ----------

@@ -320,7 +320,7 @@ class Live:
             self._pending = np.concatenate(blocks)
 
     def summary(self) -> LiveSummary:
-        """Summary so far."""
+        """Return the summary so far."""
         counters = self.player.counters
         return LiveSummary(
             frames=self.frames,

@@ -228,7 +228,7 @@ class Renderer:
             yield block
 
     def summary(self) -> Summary:
-        """Summary of the frames so far."""
+        """Return the summary of the frames so far."""
         duration = self._frames / self.fs
         return Summary(
             frames=self._frames,
@@ -250,7 +250,7 @@ class Renderer:
         )
 
     def snapshot(self) -> Checkpoint:
-        """Copy of the whole state, to `restore` later in this renderer or in one made from the same arguments."""
+        """Return a copy of the whole state, to `restore` in this renderer or in one made from the same arguments."""
         return Checkpoint(
             self.engine.snapshot(),
             (self._resampler.memory.copy(), self._routing.memory.copy()),

@@ -136,7 +136,7 @@ class AudioStream:
         return (self.ahead + 2) * self.block_size / self.fs
 
     def playback(self) -> Playback:
-        """Summary so far; an error of the computing thread is raised here.
+        """Return the summary so far; an error of the computing thread is raised here.
 
         Raises
         ------
@@ -186,7 +186,7 @@ class AudioStream:
         return self.playback()
 
     def callback(self, out: Any, n: int, _time: Any = None, status: Any = None) -> None:
-        """Fill `out`, (n, n_channels) with n frames of a block: the callback of a sound card."""
+        """Fill `out`, (n, n_channels), with n frames of a block; a sound card's callback, `status` its flags."""
         if getattr(status, "output_underflow", False):
             self.underruns += 1
         try:

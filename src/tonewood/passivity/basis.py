@@ -23,6 +23,8 @@ _RESIDUAL = 1e-9
 def check_basis(basis: ModalBasis, driven: Sequence[str], *, dt: float | None = None) -> PassivityReport:
     """Test whether forces at the points `driven` can draw energy from a component without end.
 
+    It is passive in the sense of Willems (1972) if there is a stored energy V >= 0 with V' <= sum_i f_i y_i'.
+
     First-order modes (``PAIR``, ``REAL``) go through `passivity.conditions.check`. ``BLOCK`` modes are passive by
     themselves when they are real modes of mass, stiffness and damping that are not negative, and faults otherwise. The
     residual compliance has to be positive semidefinite: connections store energy in it.

@@ -31,7 +31,7 @@ Description = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wiring:
+class PortSets:
     """Ports of one component that are always stepped, ports on which only contacts act, and their connections.
 
     `incidence` (n_linear, n_fixed) is that of the linear connections; `coupled`: to a longitudinal motion; `is_hub`:
@@ -51,9 +51,9 @@ class Wiring:
 OwnTerms = Sequence[tuple[int, int, bool, float]]
 
 
-def wired(
+def sort_ports(
     shares: Floats, use: NDArray[np.intp], k: int, coupled: bool, one_way: bool, hub_ports: NDArray[np.intp] | None
-) -> tuple[Wiring, OwnTerms]:
+) -> tuple[PortSets, OwnTerms]:
     """Sort a component's ports by the connections in use.
 
     Parameters
@@ -81,17 +81,17 @@ def wired(
     used = np.nonzero(incidence)
     parts = [part.tobytes() for part in (*used, incidence[used], fixed, contact)]
     parts.append(b"coupled" if coupled else b"" if hub_ports is None else b"hub")
-    return Wiring(fixed, contact, incidence, coupled, hub_ports is not None, b"|".join(parts)), own
+    return PortSets(fixed, contact, incidence, coupled, hub_ports is not None, b"|".join(parts)), own
 
 
-def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded: bool) -> Description:
+def describe_component(compiled: Compiled, sets: PortSets, one_way: bool, loaded: bool) -> Description:
     """Describe a component's arrays, modes last and padded; `loaded`: laws act on its fixed ports."""
     # the motion of a driven component's ports is not needed
     readouts = np.arange(len(compiled.ports), len(compiled.rows))
-    fixed, contact, incidence = wires.fixed, wires.contact, wires.incidence
-    if not (one_way or loaded or wires.coupled or wires.is_hub) and len(incidence):
+    fixed, contact, incidence = sets.fixed, sets.contact, sets.incidence
+    if not (one_way or loaded or sets.coupled or sets.is_hub) and len(incidence):
         fixed, span = compiled.motions(fixed)
-        if len(fixed) < len(wires.fixed):
+        if len(fixed) < len(sets.fixed):
             incidence = np.ascontiguousarray(incidence @ span)
     rows = readouts if one_way else np.concatenate([fixed, readouts])
     response = compiled.history
@@ -127,7 +127,7 @@ def describe_component(compiled: Compiled, wires: Wiring, one_way: bool, loaded:
     return out
 
 
-def describe_linear(solve: LinearSolve, weights: Floats, wiring: Sequence[Wiring], in_parts: bool) -> Description:
+def describe_linear(solve: LinearSolve, weights: Floats, port_sets: Sequence[PortSets], in_parts: bool) -> Description:
     """Describe the k linear connections that can carry force, their inverse dense or in parts."""
     on, by = solve.on, solve.by
     out: Description = {
@@ -139,7 +139,7 @@ def describe_linear(solve: LinearSolve, weights: Floats, wiring: Sequence[Wiring
         return out | {"inverse": np.ascontiguousarray(by.dense)}
     out["parts"] = [{"places": p.astype(np.float64), "inverses": np.ascontiguousarray(a)} for p, a in by.parts]
     if (hub := by.hub) is not None:
-        places = np.searchsorted(wiring[hub.slot].fixed, hub.ports)
+        places = np.searchsorted(port_sets[hub.slot].fixed, hub.ports)
         out["hub"] = {
             "slot": hub.slot,
             "ports": places.tolist(),

@@ -31,7 +31,7 @@ class Segment:
     c2: float = 0.0
 
     def shifted(self, by: float) -> tuple[float, float, float]:
-        """Coefficients about start + by."""
+        """Return the coefficients about start + by."""
         return self.c0 + by * (self.c1 + by * self.c2), self.c1 + 2 * by * self.c2, self.c2
 
 
@@ -69,18 +69,18 @@ class SampledForce:
         return self.start + self.interval * (len(self.values) - 1)
 
     def at(self, times: ArrayLike) -> Floats:
-        """Values at times (n,) s."""
+        """Return the values at times (n,) s."""
         grid = self.start + self.interval * np.arange(len(self.values))
         return np.asarray(np.interp(np.asarray(times, dtype=np.float64), grid, self.values, left=0.0, right=0.0))
 
     def rate(self, times: ArrayLike) -> Floats:
-        """First derivative at times (n,) s, N/s; from the right where two lines meet."""
+        """Return the first derivative at times (n,) s, N/s; from the right where two lines meet."""
         place = np.floor((np.asarray(times, dtype=np.float64) - self.start) / self.interval).astype(np.intp)
         slopes = np.concatenate([[0.0], np.diff(self.values) / self.interval, [0.0]])
         return np.asarray(slopes[np.clip(place + 1, 0, len(self.values))])
 
     def by_step(self, sample: int, n: int, dt: float, time: float = 0.0) -> Floats:
-        """(n,) N, over the steps from `sample` on.
+        """Return (n,) N, the force over the steps from `sample` on.
 
         Parameters
         ----------

@@ -26,14 +26,14 @@ from tonewood.errors import NumericalError, TonewoodError
 from tonewood.stepping.description import (
     Description,
     OwnTerms,
-    Wiring,
+    PortSets,
     describe_component,
     describe_linear,
     describe_phantoms,
     describe_tensions,
     law_arrays,
     packed,
-    wired,
+    sort_ports,
 )
 from tonewood.stepping.stepper import NumpyStepper, Statistics
 
@@ -45,7 +45,7 @@ _CUT = 64
 #: linear and nonlinear connections in use, which of these are contacts, components of geometric strings; hub, its ports
 _Use = tuple[bytes, bytes, bytes, frozenset[str], tuple[int, bytes] | None]
 #: ways in which all connections are used that are remembered
-_KEPT_WIRINGS = 64
+_KEPT_PORT_SETS = 64
 #: (n, 4): nonlinear connection, component, port among its fixed or contact ports, whether it is a contact port; factors
 Terms = tuple[NDArray[np.int64], Floats]
 #: slot of a component, whether laws act on its fixed ports, and how connections use it
@@ -108,8 +108,8 @@ class KernelStepper:
         self._packed: dict[int, tuple[Injection, Floats, Floats]] = {}
         self._descriptions: WeakKeyDictionary[Compiled, dict[_Key, Description]] = WeakKeyDictionary()
         self._keys = count()
-        self._wirings: dict[tuple[int, bytes, bytes], tuple[Wiring, OwnTerms]] = {}
-        self._wired_as: dict[_Use, tuple[list[Wiring], Terms]] = {}
+        self._port_sets: dict[tuple[int, bytes, bytes], tuple[PortSets, OwnTerms]] = {}
+        self._sorted_for: dict[_Use, tuple[list[PortSets], Terms]] = {}
         self._shortcuts = asdict(shortcuts or Shortcuts())
         self._steps = self._redone = self._failures = 0
         self._slow: NumpyStepper | None = None
@@ -161,12 +161,12 @@ class KernelStepper:
         hub = by.hub if isinstance(by, InverseInParts) else None
         in_parts = hub is None or not any(hub.slot in slots for _, _, slots in tensions["strings"])
         hub = hub if in_parts else None
-        wiring, terms = self._wired(system, hub)
+        port_sets, terms = self._sorted_ports(system, hub)
         weights = system.force_weights()
-        components = self._components(system, wiring, terms)
+        components = self._components(system, port_sets, terms)
         return {
             "components": [{"key": c["key"]} if c["key"] in cached else c for c in components],
-            "linear": describe_linear(system.solve, weights, wiring, in_parts),
+            "linear": describe_linear(system.solve, weights, port_sets, in_parts),
             "nonlinear": self._laws_and_gaps(system, terms, np.ascontiguousarray(weights[:, self._nonlinear])),
             "tensions": tensions,
             "phantoms": describe_phantoms(system),
@@ -196,43 +196,43 @@ class KernelStepper:
         index, factors = terms
         return {"dt": system.dt, "terms": index, "factors": factors, "weights": weights, **self._law_arrays, **gaps}
 
-    def _components(self, system: System, wiring: Sequence[Wiring], terms: Terms) -> list[Description]:
-        """Describe every component; a component that comes back with the same wiring keeps its description."""
+    def _components(self, system: System, port_sets: Sequence[PortSets], terms: Terms) -> list[Description]:
+        """Describe every component; a component that comes back with the same sets of ports keeps its description."""
         loaded = {slot for _, slot, _, on_contact in terms[0].tolist() if not on_contact}
         out: list[Description] = []
-        for slot, (compiled, one_way, wires) in enumerate(zip(system.compiled, system.driven, wiring, strict=True)):
+        for slot, (compiled, one_way, sets) in enumerate(zip(system.compiled, system.driven, port_sets, strict=True)):
             known = self._descriptions.setdefault(compiled, {})
-            if (key := (slot, slot in loaded, wires.key)) not in known:
+            if (key := (slot, slot in loaded, sets.key)) not in known:
                 known[key] = {"key": next(self._keys), "offset": system.offsets[slot], "driven": one_way}
-                known[key] |= describe_component(compiled, wires, one_way, slot in loaded)
+                known[key] |= describe_component(compiled, sets, one_way, slot in loaded)
             out.append(known[key])
         return out
 
-    def _wired(self, system: System, hub: Hub | None) -> tuple[list[Wiring], Terms]:
+    def _sorted_ports(self, system: System, hub: Hub | None) -> tuple[list[PortSets], Terms]:
         """Sort the ports of every component by the connections now in use.
 
-        A component whose connections are used as before keeps its wiring: a note changes a few of hundreds. Where all
-        are used as some time before (a finger comes and goes), all of it is kept.
+        A component whose connections are used as before keeps its sets of ports: a note changes a few of hundreds.
+        Where all are used as some time before (a finger comes and goes), all of it is kept.
         """
         is_contact = system.elimination.others.is_contact
         coupled = frozenset(name for law in system.geometric for name in law.parts)
         met = None if hub is None else (hub.slot, hub.ports.tobytes())
         use = self._active.tobytes(), self._nonlinear.tobytes(), is_contact.tobytes(), coupled, met
-        if use not in self._wired_as:
-            while len(self._wired_as) >= _KEPT_WIRINGS:
-                del self._wired_as[next(iter(self._wired_as))]
-            self._wired_as[use] = self._wire(system, hub, is_contact, coupled)
-        return self._wired_as[use]
+        if use not in self._sorted_for:
+            while len(self._sorted_for) >= _KEPT_PORT_SETS:
+                del self._sorted_for[next(iter(self._sorted_for))]
+            self._sorted_for[use] = self._sort_ports(system, hub, is_contact, coupled)
+        return self._sorted_for[use]
 
-    def _wire(
+    def _sort_ports(
         self, system: System, hub: Hub | None, is_contact: NDArray[np.bool_], coupled: frozenset[str]
-    ) -> tuple[list[Wiring], Terms]:
+    ) -> tuple[list[PortSets], Terms]:
         m = len(system.connections)
         place, law, culled = np.full(m, -1), np.full(m, -1), np.zeros(m, dtype=bool)
         place[self._active], law[self._nonlinear] = np.arange(len(self._active)), np.arange(len(self._nonlinear))
         culled[self._nonlinear] = is_contact
         use = np.stack([place, np.where(law < 0, 0, 1 + culled)], axis=1)
-        wiring: list[Wiring] = []
+        port_sets: list[PortSets] = []
         terms: list[tuple[int, int, int, bool]] = []
         factors: list[float] = []
         for slot, (name, one_way) in enumerate(zip(system.names, system.driven, strict=True)):
@@ -241,14 +241,14 @@ class KernelStepper:
             used = use[at]
             way = f"{len(self._active)} {one_way or name in coupled} {name in coupled}".encode()
             key = slot, used.tobytes(), way + (b"" if ports is None else ports.tobytes())
-            if key not in self._wirings:
-                self._wirings[key] = wired(shares, used, len(self._active), name in coupled, one_way, ports)
-            wires, own = self._wirings[key]
-            wiring.append(wires)
+            if key not in self._port_sets:
+                self._port_sets[key] = sort_ports(shares, used, len(self._active), name in coupled, one_way, ports)
+            sets, own = self._port_sets[key]
+            port_sets.append(sets)
             for i, port, on_contact, factor in own:
                 terms.append((int(law[at[i]]), slot, port, on_contact))
                 factors.append(factor)
-        return wiring, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))
+        return port_sets, (np.array(terms, dtype=np.int64).reshape(-1, 4), np.array(factors))
 
     def run(
         self, state: State, n: int, injections: Sequence[Injection] = (), controls: Sequence[PrescribedMotion] = ()

@@ -55,7 +55,7 @@ class Switching:
     on : components on which the effect runs.
     pending : components on which it is wanted, but which cannot pay for the switch yet.
     until : component -> sample before which it stays on unwatched, since its bound is far above the budget.
-    levels : component -> level of what was missing when that was last computed, in units of the effect's choice.
+    levels : component -> level of the missing sound when that was last computed, in units of the effect's choice.
     """
 
     on: frozenset[str] = frozenset()
@@ -229,7 +229,7 @@ class RuntimeEffect:
         return tuple(self.plugins)
 
     def running(self, run: Run) -> Collection[str]:
-        """Components on which it ran, if that is counted run by run."""
+        """Return the components on which it ran, if that is counted run by run."""
         return ()
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
@@ -238,7 +238,7 @@ class RuntimeEffect:
         return [self._report(component, whole) for component in self.components]
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
-        """Return when it will run, and why, from the sketch of a render."""
+        """Return when it will run, and why, from the sketch of a render, `foreseen`."""
         spans, why = (((0.0, foreseen.seconds),), self.effect.before) if self.chosen else ((), self._left_out)
         return [PlannedEffect(self.name, component, spans, why, None) for component in self.components]
 
@@ -280,7 +280,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         """Read the score, as `timeline`, before the first step; does nothing by default."""
 
     def start(self) -> Switching:
-        """State before anything has moved."""
+        """Return the state before anything has moved."""
         return Switching(frozenset(self.components if self.chosen and not self.watched else ()))
 
     @abstractmethod
@@ -332,15 +332,15 @@ class SwitchedEffect(RuntimeEffect, ABC):
         """
 
     def load(self, component: str) -> float:
-        """Size of the effect on a component, in modes: its cost per sample grows with it."""
+        """Return the size of the effect on a component, in modes: its cost per sample grows with it."""
         return 0.0
 
     def running(self, run: Run) -> Collection[str]:
-        """Components on which it is on."""
+        """Return the components on which it is on."""
         return run.switchings[self.name].on
 
     def report(self, usage: EffectUsage) -> list[EffectReport]:
-        """When it was on and left out, and the bound."""
+        """Report when it was on and left out, and the bound."""
         out = []
         for component in self.components:
             spans, bound = usage.spans[self.name, component], usage.left_out.get((self.name, component))
@@ -357,7 +357,7 @@ class SwitchedEffect(RuntimeEffect, ABC):
         return out
 
     def plan(self, foreseen: Foreseen) -> list[PlannedEffect]:
-        """When it will be on, why, and the time of its steps."""
+        """Return when it will be on, why, and the time of its steps, from a sketch, `foreseen`."""
         if not self.chosen:
             return super().plan(foreseen)
         out = []

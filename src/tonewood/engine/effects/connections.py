@@ -54,11 +54,11 @@ class SwitchedConnections(SwitchedEffect, ABC):
         return tuple(self._places) if self.chosen else tuple(self.plugins)
 
     def names(self, string: str) -> list[str]:
-        """Names of a string's connections, ``STRING.PART.NAME``."""
+        """Return the names of a string's connections, ``STRING.PART.NAME``."""
         return [self.model.system.connections[j].name for j in self._places[string]]
 
     def laws(self, string: str, fretting: Fretting) -> list[Law]:
-        """Return the laws of a string's connections while they are on, in the order of `names`, at its stop."""
+        """Return the laws of a string's connections that are on, in the order of `names`; `fretting` has the stop."""
         key = string, fretting.stop
         if key not in self._laws:
             here = {c.name: c.law for c in self.model.strings[string].connections(fretting.stop)}
@@ -66,10 +66,19 @@ class SwitchedConnections(SwitchedEffect, ABC):
         return self._laws[key]
 
     def excursion(self, system: System, state: State, string: str) -> Floats:
-        """Bound on the share of a string's planes in the gaps of its connections, in the order of `names`, m.
+        """Return a bound on the share of a string's planes in the gaps of its connections, in the order of `names`, m.
 
         A motion of energy E displaces a point by sqrt(2 E C) at most, C = sum phi^2 / omega^2 the static compliance of
         its modes there (inequality of Cauchy and Schwarz). The bound holds until the string is given energy.
+
+        Parameters
+        ----------
+        system, state : as they are stepped.
+        string : name.
+
+        Returns
+        -------
+        (n_connections,) m.
         """
         planes, doubled = self.model.strings[string].components, 0.0
         for component in planes:
@@ -95,7 +104,7 @@ class SwitchedConnections(SwitchedEffect, ABC):
         return with_laws(system, wanted)
 
     def cost(self, moment: Moment, component: str, on: bool) -> float:
-        """Potential of the laws that are switched, J, with the sign of the switch.
+        """Return the potential of the laws that are switched, J, with the sign of the switch.
 
         On, they are those of the string's stop; the residual compliance of the components can only lower it.
         """
@@ -115,9 +124,9 @@ class SwitchedConnections(SwitchedEffect, ABC):
                 memory[j : j + 1] = 0.0
 
     def payers(self, component: str) -> Sequence[str]:
-        """The string's planes."""
+        """Return the string's planes."""
         return self.model.strings[component].components
 
     def load(self, component: str) -> float:
-        """Number of connections."""
+        """Return the number of connections."""
         return float(len(self._places.get(component, ())))
