@@ -124,16 +124,18 @@ void Kernel::load_phantoms(const std::vector<PhantomDescription>& strings) {
 
 bool Kernel::load_components(const CompiledSystem& system, std::size_t m) {
     auto& components = model_.components;
-    require(system.components.size() == components.size(),
-            "components: " + std::to_string(system.components.size()) + " given, not " + std::to_string(components.size()));
+    require(system.components.size() == components.size(), "components: " + std::to_string(system.components.size()) +
+                                                               " given, not " + std::to_string(components.size()));
     bool changed = false;
     for (std::size_t slot = 0; slot < components.size(); ++slot) {
         const ComponentDescription& d = system.components[slot];
         if (d.key >= 0 && d.key == keys_[slot]) continue;
         changed = true;
-        const auto at = std::find_if(replaced_.begin(), replaced_.end(), [&](const auto& c) { return c.first == d.key; });
-        require(d.cached ? d.key >= 0 && at != replaced_.end() : true,
-                "components[" + std::to_string(slot) + "]: no component with the key " + std::to_string(d.key) + " is cached");
+        const auto at =
+            std::find_if(replaced_.begin(), replaced_.end(), [&](const auto& c) { return c.first == d.key; });
+        require(d.cached ? d.key >= 0 && at != replaced_.end() : true, "components[" + std::to_string(slot) +
+                                                                           "]: no component with the key " +
+                                                                           std::to_string(d.key) + " is cached");
         Component next;
         if (at != replaced_.end()) {
             next = std::move(at->second);
@@ -150,8 +152,9 @@ bool Kernel::load_components(const CompiledSystem& system, std::size_t m) {
     for (std::size_t slot = 0; slot < components.size(); ++slot)
         for (const auto& shares : components[slot].shares)
             for (const Share& s : shares)
-                require(std::size_t(s.connection) < m, "components[" + std::to_string(slot) +
-                                                           "].incidence acts on more connections than linear.gamma has");
+                require(std::size_t(s.connection) < m,
+                        "components[" + std::to_string(slot) +
+                            "].incidence acts on more connections than linear.gamma has");
     return changed;
 }
 
@@ -183,7 +186,8 @@ bool Kernel::load_nonlinear(const NonlinearDescription& d) {
                     std::size_t(t.component) < model_.components.size() && t.port >= 0,
                 "nonlinear.terms: connection " + std::to_string(t.connection) + " does not fit the components");
     Nonlinear& nl = model_.nonlinear;
-    bool changed = nl.k != int(k) || nl.dt != d.dt || nl.theta != d.theta || nl.all_terms != d.terms || nl.laws != d.laws;
+    bool changed =
+        nl.k != int(k) || nl.dt != d.dt || nl.theta != d.theta || nl.all_terms != d.terms || nl.laws != d.laws;
     nl.k = int(k), nl.dt = d.dt, nl.theta = d.theta, nl.all_terms = d.terms, nl.laws = d.laws;
     changed |= assign(nl.compliance, d.compliance), changed |= assign(nl.from_linear, d.from_linear);
     changed |= assign(nl.residual, d.residual), changed |= assign(nl.weights, d.weights);
@@ -209,7 +213,8 @@ bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed
     std::vector<Tensions::String> strings;
     std::vector<int> components;
     for (Component& c : model_.components) c.tension.on = c.geometric = false;
-    require(d.stretches.empty() || d.stretches.size() == d.strings.size(), "tensions.stretches: one for each string is needed");
+    require(d.stretches.empty() || d.stretches.size() == d.strings.size(),
+            "tensions.stretches: one for each string is needed");
     for (std::size_t s = 0; s < d.strings.size(); ++s) {
         const auto& string = d.strings[s];
         const std::string name = "tensions[" + std::to_string(s) + "]";
@@ -222,7 +227,8 @@ bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed
             if (d.stretches.empty()) components.push_back(i);
         }
         strings.emplace_back();
-        strings.back().index = string.index, strings.back().kappa = string.kappa, strings.back().components = string.slots;
+        strings.back().index = string.index, strings.back().kappa = string.kappa;
+        strings.back().components = string.slots;
     }
     const bool same = d.stretches.empty() && t.stretches.empty() &&
                       std::equal(strings.begin(), strings.end(), t.strings.begin(), t.strings.end(),
@@ -233,7 +239,8 @@ bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed
     for (std::size_t s = 0; s < d.stretches.size(); ++s) {
         std::vector<int> slots;
         for (const auto& part : d.stretches[s].parts) slots.push_back(part.slot);
-        require(slots == d.strings[s].slots, "tensions.stretches[" + std::to_string(s) + "].parts are not the components of the string");
+        require(slots == d.strings[s].slots,
+                "tensions.stretches[" + std::to_string(s) + "].parts are not the components of the string");
     }
     t.stretches = load_stretches(d.stretches, model_.components);
     t.strings = std::move(strings), t.components = std::move(components);  // `make_tensions` derives the rest
@@ -264,7 +271,8 @@ void Kernel::load(const CompiledSystem& system) {
         make_buffers(model.components, model.nonlinear, capacity_, model.contacts);
     }
     if (changed || linear || contacts || tensions) {
-        make_tensions(model.components, model.solve, model.layout, model.tensions, capacity_, model.nonlinear, model.tension);
+        make_tensions(model.components, model.solve, model.layout, model.tensions, capacity_, model.nonlinear,
+                      model.tension);
         reset_responses(model.nonlinear, model.layout, model.contacts);
         model.linear_laws.known = false;
     }

@@ -19,8 +19,8 @@ public:
     // A state of `capacity` modes in n_components components, read into n_channels outputs.
     Kernel(const Table& table, std::size_t n_components, std::size_t capacity, int n_channels);
 
-    // Replaces the system that was loaded before. Throws std::invalid_argument, which names the array, if something does not fit;
-    // then nothing is loaded.
+    // Replaces the system that was loaded before. Throws std::invalid_argument, which names the array, if something
+    // does not fit; then nothing is loaded.
     void load(const CompiledSystem& system);
 
     // Advances the state by job.n samples. Throws if the job does not fit the system that is loaded.

@@ -1,7 +1,8 @@
 // The step, block by block: free motion -> candidates -> forces -> correction.
 //
 // Within a block a row's value is   y(b) = free(b) + sum_{k < b} H(b - 1 - k) F(k),   H(k) = C E^k W0:
-// the modes are passed twice per block however many samples it has, and the forces couple the components in each sample.
+// the modes are passed twice per block however many samples it has, and the forces couple the components in each
+// sample.
 #pragma once
 
 #include <algorithm>
@@ -41,7 +42,8 @@ inline Fault run(Model& model, const Job& job) {
         connections->begin_block();
         for (int b = 0; b < block.nb; ++b) {
             double* now = block.force(b);
-            if (!connections->sample(b, now, job.forces + (start + b) * model.solve.m)) return {Fault::kUnsolved, start + b};
+            if (!connections->sample(b, now, job.forces + (start + b) * model.solve.m))
+                return {Fault::kUnsolved, start + b};
             propagate(b, block.nb, block.forces.data(), block.history.data());
             step_shapes(block, b);
             if (laws.any()) laws.rows.propagate(b, now);

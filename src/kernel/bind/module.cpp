@@ -25,8 +25,10 @@ using Out = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 // The entries of a dictionary, by name in messages; the arrays live as long as the reader.
 class Reader {
 public:
-    Reader(nb::handle values, std::string path, std::vector<nb::object>& owners) : path_(std::move(path)), owners_(owners) {
-        if (!nb::try_cast(values, values_, false)) throw nb::type_error(("kernel: " + path_ + " is no dictionary").c_str());
+    Reader(nb::handle values, std::string path, std::vector<nb::object>& owners)
+        : path_(std::move(path)), owners_(owners) {
+        if (!nb::try_cast(values, values_, false))
+            throw nb::type_error(("kernel: " + path_ + " is no dictionary").c_str());
     }
     bool has(const char* key) const { return values_.contains(key); }
     Reader inner(const char* key) const { return {item(key), name(key) + ".", owners_}; }
@@ -106,7 +108,8 @@ std::vector<Law> laws(const Reader& in) {
     std::vector<Law> out(k);
     for (std::size_t j = 0; j < k; ++j) {
         const auto kind = kinds.data()[j];
-        require(kind >= Law::contact && kind <= Law::friction, "nonlinear.kinds: no law has the number " + std::to_string(kind));
+        require(kind >= Law::contact && kind <= Law::friction,
+                "nonlinear.kinds: no law has the number " + std::to_string(kind));
         const double* n = numbers.data + 8 * j;
         out[j].kind = Law::Kind(kind);
         std::copy_n(n, 4, out[j].a);
@@ -131,7 +134,8 @@ std::vector<Law> laws(const Reader& in) {
     }
     for (std::size_t j = 0; j < k; ++j) {
         const Law& law = out[j];
-        require(law.kind != Law::sampled || !law.knots.empty(), "nonlinear.samples: law " + std::to_string(j) + " is missing");
+        require(law.kind != Law::sampled || !law.knots.empty(),
+                "nonlinear.samples: law " + std::to_string(j) + " is missing");
         require(law.kind != Law::compiled || ((law.potential.plain || law.potential.with_data) &&
                                               (law.slope.plain || law.slope.with_data)),
                 "nonlinear.functions: law " + std::to_string(j) + " is missing");
@@ -144,7 +148,8 @@ NonlinearDescription nonlinear(const Reader& in) {
     d.dt = in.get<double>("dt"), d.theta = in.get<double>("theta"), d.laws = laws(in);
     const auto terms = in.array<Integers>("terms", "is no C-contiguous array of int64");
     const View factors = in.view("factors");
-    require(terms.ndim() == 2 && terms.shape(1) == 4, "nonlinear.terms has the columns connection, slot, port, contact");
+    require(terms.ndim() == 2 && terms.shape(1) == 4,
+            "nonlinear.terms has the columns connection, slot, port, contact");
     expect("nonlinear.factors", factors, {terms.shape(0)});
     const auto small = [](std::int64_t x) { return x < 0 || x > INT32_MAX ? -1 : int(x); };
     for (std::size_t i = 0; i < terms.shape(0); ++i) {
@@ -157,8 +162,9 @@ NonlinearDescription nonlinear(const Reader& in) {
 }
 
 Shortcuts shortcuts(const Reader& in) {
-    return {in.get<bool>("fused_pass"), in.get<bool>("direct_step"), in.get<bool>("block_culling"),
-            in.get<bool>("group_bound"), in.get<bool>("fine_bound"), in.get<bool>("at_rest"), in.get<bool>("linear_laws")};
+    return {in.get<bool>("fused_pass"),  in.get<bool>("direct_step"), in.get<bool>("block_culling"),
+            in.get<bool>("group_bound"), in.get<bool>("fine_bound"),  in.get<bool>("at_rest"),
+            in.get<bool>("linear_laws")};
 }
 
 void load(Kernel& kernel, nb::handle description) {
@@ -172,7 +178,8 @@ void load(Kernel& kernel, nb::handle description) {
     if (!linear.has("parts"))
         to.inverse = linear.view("inverse");
     else
-        for (const Reader& part : linear.each("parts")) to.parts.push_back({part.view("places"), part.view("inverses")});
+        for (const Reader& part : linear.each("parts"))
+            to.parts.push_back({part.view("places"), part.view("inverses")});
     if (linear.has("hub")) {
         const Reader hub = linear.inner("hub");
         to.hub = {hub.get<int>("slot"), hub.get<std::vector<int>>("ports"), hub.get<std::vector<int>>("point"),
@@ -210,7 +217,8 @@ void expect_shape(const char* name, const Out& a, std::initializer_list<std::siz
 
 // Advances `modes` (2, capacity) and `series`, `slip`, `last_force` (k) in place; fills out (n, n_channels), forces
 // (n, m) and law_forces (n, k), which must be zero. Injections are (slot, first step, vectors, values), controls
-// (connection, (4, n)). `phase`: samples since the last multiple of kResetSteps. Returns (slot, sample) of the first fault; slot -1 if there is none, -2 if forces were not found.
+// (connection, (4, n)). `phase`: samples since the last multiple of kResetSteps. Returns (slot, sample) of the first
+// fault; slot -1 if there is none, -2 if forces were not found.
 std::pair<int, std::int64_t> run(Kernel& kernel, Out modes, Out out, Out forces,
                                  const std::vector<std::tuple<int, std::int64_t, In, In>>& injections, Out law_forces,
                                  const std::vector<std::pair<int, In>>& controls, Out series, Out slip, Out last_force,
@@ -227,14 +235,16 @@ std::pair<int, std::int64_t> run(Kernel& kernel, Out modes, Out out, Out forces,
     if (n_tensions)
         expect_shape("tension", tension, {std::max(n_tensions, tension.ndim() == 2 ? tension.shape(0) : 0), 4});
     if (const std::size_t rows = kernel.n_phantoms())
-        expect_shape("phantoms", phantoms, {std::max(rows, phantoms.ndim() == 2 ? phantoms.shape(0) : 0), std::size_t(kPhantomMemory)});
+        expect_shape("phantoms", phantoms,
+                     {std::max(rows, phantoms.ndim() == 2 ? phantoms.shape(0) : 0), std::size_t(kPhantomMemory)});
     Job job;
     job.modes[0] = modes.data(), job.modes[1] = modes.data() + kernel.capacity();
     job.n = std::int64_t(n), job.out = out.data(), job.forces = forces.data(), job.n_channels = kernel.n_channels();
     job.law_forces = law_forces.data(), job.series = series.data(), job.slip = slip.data();
     job.last_force = last_force.data(), job.tension = tension.data(), job.phantoms = phantoms.data(), job.phase = phase;
     for (const auto& [connection, values] : controls) {
-        require(values.ndim() == 2 && values.shape(0) == 4 && values.shape(1) == n, "controls: (4, n) values are needed");
+        require(values.ndim() == 2 && values.shape(0) == 4 && values.shape(1) == n,
+                "controls: (4, n) values are needed");
         job.controls.push_back({connection, values.data()});
     }
     for (const auto& [slot, first, vectors, values] : injections) {
@@ -281,7 +291,8 @@ NB_MODULE(_kernel, m) {
         .def("acted", &Kernel::acted)
         .def("statistics", [](const Kernel& kernel) {
             const Statistics& s = kernel.statistics();
-            return std::vector<std::int64_t>{s.solves, s.iterations, s.most_iterations, s.failures, s.blocks, s.rows_read, s.added};
+            return std::vector<std::int64_t>{s.solves,    s.iterations, s.most_iterations, s.failures, s.blocks,
+                                             s.rows_read, s.added};
         });
 }
 

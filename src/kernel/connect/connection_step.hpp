@@ -10,8 +10,8 @@ namespace {
 struct ConnectionStep {
     virtual ~ConnectionStep() = default;
     virtual void begin_block() {}
-    // Finds the forces on all fixed ports of sample b (force_width) and of all linear connections (m) from the row history
-    // at the sample's beginning and, free of them, at its end. False if they were not found.
+    // Finds the forces on all fixed ports of sample b (force_width) and of all linear connections (m) from the row
+    // history at the sample's beginning and, free of them, at its end. False if they were not found.
     virtual bool sample(int b, double* now, double* f_out) = 0;
     virtual void finish_block() {}
 };

@@ -46,7 +46,8 @@ inline void solve_columns(const double* lower, const double* over, int n, double
     using S = Simd;
     const std::size_t w = wide(n);
     const auto scale = [&](int k) {
-        for (std::size_t i = 0; i < width; i += S::width) S::store(b + k * width + i, S::load(b + k * width + i) * over[k]);
+        for (std::size_t i = 0; i < width; i += S::width)
+            S::store(b + k * width + i, S::load(b + k * width + i) * over[k]);
     };
     const auto subtract = [&](int from, int to, double x) {
         for (std::size_t i = 0; i < width; i += S::width)

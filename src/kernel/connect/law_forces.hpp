@@ -18,10 +18,11 @@ class LawForces {
 
 public:
     explicit LawForces(Block& block)
-        : parts(block.model.layout), rows(block), cull(block, rows), series(block.model.nonlinear, block.model.contacts), block_(block),
-          components_(block.model.components), layout_(block.model.layout), solve_(block.model.solve),
-          nl_(block.model.nonlinear), ws_(block.model.contacts), ts_(block.model.tension),
-          reach_(block.model.nonlinear.n_contact), statistics_(block.model.statistics), job_(block.job) {
+        : parts(block.model.layout), rows(block), cull(block, rows),
+          series(block.model.nonlinear, block.model.contacts), block_(block), components_(block.model.components),
+          layout_(block.model.layout), solve_(block.model.solve), nl_(block.model.nonlinear), ws_(block.model.contacts),
+          ts_(block.model.tension), reach_(block.model.nonlinear.n_contact), statistics_(block.model.statistics),
+          job_(block.job) {
         if (!nl_.k) return;
         std::copy_n(job_.slip, nl_.k, ws_.slip.data());
         std::copy_n(job_.last_force, nl_.k, ws_.last_force.data());
@@ -55,7 +56,8 @@ public:
         for (;;) {
             if (!ws_.active.empty() && !solve()) return false;
             combine(b, f, now);
-            // the forces found may close more contacts: culled ones are tested by their bound, candidates by their motion
+            // the forces found may close more contacts: culled ones are tested by their bound, candidates by their
+            // motion
             cull.add_candidates(b, series.find(), [&](int j) { compress(j, b); });
             if (!activate_closed([&](int j) { return compression_after(j); })) break;
         }
@@ -302,7 +304,8 @@ private:
         for (std::size_t p = 0; p < n; ++p) gap[t.ports[p].string] += meets[p] * ts_.reach[p];
         for (const Term& term : nl_.terms[j])
             if (term.contact && block_.modulated(term.component))
-                gap[tensions->string_of(term.component)] += term.factor * reach_[std::size_t(nl_.first[term.component] + term.port)];
+                gap[tensions->string_of(term.component)] +=
+                    term.factor * reach_[std::size_t(nl_.first[term.component] + term.port)];
         return dot(gap, ts_.alone.data(), int(strings));
     }
 
@@ -317,10 +320,12 @@ private:
                 for (const Share& s : t.ports[p].shares) meets[p] -= s.factor * ts_.linear[s.connection];
             }
         } else for (std::size_t p = 0; p < t.ports.size(); ++p)
-            meets[p] = dot(nl_.from_linear.data() + std::size_t(j) * solve_.m, t.onto_linear.data() + p * layout_.f_width, solve_.m);
+                meets[p] = dot(nl_.from_linear.data() + std::size_t(j) * solve_.m,
+                               t.onto_linear.data() + p * layout_.f_width, solve_.m);
         for (const Term& term : nl_.terms[j])
             for (const Tensions::Part& part : t.parts)
-                if (!term.contact && part.component == term.component) meets[part.first_port + term.port] += term.factor;
+                if (!term.contact && part.component == term.component)
+                    meets[part.first_port + term.port] += term.factor;
         ts_.has_meets[j] = 1;
     }
 

@@ -5,10 +5,10 @@
 //     f = s p+ + r p,     p = o - g - rho,     p+ = o - g_free - z f + (1 - theta) / theta rho,
 // z the gaps per force with the linear connections answering, so that for all such laws at once
 //     (z + 1/s) f = (1 + r/s) o - g_free - (r/s) g + ((1 - theta)/theta - r/s) rho.
-// g_free, the gap after the step under the linear connections alone, is linear in the displacements of the ports. So the
-// forces of these laws are one product of these and of rho (PortForces, with the laws in place of ports), and the port
-// forces are those of the linear connections plus those of the laws. This replaces the solve for the laws in blocks in
-// which no other law can act and no control changes one of these.
+// g_free, the gap after the step under the linear connections alone, is linear in the displacements of the ports. So
+// the forces of these laws are one product of these and of rho (PortForces, with the laws in place of ports), and the
+// port forces are those of the linear connections plus those of the laws. This replaces the solve for the laws in
+// blocks in which no other law can act and no control changes one of these.
 #pragma once
 
 #include "law_forces.hpp"
@@ -29,7 +29,8 @@ public:
     void begin_block() {
         on_ = false;
         const auto& candidates = laws_.cull.candidates();
-        if (!block_.model.shortcuts.linear_laws || candidates.empty() || laws_.parts.on() || layout_.own_port.empty()) return;
+        if (!block_.model.shortcuts.linear_laws || candidates.empty() || laws_.parts.on() || layout_.own_port.empty())
+            return;
         for (const int j : candidates)
             if (!is_linear(nl_.laws[j])) return;
         scale_.assign(candidates.size(), 1.0);
@@ -72,7 +73,8 @@ public:
     }
 
 private:
-    // Whether a control keeps its connection, if it is one of these, at the law's offset and at one factor over the block.
+    // Whether a control keeps its connection, if it is one of these, at the law's offset and at one factor over the
+    // block.
     bool is_steady(const Control& control) {
         const auto& candidates = laws_.cull.candidates();
         const auto at = std::lower_bound(candidates.begin(), candidates.end(), control.connection);
@@ -104,11 +106,13 @@ private:
                     const int port = layout_.port[t.component] + t.port;
                     loads[port] += t.factor;
                     for (std::size_t q = 0; q < m; ++q)
-                        if (layout_.own_port[q] == port) to_.shared.push_back({int(q), int(i), layout_.own_factor[q] * t.factor});
+                        if (layout_.own_port[q] == port)
+                            to_.shared.push_back({int(q), int(i), layout_.own_factor[q] * t.factor});
                 }
             const auto& rows = layout_.port_rows;
             for (const Nonlinear::Term& t : nl_.terms[j])
-                shares[std::find(rows.begin(), rows.end(), layout_.row[t.component] + t.port) - rows.begin()] += t.factor;
+                shares[std::find(rows.begin(), rows.end(), layout_.row[t.component] + t.port) - rows.begin()] +=
+                    t.factor;
         }
         // -(z + 1/s)^-1 = -sqrt(s) (1 + sqrt(s) z sqrt(s))^-1 sqrt(s)
         Array<double> slope(n), ratio(n), z(n * w, 0.0);
@@ -136,14 +140,19 @@ private:
             return dot(nl_.from_linear.data() + std::size_t(to_.laws[i]) * m, f, int(m));
         };
         for (std::size_t p = 0; p < ports; ++p) {
-            const double *before = layout_.gather.data() + p * f_width, *after = layout_.gather.data() + (ports + p) * f_width;
+            const double *before = layout_.gather.data() + p * f_width,
+                         *after = layout_.gather.data() + (ports + p) * f_width;
             const auto free = [&](std::size_t i) { return -gap[i * ports + p] - linear(i, after); };
             solve(free, out.free.data() + p * w);
-            solve([&](std::size_t i) { return -ratio[i] * gap[i * ports + p] - linear(i, before) - plain.mix * free(i); },
-                  out.old.data() + p * w);
+            solve(
+                [&](std::size_t i) { return -ratio[i] * gap[i * ports + p] - linear(i, before) - plain.mix * free(i); },
+                out.old.data() + p * w);
         }
-        solve([&](std::size_t i) { return (1 + ratio[i]) * nl_.laws[to_.laws[i]].offset - linear(i, layout_.constant.data()); },
-              out.constant.data());
+        solve(
+            [&](std::size_t i) {
+                return (1 + ratio[i]) * nl_.laws[to_.laws[i]].offset - linear(i, layout_.constant.data());
+            },
+            out.constant.data());
         for (std::size_t q = 0; q < n; ++q)
             solve([&](std::size_t i) { return i == q ? kept - ratio[i] : 0.0; }, to_.memory.data() + q * w);
         const Tensions& t = block_.model.tensions;

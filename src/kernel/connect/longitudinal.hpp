@@ -25,7 +25,8 @@ public:
                 string.parts.push_back(std::move(part));
             }
             const std::size_t order = padded(string.given.order + 1);
-            for (Array<double>* a : {&string.squares, &string.strain, &string.tension, &string.stretching}) a->assign(order, 0.0);
+            for (Array<double>* a : {&string.squares, &string.strain, &string.tension, &string.stretching})
+                a->assign(order, 0.0);
             strings_.push_back(std::move(string));
             const double* const kept = row(s);
             const double stored = potential(s) + kept[3];
@@ -82,7 +83,8 @@ protected:
             string.shift = shift(s, stored);
             ws_.psi[s] = std::sqrt(2 * (stored + string.shift));
         }
-        row(s)[0] = ws_.past[0][s], row(s)[1] = std::copysign(string.shift, ws_.psi[s]), row(s)[2] = 0.0, row(s)[3] = excess;
+        row(s)[0] = ws_.past[0][s], row(s)[1] = std::copysign(string.shift, ws_.psi[s]), row(s)[2] = 0.0,
+        row(s)[3] = excess;
     }
 
 private:
@@ -112,7 +114,8 @@ private:
             for (int j = 0; j < kPadding; j += S::width) {
                 const V xi = S::load(state + j), per = S::load(part.given.scale.data() + k + j);
                 V free = xi + S::load(state + kPadding + j);
-                for (int p = 0; p < c.n_ports; ++p) free += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * forces[p];
+                for (int p = 0; p < c.n_ports; ++p)
+                    free += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * forces[p];
                 S::store(part.here.data() + k + j, per * xi), S::store(part.free.data() + k + j, per * free);
             }
     }
@@ -187,7 +190,8 @@ private:
             } else {
                 gradient(string, part);
                 for (std::size_t k = 0; k < part.direction.size(); k += S::width)
-                    S::store(part.direction.data() + k, S::load(part.direction.data() + k) * S::load(g.scale.data() + k) * per);
+                    S::store(part.direction.data() + k,
+                             S::load(part.direction.data() + k) * S::load(g.scale.data() + k) * per);
             }
             V along{}, size_{};
             const double* state = part.modes.state + kPadding;
@@ -216,7 +220,8 @@ private:
             return;
         }
         const int order = string.given.order;
-        for (std::size_t i = 0; i < part.slope[2].size(); ++i) part.slope[2][i] = 0.5 * (part.slope[0][i] + part.slope[1][i]);
+        for (std::size_t i = 0; i < part.slope[2].size(); ++i)
+            part.slope[2][i] = 0.5 * (part.slope[0][i] + part.slope[1][i]);
         const double* const c = part.slope[2].data() + order;
         for (int i = 0; i < g.cosines_width; i += S::width) {
             V sum = S::load(c + i) * string.tension[0];
@@ -229,7 +234,8 @@ private:
     static double weight(const String& s, int n) { return s.given.scale * (n == 0 ? 1.0 : 0.5); }
 
     // Adds `share` of the s_n of each of these coordinates of a transverse part.
-    void add_squares(String& string, Part& part, double share, const Array<double>& first, const Array<double>& second) const {
+    void add_squares(String& string, Part& part, double share, const Array<double>& first,
+                     const Array<double>& second) const {
         const auto& g = part.given;
         if (!string.given.longitudinal) {
             V sum{};
@@ -250,7 +256,8 @@ private:
         for (int n = 0; n <= order; ++n) {
             V sum{};
             for (int i = 0; i < g.cosines_width; i += S::width)
-                for (const double* const from : c) sum += S::load(from + i) * (S::load(from + i - n) + S::load(from + i + n));
+                for (const double* const from : c)
+                    sum += S::load(from + i) * (S::load(from + i - n) + S::load(from + i + n));
             double all = S::sum(sum);
             // the first cosine alone is not halved, and half of it was taken
             for (const double* const from : c) all -= from[0] * from[n];
@@ -278,21 +285,25 @@ private:
                 case 3: sum.template operator()<3>(); break;
                 default: sum.template operator()<many>();
             }
-            for (int j = 0; j < vectors; ++j) S::store(a + i + j * S::width, x[j]), S::store(b + i + j * S::width, y[j]);
+            for (int j = 0; j < vectors; ++j)
+                S::store(a + i + j * S::width, x[j]), S::store(b + i + j * S::width, y[j]);
         }
     }
 
     // U, in the state of the run.
     double potential(int s) {
         String& string = strings_[s];
-        std::fill(string.squares.begin(), string.squares.end(), 0.0), std::fill(string.strain.begin(), string.strain.end(), 0.0);
+        std::fill(string.squares.begin(), string.squares.end(), 0.0);
+        std::fill(string.strain.begin(), string.strain.end(), 0.0);
         for (std::size_t q = 0; q < string.parts.size(); ++q) {
             Part& part = string.parts[q];
             const double* const x = block_.x(part.given.component);
             const auto& reading = part.modes.c->tension.reading;
             for (int k = 0; k < part.given.n; ++k) part.here[k] = reading[k] * x[k];
             if (q < transverse(string)) add_squares(string, part, 0.5, part.here, part.here);
-            else add_product(part.given.slopes.data(), part.given.cosines_width, part.here.data(), part.given.n, string.strain.data());
+            else
+                add_product(part.given.slopes.data(), part.given.cosines_width, part.here.data(), part.given.n,
+                            string.strain.data());
         }
         double sum = 0.0;
         for (int n = 0; n <= string.given.order; ++n)
@@ -316,7 +327,8 @@ private:
     }
 
     std::vector<String> strings_;
-    Array<double> pulled_, answered_;  // (ports): displacements by the longitudinal modes, forces with the answer to them
+    // (ports): displacements by the longitudinal modes, forces with the answer to them
+    Array<double> pulled_, answered_;
 };
 
 }  // namespace

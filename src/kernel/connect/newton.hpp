@@ -34,9 +34,10 @@ inline void invert_laws(ContactState& ws, const double* z, const double* slope, 
     }
 }
 
-// Newton's method for the active laws with a potential: ws.stored, with the compliances in ws.matrix. `free` (n) holds the
-// compressions without these forces. Moves `f` (n).
-inline bool newton(const Nonlinear& nl, ContactState& ws, const double* free, double* f, double noise, int& iterations) {
+// Newton's method for the active laws with a potential: ws.stored, with the compliances in ws.matrix. `free` (n) holds
+// the compressions without these forces. Moves `f` (n).
+inline bool newton(const Nonlinear& nl, ContactState& ws, const double* free, double* f, double noise,
+                   int& iterations) {
     const int n = int(ws.stored.size()), *at = ws.stored.data();
     const double* z = ws.matrix.data();
     double *p = ws.x[0].data(), *r = ws.x[1].data(), *s = ws.x[2].data(), *zr = ws.x[3].data();
@@ -105,8 +106,8 @@ inline bool newton(const Nonlinear& nl, ContactState& ws, const double* free, do
     return false;
 }
 
-// Finds ws.law_force of the connections in ws.active, starting from its values; friction keeps the branches of ws.branch,
-// and open ones are decided. `z` (k, k): gaps per force.
+// Finds ws.law_force of the connections in ws.active, starting from its values; friction keeps the branches of
+// ws.branch, and open ones are decided. `z` (k, k): gaps per force.
 inline bool find_forces(const Nonlinear& nl, ContactState& ws, const double* z, int& iterations) {
     const int k = nl.k, n = int(ws.active.size());
     double* f = ws.law_force.data();
@@ -222,8 +223,9 @@ bool bisect(const Nonlinear& nl, ContactState& ws, int j, const Solve& solve) {
 
 // A step with friction: solve() finds everything else with friction on given branches. Branches that changed within the
 // iteration could alternate for ever, so each is kept until everything else is found and is then tested. At a given
-// velocity the rest is a monotone problem whose force on friction rises with that velocity; where sticking is impossible
-// the curve is met before the velocity without friction, and bisection finds it where changing branches does not.
+// velocity the rest is a monotone problem whose force on friction rises with that velocity; where sticking is
+// impossible the curve is met before the velocity without friction, and bisection finds it where changing branches does
+// not.
 template <class Solve>
 bool converge_branches(const Nonlinear& nl, ContactState& ws, const Solve& solve) {
     for (const int j : ws.active) ws.branch[j] = Branch::open;

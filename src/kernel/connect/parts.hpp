@@ -48,7 +48,8 @@ public:
     bool on() const { return l_.in_parts; }
 
     // Forces f of the connections and `now` on all fixed ports, from lines b and b + 1 of the row history.
-    __attribute__((flatten)) void operator()(const double* __restrict line, double* __restrict f, double* __restrict now) {
+    __attribute__((flatten)) void operator()(const double* __restrict line, double* __restrict f,
+                                             double* __restrict now) {
         for (const Layout::Segment& segment : l_.segments)
             for (int i = 0; i < segment.n; i += S::width) {
                 const double* at = line + segment.row + i;
@@ -59,7 +60,8 @@ public:
         multiply<0>(p_.gaps, before_.data(), old_.data());
         for (int j = 0; j < p_.gaps.width; ++j) gap_[j] += p_.gamma[j] * old_[j];
         std::copy(l_.constant.begin(), l_.constant.end(), f);
-        for (int i = 0; i < p_.r; ++i) rest_[i] = before_[p_.rows[i]], u_[i] = now_[p_.rows[i]] + p_.hub_gamma * rest_[i];
+        for (int i = 0; i < p_.r; ++i)
+            rest_[i] = before_[p_.rows[i]], u_[i] = now_[p_.rows[i]] + p_.hub_gamma * rest_[i];
         multiply<1>(p_.old, rest_.data(), gap_.data());
         multiply<-1>(p_.blocks, gap_.data(), f);
         if (p_.r) {

@@ -17,7 +17,8 @@ inline void add_columns(const double* __restrict matrix, int width, const double
                         const double* start, double* sum) {
     using S = Simd;
     S::V part[4][N];
-    for (int j = 0; j < N; ++j) part[0][j] = S::load(start + j * S::width), part[1][j] = part[2][j] = part[3][j] = S::V{};
+    for (int j = 0; j < N; ++j)
+        part[0][j] = S::load(start + j * S::width), part[1][j] = part[2][j] = part[3][j] = S::V{};
     int i = 0;
     for (; i + 4 <= n; i += 4)
         for (int q = 0; q < 4; ++q, matrix += width)
@@ -61,7 +62,8 @@ public:
         : l_(layout), now_(layout.width + S::width), before_(layout.width + S::width) {}
 
     // flattened, because compilers do not inline products that several callers use
-    __attribute__((flatten)) void operator()(const PortForces& by, const double* __restrict line, double* __restrict force) {
+    __attribute__((flatten)) void operator()(const PortForces& by, const double* __restrict line,
+                                             double* __restrict force) {
         // rows that are no port's, and padding, are overwritten by the next segment or lie beyond the last one
         for (const Layout::Segment& segment : l_.segments)
             for (int i = 0; i < segment.n; i += S::width) {
@@ -79,8 +81,8 @@ private:
     Array<double> now_, before_;
 };
 
-// Response of every row to port forces in the rest of a block. The lines within a span of kSpan samples get the response
-// to each force at once; the lines beyond get that to all forces of the span when it ends.
+// Response of every row to port forces in the rest of a block. The lines within a span of kSpan samples get the
+// response to each force at once; the lines beyond get that to all forces of the span when it ends.
 class Propagate {
     using S = Simd;
 
@@ -196,8 +198,8 @@ private:
     const Layout& l_;
 };
 
-// Adds the response of a driven component's rows (n_rows, kBlock + 1) to the port forces of a whole block. A row's response
-// has kBlock zeros before it, so that one load serves the force of any sample.
+// Adds the response of a driven component's rows (n_rows, kBlock + 1) to the port forces of a whole block. A row's
+// response has kBlock zeros before it, so that one load serves the force of any sample.
 inline void respond(const double* response, int n_ports, int n_rows, const double* forces, int stride, double* rows) {
     using S = Simd;
     constexpr int n_vectors = kBlock / S::width;

@@ -44,7 +44,8 @@ public:
         from_state_ = false;
     }
 
-    // Forms the sums that sample b needs of all strings, and writes the displacements of their ports now and free of forces.
+    // Forms the sums that sample b needs of all strings, and writes the displacements of their ports now and free of
+    // forces.
     void begin_sample(int b) {
         sample_ = b;
         begin_step();
@@ -63,8 +64,8 @@ public:
     // connections without these strings.
     void couple(const double* alone) { couple(alone, alone, t_.onto_ports.data()); }
 
-    // As above, where linear laws answer too: `answering` are the port forces with them, and (ports, width) those forces
-    // per displacement of the ports. The directions are those of the linear connections `alone`.
+    // As above, where linear laws answer too: `answering` are the port forces with them, and (ports, width) those
+    // forces per displacement of the ports. The directions are those of the linear connections `alone`.
     void couple(const double* alone, const double* answering, const double* onto_ports) {
         const int n = int(t_.ports.size());
         for (int p = 0; p < n; ++p)
@@ -95,7 +96,8 @@ public:
         solve_columns(ws_.matrix.data(), ws_.over.data(), n_strings(), b, width);
     }
 
-    // Adds the answer of the linear connections to psi_m: port forces `now` (not in parts), or the connections' own forces f.
+    // Adds the answer of the linear connections to psi_m: port forces `now` (not in parts), or the connections' own
+    // forces f.
     void add_to_ports(double* now) { add(t_.onto_forces.data(), layout_.force_width, now); }
     void add_to_linear(double* f) {
         if (!parts) return add(t_.onto_linear.data(), layout_.f_width, f);
@@ -185,8 +187,8 @@ protected:
     double moved(std::size_t p) const { return -ws_.mean[t_.ports[p].string] * ws_.reach[p]; }
     double* row(int s) const { return block_.job.tension + 4 * t_.strings[s].index; }
 
-    // Scales the velocities of modes of a string: use(component, n modes) of each part; returns the part of the cost that
-    // was paid.
+    // Scales the velocities of modes of a string: use(component, n modes) of each part; returns the part of the cost
+    // that was paid.
     template <class Each>
     double pay_from_motion(const Each& each, double cost) {
         const auto velocities = [&](const auto& use) {

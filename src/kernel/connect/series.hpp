@@ -68,7 +68,8 @@ public:
             const Nonlinear::Shared& group = nl_.shared[g];
             const bool moves = !(ws_.series_most_after[g] < kSeriesAtRest);
             ws_.series_most[g] = moves ? ws_.series_most_after[g] : 0.0, ws_.series_moves[g] = moves;
-            if (moves) std::copy_n(ws_.series_after.begin() + group.first, group.width, ws_.series.begin() + group.first);
+            if (moves)
+                std::copy_n(ws_.series_after.begin() + group.first, group.width, ws_.series.begin() + group.first);
             else std::fill_n(ws_.series.begin() + group.first, group.width, 0.0);
             ws_.any_series = ws_.any_series || moves;
         }

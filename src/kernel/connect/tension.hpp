@@ -84,7 +84,8 @@ private:
     // Finds own_ and ws.reach of string s along its direction, and the right side of its equation in ws.alone.
     void direct(int s) {
         const Tensions::String& string = t_.strings[s];
-        const double *const f = ws_.driven.data() + string.first, *const answering = ws_.answering.data() + string.first;
+        const double* const f = ws_.driven.data() + string.first;
+        const double* const answering = ws_.answering.data() + string.first;
         const double T = now_[s].ahead, root = string.root;
         double* const reach = ws_.reach.data() + string.first;
         double power = 0.0, own = 0.0, spread = 0.0, bound = 0.0, answered = 0.0;

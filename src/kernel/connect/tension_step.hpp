@@ -71,7 +71,8 @@ private:
         return std::make_unique<StretchedStrings>(block);
     }
 
-    // Forces of the linear connections on all ports without tensions; in parts, their own in block.f and alone_ as well.
+    // Forces of the linear connections on all ports without tensions; in parts, their own in block.f and alone_ as
+    // well.
     void without_tensions(int b, double* now) {
         if (!tensions_.parts) return direct_(layout_.direct, block_.line(b), now);
         laws_.parts(block_.line(b), block_.f.data(), now);

@@ -1,11 +1,11 @@
-// Block-level broad phase: which contacts can touch in a block. Contacts that a bound excludes are culled: their rows are
-// not read, and the samples are the same bit for bit.
+// Block-level broad phase: which contacts can touch in a block. Contacts that a bound excludes are culled: their rows
+// are not read, and the samples are the same bit for bit.
 //
-// At the block's beginning bounds.hpp bounds the free motion of each contact port; the gap at rest less that bound is the
-// contact's clearance. The port forces of the block use the clearance up: a force F on a port takes sensitivity |F| of the
-// tightest clearance in a group of components joined by contacts. While the sum (`share`) is below 1 no culled contact
-// touches. In the sample in which it reaches 1, each contact's own bound is evaluated, and contacts that may touch become
-// candidates: their rows are read from the block's beginning.
+// At the block's beginning bounds.hpp bounds the free motion of each contact port; the gap at rest less that bound is
+// the contact's clearance. The port forces of the block use the clearance up: a force F on a port takes sensitivity |F|
+// of the tightest clearance in a group of components joined by contacts. While the sum (`share`) is below 1 no culled
+// contact touches. In the sample in which it reaches 1, each contact's own bound is evaluated, and contacts that may
+// touch become candidates: their rows are read from the block's beginning.
 #pragma once
 
 #include "bounds.hpp"
@@ -98,8 +98,8 @@ public:
         return false;
     }
 
-    // Adds culled contacts that the forces tried in sample b could bring into touch; `farthest`: largest displacement of
-    // the residual compliances in it. `added(j)` is called for each.
+    // Adds culled contacts that the forces tried in sample b could bring into touch; `farthest`: largest displacement
+    // of the residual compliances in it. `added(j)` is called for each.
     template <class Added>
     void add_candidates(int b, double farthest, const Added& added) {
         sample_ = b;
@@ -204,8 +204,9 @@ private:
         for (const Term& t : nl_.terms[j]) {
             double bound = 0.0;
             if (t.contact)
-                bound = components_[t.component].contact.peak[t.port] * (ws_.norm[t.component] + ws_.added[t.component]) +
-                        std::abs(held_.row(t.component, t.port));
+                bound =
+                    components_[t.component].contact.peak[t.port] * (ws_.norm[t.component] + ws_.added[t.component]) +
+                    std::abs(held_.row(t.component, t.port));
             else
                 for (int b = 0; b <= block_.nb; ++b)
                     bound = std::max(bound, std::abs(rows_.line_of(t)[std::size_t(b) * layout_.width]));
@@ -262,8 +263,8 @@ private:
         return old < -error && after < -error;
     }
 
-    // Fractions of the smallest clearance among the culled contacts of a group per newton at each port, and the share that
-    // the forces before this sample took. Only ports that are loaded in this block count.
+    // Fractions of the smallest clearance among the culled contacts of a group per newton at each port, and the share
+    // that the forces before this sample took. Only ports that are loaded in this block count.
     void update_sensitivities(int index) {
         const Nonlinear::Group& group = nl_.groups[index];
         for (const int i : group.components) {

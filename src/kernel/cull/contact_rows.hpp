@@ -85,8 +85,8 @@ public:
             for (const int p : ws_.loaded[i]) force(int(i), p)[b] = 0.0;
     }
 
-    // Response of contact rows to all forces of sample b, and of all other rows to forces on contact ports, in the rest of
-    // the block.
+    // Response of contact rows to all forces of sample b, and of all other rows to forces on contact ports, in the rest
+    // of the block.
     void propagate(int b, const double* now) {
         if (!reads_ && !loads_) return;
         for (int i = 0; i < int(components_.size()); ++i) {
@@ -120,9 +120,9 @@ public:
     void move_modes(int i, double* x, double* y) const {
         if (!loads_ || ws_.loaded[i].empty()) return;
         const ContactPorts& g = components_[i].contact;
-        recur_store<false>(components_[i], x, y,
-                           {g.w.data(), g.w_slope.data(), int(ws_.loaded[i].size()), ws_.loaded[i].data(), force(i, 0), 1,
-                            kBlock});
+        recur_store<false>(
+            components_[i], x, y,
+            {g.w.data(), g.w_slope.data(), int(ws_.loaded[i].size()), ws_.loaded[i].data(), force(i, 0), 1, kBlock});
     }
 
 private:

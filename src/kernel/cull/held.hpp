@@ -1,7 +1,7 @@
 // States in which the means of known forces would hold a component.
 //
-// A known force of mean f holds the modes at (I - E)^-1 W f. The motion about that state is bounded instead of the whole
-// one: a string that is drawn aside slowly moves little about it, however far the force draws it.
+// A known force of mean f holds the modes at (I - E)^-1 W f. The motion about that state is bounded instead of the
+// whole one: a string that is drawn aside slowly moves little about it, however far the force draws it.
 #pragma once
 
 #include <deque>

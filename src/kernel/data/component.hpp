@@ -80,7 +80,8 @@ struct Shapes {
 
 // A string's polarization under rising tension, in mass-normalised coordinates y (coupling/tension.py).
 constexpr int kMaxTensionPorts = 32;
-constexpr int kScaledNumbers = 4, kScaledState = 2;  // numbers per mode in `numbers` (one more per port) and in the state
+// numbers per mode in `numbers` (one more per port) and in the state
+constexpr int kScaledNumbers = 4, kScaledState = 2;
 
 struct TensionModulation {
     bool on = false;

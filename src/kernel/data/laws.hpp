@@ -48,8 +48,8 @@ struct Nonlinear {
     struct Group {  // components joined by contacts on contact ports
         std::vector<int> components, contacts;
         // if `simple` (all terms on contact ports, all gaps open at rest): norm of component q times
-        // coarse_sensitivity[q] bounds the share of a clearance that its free motion takes; `sensitivity` (per newton on
-        // fixed ports) and `tension_sensitivity` hold when each clearance is (1 - kCoarse) of the gap at rest
+        // coarse_sensitivity[q] bounds the share of a clearance that its free motion takes; `sensitivity` (per newton
+        // on fixed ports) and `tension_sensitivity` hold when each clearance is (1 - kCoarse) of the gap at rest
         bool simple = false;
         Array<double> coarse_sensitivity, tension_sensitivity;
         std::vector<Array<double>> sensitivity;

@@ -11,8 +11,8 @@ struct Entry {  // of a sparse matrix
     bool operator==(const Entry&) const = default;
 };
 
-// A sparse matrix of about as many entries in every row: layer l has the l-th entry of each. `rest` has the other entries
-// of rows with more than kLayers.
+// A sparse matrix of about as many entries in every row: layer l has the l-th entry of each. `rest` has the other
+// entries of rows with more than kLayers.
 struct SparseRows {
     struct Layer {
         std::vector<int> column;  // by row; 0 where the value is
@@ -76,9 +76,9 @@ struct PortForces {
 };
 
 // The row history of a block is (kBlock + 1, width): one line of numbers per sample. Components of one port and one row
-// stand first, side by side, so that one vector serves several; every other component begins at a multiple of kLane. The
-// port forces stand side by side in the same order. The connections are folded into two matrices:
-// f = constant + gather^T (y(b), y_free(b + 1)), port forces = scatter^T f.
+// stand first, side by side, so that one vector serves several; every other component begins at a multiple of kLane.
+// The port forces stand side by side in the same order. The connections are folded into two matrices: f = constant +
+// gather^T (y(b), y_free(b + 1)), port forces = scatter^T f.
 struct Layout {
     struct Several {     // a component of several ports
         int row, force, n_ports, width;

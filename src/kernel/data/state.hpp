@@ -15,8 +15,8 @@ enum class Branch : char { open, stuck, ahead, behind, held };
 
 // Nonlinear connections during a run.
 struct ContactState {
-    // by connection (k): compressions before the step, and after it without laws; forces; velocities of friction; drives;
-    // size of the gap; highest offset in the block; clearance
+    // by connection (k): compressions before the step, and after it without laws; forces; velocities of friction;
+    // drives; size of the gap; highest offset in the block; clearance
     Array<double> old_p, free_p, law_force, last_force, slip, slip_after, offset, offset_after, velocity, scale, size,
         highest_offset, clearance;
     // of friction (k): its branch; velocity it is held at; velocity without it; velocity that a coefficient of 1 takes
@@ -24,8 +24,8 @@ struct ContactState {
     Array<double> held, without, load;
     std::vector<char> candidate, is_active, acted;  // acted: in this run
     std::vector<int> candidates, active, previous;
-    // of residual compliances: displacements before and after a step, by place; by group, the largest of each, and whether
-    // it moves
+    // of residual compliances: displacements before and after a step, by place; by group, the largest of each, and
+    // whether it moves
     Array<double> series, series_after, series_most, series_most_after;
     std::vector<char> series_moves;
     bool any_series = false;
@@ -66,7 +66,8 @@ struct LinearLaws {
     PortForces forces;                      // of the laws in place of ports
     Array<double> memory;                   // (n, forces.width): the same per displacement of a residual compliance
     Array<double> loads;                    // (n, force_width): port forces per force, the linear connections answering
-    Array<double> onto_laws, onto_ports;    // (ports, forces.width), (ports, width): per displacement of a port of Tensions
+    // (ports, forces.width), (ports, width): per displacement of a port of Tensions
+    Array<double> onto_laws, onto_ports;
 };
 
 struct Statistics {
@@ -110,7 +111,7 @@ struct Job {
     std::vector<Control> controls;
     double* tension;     // (n_tensions, 4), moved
     double* phantoms = nullptr;  // (n_strings, kPhantomMemory), moved
-    int phase = 0;       // samples since the last multiple of kResetSteps; with tensions and above 0, n ends at the next one
+    int phase = 0;  // samples since the last multiple of kResetSteps; with tensions and above 0, n ends at the next one
 };
 
 // Where a run had to stop: a component that is no longer finite, or connections whose forces were not found.

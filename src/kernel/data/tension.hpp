@@ -28,7 +28,8 @@ struct Tensions {
         std::size_t sums;  // its sums of a modal pass among all
     };
     struct Port {      // a fixed port of a polarization
-        int string, line, force, place;  // of its displacement in a line, of its force among all ports', among two-way ports
+        // of its displacement in a line, of its force among all ports', among two-way ports
+        int string, line, force, place;
         std::vector<Share> shares;       // of the linear connections
     };
     struct String {
@@ -51,7 +52,8 @@ struct Tensions {
     int width = 0;                      // ports, padded
     std::size_t n_sums = 0;
     Array<double> onto_ports;           // (ports, width): forces on these ports per displacement of one
-    // where the linear connections are one matrix: (ports, force_width) forces on all ports, (ports, f_width) of connections
+    // where the linear connections are one matrix: (ports, force_width) forces on all ports, (ports, f_width) of
+    // connections
     Array<double> onto_forces, onto_linear;
 };
 
@@ -60,8 +62,8 @@ constexpr int kSharedSums = 3, kPortSums = 5;  // of a modal pass over a polariz
 struct TensionState {
     Array<double> scaled;               // of modes: modal/scaled_modes.hpp
     Array<double> lanes, sums;          // of the modal passes, before and after their lanes are added
-    // by string: psi and its mean over the step, with and without nonlinear connections; sizes of the direction (excursion);
-    // mean tensions of the last steps
+    // by string: psi and its mean over the step, with and without nonlinear connections; sizes of the direction
+    // (excursion); mean tensions of the last steps
     Array<double> psi, mean, alone, spread, bound, past[3];
     // (ports): displacement per mean psi; forces of the linear connections alone, and of those that answer to psi
     Array<double> reach, driven, answering;

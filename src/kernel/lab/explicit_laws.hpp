@@ -1,5 +1,5 @@
-// Velocity Verlet for strings whose tension rises and for laws between components, real modes: an explicit method for the
-// systems that the kernel solves implicitly. The loop is that of methods.hpp.
+// Velocity Verlet for strings whose tension rises and for laws between components, real modes: an explicit method for
+// the systems that the kernel solves implicitly. The loop is that of methods.hpp.
 //
 //     a = g - (EA/2L) S k q + phi f,   w+ = w + h a,   q+ = q + h w+,   g+ = -w2 q+ - 2 sigma (w+ + h a / 2)
 //
@@ -113,7 +113,8 @@ inline std::int64_t run_explicit(const ExplicitPlan& plan, double* const* state,
     emit(out);
     std::int64_t until = every;
     for (std::int64_t step = 0; step < n; ++step) {
-        std::fill(S.begin(), S.end(), 0.0), std::fill(gap.begin(), gap.end(), 0.0), std::fill(rate.begin(), rate.end(), 0.0);
+        std::fill(S.begin(), S.end(), 0.0), std::fill(gap.begin(), gap.end(), 0.0);
+        std::fill(rate.begin(), rate.end(), 0.0);
         for (int i = 0; i < n_parts; ++i) {
             const ExplicitPart& p = plan.parts[i];
             const ExplicitSums s = sums_of(i);
@@ -129,7 +130,8 @@ inline std::int64_t run_explicit(const ExplicitPlan& plan, double* const* state,
             const ExplicitPart& p = plan.parts[i];
             const ExplicitSums s = sums_of(i);
             const double tension = p.tension < 0 ? 0.0 : plan.stiffness[p.tension] * S[p.tension];
-            for (int j = 0; j < p.n_rigid; ++j) acceleration[p.rigid_links[j]] += s.acceleration[j] - tension * s.stretch[j];
+            for (int j = 0; j < p.n_rigid; ++j)
+                acceleration[p.rigid_links[j]] += s.acceleration[j] - tension * s.stretch[j];
         }
         std::fill(f_rigid.begin(), f_rigid.end(), 0.0);
         subtract_product(plan.g_t.data(), acceleration.data(), r, f_rigid.data());

@@ -181,7 +181,8 @@ void visit(const MethodPart& p, double* const* s, const double* f, int lags, int
         for (int i = 0; i < links * lags; ++i, v += Rule::n_in * n) rule.excite(v, n, k, f[i]);
         rule.finish(state, k, c);
         for (int i = 0; i < links; ++i) acc[i] = acc[i] + rule.read(p.reads.data() + (i * Rule::n_row * n), n, k);
-        for (int i = 0; i < outs; ++i) acc[links + i] = acc[links + i] + rule.out(p.outs.data() + (i * Rule::n_out * n), n, k);
+        for (int i = 0; i < outs; ++i)
+            acc[links + i] = acc[links + i] + rule.out(p.outs.data() + (i * Rule::n_out * n), n, k);
     }
     for (int i = 0; i < links; ++i) read[i] = total(acc[i]);
     for (int i = 0; i < outs; ++i) out[i] = total(acc[links + i]);
@@ -235,7 +236,8 @@ std::int64_t run_method(const MethodPlan& plan, MethodJob& job) {
             for (int o = 0; o < p.n_outs; ++o)
                 for (int d = 0; d < Rule::n_out; ++d)
                     for (int k = 0; k < p.n; ++k)
-                        to[p.channels[o]] += p.outs[(std::size_t(o) * Rule::n_out + d) * p.n + k] * state[d][p.offset + k];
+                        to[p.channels[o]] +=
+                            p.outs[(std::size_t(o) * Rule::n_out + d) * p.n + k] * state[d][p.offset + k];
         }
     };
     for (int i = 0; i < channels; ++i) job.out[i] = 0.0;
@@ -252,7 +254,8 @@ std::int64_t run_method(const MethodPlan& plan, MethodJob& job) {
                     sum += p.reads[std::size_t(l) * p.n + k] * state[2][p.offset + k];
                 else
                     for (int d = 0; d < 3; ++d)
-                        sum += p.reads[std::size_t(l) * p.n + k] * p.coef[std::size_t(d) * p.n + k] * state[d][p.offset + k];
+                        sum += p.reads[std::size_t(l) * p.n + k] * p.coef[std::size_t(d) * p.n + k] *
+                               state[d][p.offset + k];
             }
             r[p.links[l]] += sum;
         }

@@ -1,4 +1,5 @@
-// Python's interface to the methods of the literature: copies their arrays in, checks every shape, runs without the GIL.
+// Python's interface to the methods of the literature: copies their arrays in, checks every shape, runs without the
+// GIL.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
@@ -173,7 +174,8 @@ public:
         expect("outs", outs, {channels.size(), n});
         if (n == 0 || n % kPadding != 0 || offset % kPadding != 0 || offset + n > capacity_)
             throw std::invalid_argument("a part's modes do not fit the state");
-        within(rigid_links, plan_.n_rigid), within(law_links, int(plan_.laws.size())), within(channels, plan_.n_channels);
+        within(rigid_links, plan_.n_rigid), within(law_links, int(plan_.laws.size()));
+        within(channels, plan_.n_channels);
         if (tension < -1 || tension >= int(plan_.stiffness.size())) throw std::invalid_argument("no such tension");
         ExplicitPart p;
         p.n = int(n), p.n_rigid = int(rigid_links.size()), p.n_laws = int(law_links.size());

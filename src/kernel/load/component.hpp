@@ -132,7 +132,8 @@ inline void derive_shapes(Component& c) {
         std::size_t best = 0;
         double most = -1.0;
         for (std::size_t q = 0; q < p; ++q)
-            if (const double size = std::hypot(a[2 * q * n + k], a[(2 * q + 1) * n + k]); size > most) most = size, best = q;
+            if (const double size = std::hypot(a[2 * q * n + k], a[(2 * q + 1) * n + k]); size > most)
+                most = size, best = q;
         return best;
     };
     for (std::size_t k = 0; k < n; ++k) {
@@ -149,7 +150,8 @@ inline void derive_shapes(Component& c) {
             if (!(off_row <= 1e-14 * std::sqrt(size) && off_drive <= 1e-14 * std::hypot(wx, wy))) return;
             out.phi[k * out.width + q] = phi;
         }
-        out.read_next[k] = rx * c.e[k] + ry * c.e[2 * n + k], out.read_next[n + k] = rx * c.e[n + k] + ry * c.e[3 * n + k];
+        out.read_next[k] = rx * c.e[k] + ry * c.e[2 * n + k];
+        out.read_next[n + k] = rx * c.e[n + k] + ry * c.e[3 * n + k];
     }
     c.shapes = std::move(out);
 }
@@ -178,7 +180,8 @@ inline void load_contact_ports(Component& c, const ContactPortsDescription& d, c
     g.on_rows.resize(d.on_rows.size());
     for (std::size_t k = 0; k < kBlock; ++k)
         for (std::size_t p = 0; p < count; ++p)
-            std::copy_n(d.on_rows.data + (k * count + p) * n_rows, n_rows, g.on_rows.data() + (p * kBlock + k) * n_rows);
+            std::copy_n(d.on_rows.data + (k * count + p) * n_rows, n_rows,
+                        g.on_rows.data() + (p * kBlock + k) * n_rows);
     derive_bounds(c);
 }
 
@@ -198,9 +201,9 @@ inline void derive_scaled(Component& c, const std::string& name) {
                                               e01 * tilt - e11 + det};
         for (int i = 0; i < kScaledNumbers; ++i) to[i * kPadding] = numbers[i];
         for (std::size_t q = 0; q < p; ++q) to[(kScaledNumbers + q) * kPadding] = c.rows[2 * q * n + k] * root;
-        const double basis[8] = {1 / root, (e00 - 1) / root, e01 / root,                 // in
-                                 root, (1 - e00) * root / e01, root / e01,               // out
-                                 -e11 / root, e01 / root};                                 // of known inputs to v, at the end
+        const double basis[8] = {1 / root, (e00 - 1) / root, e01 / root,            // in
+                                 root, (1 - e00) * root / e01, root / e01,          // out
+                                 -e11 / root, e01 / root};                          // of known inputs to v, at the end
         for (int i = 0; i < 8; ++i) s.basis[i * n + k] = basis[i];
     }
 }
@@ -213,9 +216,11 @@ inline void load_tension(Component& c, const TensionDescription& d, const std::s
     expect(name + "kick", d.kick, {2, n});
     expect(name + "velocity", d.velocity, {3, n});
     require(!c.driven && n > 0 && p <= kMaxTensionPorts, name + "a: a driven component, or one of more than " +
-                                                              std::to_string(kMaxTensionPorts) + " ports, has no tension");
+                                                             std::to_string(kMaxTensionPorts) +
+                                                             " ports, has no tension");
     TensionModulation& s = c.tension;
-    s.a = d.a.copy(), s.half = d.half.copy(), s.reading = d.reading.copy(), s.kick = d.kick.copy(), s.velocity = d.velocity.copy();
+    s.a = d.a.copy(), s.half = d.half.copy(), s.reading = d.reading.copy(), s.kick = d.kick.copy(),
+    s.velocity = d.velocity.copy();
     s.largest_half = *std::max_element(s.half.begin(), s.half.end());
     s.gain.assign(2 * n, 0.0);
     for (std::size_t k = 0; k < 2 * n; ++k)

@@ -57,7 +57,8 @@ inline void make_groups(std::vector<Component>& components, Nonlinear& nl) {
     for (const Component& c : components) nl.first.push_back(nl.n_contact), nl.n_contact += c.contact.n;
     for (const Nonlinear::Term& t : nl.all_terms) {
         const Component& c = components[t.component];
-        if (t.port >= (t.contact ? c.contact.n : c.n_ports) || (t.contact && nl.laws[t.connection].kind != Law::contact))
+        if (t.port >= (t.contact ? c.contact.n : c.n_ports) ||
+            (t.contact && nl.laws[t.connection].kind != Law::contact))
             throw std::invalid_argument("kernel: nonlinear.terms: connection " + std::to_string(t.connection) +
                                         " has no such port, or is no contact");
         (c.driven ? nl.driven : nl.terms)[t.connection].push_back(t);
@@ -109,7 +110,8 @@ inline void make_groups(std::vector<Component>& components, Nonlinear& nl) {
         Nonlinear::Group& group = nl.groups[g];
         const std::size_t n_parts = group.components.size();
         group.simple = true;
-        group.coarse_sensitivity.assign(n_parts, 0.0), group.tension_sensitivity = group.coarse_sensitivity, group.sensitivity.assign(n_parts, {});
+        group.coarse_sensitivity.assign(n_parts, 0.0), group.tension_sensitivity = group.coarse_sensitivity;
+        group.sensitivity.assign(n_parts, {});
         for (std::size_t q = 0; q < n_parts; ++q)
             group.sensitivity[q].assign(components[group.components[q]].n_ports, 0.0);
         for (const int j : group.contacts) {
@@ -123,20 +125,23 @@ inline void make_groups(std::vector<Component>& components, Nonlinear& nl) {
                 const std::size_t q = std::find(parts.begin(), parts.end(), t.component) - parts.begin();
                 const Component& c = components[t.component];
                 const double size = std::abs(t.factor), of_clearance = size / ((1 - kCoarse) * room);
-                group.coarse_sensitivity[q] = std::max(group.coarse_sensitivity[q], size * c.contact.peak[t.port] / room);
+                group.coarse_sensitivity[q] =
+                    std::max(group.coarse_sensitivity[q], size * c.contact.peak[t.port] / room);
                 const double* reach =
                     c.contact.reach.data() + (std::size_t(c.n_ports + t.port) * (c.n_ports + c.contact.n));
                 for (int p = 0; p < c.n_ports; ++p)
                     group.sensitivity[q][p] = std::max(group.sensitivity[q][p], of_clearance * reach[p]);
                 if (c.tension.on)
-                    group.tension_sensitivity[q] = std::max(group.tension_sensitivity[q], of_clearance * c.contact.tension_reach[t.port]);
+                    group.tension_sensitivity[q] =
+                        std::max(group.tension_sensitivity[q], of_clearance * c.contact.tension_reach[t.port]);
             }
         }
     }
 }
 
 // Makes the buffers of a run with nonlinear connections.
-inline void make_buffers(const std::vector<Component>& components, const Nonlinear& nl, std::size_t capacity, ContactState& ws) {
+inline void make_buffers(const std::vector<Component>& components, const Nonlinear& nl, std::size_t capacity,
+                         ContactState& ws) {
     const std::size_t k = nl.k, n = components.size(), n_contact = nl.n_contact;
     for (Array<double>* a :
          {&ws.old_p, &ws.free_p, &ws.law_force, &ws.last_force, &ws.slip, &ws.slip_after,

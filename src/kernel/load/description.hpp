@@ -148,8 +148,8 @@ inline void expect(const std::string& name, const View& a, std::initializer_list
         for (std::size_t i = 0; i < n; ++i) out += std::to_string(begin[i]) + (n == 1 || i + 1 < n ? "," : "");
         return out + ")";
     };
-    throw std::invalid_argument("kernel: " + name + " has the shape " + text(a.shape.begin(), std::size_t(a.ndim)) + ", not " +
-                                text(shape.begin(), shape.size()));
+    throw std::invalid_argument("kernel: " + name + " has the shape " + text(a.shape.begin(), std::size_t(a.ndim)) +
+                                ", not " + text(shape.begin(), shape.size()));
 }
 inline void require(bool fits, const std::string& message) {
     if (!fits) throw std::invalid_argument("kernel: " + message);

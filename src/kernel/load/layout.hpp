@@ -44,7 +44,8 @@ inline Layout make_layout(const std::vector<Component>& components, const Solve&
         const int lags = stepped ? 1 : kBlock;
         Array<double> response(std::size_t(lags) * c.n_ports * width, 0.0);
         for (int kp = 0; kp < lags * c.n_ports; ++kp)
-            for (int r = 0; r < (stepped ? c.n_ports : c.n_rows); ++r) response[std::size_t(kp) * width + r] = c.response[kp * c.n_rows + r];
+            for (int r = 0; r < (stepped ? c.n_ports : c.n_rows); ++r)
+                response[std::size_t(kp) * width + r] = c.response[kp * c.n_rows + r];
         l.several.push_back({l.row[i], l.port[i], c.n_ports, width, stepped, std::move(response)});
     }
     l.f_width = int(padded(m)), l.force_width = int(padded(n_ports));

@@ -27,16 +27,19 @@ inline bool load_parts(const LinearDescription& d, Solve& s, const std::vector<C
         for (std::size_t i = 0; i < b * n; ++i) {
             require(!seen[place(i)], "linear.parts.places: a connection is in two parts");
             seen[place(i)] = 1;
-            for (std::size_t j = 0; j < n; ++j) blocks.push_back({place(i), place(i / n * n + j), part.inverses[i * n + j]});
+            for (std::size_t j = 0; j < n; ++j)
+                blocks.push_back({place(i), place(i / n * n + j), part.inverses[i * n + j]});
         }
     }
     require(d.parts.empty() || std::count(seen.begin(), seen.end(), 1) == std::ptrdiff_t(m),
             "linear.parts.places: a connection is in no part");
     Solve::Hub hub;
     if (d.hub.slot >= 0) {
-        require(!d.parts.empty() && std::size_t(d.hub.slot) < components.size(), "linear.hub: there is no such component, or no parts");
+        require(!d.parts.empty() && std::size_t(d.hub.slot) < components.size(),
+                "linear.hub: there is no such component, or no parts");
         const Component& c = components[d.hub.slot];
-        require(d.hub.span.ndim == 2 && d.hub.point.size() == m, "linear.hub.span has 2 dimensions, point one number a connection");
+        require(d.hub.span.ndim == 2 && d.hub.point.size() == m,
+                "linear.hub.span has 2 dimensions, point one number a connection");
         expect("linear.hub.factor", d.hub.factor, {m});
         expect("linear.hub.span", d.hub.span, {d.hub.span.shape[0], r});
         expect("linear.hub.joined", d.hub.joined, {r, r});
@@ -44,7 +47,8 @@ inline bool load_parts(const LinearDescription& d, Solve& s, const std::vector<C
             require(point >= -1 && point < int(d.hub.span.shape[0]), "linear.hub.point: there is no such point");
         for (const int port : d.hub.ports)
             require(port >= 0 && port < c.n_ports && !c.driven, "linear.hub.ports: there is no such port");
-        for (const auto& shares : c.shares) require(shares.empty(), "linear.hub: its component has an incidence as well");
+        for (const auto& shares : c.shares)
+            require(shares.empty(), "linear.hub: its component has an incidence as well");
         hub = {d.hub.slot, d.hub.ports, d.hub.point, d.hub.factor.copy(), d.hub.span.copy(), d.hub.joined.copy()};
     }
     const bool changed = s.in_parts != !d.parts.empty() || blocks != s.blocks || !(hub == s.hub);
@@ -80,7 +84,8 @@ inline SparseRows sparse_rows(std::size_t rows, std::size_t columns, const std::
         }
         layer.first = first / kLane * kLane, layer.end = int(padded(last + 1));
         // whole vectors are read of the factor, which is padded
-        layer.in_order = layer.in_order && layer.first + layer.shift >= 0 && std::size_t(layer.end + layer.shift) <= padded(columns) + (columns > 0 ? kLane : 0);
+        layer.in_order = layer.in_order && layer.first + layer.shift >= 0 &&
+                         std::size_t(layer.end + layer.shift) <= padded(columns) + (columns > 0 ? kLane : 0);
     }
     return out;
 }
@@ -97,7 +102,8 @@ inline std::vector<char> without_neighbours(const std::vector<Component>& compon
                 int& of = owner[s.connection];
                 if (of >= 0 && of != int(i)) out[i] = out[of] = 0;
                 of = int(i);
-                if (solve.constant[s.connection] != 0.0 || (solve.hub.slot >= 0 && solve.hub.point[s.connection] >= 0)) out[i] = 0;
+                if (solve.constant[s.connection] != 0.0 || (solve.hub.slot >= 0 && solve.hub.point[s.connection] >= 0))
+                    out[i] = 0;
             }
     }
     for (const Entry& e : solve.blocks)
@@ -110,7 +116,8 @@ inline std::vector<char> without_neighbours(const std::vector<Component>& compon
 inline Parts make_parts(const std::vector<Component>& components, const Solve& solve, const Layout& l) {
     Parts out;
     const Solve::Hub& hub = solve.hub;
-    const int m = out.m = solve.m, r = out.r = int(hub.ports.size()), points = out.points = r ? int(hub.span.size()) / r : 0;
+    const int m = out.m = solve.m, r = out.r = int(hub.ports.size()),
+              points = out.points = r ? int(hub.span.size()) / r : 0;
     out.r_width = int(padded(r)), out.point_width = int(padded(points));
     std::vector<Entry> gaps, forces;
     int place = 0, n_ports = 0;
@@ -138,7 +145,8 @@ inline Parts make_parts(const std::vector<Component>& components, const Solve& s
     out.hub_gamma = -1.0;
     for (int j = 0; j < m; ++j)
         if (hub.point[j] >= 0) out.hub_gamma = std::max(out.hub_gamma, solve.gamma[j]);
-    for (const auto& [at, value] : reach) across.push_back({at.first, at.second, value}), back.push_back({at.second, at.first, value});
+    for (const auto& [at, value] : reach)
+        across.push_back({at.first, at.second, value}), back.push_back({at.second, at.first, value});
     out.constant.assign(out.r_width, 0.0), out.joined.assign(std::size_t(r) * out.r_width, 0.0);
     for (int j = 0; j < m; ++j) {
         if (hub.point[j] < 0) continue;
@@ -146,7 +154,8 @@ inline Parts make_parts(const std::vector<Component>& components, const Solve& s
         for (int i = 0; i < r; ++i) {
             const double moved = hub.span[std::size_t(hub.point[j]) * r + i] * hub.factor[j];
             out.constant[i] += moved * solve.constant[j];
-            if (solve.gamma[j] != out.hub_gamma && moved != 0.0) old.push_back({j, i, (solve.gamma[j] - out.hub_gamma) * moved});
+            if (solve.gamma[j] != out.hub_gamma && moved != 0.0)
+                old.push_back({j, i, (solve.gamma[j] - out.hub_gamma) * moved});
         }
     }
     out.reach = sparse_rows(m, points, across), out.load = sparse_rows(points, m, back);
@@ -155,7 +164,8 @@ inline Parts make_parts(const std::vector<Component>& components, const Solve& s
         for (int j = 0; j < r; ++j) out.joined[std::size_t(j) * out.r_width + i] = hub.joined[std::size_t(i) * r + j];
     out.own_motions = points == r;
     for (int i = 0; i < r && out.own_motions; ++i)
-        for (int j = 0; j < r; ++j) out.own_motions = out.own_motions && hub.span[std::size_t(i) * r + j] == double(i == j);
+        for (int j = 0; j < r; ++j)
+            out.own_motions = out.own_motions && hub.span[std::size_t(i) * r + j] == double(i == j);
     if (out.own_motions) {
         std::map<std::pair<int, int>, double> between;
         for (const Entry& e : across)
@@ -168,7 +178,8 @@ inline Parts make_parts(const std::vector<Component>& components, const Solve& s
     out.span.assign(std::size_t(points) * out.r_width, 0.0), out.motion.assign(std::size_t(r) * out.point_width, 0.0);
     for (int p = 0; p < points; ++p)
         for (int i = 0; i < r; ++i)
-            out.span[std::size_t(p) * out.r_width + i] = out.motion[std::size_t(i) * out.point_width + p] = hub.span[std::size_t(p) * r + i];
+            out.span[std::size_t(p) * out.r_width + i] = out.motion[std::size_t(i) * out.point_width + p] =
+                hub.span[std::size_t(p) * r + i];
     out.stiffness.assign(std::size_t(r) * out.r_width, 0.0);
     // H = P^T (Q^T B Q) P
     Array<double> half(std::size_t(points) * r, 0.0);
@@ -179,7 +190,8 @@ inline Parts make_parts(const std::vector<Component>& components, const Solve& s
     for (int p = 0; p < points; ++p)
         for (int i = 0; i < r; ++i)
             for (int j = 0; j < r; ++j)
-                out.stiffness[std::size_t(i) * out.r_width + j] += hub.span[std::size_t(p) * r + i] * half[std::size_t(p) * r + j];
+                out.stiffness[std::size_t(i) * out.r_width + j] +=
+                    hub.span[std::size_t(p) * r + i] * half[std::size_t(p) * r + j];
     return out;
 }
 

@@ -19,7 +19,8 @@ inline void derive_pairs(const Component& c, int at, Tensions::String& string) {
             auto& twice = string.twice[std::size_t(at + p) * string.n + at + q];
             for (int k = 0; k < c.n; ++k) {
                 const double* const numbers = c.tension.numbers.data() + k / kPadding * step + k % kPadding;
-                const double h = numbers[0], rr = numbers[(kScaledNumbers + p) * kPadding] * numbers[(kScaledNumbers + q) * kPadding];
+                const double h = numbers[0],
+                             rr = numbers[(kScaledNumbers + p) * kPadding] * numbers[(kScaledNumbers + q) * kPadding];
                 once[0] += h * rr, once[1] -= h * h * rr;
                 twice[0] += h * h * rr, twice[1] -= 2 * h * h * h * rr, twice[2] += h * h * h * h * rr;
             }
@@ -38,7 +39,8 @@ inline void answer_in_parts(const Solve& solve, Tensions& t) {
         for (std::size_t j = 0; r && j < m; ++j)
             if (const double x = blocks[p * m + j]; x != 0.0 && solve.hub.point[j] >= 0)
                 for (std::size_t i = 0; i < r; ++i)
-                    reach[p * r + i] += solve.hub.span[std::size_t(solve.hub.point[j]) * r + i] * solve.hub.factor[j] * x;
+                    reach[p * r + i] +=
+                        solve.hub.span[std::size_t(solve.hub.point[j]) * r + i] * solve.hub.factor[j] * x;
         for (std::size_t i = 0; i < r; ++i)
             for (std::size_t j = 0; j < r; ++j) joined[p * r + i] += solve.hub.joined[i * r + j] * reach[p * r + j];
     }
@@ -52,8 +54,8 @@ inline void answer_in_parts(const Solve& solve, Tensions& t) {
 
 // Numbers the polarizations and their fixed ports, folds the answer of the linear connections to displacements of these
 // into matrices, and makes the buffers of a run.
-inline void make_tensions(const std::vector<Component>& components, const Solve& solve, const Layout& l, Tensions& t, std::size_t capacity,
-                          const Nonlinear& nl, TensionState& ws) {
+inline void make_tensions(const std::vector<Component>& components, const Solve& solve, const Layout& l, Tensions& t,
+                          std::size_t capacity, const Nonlinear& nl, TensionState& ws) {
     t.parts.clear(), t.ports.clear(), t.n_sums = 0;
     if (t.strings.empty()) return;
     std::vector<int> place(components.size(), 0);
@@ -67,7 +69,8 @@ inline void make_tensions(const std::vector<Component>& components, const Solve&
         string.root = 2 * std::sqrt(string.kappa), string.highest = 0.0;
         string.first = int(t.ports.size()), string.n = 0, string.first_part = int(t.parts.size());
         for (const int i : string.components) string.n += components[i].n_ports;
-        string.once.assign(std::size_t(string.n) * string.n, {}), string.twice.assign(std::size_t(string.n) * string.n, {});
+        string.once.assign(std::size_t(string.n) * string.n, {});
+        string.twice.assign(std::size_t(string.n) * string.n, {});
         for (const int i : string.components) {
             const Component& c = components[i];
             string.highest = std::max(string.highest, c.tension.largest_half);
@@ -89,7 +92,8 @@ inline void make_tensions(const std::vector<Component>& components, const Solve&
     if (l.in_parts) answer_in_parts(solve, t);
     for (std::size_t p = 0; p < of_one_matrix; ++p) {
         const std::size_t from = t.ports[p].place;
-        const double *linear = l.gather.data() + ((n_places + from) * l.f_width), *forces = l.direct.free.data() + from * l.force_width;
+        const double *linear = l.gather.data() + ((n_places + from) * l.f_width),
+                     *forces = l.direct.free.data() + from * l.force_width;
         std::copy_n(linear, l.f_width, t.onto_linear.data() + p * l.f_width);
         std::copy_n(forces, l.force_width, t.onto_forces.data() + p * l.force_width);
         for (std::size_t q = 0; q < n; ++q) t.onto_ports[p * width + q] = forces[t.ports[q].force];
@@ -97,7 +101,8 @@ inline void make_tensions(const std::vector<Component>& components, const Solve&
     const std::size_t n_sums = (t.n_sums + kPadding - 1) / kPadding * kPadding, k = nl.k;
     ws.scaled.assign(kScaledState * capacity, 0.0);
     ws.lanes.assign(n_sums * 8, 0.0), ws.sums.assign(n_sums, 0.0);
-    for (Array<double>* a : {&ws.psi, &ws.mean, &ws.alone, &ws.spread, &ws.bound, &ws.past[0], &ws.past[1], &ws.past[2], &ws.over})
+    for (Array<double>* a :
+         {&ws.psi, &ws.mean, &ws.alone, &ws.spread, &ws.bound, &ws.past[0], &ws.past[1], &ws.past[2], &ws.over})
         a->assign(lane, 0.0);
     for (Array<double>* a : {&ws.reach, &ws.driven, &ws.answering, &ws.forces}) a->assign(width, 0.0);
     ws.stiff.assign(strings * width, 0.0);
@@ -108,7 +113,8 @@ inline void make_tensions(const std::vector<Component>& components, const Solve&
 }
 
 // Part of a string with longitudinal motion; `c` is its component.
-inline Stretch::Part load_part(const StretchDescription::Part& d, const Component& c, bool longitudinal, const std::string& name) {
+inline Stretch::Part load_part(const StretchDescription::Part& d, const Component& c, bool longitudinal,
+                               const std::string& name) {
     require(d.slopes.ndim == 2, name + "slopes has 2 dimensions");
     const std::size_t n = d.slopes.shape[1], cosines = d.slopes.shape[0], w = padded(n);
     const std::size_t modes = (n + kPadding - 1) / kPadding * kPadding;
@@ -118,10 +124,12 @@ inline Stretch::Part load_part(const StretchDescription::Part& d, const Componen
     Stretch::Part part;
     part.component = d.slot, part.n = int(n), part.width = int(w), part.cosines = int(cosines);
     part.cosines_width = int(padded(cosines));
-    part.slopes.assign(n * part.cosines_width, 0.0), part.back.assign(cosines * w, 0.0), part.stretch.assign(modes, 0.0);
+    part.slopes.assign(n * part.cosines_width, 0.0), part.back.assign(cosines * w, 0.0);
+    part.stretch.assign(modes, 0.0);
     if (!longitudinal) std::copy_n(d.slopes.data, n, part.stretch.begin());
     for (std::size_t i = 0; longitudinal && i < cosines; ++i)
-        for (std::size_t k = 0; k < n; ++k) part.slopes[k * part.cosines_width + i] = part.back[i * w + k] = d.slopes[i * n + k];
+        for (std::size_t k = 0; k < n; ++k)
+            part.slopes[k * part.cosines_width + i] = part.back[i * w + k] = d.slopes[i * n + k];
     part.stiffness.assign(modes, 0.0), std::copy_n(d.stiffness.data, n, part.stiffness.begin());
     part.scale.assign(modes, 0.0);
     for (std::size_t k = 0; k < n; ++k) part.scale[k] = c.tension.reading[k] * std::sqrt(c.tension.gain[k]);
@@ -129,7 +137,8 @@ inline Stretch::Part load_part(const StretchDescription::Part& d, const Componen
 }
 
 // Strings with longitudinal motion, in the order of `strings`.
-inline std::vector<Stretch> load_stretches(const std::vector<StretchDescription>& strings, std::vector<Component>& components) {
+inline std::vector<Stretch> load_stretches(const std::vector<StretchDescription>& strings,
+                                           std::vector<Component>& components) {
     std::vector<Stretch> out;
     for (std::size_t s = 0; s < strings.size(); ++s) {
         const StretchDescription& d = strings[s];

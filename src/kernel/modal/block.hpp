@@ -41,8 +41,8 @@ struct Block {
 
     Block(Model& m, const Job& j)
         : model(m), job(j), history(std::size_t(kBlock + 1) * m.layout.width),
-          forces(std::size_t(kBlock) * m.layout.force_width + kLane), f(m.layout.f_width + kLane), inputs(m.components.size()),
-          input_values(j.injections.size()) {}
+          forces(std::size_t(kBlock) * m.layout.force_width + kLane), f(m.layout.f_width + kLane),
+          inputs(m.components.size()), input_values(j.injections.size()) {}
 
     double* line(int b) { return history.data() + std::size_t(b) * model.layout.width; }
     double* force(int b) { return forces.data() + std::size_t(b) * model.layout.force_width; }

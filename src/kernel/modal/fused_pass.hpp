@@ -10,12 +10,12 @@
 //     s(16) = ... + h(0) v + (e + (2 - tr) h(0)) u,    d(16) = ... + e v - kappa h(0) u,    e = h(1) - h(0),
 //     u+ = u + v,  v+ = det v - kappa u+ + F,
 //
-// and x follows from two values of s. Modes change into this form at the beginning of a window of kWindow blocks and back
-// at its end; windows are counted from the run's beginning, so that runs cut there give the same bits. A component takes
-// part if no known force acts on it in the window and no contact needs its modes in between.
+// and x follows from two values of s. Modes change into this form at the beginning of a window of kWindow blocks and
+// back at its end; windows are counted from the run's beginning, so that runs cut there give the same bits. A component
+// takes part if no known force acts on it in the window and no contact needs its modes in between.
 //
-// Each sample of a recurrence waits for the one before it, so several chunks of modes are stepped side by side: those of
-// one row first, the rest together with chunks of other components.
+// Each sample of a recurrence waits for the one before it, so several chunks of modes are stepped side by side: those
+// of one row first, the rest together with chunks of other components.
 #pragma once
 
 #include <algorithm>
@@ -158,8 +158,8 @@ struct Recurrence {
     }
 };
 
-// enter: from the modes' numbers; reads samples 0 .. kBlock. next: adds the forces of the block that ends; reads samples
-// 1 .. kBlock of the next one. leave: adds these forces and goes back to the modes' numbers.
+// enter: from the modes' numbers; reads samples 0 .. kBlock. next: adds the forces of the block that ends; reads
+// samples 1 .. kBlock of the next one. leave: adds these forces and goes back to the modes' numbers.
 enum class Passage { enter, next, leave };
 
 template <Passage kind, int N, bool slow, bool one_row>
@@ -195,14 +195,15 @@ void pass_chunks(const ChunkView* views, int n, int n_ports, std::ptrdiff_t stri
 class FusedPass {
 public:
     FusedPass(Block& block, const Resting& resting)
-        : block_(block), resting_(resting), fused_(block.model.components.size(), 0), wanted_(fused_), sums_of_(fused_.size()),
-          driven_(fused_.size()) {
+        : block_(block), resting_(resting), fused_(block.model.components.size(), 0), wanted_(fused_),
+          sums_of_(fused_.size()), driven_(fused_.size()) {
         const auto& components = block.model.components;
         for (std::size_t i = 0; i < components.size(); ++i)
             if (components[i].driven) driven_[i].assign(std::size_t(kBlock + 1) * components[i].n_rows, 0.0);
     }
 
-    // Whether component i is in this form: its rows are read, and its modes stay as they were at the window's beginning.
+    // Whether component i is in this form: its rows are read, and its modes stay as they were at the window's
+    // beginning.
     bool operator[](int i) const { return fused_[i]; }
     // (n_rows, kBlock + 1): rows of a driven component.
     double* driven_rows(int i) { return driven_[i].data(); }
@@ -214,8 +215,8 @@ public:
         const bool whole = block_.model.shortcuts.fused_pass && block_.start + kWindow * kBlock <= block_.job.n;
         for (int i = 0; i < int(fused_.size()); ++i) {
             const Component& c = block_.model.components[i];
-            wanted_[i] = whole && !resting_[i] && !c.recurrence.chunks.empty() && c.contact.n == 0 && !c.tension.on && !c.geometric &&
-                         !block_.forced(i, kWindow * kBlock);
+            wanted_[i] = whole && !resting_[i] && !c.recurrence.chunks.empty() && c.contact.n == 0 && !c.tension.on &&
+                         !c.geometric && !block_.forced(i, kWindow * kBlock);
         }
         if (wanted_ != fused_) take(wanted_);
         pass<Passage::enter>();
@@ -291,9 +292,9 @@ private:
                 const auto& chunk = recurrence.chunks[k];
                 if (chunk.row != row || chunk.slow != slow) continue;
                 left_.push_back({recurrence.numbers.data() + k * recurrence.step,
-                                 recurrence.basis.data() + k * PortRecurrence::basis_step, block_.x(int(i)) + chunk.first,
-                                 block_.y(int(i)) + chunk.first, sums_.data() + (sums_of_[i] + row * kRow), forces,
-                                 chunk.count});
+                                 recurrence.basis.data() + k * PortRecurrence::basis_step,
+                                 block_.x(int(i)) + chunk.first, block_.y(int(i)) + chunk.first,
+                                 sums_.data() + (sums_of_[i] + row * kRow), forces, chunk.count});
             }
             const std::size_t whole = (left_.size() - before) / kChunkPack * kChunkPack;
             add_packs(left_.data() + before, whole, recurrence.n_ports, slow);
@@ -316,7 +317,8 @@ private:
         if (kind != Passage::leave) std::fill(sums_.begin(), sums_.end(), 0.0);
         for (const Packs& p : packs_) {
             const auto go = [&]<bool slow, bool one_row>() {
-                pass_chunks<kind, slow, one_row>(views_.data() + p.first, p.n, p.n_ports, block_.model.layout.force_width);
+                pass_chunks<kind, slow, one_row>(views_.data() + p.first, p.n, p.n_ports,
+                                                 block_.model.layout.force_width);
             };
             if (p.one_row) {
                 if (p.slow) go.template operator()<true, true>();

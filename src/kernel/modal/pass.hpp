@@ -1,5 +1,5 @@
-// Modal passes over one component, kBlock samples at a time: each mode is loaded once per block and stepped in registers.
-// The order of every sum is fixed.
+// Modal passes over one component, kBlock samples at a time: each mode is loaded once per block and stepped in
+// registers. The order of every sum is fixed.
 //
 // A pass takes one of two forms:
 //
@@ -18,7 +18,8 @@
 namespace tonewood {
 namespace {
 
-// Rows to read and their destination: the value of row i at a sample goes to value[sample * sample_stride + i * row_stride].
+// Rows to read and their destination: the value of row i at a sample goes to value[sample * sample_stride + i *
+// row_stride].
 struct Rows {
     const double *rows, *slopes;  // (all, 2, n)
     int count;                  // the first ones,
@@ -61,7 +62,8 @@ Simd::V sums(const double* acc, std::size_t step = Simd::width) {
                 const int sum = i / first, inside = i % first;
                 return sum / (Count / 2) * width + sum % (Count / 2) * 2 * first + half * first + inside;
             };
-            return __builtin_shufflevector(a, b, from(int(I), 0)...) + __builtin_shufflevector(a, b, from(int(I), 1)...);
+            return __builtin_shufflevector(a, b, from(int(I), 0)...) +
+                   __builtin_shufflevector(a, b, from(int(I), 1)...);
         }(std::make_index_sequence<width>{});
     }
 }
@@ -92,7 +94,8 @@ void in_packs(std::size_t n, const Pass& pass, std::size_t k = 0) {
 
 // Step by step over nb samples. Read: row values at samples 0 .. nb. Store: moves the state to sample nb.
 template <bool Read, bool Store>
-void step_modes(const Component& c, double* sx, double* sy, const Input* inputs, int n_inputs, int nb, const Rows& rows) {
+void step_modes(const Component& c, double* sx, double* sy, const Input* inputs, int n_inputs, int nb,
+                const Rows& rows) {
     using P = Pack<2>;
     constexpr int width = Simd::width;
     static_assert(kPadding % P::size == 0);

@@ -1,8 +1,9 @@
-// Longitudinal motion of strings, driven one way by their transverse motion (tonewood.coupling.phantoms has the equations).
+// Longitudinal motion of strings, driven one way by their transverse motion (tonewood.coupling.phantoms has the
+// equations).
 //
-// A block's forces follow from the transverse motion of the block before: the modes that take part are stepped once more
-// under the forces found, sample by sample, from a copy that is renewed where all modes stand in their own two numbers,
-// at the beginning of a window. Then, in each sample,
+// A block's forces follow from the transverse motion of the block before: the modes that take part are stepped once
+// more under the forces found, sample by sample, from a copy that is renewed where all modes stand in their own two
+// numbers, at the beginning of a window. Then, in each sample,
 //
 //     s_m = sum_k w_mk x_k x_(k + m) + ...,      e_m = s_m + a_m,      force = EA (s_0 + sum e_m).
 #pragma once
@@ -42,7 +43,8 @@ public:
                 Array<double>& copy = copies_[at++];
                 if (!window) continue;
                 const std::size_t n = copy.size() / 2;
-                std::copy_n(block_.x(part.slot), n, copy.begin()), std::copy_n(block_.y(part.slot), n, copy.begin() + n);
+                std::copy_n(block_.x(part.slot), n, copy.begin()),
+                    std::copy_n(block_.y(part.slot), n, copy.begin() + n);
             }
         }
     }
@@ -57,7 +59,8 @@ public:
             for (const auto& part : string.parts) {
                 step(part, string.order, copies_[at++], contacts);
                 const int line = width(part, string.order);
-                for (int b = 0; b < nb; ++b) add_squares(part, string.order, path_.data() + b * line, squares_ + b * kOrder);
+                for (int b = 0; b < nb; ++b)
+                    add_squares(part, string.order, path_.data() + b * line, squares_ + b * kOrder);
             }
             double *const row = memory(string), *const a = row + kBlock, *const v = a + kPhantomModes;
             std::copy(row + nb, row + kBlock, row);
@@ -69,7 +72,8 @@ public:
                     const S::V square = S::load(s + m + 1), e = S::load(a + m) + square, moving = S::load(v + m);
                     sum += e;
                     S::store(a + m, S::load(to + m) * e + S::load(to + kPhantomModes + m) * moving - square);
-                    S::store(v + m, S::load(to + 2 * kPhantomModes + m) * e + S::load(to + 3 * kPhantomModes + m) * moving);
+                    S::store(v + m,
+                             S::load(to + 2 * kPhantomModes + m) * e + S::load(to + 3 * kPhantomModes + m) * moving);
                 }
                 row[kBlock - nb + b] = string.scale * (s[0] + S::sum(sum));
             }
@@ -79,9 +83,13 @@ public:
 private:
     static constexpr int kOrder = kPhantomModes + kLane;  // s_0, and those of the modes, padded
 
-    double* memory(const PhantomString& string) const { return block_.job.phantoms + std::size_t(string.index) * kPhantomMemory; }
+    double* memory(const PhantomString& string) const {
+        return block_.job.phantoms + std::size_t(string.index) * kPhantomMemory;
+    }
     // Modes of a part in a line of the path, and room for those that are read `order` places further.
-    static int width(const PhantomString::Part& part, int order) { return part.wide + (order + 2 * kPadding) / kPadding * kPadding; }
+    static int width(const PhantomString::Part& part, int order) {
+        return part.wide + (order + 2 * kPadding) / kPadding * kPadding;
+    }
 
     // Steps the copy of a part's modes over the block; their first numbers go to path_.
     void step(const PhantomString::Part& part, int order, Array<double>& copy, const ContactRows& contacts) {
@@ -92,7 +100,8 @@ private:
         const Layout& l = block_.model.layout;
         inputs_ = block_.inputs[part.slot];
         for (int p = 0; p < c.n_ports; ++p)
-            inputs_.push_back({c.w.data() + std::size_t(2 * p) * n, block_.forces.data() + l.port[part.slot] + p, l.force_width});
+            inputs_.push_back(
+                {c.w.data() + std::size_t(2 * p) * n, block_.forces.data() + l.port[part.slot] + p, l.force_width});
         contacts.add_inputs(part.slot, inputs_);
         std::fill(path_.begin(), path_.begin() + std::ptrdiff_t(nb) * line, 0.0);
         for (std::size_t k = 0; k < own; k += P::size) {
@@ -126,7 +135,8 @@ private:
                 S::V sum[Count] = {};
                 for (int k = 0; k < n; k += S::width) {
                     const S::V at = S::load(x + k);
-                    for (int m = 0; m < Count; ++m) sum[m] += S::load(w + std::ptrdiff_t(m) * n + k) * at * S::load(y + k + m);
+                    for (int m = 0; m < Count; ++m)
+                        sum[m] += S::load(w + std::ptrdiff_t(m) * n + k) * at * S::load(y + k + m);
                 }
                 for (int m = 0; m < Count; ++m) S::store(lanes + m * S::width, sum[m]);
             };
@@ -149,7 +159,8 @@ private:
     std::vector<Array<double>> copies_;  // by part: (2, n)
     Array<double> path_;                 // (kBlock, width): first numbers of a part's modes
     std::vector<Input> inputs_;
-    alignas(64) double squares_[kBlock * kOrder], backwards_[2 * kPhantomModes] = {};  // the lowest modes, the last one first
+    alignas(64) double squares_[kBlock * kOrder],
+        backwards_[2 * kPhantomModes] = {};  // the lowest modes, the last one first
 };
 
 }  // namespace

@@ -1,5 +1,5 @@
-// Components at rest that nothing can move: their linear connections are their own (a plane of motion whose end is rigid),
-// no law and no known force acts on them. They stay at rest exactly and are not stepped.
+// Components at rest that nothing can move: their linear connections are their own (a plane of motion whose end is
+// rigid), no law and no known force acts on them. They stay at rest exactly and are not stepped.
 #pragma once
 
 #include <algorithm>

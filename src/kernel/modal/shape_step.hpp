@@ -1,12 +1,13 @@
-// A component of many ports whose modes are real, stepped sample by sample: mode k moves port p by phi_kp times one number.
+// A component of many ports whose modes are real, stepped sample by sample: mode k moves port p by phi_kp times one
+// number.
 //
-// In each sample the forces F on the ports become modal forces, the modes move, and their rows become the free motion of
-// the next sample,
+// In each sample the forces F on the ports become modal forces, the modes move, and their rows become the free motion
+// of the next sample,
 //
 //     f_k = sum_p phi_kp F_p,    x+ = E x + f drive,    y_p = sum_k phi_kp (read E x+)_k,
 //
-// 2 n r multiply-adds of one matrix of n r numbers that is loaded once. By rows (pass.hpp) and with responses of 16 samples
-// (Propagate) it would take 5 n r + 8 r^2 multiply-adds and 8 n r + 16 r^2 numbers.
+// 2 n r multiply-adds of one matrix of n r numbers that is loaded once. By rows (pass.hpp) and with responses of 16
+// samples (Propagate) it would take 5 n r + 8 r^2 multiply-adds and 8 n r + 16 r^2 numbers.
 #pragma once
 
 #include "pass.hpp"
@@ -36,8 +37,8 @@ public:
         read_out(now);
     }
 
-    // Moves the modes by sample b. Writes the readouts after it to `now` and, unless it is the block's last, the ports' free
-    // motion after the next one to `next`.
+    // Moves the modes by sample b. Writes the readouts after it to `now` and, unless it is the block's last, the ports'
+    // free motion after the next one to `next`.
     __attribute__((flatten)) void sample(int b, const double* force, double* now, double* next) const {
         const double *const e = c_.e.data(), *const drive = s_.drive.data();
         if (next) std::fill_n(next, s_.width, 0.0);

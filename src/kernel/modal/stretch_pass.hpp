@@ -1,5 +1,5 @@
-// Modal passes over a component of a string with longitudinal motion, in the coordinates of scaled_modes.hpp: one sums the
-// displacements of the ports now and free of forces, one makes the step.
+// Modal passes over a component of a string with longitudinal motion, in the coordinates of scaled_modes.hpp: one sums
+// the displacements of the ports now and free of forces, one makes the step.
 #pragma once
 
 #include "tension_pass.hpp"
@@ -25,7 +25,8 @@ inline void sum_stretch_step(const Component& c, double* state, double* to) {
 }
 
 // Under forces `found` on the ports and `modal` on the lowest n modes (a multiple of kPadding), scaled as xi is.
-inline void make_stretch_step(const Component& c, double* state, const double* found, const double* modal, std::size_t n) {
+inline void make_stretch_step(const Component& c, double* state, const double* found, const double* modal,
+                              std::size_t n) {
     by_ports(c.n_ports, [&]<int P>() {
         using V = Pack<2>;
         const int n_ports = P < 0 ? c.n_ports : P;

@@ -1,7 +1,7 @@
 // Modal passes over a polarization under rising tension: one forms the sums that a step needs, one makes the step.
 //
-// In the coordinates xi, v of scaled_modes.hpp, r the rows of the ports: with h = half, b = 2 xi + v + r f, f the forces
-// of the linear connections without tensions, and q = h (1 - h T) at the tension T counted on,
+// In the coordinates xi, v of scaled_modes.hpp, r the rows of the ports: with h = half, b = 2 xi + v + r f, f the
+// forces of the linear connections without tensions, and q = h (1 - h T) at the tension T counted on,
 //     g = 2 sqrt(kappa) q b,      modal force p = r f+ - psi_m g,      f+ the forces found.
 // g is a sum of a part without f and one for each force, so that all sums are known before the forces are.
 #pragma once
@@ -35,8 +35,8 @@ inline void in_scaled_pairs(const Component& c, double* state, const Use& use) {
         for (int j = 0; j < kPadding; j += Pack<2>::size) use(k + j, numbers + j, state + j);
 }
 
-// Sums of a step as vectors, over b = 2 xi + v: q b v, (q b)^2, q b^2, and for each port r xi, r (xi + v), q r v, q r b,
-// q^2 r b. `ahead` is the tension counted on.
+// Sums of a step as vectors, over b = 2 xi + v: q b v, (q b)^2, q b^2, and for each port r xi, r (xi + v), q r v, q r
+// b, q^2 r b. `ahead` is the tension counted on.
 inline void sum_tension_step(const Component& c, double* state, double ahead, double* to) {
     by_ports(c.n_ports, [&]<int P>() {
         using V = Pack<2>;
@@ -113,7 +113,8 @@ inline ContactSums contact_sums(const Component& c, const double* state, int por
             const V h = S::load(numbers + j), xi = S::load(state + j), v = S::load(state + kPadding + j);
             const V r = S::load(row + k + j) * S::load(root + k + j);
             V b = xi + xi + v;
-            for (int p = 0; p < c.n_ports; ++p) b += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * begun.alone[p];
+            for (int p = 0; p < c.n_ports; ++p)
+                b += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * begun.alone[p];
             here += r * xi, later += r * (xi + v), moved += r * (h - h * (h * begun.ahead)) * b;
         }
     return {S::sum(here), S::sum(later), S::sum(moved)};

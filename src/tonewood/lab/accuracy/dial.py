@@ -7,7 +7,7 @@ the motion is regular, many times with forces a little apart where it is sensiti
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,8 @@ from tonewood.output.accuracy import LEVELS
 FS, DURATION = 48000, 4.0
 #: s, in a quick run
 SHORT = 1.5
+#: renders of which the median is timed
+REPEATS = 3
 #: how far `standard` may be from `reference`: cents, share of a decay rate, dB
 LIMITS = (1.0, 0.05, 1.0)
 #: measures of a `PartialErrors`, and their units in print
@@ -55,11 +57,12 @@ where partials beat or feed each other. A bow plays for half of the time; the de
 relative difference in the first second, under a Hann window, after the mean delay is taken out (accelerations are means
 over the step that begins at a frame, half a step early).
 
-Time is processor time of one thread. Where a thousandth more force changes `reference` by more than a fifth of a limit,
-contacts or a bow make the motion sensitive: two strokes never sound alike, and no step is fine enough to tell which one
-follows. Properties that strokes have in common are compared then: the mean pitch of {STROKES} strokes with forces
-spread over {100 * SPREAD:g} % to either side, and the mean energy of their partials. *{OTHERS}* holds one half of them
-against the other: that much is left to chance."""
+Time is processor time of one thread, the median of {REPEATS} renders that take turns (`reference`: one). Where a
+thousandth more force changes `reference` by more than a fifth of a limit, contacts or a bow make the motion sensitive:
+two strokes never sound alike, and no step is fine enough to tell which one follows. Properties that strokes have in
+common are compared then: the mean pitch of {STROKES} strokes with forces spread over {100 * SPREAD:g} % to either side,
+and the mean energy of their partials. *{OTHERS}* holds one half of them against the other: that much is left to
+chance."""
 
 WHY = """\
 ### Why a draft makes longer steps
@@ -136,11 +139,11 @@ def measure(instrument: Instrument, string: str, *, nudge: bool = True) -> list[
     spread = (chance.cents, chance.decay, chance.level)
     if all(e <= SENSITIVE * limit for e, limit in zip(spread, LIMITS, strict=True)):
         rendered = {label: case.strokes(given) for label, given in options.items() if label != "reference"}
-        return _against(case, {**rendered, "reference": truth, NUDGED: again}, "reference")
+        return _against(case, {**rendered, "reference": truth, NUDGED: again}, "reference", _timed(case, options))
     forces = tuple(1 + SPREAD * (2 * (np.arange(STROKES) + 0.5) / STROKES - 1))
     rendered = {label: case.strokes(given, forces) for label, given in options.items()}
     truth = rendered["reference"]
-    points = _against(case, rendered, "reference")
+    points = _against(case, rendered, "reference", _timed(case, options))
     return [*points, _point(case, OTHERS, *truth.halves())]
 
 
@@ -150,9 +153,18 @@ def _point(case: NoteCase, label: str, strokes: Strokes, truth: Strokes) -> Dial
     return DialPoint(name, case.string, label, errors, strokes.seconds, strokes.n_modes, len(strokes.sounds))
 
 
-def _against(case: NoteCase, rendered: Mapping[str, Strokes], truth: str) -> list[DialPoint]:
-    """All settings against one."""
-    return [_point(case, label, strokes, rendered[truth]) for label, strokes in rendered.items()]
+def _timed(case: NoteCase, options: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Seconds per second of all settings but `reference`, which takes long enough to be timed once."""
+    short = {label: given for label, given in options.items() if label != "reference"}
+    return dict(zip(short, case.timed(list(short.values()), REPEATS), strict=True))
+
+
+def _against(
+    case: NoteCase, rendered: Mapping[str, Strokes], truth: str, seconds: Mapping[str, float] | None = None
+) -> list[DialPoint]:
+    """All settings against one; `seconds` where they were timed in turns."""
+    points = [_point(case, label, strokes, rendered[truth]) for label, strokes in rendered.items()]
+    return [replace(point, seconds=(seconds or {}).get(point.accuracy, point.seconds)) for point in points]
 
 
 def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
@@ -164,7 +176,8 @@ def budgets(*, quick: bool = False, tell: Tell = silent) -> list[DialPoint]:
         options[named] = {"effects": "auto", "budget_cents": cents, "budget_db": db}
     options["none"] = {"effects": "none"}
     case = NoteCase.of(instrument, middle_string(instrument), SHORT if quick else DURATION, force=FORCE, fs=FS)
-    out = _against(case, {label: case.strokes(given) for label, given in options.items()}, "all")
+    times = None if quick else dict(zip(options, case.timed(list(options.values()), REPEATS), strict=True))
+    out = _against(case, {label: case.strokes(given) for label, given in options.items()}, "all", times)
     tell(1.0)
     return out
 

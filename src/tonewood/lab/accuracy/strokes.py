@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from tonewood.instrument.bundle import Instrument
 from tonewood.lab.accuracy.partials import PartialErrors, compare
+from tonewood.lab.accuracy.study import Tell, silent
+from tonewood.lab.accuracy.timing import Task, measure
 from tonewood.output.render import Renderer
 from tonewood.score.note import Note, Score
 
@@ -104,6 +106,23 @@ class NoteCase:
             n_modes = renderer.model.n_modes
         shortest = min(len(sound) for sound in sounds)
         return Strokes(np.stack([sound[:shortest] for sound in sounds]), spent / heard, n_modes)
+
+    def timed(self, options: Sequence[Mapping[str, Any]], repeats: int, tell: Tell = silent) -> list[float]:
+        """Seconds of computing per second of sound with each of some options: medians of renders that take turns."""
+        tasks = []
+        for given in options:
+            renderer = self.renderer(given)
+            start = renderer.snapshot()
+
+            def play(renderer: Renderer = renderer) -> None:
+                for _ in renderer.blocks(4096):
+                    pass
+
+            def restore(renderer: Renderer = renderer, start: Any = start) -> None:
+                renderer.restore(start)
+
+            tasks.append(Task(play, self.duration, restore))
+        return [timing.median for timing in measure(tasks, repeats, tell)]
 
     def errors(self, strokes: Strokes, truth: Strokes) -> PartialErrors:
         """Compare strokes with others."""

@@ -23,8 +23,6 @@ from tonewood.instrument.bundle import Instrument
 from tonewood.lab.accuracy.partials import PartialErrors
 from tonewood.lab.accuracy.strokes import NoteCase, Strokes
 from tonewood.lab.accuracy.study import Tell, silent
-from tonewood.lab.accuracy.timing import Task
-from tonewood.lab.accuracy.timing import measure as time_tasks
 
 #: s of every note
 DURATION = 2.0
@@ -398,23 +396,11 @@ class _Search:
 
     def _timed(self, tried: Sequence[Tried]) -> list[Tried]:
         """Return the settings from cheap to dear, timed on the first note, all in turn."""
-        tasks = []
-        for t in tried:
-            renderer = self.cases[0].renderer(t.setting.options)
-            start = renderer.snapshot()
-
-            def play(renderer: Any = renderer) -> None:
-                for _ in renderer.blocks(4096):
-                    pass
-
-            def restore(renderer: Any = renderer, start: Any = start) -> None:
-                renderer.restore(start)
-
-            tasks.append(Task(play, self.cases[0].duration, restore))
-        times = time_tasks(tasks, 2, lambda share: self.tell(0.8 + 0.15 * share))
+        options = [t.setting.options for t in tried]
+        times = self.cases[0].timed(options, 2, lambda share: self.tell(0.8 + 0.15 * share))
         timed = [
-            Tried(t.setting, t.errors, t.met, time.median, t.n_modes, t.highest)
-            for t, time in zip(tried, times, strict=True)
+            Tried(t.setting, t.errors, t.met, seconds, t.n_modes, t.highest)
+            for t, seconds in zip(tried, times, strict=True)
         ]
         return sorted(timed, key=lambda t: t.seconds)
 
