@@ -88,7 +88,7 @@ class PhantomPartialsEffect(SwitchedEffect):
         least = _FAINT * max(every.values(), default=0.0)
         off = (name for name, energy in energies.items() if name not in switching.on and energy > least)
         levels |= {name: self._level(moment, name, peak) for name in off}
-        # levels that the strings of a key leave out add up; those of several keys, at other frequencies, in power
+        # levels of the strings of a key add up; those of several keys, at other frequencies, in power
         wanted, missing, power = set(held), dict.fromkeys(self._laws, 0.0), 0.0
         for name, level in sorted(levels.items(), key=lambda item: item[1]):
             key = self.model.strings[name].group[0]
