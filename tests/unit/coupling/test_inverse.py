@@ -228,5 +228,6 @@ def test_what_nothing_moves_stays_at_rest_without_steps(rng, monkeypatch):
         found.append((*(np.concatenate(parts) for parts in zip(*runs, strict=True)), state.modes))
         assert not system.modes_of(state, "s4").any()
         assert system.modes_of(state, "s9").any()
+    # to rounding alone: modes of others stand side by side in other groups, where a compiler may fuse other products
     for with_rest, without in zip(*found, strict=True):
-        np.testing.assert_array_equal(with_rest, without)
+        np.testing.assert_allclose(with_rest, without, rtol=0, atol=1e-12 * np.abs(without).max())
