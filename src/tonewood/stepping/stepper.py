@@ -119,12 +119,8 @@ class NumpyStepper:
             self._check(free, time)  # before connections spread the fault to other components
             partners = self._partners({j: a[:, step] for j, a in moving.items()})
             done = self._step(x, free, guess, series, slip, tension, partners, time)
-            after, series, slip, guess = done.x, done.series, done.slip, done.forces
-            if self._tension and done.rising:
-                tension = self._tension.carried(x, after, done.rising, done.mean, tension, state.sample + step + 1)
-            elif tension.size:
-                tension = np.zeros_like(tension)
-            x = after
+            start, x = x, done.x
+            series, slip, guess = done.series, done.slip, done.forces
             forces[step] = done.forces
             self._check(x, time)
             for i, compiled in enumerate(s.compiled):
@@ -132,6 +128,11 @@ class NumpyStepper:
                 value = np.where(compiled.difference, after - before[i], before[i])
                 np.add.at(out[step], compiled.readouts, value)
             out[step] += s.force_weights() @ done.forces
+            # last: velocities that pay for psi are no part of the step's mean acceleration
+            if self._tension and done.rising:
+                tension = self._tension.carried(start, x, done.rising, done.mean, tension, state.sample + step + 1)
+            elif tension.size:
+                tension = np.zeros_like(tension)
         for i, name in enumerate(s.names):
             s.modes_of(state, name)[:] = x[i].T
         if n:
