@@ -319,9 +319,11 @@ private:
                 meets[p] = 0.0;
                 for (const Share& s : t.ports[p].shares) meets[p] -= s.factor * ts_.linear[s.connection];
             }
-        } else for (std::size_t p = 0; p < t.ports.size(); ++p)
+        } else {
+            for (std::size_t p = 0; p < t.ports.size(); ++p)
                 meets[p] = dot(nl_.from_linear.data() + std::size_t(j) * solve_.m,
                                t.onto_linear.data() + p * layout_.f_width, solve_.m);
+        }
         for (const Term& term : nl_.terms[j])
             for (const Tensions::Part& part : t.parts)
                 if (!term.contact && part.component == term.component)

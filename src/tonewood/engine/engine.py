@@ -273,7 +273,7 @@ class Engine:
                 continue
             self.usage.enter(effect.name, found.bounds)
             if self.only_watch:
-                self.switchings[effect.name] = Switching(found.wanted, until=found.until, levels=found.levels)
+                self.switchings[effect.name] = Switching(found.wanted, until=found.until)
                 continue
             after = switch(effect, moment, before, found)
             self.switchings[effect.name] = after

@@ -359,10 +359,10 @@ class KernelStepper:
         if state.series.size != m or state.slip.size != m:
             state.series, state.slip = np.zeros(m), np.zeros(m)
         remembers = np.count_nonzero(state.series) > 0
-        if self.system.nonlinear is not None and remembers:
-            if self._carried[0] is not self.system or self._carried[1] is not state.series:
-                state.series = self.system.nonlinear.carried_series(state.series)
-            self._carried = self.system, state.series
+        carried = self._carried[0] is self.system and self._carried[1] is state.series
+        if self.system.nonlinear is not None and remembers and not carried:
+            state.series = self.system.nonlinear.carried_series(state.series)
+        self._carried = self.system, state.series
         out = np.empty((n, len(self.system.readouts)))
         active_forces = np.empty((n, len(self._active)))
         if self._law_forces.size < n * len(on):

@@ -281,3 +281,30 @@ def test_a_kernel_whose_parts_come_and_go_is_as_one_just_made():
         np.testing.assert_array_equal(state.modes, copied.modes)
         touched += fresh.statistics.solves
     assert touched > 50
+
+
+def test_a_system_that_comes_back_takes_the_series_over_again():
+    """A fret and a rail at one place yield alike, also when the rail comes back after a displacement was cleared."""
+    places = {"pluck": 0.11 * LENGTH, "f0": 0.5 * LENGTH, "f1": 0.3 * LENGTH}
+    parts = {"body": body(["b0"]), "s0": held_string(37, places, damping=1.0)}
+    fret = Contact(1e8, 2.3, loss=0.3, offset=-2e-4)
+    joints = [Connection(f"at {place}", (Term("s0", place),), fret) for place in ("f0", "f1")]
+    readout = Readout("u", "displacement", (Probe("s0", "pluck"),))
+    whole = System.build(parts, joints, [readout], dt=1 / 48000)
+    fewer = whole.with_laws({"at f1": Connection("at f1", (Term("s0", "f1"),), SpringDashpot())})
+    state = whole.start()
+    hang(whole, state, "s0", 1.5e-3, 0.11 * LENGTH)
+    stepper = KernelStepper(whole)
+    stepper.run(state, 256)
+    state.series[:] = 0.0
+    stepper.exchange(fewer)
+    for _ in range(200):
+        stepper.run(state, 64)
+        if state.series.any():
+            break
+    assert state.series.any()
+    twin = state.copy()
+    stepper.exchange(whole)
+    ours, _ = stepper.run(state, 16)
+    theirs, _ = NumpyStepper(whole).run(twin, 16)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13 * np.abs(theirs).max())

@@ -21,7 +21,9 @@ DT = 1 / 48000
 PAGE = Path(__file__).parents[3] / "docs" / "kernel.md"
 NAMES = [field.name for field in fields(Shortcuts)]
 #: shortcuts that skip work without another order of operations change no bit
-EXACT = {"block_culling", "group_bound", "fine_bound", "at_rest"}
+EXACT = {"block_culling", "group_bound", "fine_bound"}
+#: takes effect where connections are solved in parts: tests/unit/coupling/test_inverse.py
+ELSEWHERE = {"at_rest"}
 FRETS = {f"f{k}": LENGTH / 2 ** (k / 12) for k in range(1, 7)}
 
 
@@ -91,7 +93,7 @@ def scenes():
     yield "tension, frets and a spring", system, drawn_guitar(system, 2.0), []
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ELSEWHERE])
 def test_switched_off_by_itself_gives_the_same_samples(name):
     changed = []
     for scene, system, state, injections in scenes():

@@ -55,13 +55,11 @@ class Switching:
     on : components on which the effect runs.
     pending : components on which it is wanted, but which cannot pay for the switch yet.
     until : component -> sample before which it stays on unwatched, since its bound is far above the budget.
-    levels : component -> level of the missing sound when that was last computed, in units of the effect's choice.
     """
 
     on: frozenset[str] = frozenset()
     pending: frozenset[str] = frozenset()
     until: Mapping[str, int] = field(default_factory=dict)
-    levels: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +70,12 @@ class Watched:
     ----------
     wanted : components on which the effect is to run from now on.
     bounds : component, bound on the error without the effect, and whether it is left out; in order.
-    until, levels : of `Switching`.
+    until : of `Switching`.
     """
 
     wanted: frozenset[str]
     bounds: Sequence[tuple[str, Bound, bool]] = ()
     until: Mapping[str, int] = field(default_factory=dict)
-    levels: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,11 +320,11 @@ class SwitchedEffect(RuntimeEffect, ABC):
         return ()
 
     def reset(self, system: System, state: State, changed: Collection[str]) -> None:
-        """Clear the memory in the state of components that have just been switched, in place.
+        """Clear the memory in the state of components that are switched now, in place.
 
         Parameters
         ----------
-        system, state : after the switch.
+        system, state : before the switch.
         changed : components.
         """
 
@@ -390,7 +387,7 @@ def switch(effect: SwitchedEffect, moment: Moment, before: Switching, found: Wat
         wants = component in found.wanted
         if wants != (component in before.on) and pay(effect, moment, component, wants):
             (on.add if wants else on.remove)(component)
-    return Switching(frozenset(on), found.wanted - on, found.until, found.levels)
+    return Switching(frozenset(on), found.wanted - on, found.until)
 
 
 def pay(effect: SwitchedEffect, moment: Moment, component: str, on: bool) -> bool:

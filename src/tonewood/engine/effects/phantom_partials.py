@@ -2,10 +2,10 @@
 
 They run from any gesture on a string until bounds on the missing sound (`effects.phantoms`, from the string's
 partials and the body's response) come to the budget over all strings without them: those of the strings of a key are
-added up, those of several keys in power, since their partials are at other frequencies. Strings on which they are
-off are looked at where they hold a thousandth of the energy of the one that holds most: otherwise their phantom
-partials, which go with the energy, are some 60 dB below those of that one; they are not in the sum, so that the budget
-is an estimate for them. The transverse motion is the same on or off, so that a switch costs no energy.
+added up, those of several keys in power, since their partials are at other frequencies: the sum is an estimate.
+Strings on which they are off are looked at where they hold a thousandth of the energy of the one that holds most:
+phantom partials go with the energy, so that those of the others are faint; they are not in the sum. The transverse
+motion is the same on or off, so that a switch costs no energy.
 """
 
 from __future__ import annotations

@@ -2,10 +2,12 @@
 
 A string is stepped with its tension at rest, bends included, while two bounds are within their budgets: the rise of
 its pitch, which follows from its energy (`instrument.effects.rise_of_tension`), and the sidebands that the beating
-tension would give to its partials (`effects.sidebands`). It is not switched off if its next gesture is so near that the
-switches would cost more than they save. The next pluck is foreseen: the static energy of its pull
-adds to that of the string as amplitudes add, sqrt E <= sqrt E0 + sqrt(F^2 C / 2), and so do partials. The phantom
-partials (`effects.phantoms`) of a string whose longitudinal motion is coupled count with its sidebands.
+tension would give to its partials (`effects.sidebands`). That is so at each look, at energies every 1,024 samples and
+at all every 4,096; a string that others set in motion was 15 % above its budget between two of them. It is not
+switched off if its next gesture is so near that the switches would cost more than they save. The next pluck is
+foreseen: the static energy of its pull adds to that of the string as amplitudes add, sqrt E <= sqrt E0 + sqrt(F^2 C /
+2), and so do partials. The phantom partials (`effects.phantoms`) of a string whose longitudinal motion is coupled
+count with its sidebands.
 
 Leaving a rise out takes its potential EA/(8 L) S^2 away. Coming back, the potential would appear without work: the
 string pays it from its kinetic energy (a ten-thousandth of it), and the switch waits while there is too little. The
@@ -43,8 +45,9 @@ from tonewood.stepping.motion import to_motion
 
 Floats = NDArray[np.float64]
 
-#: points of the control grid between two looks at all strings, after which tensions may be left out
-SELDOM = 64
+#: points of the control grid between two looks at energies while some tensions rise and others do not, and between
+#: two looks at all bounds, after which tensions may be left out
+LOOK, SELDOM = 16, 64
 #: s, shortest time for which a rise is left out: two switches and the bounds before them cost some 5 ms, a rise saves
 #: some 20 ms/s (a steel guitar's string at 48 kHz)
 SHORTEST = 0.3
@@ -55,9 +58,6 @@ WORTH = 0.1
 _LONGEST_UNWATCHED = 0.5
 #: share of the budget below which a rise is left out; above the whole of it, it comes back
 _LEAVE = 0.9
-#: share of the budget below which sidebands are taken from those computed before, as the power 3/2 of the string's
-#: energy and so many times as loud, since its partials may have other shares of it now
-_FAINT, _OTHERWISE = 0.1, 4.0
 #: a string held aside stretches by 2 E / T, twice as much as one that vibrates, and 1.5 of that are in the bound
 _DRAWN = 4 / 3
 #: strings as they are held whose sidebands and phantom partials are kept
@@ -172,19 +172,29 @@ class TensionEffect(SwitchedEffect):
         return self._strings
 
     def next_watch(self, sample: int, switching: Switching) -> int:
-        """Return the next look at all strings, or the next chance of one that cannot pay for its switch yet."""
-        return next_multiple(sample, 1 if switching.pending else SELDOM)
+        """Return the next look.
+
+        Energies tell when a string's tension has to rise. Where all rise already, or none does, they are looked at
+        with everything else.
+        """
+        if switching.pending:
+            return next_multiple(sample, 1)
+        return next_multiple(sample, LOOK if self._some(switching) else SELDOM)
+
+    def _some(self, switching: Switching) -> bool:
+        """Whether some tensions rise and others do not."""
+        return 0 < len(switching.on) < len(self.components)
 
     def watch(self, moment: Moment, switching: Switching) -> Watched | None:
         """Compare bounds with the budgets: of all strings, of those held otherwise, of those about to be played."""
         on, whole = switching.on, moment.sample % (GRID * SELDOM) == 0
+        look = whole or (self._some(switching) and moment.sample % (GRID * LOOK) == 0)
         moved = [name for name in moment.moved if name in self.components]
         fresh = [play for play in moment.fresh if play.string in self.components]
-        if not (whole or moved or fresh or switching.pending):
+        if not (look or moved or fresh or switching.pending):
             return None
         wanted = on | switching.pending
         until = {name: sample for name, sample in switching.until.items() if sample > moment.sample}
-        levels = {name: level for name, level in switching.levels.items() if name not in moved}
         staying = {
             name
             for name in wanted
@@ -195,10 +205,10 @@ class TensionEffect(SwitchedEffect):
         energies = self.energies(moment.system, moment.state)
         cents = dict(zip(self.components, (energies * self._per_joule).tolist(), strict=True))
         seen: list[tuple[str, Bound, bool]] = []
-        if whole or moved:
+        if look or moved:
             others = {name: value for name, value in cents.items() if name not in staying}
             asked = [name for name in others if whole or (name in moved and name not in wanted)]
-            bounds = self.bounds(moment, others, asked, energies, levels)
+            bounds = self.bounds(moment, others, asked)
             unasked = (on | switching.pending) - set(asked)
             wanted = self.wanted(bounds, wanted) | staying | unasked
             until |= {name: self.next_bound(name, moment, bound) for name, bound in bounds.items() if name in wanted}
@@ -210,7 +220,7 @@ class TensionEffect(SwitchedEffect):
             if bound.cents > self.budget or bound.level > self.budget_level:
                 wanted |= {name}
             seen.append((name, bound, name not in wanted))
-        return Watched(wanted, seen, until, levels)
+        return Watched(wanted, seen, until)
 
     def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
         """Switch the tensions of these strings on, and all others off."""
@@ -275,14 +285,7 @@ class TensionEffect(SwitchedEffect):
         """Ratio to the loudest sample of the sound that may be missing at the outputs."""
         return self.share * 10 ** (self.model.choice.budget_db / 20)
 
-    def bounds(
-        self,
-        moment: Moment,
-        cents: Mapping[str, float],
-        names: Collection[str],
-        energies: Floats,
-        levels: dict[str, float],
-    ) -> dict[str, Bound]:
+    def bounds(self, moment: Moment, cents: Mapping[str, float], names: Collection[str]) -> dict[str, Bound]:
         """Bound on the error of leaving out strings' rise: cents, and levels of `names`.
 
         The strings with the least level share the budget: a string's level is the sum of its own and of all lower
@@ -291,8 +294,6 @@ class TensionEffect(SwitchedEffect):
         Parameters
         ----------
         cents : string -> mean rise of its pitch.
-        energies : (n_strings,) J.
-        levels : string -> level re the power 3/2 of its energy when it was last computed; brought up to date.
         """
         system, state, peak = moment.system, moment.state, np.maximum(moment.peak, _SILENT)
         cents = dict(cents)
@@ -301,11 +302,6 @@ class TensionEffect(SwitchedEffect):
             if cents[name] > self.budget or cents[name] == 0.0:  # beyond the budget, or at rest
                 alone[name] = math.inf if cents[name] else 0.0
                 continue
-            cube = max(float(energies[self.components.index(name)]) ** 1.5, _TINY)
-            faint = _OTHERWISE * levels.get(name, math.inf) * cube
-            if faint < _FAINT * self.budget_level:
-                alone[name] = faint
-                continue
             moving = {c: motion(system, state, c) for c in self._laws[name].components}
             alone[name] = self.sidebands(name, system, moment.frettings[name]).level(moving, peak)
             if name in self.longitudinal:
@@ -313,11 +309,9 @@ class TensionEffect(SwitchedEffect):
                 slopes = phantoms.slopes(moving)
                 cents[name] += phantoms.cents(slopes)
                 alone[name] += phantoms.level(slopes, peak)
-            else:
-                levels[name] = alone[name] / cube
         quietest = sorted(alone, key=lambda name: alone[name])
-        summed = dict(zip(quietest, accumulate(alone[name] for name in quietest), strict=True))
-        return {name: Bound(cents[name], summed.get(name, 0.0)) for name in cents}
+        levels = dict(zip(quietest, accumulate(alone[name] for name in quietest), strict=True))
+        return {name: Bound(cents[name], levels.get(name, 0.0)) for name in cents}
 
     def sidebands(self, name: str, system: System, fretting: Fretting) -> Sidebands:
         """Sidebands of a string as it is held now."""
