@@ -313,3 +313,5 @@ def test_a_system_that_comes_back_takes_the_series_over_again():
     ours, _ = stepper.run(state, 16)
     theirs, _ = NumpyStepper(whole).run(twin, 16)
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13 * np.abs(theirs).max())
+    np.testing.assert_allclose(state.series, twin.series, rtol=0, atol=1e-6 * np.abs(twin.series).max())
+    assert state.series.all()
