@@ -130,14 +130,15 @@ def mixed_model(
         for method in ("lbfgs", "powell", "nm"):  # the first meets singular matrices where a listener's share is small
             try:
                 fit = mixedlm(formula, data, groups=data["listener"]).fit(reml=True, method=method)
-                break
             except linalg.LinAlgError:
                 continue
+            if np.all(np.isfinite(fit.bse_fe)):  # rounding decides which search ends where errors are known
+                break
         else:
             return None
     notes += [str(w.message).splitlines()[0] for w in caught if "Convergence" in w.category.__name__]
     variance = float(np.asarray(fit.cov_re)[0, 0])
-    if not np.all(np.isfinite(fit.bse_fe)) or variance + float(fit.scale) <= 0:
+    if variance + float(fit.scale) <= 0:
         return None
     spread = math.sqrt(variance + float(fit.scale))
     z = float(norm.ppf((1 + confidence) / 2))
