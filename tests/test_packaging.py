@@ -117,5 +117,5 @@ def test_a_wheel_renders_in_a_fresh_environment(tmp_path: Path) -> None:
     done = subprocess.run(command, env=env, cwd=home, capture_output=True, text=True, check=True)
     report = json.loads(done.stdout)
     assert report["notes"] == 24
-    assert -30 < report["peak_dbfs"] < -3
+    assert report["peak_dbfs"] == pytest.approx(-1.0, abs=1e-6)  # --level peak
     assert (home / "chords.wav").stat().st_size > 1e6
