@@ -18,7 +18,7 @@ from tonewood.whole_files import whole_file
 MAX_BYTES = 1_000_000
 
 #: characters from which on the values of a file are kept
-_WORTH_KEEPING = 1000
+_SHORTEST_KEPT = 1000
 
 _SUFFIXES = (".yaml", ".yml")
 
@@ -57,7 +57,7 @@ def load_yaml(
 def _parsed(text: str, path: str | os.PathLike[str], error: type[TonewoodError]) -> dict[str, Any]:
     """As `parse_yaml`, of a file whose values may be known from an earlier run: parsing takes a tenth of a start."""
     folder = cache_folder()
-    if folder is None or len(text) < _WORTH_KEEPING:
+    if folder is None or len(text) < _SHORTEST_KEPT:
         return parse_yaml(text, file=path, error=error)
     digest = hashlib.sha256(Path(__file__).with_name("yaml_parser.py").read_bytes() + text.encode())
     kept = folder / f"{digest.hexdigest()[:32]}.json"

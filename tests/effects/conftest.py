@@ -11,4 +11,4 @@ from tonewood.engine.effects import tension
 def _whatever_it_saves(monkeypatch: pytest.MonkeyPatch) -> None:
     """Switch wherever the budgets allow it, also where so short a time, or so little of it, saves nothing."""
     monkeypatch.setattr(tension, "SHORTEST", 0.0)
-    monkeypatch.setattr(tension, "WORTH", 0.0)
+    monkeypatch.setattr(tension, "LEAST_IDLE_SHARE", 0.0)

@@ -120,8 +120,8 @@ private:
     DirectForces direct_;
     LinearLawForces linear_laws_;
     Array<double> answering_;  // (force_width): forces of the linear connections and laws without these strings
-    Array<double> y_;      // port displacements before the step, then free ones after it
-    Array<double> alone_;  // (f_width): forces of linear connections in parts without these strings
+    Array<double> y_;          // port displacements before the step, then free ones after it
+    Array<double> alone_;      // (f_width): forces of linear connections in parts without these strings
 };
 
 }  // namespace

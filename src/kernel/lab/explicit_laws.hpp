@@ -48,8 +48,8 @@ struct ExplicitSums {
 };
 
 template <bool Move>
-void visit_explicit(const ExplicitPart& p, double* const* state, double h, double tension, const double* rigid_force,
-                    const double* law_force, const ExplicitSums& to, MPack* acc) {
+void explicit_pass(const ExplicitPart& p, double* const* state, double h, double tension, const double* rigid_force,
+                   const double* law_force, const ExplicitSums& to, MPack* acc) {
     const std::size_t n = p.n;
     double *const sq = state[0] + p.offset, *const sw = state[1] + p.offset, *const sg = state[2] + p.offset;
     const double *const w2 = p.coef.data(), *const loss = w2 + n, *const k2 = loss + n;
@@ -90,7 +90,7 @@ void visit_explicit(const ExplicitPart& p, double* const* state, double h, doubl
 
 inline std::int64_t run_explicit(const ExplicitPlan& plan, double* const* state, std::int64_t n, std::int64_t every,
                                  double* out) {
-    const NoDenormals guard;
+    const NoDenormals no_denormals;
     const int r = plan.n_rigid, l = int(plan.laws.size()), tensions = int(plan.stiffness.size());
     const int n_parts = int(plan.parts.size());
     int widest = 1;
@@ -109,7 +109,7 @@ inline std::int64_t run_explicit(const ExplicitPlan& plan, double* const* state,
             for (int o = 0; o < plan.parts[i].n_outs; ++o) to[plan.parts[i].channels[o]] += sums_of(i).out[o];
     };
     for (int i = 0; i < n_parts; ++i)
-        visit_explicit<false>(plan.parts[i], state, plan.h, 0.0, nullptr, nullptr, sums_of(i), acc.data());
+        explicit_pass<false>(plan.parts[i], state, plan.h, 0.0, nullptr, nullptr, sums_of(i), acc.data());
     emit(out);
     std::int64_t until = every;
     for (std::int64_t step = 0; step < n; ++step) {
@@ -141,7 +141,7 @@ inline std::int64_t run_explicit(const ExplicitPlan& plan, double* const* state,
             const double tension = p.tension < 0 ? 0.0 : plan.stiffness[p.tension] * S[p.tension];
             for (int j = 0; j < p.n_rigid; ++j) here_rigid[j] = f_rigid[p.rigid_links[j]];
             for (int j = 0; j < p.n_laws; ++j) here_law[j] = f_law[p.law_links[j]];
-            visit_explicit<true>(p, state, plan.h, tension, here_rigid.data(), here_law.data(), sums_of(i), acc.data());
+            explicit_pass<true>(p, state, plan.h, tension, here_rigid.data(), here_law.data(), sums_of(i), acc.data());
             check += *sums_of(i).S;
             for (int j = 0; j < p.n_rigid; ++j) check += sums_of(i).acceleration[j];
             for (int j = 0; j < p.n_laws; ++j) check += sums_of(i).gap[j];

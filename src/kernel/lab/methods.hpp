@@ -164,8 +164,8 @@ inline double total(const MPack& p) { return Simd::sum(p.folded()); }
 // One pass over a part's modes. `f` (n_links, lags) are its forces; rows of the new state go to `read` and `out`.
 // Links and Outs are their numbers where those are small and known, else -1.
 template <class Rule, int Links, int Outs>
-void visit(const MethodPart& p, double* const* s, const double* f, int lags, int phase, const double* c, double* read,
-           double* out, MPack* memory) {
+void pass(const MethodPart& p, double* const* s, const double* f, int lags, int phase, const double* c, double* read,
+          double* out, MPack* memory) {
     const std::size_t n = p.n;
     const int links = Links < 0 ? p.n_links : Links, outs = Outs < 0 ? p.n_outs : Outs;
     MPack fixed[Links < 0 ? 1 : Links + Outs + 1] = {};
@@ -190,14 +190,14 @@ void visit(const MethodPart& p, double* const* s, const double* f, int lags, int
 
 template <class Rule, int Links>
 auto choose_outs(int outs) {
-    return outs == 0 ? &visit<Rule, Links, 0> : outs == 1 ? &visit<Rule, Links, 1> : &visit<Rule, -1, -1>;
+    return outs == 0 ? &pass<Rule, Links, 0> : outs == 1 ? &pass<Rule, Links, 1> : &pass<Rule, -1, -1>;
 }
 template <class Rule>
 auto choose(const MethodPart& p) {
     return p.n_links == 0   ? choose_outs<Rule, 0>(p.n_outs)
            : p.n_links == 1 ? choose_outs<Rule, 1>(p.n_outs)
            : p.n_links == 2 ? choose_outs<Rule, 2>(p.n_outs)
-                            : &visit<Rule, -1, -1>;
+                            : &pass<Rule, -1, -1>;
 }
 
 // sum -= matrix x, the (m, m) matrix given transposed
@@ -216,7 +216,7 @@ struct NoDenormals {
 
 template <class Rule>
 std::int64_t run_method(const MethodPlan& plan, MethodJob& job) {
-    const NoDenormals guard;
+    const NoDenormals no_denormals;
     const int m = plan.m, lags = plan.lags, n_parts = int(plan.parts.size()), channels = plan.n_channels;
     int widest = 0;
     std::vector<decltype(choose<Rule>(plan.parts[0]))> visits;

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from tonewood.engine.effects.base import PlannedEffect
     from tonewood.output.plan import Plan
 
-#: share of the computing time that is worth a word
-_WORTH = 0.02
+#: least share of the computing time that is reported
+_LEAST_SHARE = 0.02
 
 
 @takes_render_options(without=["energy"])
@@ -103,7 +103,7 @@ def plan(
 
 def matters(effect: PlannedEffect, found: Plan) -> bool:
     """Whether an effect runs for a part of the sound, or takes a share of the computing that is worth a word."""
-    costly = effect.predicted_s is not None and effect.predicted_s >= _WORTH * found.predicted_s
+    costly = effect.predicted_s is not None and effect.predicted_s >= _LEAST_SHARE * found.predicted_s
     return costly or 0.0 < effect.seconds < 0.999 * found.duration_s
 
 

@@ -312,8 +312,8 @@ def _loudness_gain(path: Path) -> float:
     return matching_gain_db(samples, fs, LOUDNESS)
 
 
-#: strings that are named one by one; share of the computing time that is worth a word
-_NAMED, _WORTH = 2, 0.02
+#: strings that are named one by one; least share of the computing time that is reported
+_NAMED, _LEAST_SHARE = 2, 0.02
 
 
 def _left_out(summary: Summary) -> list[str]:
@@ -333,7 +333,7 @@ def _left_out(summary: Summary) -> list[str]:
         lines.append(f"  Left out: {title} of {where}, at most {' and '.join(bounds)}.")
     saved = sum(report.seconds_saved for reports in by_title.values() for report in reports)
     whole = saved + summary.render_s
-    if lines and saved >= _WORTH * whole:
+    if lines and saved >= _LEAST_SHARE * whole:
         lines[-1] += f" Saved {saved:.1f} s of {whole:.1f} s."
     return lines
 

@@ -53,7 +53,7 @@ LOOK, SELDOM = 16, 64
 SHORTEST = 0.3
 #: least share of the time of all strings, by their modes, for which rises must be likely to be left out: below it,
 #: looking costs as much as leaving out saves (some 5 % of a render; strings whose tension rises cost some 50 %)
-WORTH = 0.1
+LEAST_IDLE_SHARE = 0.1
 #: s, longest time for which a rise goes on without another look at its bound
 _LONGEST_UNWATCHED = 0.5
 #: share of the budget below which a rise is left out; above the whole of it, it comes back
@@ -125,12 +125,12 @@ class TensionEffect(SwitchedEffect):
         self._compiled: Sequence[Compiled] = ()
         self._rising: list[tuple[Compiled, ...]] = [()] * len(self.components)
         self._per_joule = np.zeros(len(self.components))
-        self._worth = True
+        self._idle_enough = True
 
     @property
     def watched(self) -> bool:
         """Whether any rise may be left out, and the score gives time for it."""
-        return super().watched and self._worth
+        return super().watched and self._idle_enough
 
     def prepare(self, timeline: Timeline) -> None:
         """Decide from the score whether looking for rises to leave out pays; if not, all rise all the time.
@@ -138,7 +138,7 @@ class TensionEffect(SwitchedEffect):
         Of live playing nothing is known beforehand: then they are looked for.
         """
         if super().watched and timeline.plays:
-            self._worth = self.idle_share(timeline) >= WORTH
+            self._idle_enough = self.idle_share(timeline) >= LEAST_IDLE_SHARE
 
     def idle_share(self, timeline: Timeline) -> float:
         """Estimate the share of time, by modes of strings, in which the rise will be within the budget of cents.
@@ -249,7 +249,7 @@ class TensionEffect(SwitchedEffect):
         """By how much the tension rises, against the budget."""
         if self.model.choice.mode != "auto":
             return super().why(usage, component)
-        if not self._worth:
+        if not self._idle_enough:
             return "the score leaves hardly any time in which it could be left out"
         bound = usage.largest.get((self.name, component), Bound())
         rises = f"its tension rises by up to {bound.cents:.2g} cents" if bound.cents < 1e9 else "a gesture moves it"
