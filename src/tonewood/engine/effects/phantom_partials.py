@@ -4,14 +4,18 @@ They run from any gesture on a string until bounds on the missing sound (`effect
 partials and the body's response) come to the budget over all strings without them: those of the strings of a key are
 added up, those of several keys in power, since their partials are at other frequencies: the sum is an estimate.
 Strings on which they are off are looked at where they hold a thousandth of the energy of the one that holds most:
-phantom partials go with the energy, so that those of the others are faint; they are not in the sum. The transverse
-motion is the same on or off, so that a switch costs no energy.
+phantom partials go with the energy, so that those of the others are faint; they are not in the sum.
+
+Up to 24 strings may be in unison on a light body, which passes their motion on from one to another between two looks.
+Their bounds are all added up, and if they are wanted on one string they run on all.
+
+The transverse motion is the same on or off, so that a switch costs no energy.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -39,6 +43,9 @@ _SELDOM = 32
 _LEAVE = 0.9
 #: share of the largest energy of a string from which on strings without them are looked at
 _FAINT = 1e-3
+#: strings up to which they run on all or on none: a light body passes motion on within milliseconds. Of a piano's many
+#: strings, others than those of a key are damped or move far less
+_FEW = 24
 #: re full scale, the loudest sample before there is any
 _SILENT = 1e-150
 
@@ -49,6 +56,7 @@ class PhantomPartialsEffect(SwitchedEffect):
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
         super().__init__(model, effect, plugins)
         self._laws = {p.name: p for p in model.system.phantoms}
+        self._few = len(self._laws) <= _FEW
         self._response: BridgeResponse | None = None
         self._bounds: dict[tuple[str, float], Phantoms] = {}
 
@@ -75,30 +83,37 @@ class PhantomPartialsEffect(SwitchedEffect):
 
     def watch(self, moment: Moment, switching: Switching) -> Watched | None:
         """Wanted where a gesture acts or begins, and where the bound is beyond the budget."""
-        groups = (self.model.strings[play.string].group for play in moment.fresh if play.string is not None)
-        played = {name for group in groups for name in group} & self._laws.keys()
+        played = self._moved(play.string for play in moment.fresh)
         if moment.sample % (GRID * _SELDOM):
             return None if played <= switching.on else Watched(switching.on | played)
-        busy = {name for string in moment.busy if string for name in self.model.strings[string].group}
-        held = (busy | played) & self._laws.keys()
+        held = played | self._moved(moment.busy)
         peak = np.maximum(moment.peak, _SILENT)
         every = {name: self._energy(moment, name) for name in self._laws}
         energies = {name: energy for name, energy in every.items() if name not in held}
         levels = {name: self._level(moment, name, peak) for name in energies if name in switching.on}
-        least = _FAINT * max(every.values(), default=0.0)
+        least = _FAINT * max(every.values(), default=0.0) if not self._few else 0.0
         off = (name for name, energy in energies.items() if name not in switching.on and energy > least)
         levels |= {name: self._level(moment, name, peak) for name in off}
-        # levels of the strings of a key add up; those of several keys, at other frequencies, in power
-        wanted, missing, power = set(held), dict.fromkeys(self._laws, 0.0), 0.0
+        # levels of the strings of a key add up, and so do those of few strings; those of several keys in power
+        wanted, missing, power = set(held), dict.fromkeys(("", *self._laws), 0.0), 0.0
         for name, level in sorted(levels.items(), key=lambda item: item[1]):
-            key = self.model.strings[name].group[0]
+            key = "" if self._few else self.model.strings[name].group[0]
             more = power + level * (level + 2 * missing[key])
             if math.sqrt(more) > self.budget * (_LEAVE if name in switching.on else 1.0):
                 wanted.add(name)
             else:
                 missing[key], power = missing[key] + level, more
+        if self._few and wanted:
+            wanted = set(self._laws)
         bounds = [(name, Bound(level=level), name not in wanted) for name, level in levels.items()]
         return Watched(frozenset(wanted), bounds)
+
+    def _moved(self, played: Iterable[str | None]) -> set[str]:
+        """Strings that gestures on these move at once: those of their keys, or all where there are few."""
+        strings = [string for string in played if string]
+        if strings and self._few:
+            return set(self._laws)
+        return {name for string in strings for name in self.model.strings[string].group} & self._laws.keys()
 
     def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
         """Switch the forces of these strings on, and all others off."""
