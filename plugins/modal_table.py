@@ -164,9 +164,11 @@ class ModalTable(Body[ModalTableParameters]):
             raise self.fault(f"{p.table}: {freq_rad.size} modes; {most} are allowed", "table")
         if ("Q" in table) == ("zeta" in table):
             raise self.fault(f"{p.table}: one column Q or zeta is wanted", "table")
-        zeta = 0.5 / self._column(table, "Q") if "Q" in table else table["zeta"]
-        if np.any(freq_rad <= 0) or np.any(zeta <= 0):
+        damping = self._column(table, "Q") if "Q" in table else table["zeta"]
+        if np.any(freq_rad <= 0) or np.any(damping <= 0):
             raise self.fault(f"{p.table}: frequencies and Q or zeta must be above 0", "table")
+        with np.errstate(over="ignore"):
+            zeta = 0.5 / damping if "Q" in table else damping
         if freq_rad.min() < 1e-3 or freq_rad.max() > 1e8 or zeta.min() < 1e-12 or zeta.max() > 1e4:
             raise self.fault(
                 f"{p.table}: frequencies from 1 mHz to 10 MHz, zeta from 1e-12 to 1e4 are allowed", "table"

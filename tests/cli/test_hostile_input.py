@@ -208,3 +208,34 @@ def test_a_string_that_does_not_vibrate_names_its_loss(tonewood: Run, tmp_path: 
     change = settings("strings.A2.loss={law: sigma, sigma0: 2000, sigma1: 0}")
     said = "strings.A2.note: at stop 0: no mode", "decays at 2000 1/s, and from 691.2 1/s on", "lower `loss`"
     assert_one_line(tonewood("check", "monochord", *change), tmp_path, *said)
+
+
+@pytest.mark.parametrize(
+    "of", [["-i", "monochord"], ["-i", "monochord", "--stems-by", "string"], ["--part", "1=monochord"]]
+)
+def test_stems_in_a_file_are_one_line_and_no_sound(tonewood: Run, score: Path, tmp_path: Path, of: list[str]) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("kept")
+    result = tonewood("render", score, *of, "-o", tmp_path / "o.wav", "--max-duration", 0.02, "--stems", taken)
+    assert_one_line(result, tmp_path, "--stems: is a file; a folder is allowed")
+    assert taken.read_text() == "kept"
+
+
+@pytest.mark.parametrize(("q", "said"), [("0", "must be above 0"), ("1e-320", "zeta from 1e-12 to 1e4 are allowed")])
+def test_a_quality_factor_of_nothing_is_one_line(
+    tonewood: Run, score: Path, tmp_path: Path, bundle: Path, q: str, said: str
+) -> None:
+    (bundle / "body.csv").write_text(f"f_Hz,Q,modal_mass,bridge\n300,{q},1,1\n")
+    assert_one_line(tonewood("render", score, "-i", bundle, "-o", tmp_path / "o.wav"), tmp_path, "body.csv: ", said)
+
+
+def test_a_release_in_no_time_is_a_step_of_force(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    """Of 1e-300 s, whose square is 0, or of 0 s: the same samples."""
+    heard = []
+    for value in ("1.0e-300", "0"):
+        wav = tmp_path / f"{value}.wav"
+        change = settings(f"exciters.pluck.release_time={value}")
+        assert tonewood("render", score, "-i", "monochord", "-o", wav, "--max-duration", 0.05, *change)[0] == 0
+        heard.append(sf.read(str(wav))[0])
+    assert np.any(heard[0])
+    np.testing.assert_array_equal(*heard)

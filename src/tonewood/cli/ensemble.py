@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tonewood.cli.common import dropped_notes_listed, print_json, progress, warn
+from tonewood.cli.stems import make_stem_folder
 from tonewood.units import counted, decibel
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def render_parts(
     clipped = Audio(mix * factor, fs, ("left", "right")).save(output, subtype)
     files = []
     if stems is not None:
-        stems.mkdir(parents=True, exist_ok=True)
+        make_stem_folder(stems, parents=True)
         for stem in rendered:
             name = re.sub(r"\W+", "_", Path(stem.part.instrument).name)
             files.append(stems / f"{stem.part.part:02d}_{name}{output.suffix}")

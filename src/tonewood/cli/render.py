@@ -106,7 +106,7 @@ def render(
 ) -> None:
     """Render SCORE on an instrument to a sound file."""
     began = time.perf_counter()
-    from tonewood.cli.stems import write_output_stems, write_string_stems
+    from tonewood.cli.stems import check_stem_folder, write_output_stems, write_string_stems
     from tonewood.live.take import Replay
     from tonewood.output.audio import file_format
     from tonewood.output.energy import check_energy_file, save_energy
@@ -128,6 +128,7 @@ def render(
         need("batch", "pyloudnorm")
     for path in energy or ():
         check_energy_file(path)
+    check_stem_folder(stems)
     given = reading(start, stop, transpose, tempo, tracks)
     target = PEAK if normalize is None else normalize
     if part or ensemble is not None:

@@ -8,9 +8,35 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tonewood.errors import OutputError
+
 if TYPE_CHECKING:
     from tonewood.live.take import Replay
     from tonewood.output.render import Renderer
+
+
+def check_stem_folder(folder: Path | None) -> None:
+    """Check before any work that ``--stems`` is not a file.
+
+    Raises
+    ------
+    OutputError : it is.
+    """
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise OutputError("is a file; a folder is allowed", file=folder, key="--stems")
+
+
+def make_stem_folder(folder: Path, *, parents: bool = False) -> None:
+    """Make the folder of ``--stems`` unless it is there.
+
+    Raises
+    ------
+    OutputError : it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=parents, exist_ok=True)
+    except OSError as fault:
+        raise OutputError(f"cannot be made: {fault.strerror}", file=folder, key="--stems") from None
 
 
 def write_output_stems(output: Path, folder: Path, subtype: str, renderer: Renderer | Replay) -> list[Path]:
@@ -19,7 +45,7 @@ def write_output_stems(output: Path, folder: Path, subtype: str, renderer: Rende
 
     from tonewood.output.audio import SoundWriter
 
-    folder.mkdir(exist_ok=True)
+    make_stem_folder(folder)
     files, first = [], 0
     for group in renderer.model.outputs:
         n = len(group.channels)
@@ -49,7 +75,7 @@ def write_string_stems(
 
     from tonewood.output.audio import SoundWriter
 
-    folder.mkdir(exist_ok=True)
+    make_stem_folder(folder)
     groups = renderer.model.outputs
     edges = np.cumsum([0, *(len(group.channels) for group in groups)])
     files = [folder / f"{group.name}{output.suffix}" for group in groups]

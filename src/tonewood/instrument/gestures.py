@@ -151,6 +151,8 @@ StringPlace = Annotated[Number, Field(ge=0.0)] | Fraction
 _OPTIONAL = StringPlace | None
 #: share of the speaking length next to either end where a string is not played
 _NEAREST = 0.01
+#: s, below which a change of force is a step: the square of a much shorter one is 0
+_SHORTEST_STEP = 1e-15
 
 
 def metres(place: StringPlace, on: Place) -> float:
@@ -208,10 +210,10 @@ def smooth_step(start: float, stop: float, low: float, high: float) -> tuple[Seg
 
     Parameters
     ----------
-    start, stop : s, relative to the event; nothing is returned unless stop > start.
+    start, stop : s, relative to the event; nothing is returned unless stop is later by a femtosecond or more.
     low, high : N, at these times.
     """
-    if stop <= start:
+    if stop - start < _SHORTEST_STEP:
         return ()
     width, rise = stop - start, high - low
     middle, bend = start + width / 2, 2 * rise / width**2

@@ -30,6 +30,8 @@ Complexes = NDArray[np.complex128]
 
 #: damping ratio above which a second-order mode is stepped as a block: at .7 the two poles are still well apart
 _BLOCK_ABOVE = 0.7
+#: frequencies times modes of a response that are computed at once: 16 bytes each
+_FRF_CELLS = 500_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -418,6 +420,14 @@ class ModalBasis(ModalViews):
             raise ValueError(f"frf_form is receptance, mobility or accelerance, not {frf_form!r}")
         s = 2j * np.pi * np.atleast_1d(np.asarray(freq, dtype=np.float64))
         i, j = self.index(output), self.index(input)
+        total = np.empty(s.shape, dtype=np.complex128)
+        rows = max(1, _FRF_CELLS // max(1, self.n_modes))
+        for start in range(0, len(s), rows):
+            total[start : start + rows] = self._receptance(s[start : start + rows], i, j)
+        return np.asarray(total * s**power)
+
+    def _receptance(self, s: Complexes, i: int, j: int) -> Complexes:
+        """Return the displacement of point i per newton at point j at complex frequencies s.  (n,), m/N"""
         r, ell = self.right[i], self.left[j]
         total = np.full(s.shape, complex(self.residual[i, j]))
         pair, real, block = (self.kind == k for k in (PAIR, REAL, BLOCK))
@@ -428,7 +438,7 @@ class ModalBasis(ModalViews):
         q = (sb + d) * ell[block].imag + ell[block].real
         p = sb * ell[block].real - k * ell[block].imag
         total += np.sum((r[block].real * q + r[block].imag * p) / (sb**2 + d * sb + k), axis=1)
-        return np.asarray(total * s**power)
+        return total
 
 
 def second_order(omega: Floats, sigma: Floats) -> tuple[Complexes, NDArray[np.uint8], Complexes]:
