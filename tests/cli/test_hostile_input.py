@@ -239,3 +239,18 @@ def test_a_release_in_no_time_is_a_step_of_force(tonewood: Run, score: Path, tmp
         heard.append(sf.read(str(wav))[0])
     assert np.any(heard[0])
     np.testing.assert_array_equal(*heard)
+
+
+def test_a_track_of_thousands_of_digits_is_one_line(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    result = tonewood("render", score, "-i", "monochord", "-o", tmp_path / "o.wav", "--tracks", "9" * 5000)
+    assert_one_line(result, tmp_path, "--tracks: is '999")
+
+
+def test_recordings_without_samples_are_one_line(tonewood: Run, tmp_path: Path) -> None:
+    hit = tmp_path / "hit.rf64"
+    sf.write(str(hit), np.zeros((0, 2)), 48000, subtype="FLOAT")
+    how = ["--points", "bridge", "--driving", "bridge", "--form", "accelerance", "--sensitivity", "100,100"]
+    assert_one_line(
+        tonewood("fit", hit.rename(tmp_path / "hit.WAV"), "-o", tmp_path / "f", *how), tmp_path, "no samples"
+    )
+    assert not (tmp_path / "f").exists()
