@@ -227,6 +227,20 @@ def test_the_cache_is_safe_to_delete_and_to_damage(tmp_path: Path, monkeypatch: 
     assert len(calls) == 4
 
 
+def test_the_cache_has_arrays_of_each_blas_library_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another processor kernel rounds otherwise: arrays computed with it would change a render's last bits."""
+    from tonewood.instrument import array_cache
+
+    monkeypatch.setenv("TONEWOOD_CACHE", str(tmp_path))
+    for number, kernel in enumerate(("Haswell", "SkylakeX", "Haswell")):
+        monkeypatch.setattr(array_cache, "numpy_blas", lambda kernel=kernel: [f"openblas 0.3.30 {kernel}"])
+        array_cache._RECENT.clear()
+        array_cache._sources.cache_clear()
+        found = array_cache.cached_arrays({"a": 1}, lambda n=number: {"x": np.array(n)})["x"]
+        assert found == number % 2
+    array_cache._sources.cache_clear()
+
+
 @pytest.mark.parametrize(("channel", "at"), [("left", (0.3, -0.3, 1.0)), ("right", (0.3, 0.3, 1.0))])
 def test_microphones_follow_the_rayleigh_sum(channel: str, at: tuple[float, float, float]) -> None:
     """Every driven point of the guitar, each in its own direction: 95 % of 50 Hz to 6 kHz within 0.2 dB."""

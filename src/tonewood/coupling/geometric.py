@@ -39,6 +39,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -178,6 +179,27 @@ def cosine_products(n: int, n_cosines: int) -> Floats:
     return out
 
 
+def cosine_product(c: Floats, d: Floats, count: int) -> Floats:
+    """(count,) coefficients e_n = c^T H_n d of the product of two series of cosines."""
+    out = np.zeros(max(count, len(c) + len(d) - 1))
+    out[: len(c) + len(d) - 1] = np.convolve(c, d)  # i + j = n
+    shifts = np.correlate(c, d, "full")  # i - j, from -(len(d) - 1) on
+    zero = len(d) - 1
+    out[: len(c)] += shifts[zero:]
+    out[1 : len(d)] += shifts[:zero][::-1]
+    return np.asarray(0.5 * out[:count])
+
+
+def cosine_gradient(w: Floats, c: Floats) -> Floats:
+    """sum_n w_n H_n c, as long as c: the gradient of sum_n w_n c^T H_n c / 2."""
+    n, zero = len(c), len(c) - 1
+    folded = np.zeros(n)
+    mirrored = np.correlate(w, c, "full")[zero:][:n]  # sum_m w_{i + m} c_m
+    folded[: len(mirrored)] = mirrored
+    distant = np.correlate(c, np.concatenate([[0.0], w[1:]]), "full")[len(w) - 1 :]  # sum_{m > 0} w_m c_{i + m}
+    return np.asarray(0.5 * (folded + np.convolve(w, c)[:n] + distant))
+
+
 @dataclass(frozen=True, eq=False)
 class GeometricShares:
     """The parts of one string together: its potential U and the forces of a step.
@@ -198,19 +220,6 @@ class GeometricShares:
         return int(self.sizes[-1])
 
     @cached_property
-    def forms(self) -> Floats:
-        """(P + 1, n, n): s_n = y^T forms_n y / 2."""
-        if not self.parts[-1].longitudinal:
-            return np.diag(np.concatenate([p.stretch for p in self.parts if p.stretch is not None]))[None]
-        count = len(self.parts[-1].slopes)
-        out = np.zeros((count, self.n, self.n))
-        for start, part in zip(self.sizes[:-1], self.parts[:-1], strict=False):
-            at = slice(start, start + part.n)
-            for n in range(count):
-                out[n, at, at] = part.slopes.T @ cosine_products(n, len(part.slopes)) @ part.slopes
-        return out
-
-    @cached_property
     def strains(self) -> Floats:
         """(P + 1, n): l = strains y."""
         longitudinal = self.parts[-1]
@@ -223,9 +232,22 @@ class GeometricShares:
         """(P + 1,) EA L g_n, N m."""
         return self.parts[-1].scale * np.where(np.arange(len(self.strains)) == 0, 1.0, 0.5)
 
+    @cached_property
+    def stretching(self) -> list[tuple[slice, GeometricShare]]:
+        """Parts that stretch the string, and their places among the coordinates."""
+        ends = [slice(*ends) for ends in pairwise(self.sizes)]
+        return [(at, part) for at, part in zip(ends, self.parts, strict=True) if not part.longitudinal]
+
     def squares(self, y: Floats) -> Floats:
         """(P + 1,) s_n of coordinates (n,)."""
-        return np.asarray(0.5 * np.einsum("i,nij,j->n", y, self.forms, y))
+        out = np.zeros(len(self.strains))
+        for at, part in self.stretching:
+            if part.stretch is not None:
+                out[0] += 0.5 * part.stretch @ y[at] ** 2
+            else:
+                slopes = part.slopes @ y[at]
+                out += 0.5 * cosine_product(slopes, slopes, len(out))
+        return out
 
     def potential(self, s: Floats, strain: Floats) -> float:
         """U, J, of s_n and l_n, (P + 1,) each."""
@@ -237,4 +259,10 @@ class GeometricShares:
 
     def gradient(self, y: Floats, s: Floats, strain: Floats) -> Floats:
         """(n,) grad U, N / sqrt(kg), of coordinates y whose s_n and l_n count as given."""
-        return np.asarray((self.weights * (s + strain)) @ (self.forms @ y) + (self.weights * s) @ self.strains)
+        out, weights = (self.weights * s) @ self.strains, self.weights * (s + strain)
+        for at, part in self.stretching:
+            if part.stretch is not None:
+                out[at] += weights[0] * part.stretch * y[at]
+            else:
+                out[at] += cosine_gradient(weights, part.slopes @ y[at]) @ part.slopes
+        return np.asarray(out)

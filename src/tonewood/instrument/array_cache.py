@@ -1,7 +1,8 @@
 """Arrays that take seconds to compute, kept between runs: a file per content, safe to delete at any time.
 
 The files lie in the `cache_folder`. A file's name is a hash of the inputs, of the sources of the package that computes,
-and of the versions of NumPy and SciPy: the arrays found are those that would be computed.
+and of NumPy with its BLAS library and SciPy: the arrays found are those that would be computed, to the last bit. (SciPy's
+own BLAS library has the version that SciPy brings and the processor kernel of NumPy's.)
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.blas import numpy_blas
 from tonewood.cache_folder import cache_folder
 from tonewood.errors import OutputError
 from tonewood.whole_files import whole_file
@@ -78,7 +80,7 @@ def _read(path: Path) -> Arrays | None:
 @cache
 def _sources(package: str) -> str:
     """Hash of a package's sources and of the libraries that compute for it."""
-    digest = hashlib.sha256(f"{version('numpy')} {version('scipy')}".encode())
+    digest = hashlib.sha256(" ".join([np.__version__, *numpy_blas(), version("scipy")]).encode())
     for path in sorted((Path(__file__).parents[1] / package).glob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()

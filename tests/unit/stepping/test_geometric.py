@@ -19,7 +19,13 @@ from geometric_scenes import (
 from numpy.typing import NDArray
 
 from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.geometric import GeometricShares, GeometricStretch, cosine_products
+from tonewood.coupling.geometric import (
+    GeometricShares,
+    GeometricStretch,
+    cosine_gradient,
+    cosine_product,
+    cosine_products,
+)
 from tonewood.coupling.geometric_solve import GeometricSolve
 from tonewood.coupling.laws import Contact
 from tonewood.coupling.system import State, System
@@ -40,6 +46,15 @@ def test_products_of_cosines_are_those_of_a_quadrature() -> None:
     for n in range(12):
         coefficient = np.mean(square * np.cos(n * theta)) * (1 if n == 0 else 2)
         assert 0.5 * c @ cosine_products(n, 9) @ c == pytest.approx(coefficient, abs=1e-12)
+
+
+@pytest.mark.parametrize(("count", "n"), [(1, 1), (1, 6), (4, 9), (9, 4), (30, 7)])
+def test_sums_over_products_of_cosines_are_those_of_their_matrices(count: int, n: int) -> None:
+    rng = np.random.default_rng(n)
+    c, d, w = rng.normal(size=n), rng.normal(size=n), rng.normal(size=count)
+    forms = [cosine_products(k, n) for k in range(count)]
+    np.testing.assert_allclose(cosine_product(c, d, count), [c @ form @ d for form in forms], atol=1e-12)
+    np.testing.assert_allclose(cosine_gradient(w, c), np.tensordot(w, forms, 1) @ c, atol=1e-12)
 
 
 def stretched(n_modes: int = 12, n_longitudinal: int = 5) -> GeometricShares:

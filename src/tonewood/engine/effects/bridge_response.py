@@ -129,25 +129,38 @@ def response(basis: ModalBasis, form: RealForm, freq_rad: Floats, out: Floats, i
     form : of the basis.
     out, into : (n_out, n_points) and (n_in, n_points) weights of the points that are read and driven.
     """
-    ins, outs = np.flatnonzero(into.any(axis=0)), np.flatnonzero(out.any(axis=0))
-    A, B, C = form.A, form.B[ins], form.C[outs].reshape(len(outs), 2 * len(form.A))
-    residual = (out @ basis.residual @ into.T)[..., None]
-    whole = np.zeros((len(out), len(into), len(freq_rad)), dtype=np.complex128)
-    # (s - A)^-1 B of every point that is driven, read at every point that is read, then the combinations;
+    ins = np.flatnonzero(into.any(axis=0))
+    read, driven = np.tensordot(out, form.C, 1)[:, None], form.B[None, ins]
+    pairs = _over_modes(form, freq_rad, read, driven).reshape(len(out), len(ins), len(freq_rad))
+    combined = np.tensordot(into[:, ins], pairs, (1, 1)).transpose(1, 0, 2)
+    return np.asarray(combined + (out @ basis.residual @ into.T)[..., None])
+
+
+def _over_modes(form: RealForm, freq_rad: Floats, read: Floats, driven: Floats) -> Complexes:
+    """(n_pairs, f) sums over the modes, c (i w - A)^-1 b = (i w c b + c (A - tr A) b) / det(i w - A).
+
+    Parameters
+    ----------
+    read, driven : (..., n_modes, 2) c and b of the pairs, broadcast; their pairs are counted row by row.
+    """
+    A = form.A
+    (cx, cy), (bx, by) = np.moveaxis(read, -1, 0), np.moveaxis(driven, -1, 0)
+    growing = cx * bx + cy * by
+    constant = cx * (A[:, 0, 1] * by - A[:, 1, 1] * bx) + cy * (A[:, 1, 0] * bx - A[:, 0, 0] * by)
+    numerators = np.stack([growing, constant]).reshape(2 * growing[..., 0].size, len(A)).T
+    n = numerators.shape[1] // 2
+    trace, square = A[:, 0, 0] + A[:, 1, 1], A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
+    whole = np.zeros((n, len(freq_rad)), dtype=np.complex128)
     # some frequencies at a time: all of them would take memory by the product of frequencies and modes
-    at_a_time = max(1, _AT_ONCE // max(1, len(A) * (len(ins) + 3)))
+    at_a_time = max(1, _AT_ONCE // max(1, 2 * len(A) + 2 * n))
     for first in range(0, len(freq_rad), at_a_time):
-        s = 1j * freq_rad[first : first + at_a_time, None]
-        a, b, c, d = s - A[:, 0, 0], A[:, 0, 1], A[:, 1, 0], s - A[:, 1, 1]
-        det = a * d - b * c
-        moved = np.empty((len(s), len(ins), len(A), 2), dtype=np.complex128)
-        for i, (x, y) in enumerate(B.transpose(0, 2, 1)):
-            moved[:, i, :, 0] = (d * x + b * y) / det
-            moved[:, i, :, 1] = (c * x + a * y) / det
-        points = moved.reshape(len(s), len(ins), 2 * len(A)) @ C.T
-        combined = out[:, outs] @ points.transpose(0, 2, 1) @ into[:, ins].T
-        whole[..., first : first + at_a_time] = combined.transpose(1, 2, 0)
-    return whole + residual
+        w = freq_rad[first : first + at_a_time, None]
+        real, imag = square - w**2, -trace * w
+        size = real**2 + imag**2
+        found = np.concatenate([real / size, -imag / size]) @ numerators
+        inverse = found[: len(w)] + 1j * found[len(w) :]
+        whole[:, first : first + at_a_time] = (1j * w * inverse[:, :n] + inverse[:, n:]).T
+    return whole
 
 
 def _own_response(basis: ModalBasis, form: RealForm, freq_rad: Floats, rows: Floats) -> Complexes:
@@ -156,8 +169,9 @@ def _own_response(basis: ModalBasis, form: RealForm, freq_rad: Floats, rows: Flo
     A response between all pairs of n rows would take n^2 f numbers: 240 strings, a gigabyte.
     """
     alike, which = np.unique(rows, axis=0, return_inverse=True)
-    own = [response(basis, form, freq_rad, row[None], row[None])[0, 0] for row in alike]
-    return np.array(own).reshape(len(alike), len(freq_rad))[which.ravel()]
+    own = _over_modes(form, freq_rad, np.tensordot(alike, form.C, 1), np.tensordot(alike, form.B, 1))
+    residual = np.einsum("np,pq,nq->n", alike, basis.residual, alike)
+    return np.asarray((own + residual[:, None])[which.ravel()])
 
 
 def _added(model: Model, s: Complexes) -> tuple[list[str], Floats, Complexes]:
