@@ -1,8 +1,8 @@
 """Arrays that take seconds to compute, kept between runs: a file per content, safe to delete at any time.
 
 The files lie in the `cache_folder`. A file's name is a hash of the inputs, of the sources of the package that computes,
-and of NumPy with its BLAS library and SciPy: the arrays found are those that would be computed, to the last bit. (SciPy's
-own BLAS library has the version that SciPy brings and the processor kernel of NumPy's.)
+and of NumPy with its BLAS library and SciPy: the arrays found are those that would be computed, to the last bit.
+(SciPy's own BLAS library has the version that SciPy brings and the processor kernel of NumPy's.)
 """
 
 from __future__ import annotations
