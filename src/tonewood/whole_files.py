@@ -52,6 +52,7 @@ class AtomicFile:
         try:
             self.path.touch(exist_ok=False)
         except OSError as fault:
+            self.discard.detach()  # there is no file; to remove one where nothing can be written would fail again
             raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
 
     def complete(self) -> None:

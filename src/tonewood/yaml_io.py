@@ -65,7 +65,7 @@ def _parsed(text: str, path: str | os.PathLike[str], error: type[TonewoodError])
         data = json.loads(kept.read_bytes())
         if isinstance(data, dict):
             return data
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         pass
     data = parse_yaml(text, file=path, error=error)
     try:

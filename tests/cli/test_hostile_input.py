@@ -12,7 +12,11 @@ import pytest
 import soundfile as sf
 
 from midi_bytes import midi_file, note, write
+from tonewood.cli.results import _facts
+from tonewood.errors import TonewoodError
 from tonewood.instrument.registry import instrument_folder
+from tonewood.listening import answer_file
+from tonewood.listening.definition import load_test
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -239,3 +243,52 @@ def test_a_release_in_no_time_is_a_step_of_force(tonewood: Run, score: Path, tmp
         heard.append(sf.read(str(wav))[0])
     assert np.any(heard[0])
     np.testing.assert_array_equal(*heard)
+
+
+def test_a_track_of_thousands_of_digits_is_one_line(tonewood: Run, score: Path, tmp_path: Path) -> None:
+    result = tonewood("render", score, "-i", "monochord", "-o", tmp_path / "o.wav", "--tracks", "9" * 5000)
+    assert_one_line(result, tmp_path, "--tracks: is '999")
+
+
+def test_recordings_without_samples_are_one_line(tonewood: Run, tmp_path: Path) -> None:
+    hit = tmp_path / "hit.rf64"
+    sf.write(str(hit), np.zeros((0, 2)), 48000, subtype="FLOAT")
+    how = ["--points", "bridge", "--driving", "bridge", "--form", "accelerance", "--sensitivity", "100,100"]
+    assert_one_line(
+        tonewood("fit", hit.rename(tmp_path / "hit.WAV"), "-o", tmp_path / "f", *how), tmp_path, "no samples"
+    )
+    assert not (tmp_path / "f").exists()
+
+
+def test_ctrl_c_between_a_sound_and_its_stems_names_the_sound(
+    tonewood: Run, score: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tonewood.cli.stems.write_output_stems", stopped)
+    wav = tmp_path / "o.wav"
+    stems = ["--max-duration", 0.02, "--stems", tmp_path / "stems"]
+    code, out, err = tonewood("render", score, "-i", "monochord", "-o", wav, *stems)
+    assert (code, out, err) == (130, "", f"tonewood: interrupted; {wav} is written, its stems are not\n")
+    assert sf.info(str(wav)).frames == 960
+
+
+DEEP = "[" * 100_000
+
+
+@pytest.mark.parametrize("text", ["", "null", "[]", "3", "{}", '{"files": [{}]}', '{"files": [], "manifest": 1}', DEEP])
+def test_a_damaged_record_of_a_batch_is_one_line(tmp_path: Path, text: str) -> None:
+    assert _facts(tmp_path) is None
+    (tmp_path / "manifest.json").write_text(text)
+    with pytest.raises(TonewoodError, match=r"manifest\.json: is not the record of a batch"):
+        _facts(tmp_path)
+
+
+def test_files_of_a_listening_test_nested_too_deep_are_one_line(tmp_path: Path) -> None:
+    (tmp_path / "test.json").write_text(DEEP)
+    with pytest.raises(TonewoodError, match=r"test\.json: not JSON"):
+        load_test(tmp_path)
+    (tmp_path / "answers.jsonl").write_text(DEEP + "\n")
+    with pytest.raises(TonewoodError, match=r"answers\.jsonl: line 1: not JSON"):
+        answer_file.read(tmp_path / "answers.jsonl")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import subprocess
 import sys
@@ -128,3 +129,19 @@ def test_what_cannot_be_removed_is_reported_unless_something_worse_is(
 
         with pytest.raises(OutputError, match="the disk is full"):
             broken()
+
+
+def test_where_nothing_can_be_written_nothing_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A read-only file system refuses to remove even a file that is not there, at the end of the program, too."""
+    tried: list[Path] = []
+
+    def refuse(path: Path, **_: object) -> None:
+        tried.append(path)
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(OutputError, match="cannot be written: Read-only file system"):
+        AtomicFile(tmp_path / "out.txt")
+    gc.collect()
+    assert len(tried) == 1

@@ -37,7 +37,7 @@ def reading(start: float, stop: float | None, transpose: float, tempo: float, tr
     TonewoodError : the tracks are no numbers.
     """
     numbers = None if tracks is None else [word.strip() for word in tracks.split(",") if word.strip()]
-    if numbers is not None and not (numbers and all(word.isdecimal() for word in numbers)):
+    if numbers is not None and not (numbers and all(word.isdecimal() and len(word) <= 9 for word in numbers)):
         raise TonewoodError(f"is {tracks!r}; numbers from 1, with commas between them, are allowed", key="--tracks")
     chosen = None if numbers is None else [int(word) for word in numbers]
     return {"start": start, "stop": stop, "transpose": transpose, "tempo": tempo, "tracks": chosen}
@@ -169,7 +169,7 @@ def allow(option: str, value: float, low: float, high: float, unit: str) -> None
     TonewoodError : names the option and the values allowed.
     """
     if not low <= value <= high:
-        raise TonewoodError(f"is {value:.12g} {unit}; {low:.12g} to {high:.12g} are allowed", key=option)
+        raise TonewoodError(f"is {f'{value:.12g} {unit}'.strip()}; {low:.12g} to {high:.12g} are allowed", key=option)
 
 
 @contextmanager

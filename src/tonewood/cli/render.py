@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tonewood.cli.commands import InterruptError
 from tonewood.cli.common import (
     AllowCode,
     Json,
@@ -180,13 +181,16 @@ def render(
     hold = Limiter(fs) if limiter else None
     clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold, about)
     stem_files = []
-    if stems is not None and stems_by == "output":
-        stem_files = write_output_stems(output, stems, subtype, renderer)
-    elif stems is not None:
-        by_string = Renderer(
-            read_score(score, **given), bundle, options=options, model=assembled(bundle, options, by_string=True)
-        )
-        stem_files = write_string_stems(by_string, output, stems, subtype, gain, renderer.summary().frames)
+    try:
+        if stems is not None and stems_by == "output":
+            stem_files = write_output_stems(output, stems, subtype, renderer)
+        elif stems is not None:
+            by_string = Renderer(
+                read_score(score, **given), bundle, options=options, model=assembled(bundle, options, by_string=True)
+            )
+            stem_files = write_string_stems(by_string, output, stems, subtype, gain, renderer.summary().frames)
+    except KeyboardInterrupt:
+        raise InterruptError(f"{output} is written, its stems are not") from None
     gain += options.gain_db
     account = renderer.energy
     for path in energy or ():

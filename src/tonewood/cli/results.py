@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tonewood.cli.common import Json, need, print_json, warn
+from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
     from tonewood.listening.results import PageResults, PanelResults
@@ -39,11 +40,22 @@ def results(
 
 
 def _facts(folder: Path) -> dict[str, Any] | None:
-    """Facts of the stimuli, from the record of the batch if it was written."""
-    try:
-        record = json.loads((folder / "manifest.json").read_text("utf-8"))
-    except (OSError, ValueError):
+    """Facts of the stimuli, from the record of the batch if it was written.
+
+    Raises
+    ------
+    TonewoodError : it is damaged.
+    """
+    path = folder / "manifest.json"
+    if not path.exists():
         return None
+    try:
+        return _facts_of(json.loads(path.read_text("utf-8-sig")))
+    except (OSError, ValueError, RecursionError, AttributeError, LookupError, TypeError):
+        raise TonewoodError("is not the record of a batch; `tonewood batch` writes it again", file=path) from None
+
+
+def _facts_of(record: Any) -> dict[str, Any] | None:
     files = record["files"]
     names = {
         "length, s": [f["frames"] / f["fs"] for f in files],

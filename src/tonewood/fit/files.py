@@ -347,6 +347,8 @@ def _wav_hit(path: Path, reading: Reading) -> _Hit:
     except (sf.LibsndfileError, OSError) as fault:
         raise TonewoodError(f"is no sound file: {str(fault)[:_LONGEST]}", file=path) from None
     n = samples.shape[1]
+    if not len(samples):
+        raise TonewoodError("holds no samples", file=path)
     if n < 2:
         raise TonewoodError("has one channel; the force and one or more responses are needed", file=path)
     if len(reading.points) != n - 1:

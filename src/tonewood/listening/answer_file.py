@@ -65,7 +65,7 @@ def read(path: Path) -> ListenerAnswers:
     for number, line in enumerate(whole.splitlines(), start=1):
         try:
             row = json.loads(line)
-        except ValueError as fault:
+        except (ValueError, RecursionError) as fault:
             raise ListeningError(f"line {number}: not JSON: {fault}", file=path) from None
         if not isinstance(row, dict):
             raise ListeningError(f"line {number}: not an answer", file=path)

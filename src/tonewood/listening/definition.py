@@ -105,7 +105,7 @@ def load_test(folder: Path) -> ListeningTest:
         data: Any = json.loads(raw)
     except OSError as fault:
         raise ListeningError(f"cannot be read: {fault.strerror}; `tonewood batch` writes it", file=path) from None
-    except ValueError as fault:
+    except (ValueError, RecursionError) as fault:
         raise ListeningError(f"not JSON: {fault}", file=path) from None
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         raise ListeningError(f"not a test: schema {SCHEMA} is wanted", file=path)

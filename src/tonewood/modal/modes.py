@@ -418,7 +418,7 @@ class ModalBasis(ModalViews):
         power = {"receptance": 0, "mobility": 1, "accelerance": 2}.get(frf_form)
         if power is None:
             raise ValueError(f"frf_form is receptance, mobility or accelerance, not {frf_form!r}")
-        s = 2j * np.pi * np.atleast_1d(np.asarray(freq, dtype=np.float64))
+        s = np.asarray(2j * np.pi * np.atleast_1d(np.asarray(freq, dtype=np.float64)), dtype=np.complex128)
         i, j = self.index(output), self.index(input)
         total = np.empty(s.shape, dtype=np.complex128)
         rows = max(1, _FRF_CELLS // max(1, self.n_modes))

@@ -33,6 +33,15 @@ _SIGNS = {
 }  # fmt: skip
 #: durations per quarter note; others are damaged
 _MOST_DIVISIONS = 16384
+#: elements whose text is a number
+_NUMBERS = {
+    "alter", "bend-alter", "capo", "chromatic", "divisions", "duration", "fret", "octave", "octave-change",
+    "per-minute", "string", "tremolo", "tuning-alter", "tuning-octave",
+}  # fmt: skip
+#: quarter notes per minute, and times that a measure is repeated
+_TEMPOS, _MOST_TIMES = (4.0, 2000.0), 32
+#: of the number of an ending
+_MOST_DIGITS = 4
 
 
 def read_musicxml(data: bytes, path: Path) -> WrittenMusic:
@@ -51,6 +60,9 @@ def read_musicxml(data: bytes, path: Path) -> WrittenMusic:
     names = {e.get("id"): text_of(e, "part-name") for e in root.iter("score-part")}
     title = text_of(root, "work/work-title") or text_of(root, "movement-title")
     music = WrittenMusic(path.stem, [], [], {"title": title} if title else {})
+    for element in root.iter():
+        if element.tag in _NUMBERS and math.isnan(as_number(element.text or "", math.nan)):
+            music.ignored[f"{element.tag} that cannot be read"] += 1
     for part in root.findall("part"):
         reader = _PartReader(WrittenPart(names.get(part.get("id"), "")), music)
         for i, measure in enumerate(part.findall("measure")):
@@ -105,7 +117,9 @@ class _PartReader:
         self.vibrato = False
 
     def _quarters(self, element: Element, path: str = "duration") -> Fraction:
-        return Fraction(max(number_of(element, path, 0.0), 0.0)).limit_denominator(_MOST_DIVISIONS) / self.divisions
+        number = number_of(element, path, 0.0)
+        self.music.ignored += Counter({f"{path} below 0": number < 0})
+        return Fraction(max(number, 0.0)).limit_denominator(_MOST_DIVISIONS) / self.divisions
 
     def measure(self, element: Element, index: int) -> None:
         """Read one measure."""
@@ -149,6 +163,8 @@ class _PartReader:
         divisions = number_of(element, "divisions", 0.0)
         if 0 < divisions <= _MOST_DIVISIONS:
             self.divisions = max(int(divisions), 1)
+        elif divisions:
+            self.music.ignored[f"divisions outside 1 to {_MOST_DIVISIONS}"] += 1
         if (move := element.find("transpose")) is not None:
             self.transpose = number_of(move, "chromatic", 0.0) + 12 * number_of(move, "octave-change", 0.0)
         for staff in element.findall("staff-details"):
@@ -167,7 +183,7 @@ class _PartReader:
         if metronome is not None:
             unit = _UNITS.get(text_of(metronome, "beat-unit"), 1.0)
             unit *= 1.5 if metronome.find("beat-unit-dot") is not None else 1.0
-            bpm = number_of(metronome, "per-minute", 0.0) * unit
+            bpm = number_of(metronome, "per-minute", 0.0) * unit or None
         if sound is not None:
             for name in ("tempo", "dynamics"):
                 if (said := sound.get(name)) is None:
@@ -182,7 +198,9 @@ class _PartReader:
             measure.signs |= {sign for name, sign in (jumps | {"dalsegno": "dal_segno"}).items() if sound.get(name)}
             mute = text_of(sound, "play/mute")
             self.palm = mute == "palm" if mute else self.palm
-        if bpm and 4.0 <= bpm <= 2000.0 and (now, bpm) not in measure.tempos:
+        if bpm is not None and not _TEMPOS[0] <= bpm <= _TEMPOS[1]:
+            self.music.ignored["tempo outside 4 to 2000"] += 1
+        elif bpm is not None and (now, bpm) not in measure.tempos:
             measure.tempos.append((now, bpm))
         for kind in element.findall("direction-type/*"):
             if kind.tag == "dynamics":
@@ -197,13 +215,16 @@ class _PartReader:
         repeat, ending = element.find("repeat"), element.find("ending")
         if ending is not None and ending.get("type") == "start":
             numbers = ending.get("number", "1").replace(",", " ").split()
-            self.ending = frozenset(int(n) for n in numbers if n.isdecimal()) or frozenset({1})
+            self.ending = frozenset(int(n) for n in numbers if n.isdecimal() and len(n) <= _MOST_DIGITS) or frozenset(
+                {1}
+            )
             measure.endings = self.ending
         if repeat is not None and repeat.get("direction") == "forward":
             measure.opens = True
         elif repeat is not None:
-            times = repeat.get("times", "2")
-            measure.closes = max(measure.closes, min(int(times), 32) if times.isdecimal() else 2)
+            times = as_number(repeat.get("times", "2"), math.nan)
+            self.music.ignored += Counter({f"repeat times outside 1 to {_MOST_TIMES}": not 1 <= times <= _MOST_TIMES})
+            measure.closes = max(measure.closes, int(min(times, _MOST_TIMES)) if times >= 1 else 2)
 
     def _note(self, element: Element, at: Fraction, length: Fraction, place: int) -> WrittenNote | None:
         if element.find("rest") is not None or element.find("cue") is not None:

@@ -284,6 +284,35 @@ def test_numbers_that_are_none_keep_the_other_notes(tmp_path: Path, number: str)
     assert n_read > 0.9 * len(damaged)
 
 
+@pytest.mark.parametrize(
+    ("change", "counted"),
+    [
+        (("<octave>3<", "<octave>x<"), "octave that cannot be read"),
+        (("<octave>3<", "<alter>nan</alter><octave>3<"), "alter that cannot be read"),
+        (("<duration>1<", "<duration><"), "duration that cannot be read"),
+        (("<duration>1<", "<duration>-1<"), "duration below 0"),
+        (("<divisions>1<", "<divisions>1e300<"), "divisions that cannot be read"),
+        (("<divisions>1<", "<divisions>-1<"), "divisions outside 1 to 16384"),
+        (('tempo="90"', 'tempo="0"'), "tempo outside 4 to 2000"),
+        (('times="2"', 'times="x"'), "repeat times outside 1 to 32"),
+        (('times="2"', f'times="{"9" * 5000}"'), "repeat times outside 1 to 32"),
+        (('number="1"', f'number="{"9" * 5000}"'), None),
+    ],
+    ids=lambda value: value[1][:24] if isinstance(value, tuple) else "",
+)
+def test_numbers_that_are_none_are_counted(tmp_path: Path, change: tuple[str, str], counted: str | None) -> None:
+    text = """<score-partwise><part-list><score-part id="P"><part-name/></score-part></part-list><part id="P"><measure>
+        <attributes><divisions>1</divisions></attributes><direction><sound tempo="90"/></direction>
+        <barline><ending number="1" type="start"/></barline>
+        <note><pitch><step>A</step><octave>3</octave></pitch><duration>1</duration></note>
+        <barline><repeat direction="backward" times="2"/></barline></measure></part></score-partwise>"""
+    assert tw.read_score(write(tmp_path / "a.xml", text)).ignored == {}
+    assert change[0] in text
+    found = tw.read_score(write(tmp_path / "b.xml", text.replace(*change)))
+    assert len(found.notes) >= 1
+    assert found.ignored == ({} if counted is None else {counted: 1})
+
+
 def test_a_damaged_archive_is_one_line(tmp_path: Path) -> None:
     good = mxl(tmp_path / "good.mxl", FOUR_XML).read_bytes()
     for at in range(0, len(good), 7):
