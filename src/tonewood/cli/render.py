@@ -129,7 +129,6 @@ def render(
         need("batch", "pyloudnorm")
     for path in energy or ():
         check_energy_file(path)
-    check_stem_folder(stems)
     given = reading(start, stop, transpose, tempo, tracks)
     target = PEAK if normalize is None else normalize
     if part or ensemble is not None:
@@ -146,7 +145,11 @@ def render(
                 raise TonewoodError("is for one instrument; with --part or --ensemble it is not allowed", key=option)
         del given["tracks"]
         from tonewood.cli.ensemble import render_parts
+        from tonewood.whole_files import AtomicFile
 
+        AtomicFile(output).discard()  # parts are mixed before the file is begun: to know now that it can be
+        if stems is not None:
+            check_stem_folder(stems, parents=True)
         render_parts(
             score, players, output, options, reading=given, subtype=subtype, level=wanted, target=target,
             stems=stems, as_json=as_json,
@@ -161,8 +164,10 @@ def render(
         raise TonewoodError(reason, key="--stems-by")
     if stems is not None and room is not None:
         raise TonewoodError("a room mixes the outputs; with --room it is not allowed", key="--stems")
-    if stems is not None and not stems.parent.is_dir():
+    if stems is not None and not stems.parent.exists():
         raise TonewoodError(f"there is no folder {stems.parent}", key="--stems")
+    if stems is not None:
+        check_stem_folder(stems)
     bundle = load(instrument, settings, allow_code, strings)
     with dropped_notes_listed():
         renderer: Renderer | Replay

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,15 +16,30 @@ if TYPE_CHECKING:
     from tonewood.output.render import Renderer
 
 
-def check_stem_folder(folder: Path | None) -> None:
-    """Check before any work that ``--stems`` is not a file.
+def check_stem_folder(folder: Path, *, parents: bool = False) -> None:
+    """Check before any work that files can be written to the folder of ``--stems``: make it, and remove it again.
 
     Raises
     ------
-    OutputError : it is.
+    OutputError : it is a file, cannot be made, or cannot be written to.
     """
-    if folder is not None and folder.exists() and not folder.is_dir():
-        raise OutputError("is a file; a folder is allowed", file=folder, key="--stems")
+    from tonewood.whole_files import AtomicFile
+
+    missing = []
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise OutputError("is a file; a folder is allowed", file=folder, key="--stems")
+        missing = [path for path in (folder, *folder.parents) if not path.exists()]
+        make_stem_folder(folder, parents=parents)
+        AtomicFile(folder / "stem").discard()
+    except OutputError as error:
+        raise OutputError(error.reason, file=folder, key="--stems") from None
+    except OSError as fault:  # a name too long, a folder that may not be searched
+        raise OutputError(f"cannot be made: {fault.strerror}", file=folder, key="--stems") from None
+    finally:
+        for path in missing:
+            with suppress(OSError):  # it was not made, or holds files of another program by now
+                path.rmdir()
 
 
 def make_stem_folder(folder: Path, *, parents: bool = False) -> None:
