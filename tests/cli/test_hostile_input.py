@@ -214,6 +214,22 @@ def test_a_string_that_does_not_vibrate_names_its_loss(tonewood: Run, tmp_path: 
     assert_one_line(tonewood("check", "monochord", *change), tmp_path, *said)
 
 
+@pytest.mark.parametrize(
+    ("of", "stem"),
+    [
+        (["-i", "classical_guitar", "--outputs", "microphones,bridge"], "bridge"),
+        (["-i", "monochord", "--stems-by", "string"], "bridge.A2"),
+        (["--part", "1=monochord"], "01_monochord"),
+    ],
+)
+def test_a_mix_with_the_name_of_a_stem_is_one_line(
+    tonewood: Run, score: Path, tmp_path: Path, of: list[str], stem: str
+) -> None:
+    """The stem would replace the mix, of which the other stems are cut."""
+    result = tonewood("render", score, *of, "-o", tmp_path / f"{stem}.wav", "--stems", tmp_path)
+    assert_one_line(result, tmp_path, f"{stem}.wav: --stems: is the name of a stem; another is allowed")
+
+
 with_stems = pytest.mark.parametrize(
     "of", [["-i", "monochord"], ["-i", "monochord", "--stems-by", "string"], ["--part", "1=monochord"]]
 )
@@ -243,7 +259,8 @@ def test_stems_where_no_folder_can_be_made_are_one_line_before_any_work(
     for folder, said in ((taken / "stems", "taken/stems: --stems: cannot be made: "), (tmp_path / ("n" * 300), "long")):
         result = tonewood("render", score, *of, "-o", tmp_path / "o.wav", "--stems", folder)
         assert_one_line(result, tmp_path, said)
-    assert_one_line(tonewood("render", score, *of, "-o", taken / "o.wav"), tmp_path, "there is no folder")
+    result = tonewood("render", score, *of, "-o", taken / "o.wav", "--stems", tmp_path / "stems")
+    assert_one_line(result, tmp_path, "there is no folder")
     with pytest.raises(AssertionError, match="a sound was computed"):
         tonewood("render", score, *of, "-o", tmp_path / "o.wav", "--stems", tmp_path / "stems")
     assert sorted(tmp_path.iterdir()) == before
