@@ -347,6 +347,8 @@ def test_numbers_that_are_none_keep_the_other_notes(tmp_path: Path, number: str)
     [
         (("<octave>3<", "<octave>x<"), "octave that cannot be read"),
         (("<octave>3<", "<alter>nan</alter><octave>3<"), "alter that cannot be read"),
+        (("<octave>3<", "<octave>0_3<"), "octave that cannot be read"),
+        (("<duration>1<", "<duration>\u0661<"), "duration that cannot be read"),
         (("<duration>1<", "<duration><"), "duration that cannot be read"),
         (("<duration>1<", "<duration>-1<"), "duration below 0"),
         (("<divisions>1<", "<divisions>1e300<"), "divisions that cannot be read"),
