@@ -13,7 +13,9 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import listening_fakes as fakes
@@ -275,3 +277,62 @@ def test_a_whole_test_is_taken_in_a_browser_through_a_kill(tmp_path: Path) -> No
     heard = [r for r in one.records if r["slots"]]
     assert all(min(r["answer"]["plays"].values()) >= 1 for r in heard)
     assert analyse(test.folder, screening=False).unfinished == ()
+
+
+@contextmanager
+def cut_off(port: int) -> Iterator[tuple[int, set[str]]]:
+    """A port that passes everything on to another, but half of each sound the first time, and those that it cut."""
+    cut: set[str] = set()
+
+    class Relay(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.pass_on(None)
+
+        def do_POST(self) -> None:
+            self.pass_on(self.rfile.read(int(self.headers["Content-Length"])))
+
+        def pass_on(self, body: bytes | None) -> None:
+            status, data, headers = Client(port).raw(self.path, body)
+            self.send_response(status)
+            for name in ("content-type", "content-security-policy"):
+                if name in headers:
+                    self.send_header(name, headers[name])
+            self.send_header("Content-Length", str(len(data)))
+            self.end_headers()
+            whole = "/sound/" not in self.path or self.path in cut
+            self.wfile.write(data if whole else data[: len(data) // 2])
+            if not whole:
+                cut.add(self.path)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Says nothing."""
+
+    relay = ThreadingHTTPServer(("127.0.0.1", 0), Relay)
+    Thread(target=relay.serve_forever, daemon=True).start()
+    try:
+        yield relay.server_port, cut
+    finally:
+        relay.shutdown()
+        relay.server_close()
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_sound_that_breaks_off_is_asked_for_again(tmp_path: Path) -> None:
+    test = made(tmp_path, [{"type": "abx", "pairs": {"damping": ["complex", "block"]}}])
+    port = free_port()
+
+    def finished() -> bool:
+        found = answers_of(test)
+        return bool(found) and [r["type"] for r in found[0].records[-1:]] == ["finish"]
+
+    with (
+        served(test, port, "drive"),
+        cut_off(port) as (relayed, cut),
+        opened(f"http://127.0.0.1:{relayed}/?listener=script&quick=1", tmp_path / "profile"),
+    ):
+        ends = time.monotonic() + 120
+        while not finished():
+            assert time.monotonic() < ends, answers_of(test)
+            time.sleep(0.1)
+    assert len(cut) >= 3

@@ -109,7 +109,7 @@ async function load(slots) {
     for (let pause = 500; ; pause = Math.min(2 * pause, 8000)) {
       try {
         const reply = await fetch(`/api/session/${token}/sound/${step.index}/${slot}`);
-        if (reply.ok) return reply.arrayBuffer();
+        if (reply.ok) return await reply.arrayBuffer();   // or the connection breaks half-way
         if (reply.status < 500) throw new Error((await reply.json()).error);
       } catch (fault) { tell(texts.lost); }
       await wait(pause);
