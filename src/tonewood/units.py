@@ -1,11 +1,14 @@
-"""The few units besides SI that people name pitch, level and decay in; counts with their nouns."""
+"""The few units besides SI that people name pitch, level and decay in; numbers in texts, counts with their nouns."""
 
 from __future__ import annotations
 
 import math
+import re
 
 #: natural logarithm of 1000: a level falls by 60 dB in T60 = LN_1000 / sigma
 LN_1000 = math.log(1000.0)
+
+_DECIMAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 def cents(ratio: float) -> float:
@@ -26,6 +29,12 @@ def decibel(ratio: float) -> float:
 def t60(damping_rate: float) -> float:
     """Time in which an oscillation of damping rate sigma (1/s) falls by 60 dB, s."""
     return LN_1000 / damping_rate if damping_rate > 0 else math.inf
+
+
+def number_in(text: str) -> float:
+    """Number that a text writes with the digits 0 to 9; NaN for any other text, such as ``1_82``, ``٣`` or ``inf``."""
+    text = text.strip()
+    return float(text) if _DECIMAL.fullmatch(text) else math.nan
 
 
 def counted(count: int, noun: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -215,14 +215,55 @@ def test_a_string_that_does_not_vibrate_names_its_loss(tonewood: Run, tmp_path: 
 
 
 @pytest.mark.parametrize(
+    ("of", "stem"),
+    [
+        (["-i", "classical_guitar", "--outputs", "microphones,bridge"], "bridge"),
+        (["-i", "monochord", "--stems-by", "string"], "bridge.A2"),
+        (["--part", "1=monochord"], "01_monochord"),
+    ],
+)
+def test_a_mix_with_the_name_of_a_stem_is_one_line(
+    tonewood: Run, score: Path, tmp_path: Path, of: list[str], stem: str
+) -> None:
+    """The stem would replace the mix, of which the other stems are cut."""
+    result = tonewood("render", score, *of, "-o", tmp_path / f"{stem}.wav", "--stems", tmp_path)
+    assert_one_line(result, tmp_path, f"{stem}.wav: --stems: is the name of a stem; another is allowed")
+
+
+with_stems = pytest.mark.parametrize(
     "of", [["-i", "monochord"], ["-i", "monochord", "--stems-by", "string"], ["--part", "1=monochord"]]
 )
+
+
+@with_stems
 def test_stems_in_a_file_are_one_line_and_no_sound(tonewood: Run, score: Path, tmp_path: Path, of: list[str]) -> None:
     taken = tmp_path / "taken"
     taken.write_text("kept")
     result = tonewood("render", score, *of, "-o", tmp_path / "o.wav", "--max-duration", 0.02, "--stems", taken)
     assert_one_line(result, tmp_path, "--stems: is a file; a folder is allowed")
     assert taken.read_text() == "kept"
+
+
+@with_stems
+def test_stems_where_no_folder_can_be_made_are_one_line_before_any_work(
+    tonewood: Run, score: Path, tmp_path: Path, of: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def made(*_: object, **__: object) -> Iterator[np.ndarray]:
+        raise AssertionError("a sound was computed")
+        yield np.zeros((1, 1))
+
+    monkeypatch.setattr("tonewood.output.render.Renderer.blocks", made)
+    taken = tmp_path / "taken"
+    taken.write_text("kept")
+    before = sorted(tmp_path.iterdir())
+    for folder, said in ((taken / "stems", "taken/stems: --stems: cannot be made: "), (tmp_path / ("n" * 300), "long")):
+        result = tonewood("render", score, *of, "-o", tmp_path / "o.wav", "--stems", folder)
+        assert_one_line(result, tmp_path, said)
+    result = tonewood("render", score, *of, "-o", taken / "o.wav", "--stems", tmp_path / "stems")
+    assert_one_line(result, tmp_path, "there is no folder")
+    with pytest.raises(AssertionError, match="a sound was computed"):
+        tonewood("render", score, *of, "-o", tmp_path / "o.wav", "--stems", tmp_path / "stems")
+    assert sorted(tmp_path.iterdir()) == before
 
 
 @pytest.mark.parametrize(("q", "said"), [("0", "must be above 0"), ("1e-320", "zeta from 1e-12 to 1e4 are allowed")])

@@ -156,6 +156,8 @@ POINTS: dict[str, Any] = {"shapes": "points", "points": {"p": {}}}
         ("f_Hz,Q,zeta,p\n100,20,0.1,1", POINTS, "one column Q or zeta"),
         ("f_Hz,Q,p\n-100,20,1", POINTS, "must be above 0"),
         ("f_Hz,Q,modal_mass,p\n100,20,0,1", POINTS, "modal masses must be above 0"),
+        ("f_Hz,Q,p\n100,20,1\n1_82,20,1", POINTS, r"body\.csv: line 3, column f_Hz: '1_82' is not a finite number"),
+        ("f_Hz,Q,p\n100,٣,1", POINTS, r"body\.csv: line 2, column Q: '٣' is not a finite number"),
         ("f_Hz,Q,p\n100,20,nan", POINTS, r"body\.csv: line 2, column p: 'nan' is not a finite number"),
         ("f_Hz,Q,p\n100,20", POINTS, r"body\.csv: line 2: 2 numbers under 3 columns"),
         ("f_Hz,Q,p\n", POINTS, r"body\.csv: holds no rows"),

@@ -184,14 +184,19 @@ def room_response(path: Path, settings: Stimuli) -> st.Samples:
 
     Raises
     ------
-    StimulusError : the file cannot be read, or has other channels.
+    StimulusError : the file cannot be read, has other channels, or holds no sound or numbers that are not finite.
     """
     import soundfile
 
     try:
-        samples, fs = soundfile.read(path, dtype="float64", always_2d=True)
-    except (OSError, soundfile.SoundFileError) as fault:
-        raise st.StimulusError(f"cannot be read: {fault}", file=path) from None
+        with path.open("rb") as stream:
+            samples, fs = soundfile.read(stream, dtype="float64", always_2d=True)
+    except OSError as fault:
+        raise st.StimulusError(f"cannot be read: {fault.strerror or fault}", file=path) from None
+    except soundfile.LibsndfileError as fault:
+        raise st.StimulusError(f"cannot be read: {fault.error_string}", file=path) from None
+    if not (samples.any() and np.isfinite(samples).all()):
+        raise st.StimulusError("is silent, or holds a number that is not finite", file=path)
     if samples.shape[1] not in (1, settings.channels):
         raise st.StimulusError(f"has {samples.shape[1]} channels; 1 or {settings.channels} are allowed", file=path)
     return st.resampled(samples, int(fs), settings.fs)

@@ -26,6 +26,7 @@ from tonewood.batch.manifest import Manifest, ManifestError, load_manifest
 from tonewood.batch.pages import HtmlPage, PairPage, as_pairs
 from tonewood.batch.pictures import write_differences
 from tonewood.batch.production import PICTURES, SOUNDS, Fault, SoundFile, make_files, room_response
+from tonewood.batch.stimuli import StimulusError
 from tonewood.batch.store import Rendered, Store, content_key
 from tonewood.batch.workers import Workers
 from tonewood.errors import NumericalError, OutputError, TonewoodError
@@ -171,8 +172,11 @@ def plan_batch(
         conditions = expand(manifest, manifest_path.parent)
         groups, notes = lay_out(manifest, conditions)
         definition.check_staircases(manifest, manifest_path.parent, renderer.own_value)
-        if manifest.stimuli.room is not None:
-            room_response(manifest_path.parent / manifest.stimuli.room, manifest.stimuli)
+        if (room := manifest.stimuli.room) is not None:
+            try:
+                room_response(manifest_path.parent / room, manifest.stimuli)
+            except StimulusError as fault:
+                raise ManifestError(f"{room}: {fault.reason}", key="stimuli.room") from None
     except ManifestError as fault:
         raise ManifestError(fault.reason, file=manifest_path, key=fault.key) from None
     keys: dict[str, str] = {}

@@ -61,7 +61,8 @@ def check(
         "folder": str(bundle.folder),
         "plugins": list(bundle.plugin_names),
         "fs": fs,
-        "n_modes": model.n_modes,
+        "n_modes": model.n_modes - sum(_modes_of_other_outputs(model)),
+        "n_modes_all_outputs": model.n_modes,
         "body": body,
         "added": [added_line(entry) for entry in spec.body.added],
         "strings": {name: _string(model, name, pairs) for name in model.groups},
@@ -82,6 +83,14 @@ def check(
     else:
         _print(report, ok)
     return 0 if ok else 2
+
+
+def _modes_of_other_outputs(model: Model) -> list[int]:
+    """Modes of each bank that only other outputs than the default one hear."""
+    system = model.system
+    heard = {probe.component for i in model.outputs[0].readouts for probe in system.readouts[i].probes}
+    others = {drive.component for drive in system.drives} - heard
+    return [system.compiled[system.slot(name)].basis.n_modes for name in sorted(others)]
 
 
 def _body(model: Model) -> dict[str, Any]:
@@ -222,7 +231,8 @@ def _print(report: dict[str, Any], ok: bool) -> None:
     body = report["body"]
     print(f"{report['instrument']}: {report['title']} ({report['licence']})")
     print(f"  folder: {report['folder']}")
-    print(f"  {report['n_modes']} modes at {report['fs']} Hz, plugins {', '.join(report['plugins'])}")
+    more = "" if (total := report["n_modes_all_outputs"]) == report["n_modes"] else f" ({total} with all outputs)"
+    print(f"  {report['n_modes']} modes{more} at {report['fs']} Hz, plugins {', '.join(report['plugins'])}")
     if body["n_modes"]:
         span = f", {body['freq_lower']:.0f} to {body['freq_upper']:.0f} Hz"
         print(f"  body: {body['n_modes']} modes{span}: {body['summary']}")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tonewood.cli.common import dropped_notes_listed, print_json, progress, warn
-from tonewood.cli.stems import make_stem_folder
+from tonewood.cli.stems import make_stem_folder, stem_files
 from tonewood.units import counted, decibel
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ def render_parts(
     from tonewood.output.loudness import loudness, matching_gain_db, true_peak
 
     began = time.perf_counter()
+    names = [f"{part.part:02d}_" + re.sub(r"\W+", "_", Path(part.instrument).name) for part in parts]
+    files = [] if stems is None else stem_files(stems, names, output)
     with progress("rendering", len(parts)) as advance:
         done = [0]
 
@@ -61,13 +63,10 @@ def render_parts(
             gain = min(gain, matching_gain_db(mix, fs, LOUDNESS))
     factor = 10 ** (gain / 20)
     clipped = Audio(mix * factor, fs, ("left", "right")).save(output, subtype)
-    files = []
     if stems is not None:
         make_stem_folder(stems, parents=True)
-        for stem in rendered:
-            name = re.sub(r"\W+", "_", Path(stem.part.instrument).name)
-            files.append(stems / f"{stem.part.part:02d}_{name}{output.suffix}")
-            Audio(stem.samples * factor, fs, ("left", "right")).save(files[-1], subtype)
+        for stem, file in zip(rendered, files, strict=True):
+            Audio(stem.samples * factor, fs, ("left", "right")).save(file, subtype)
     lufs = loudness(mix * factor, fs)[0] if find_spec("pyloudnorm") and peak > 0 else None
     if lufs is not None and not np.isfinite(lufs):
         lufs = None

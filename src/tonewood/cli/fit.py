@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from dataclasses import replace
@@ -13,6 +14,7 @@ import typer
 from tonewood.cli.commands import InterruptError
 from tonewood.cli.common import Json, allow, print_json, warn
 from tonewood.errors import TonewoodError
+from tonewood.units import number_in
 
 if TYPE_CHECKING:
     from tonewood.fit.folder import FitFolder, MeasuredPoint
@@ -155,10 +157,9 @@ def _words(text: str | None) -> list[str]:
 def _numbers(text: str | None) -> tuple[float, ...]:
     out = []
     for word in _words(text):
-        try:
-            out.append(float(word))
-        except ValueError:
-            raise TonewoodError(f"{word!r} is no number; numbers by commas are allowed", key="--sensitivity") from None
+        out.append(number_in(word))
+        if math.isnan(out[-1]):
+            raise TonewoodError(f"{word!r} is no number; numbers by commas are allowed", key="--sensitivity")
         if out[-1] == 0 or not abs(out[-1]) < float("inf"):
             raise TonewoodError(
                 f"{word} is not allowed: a value at full scale other than 0 is needed", key="--sensitivity"
@@ -211,10 +212,7 @@ def _named(responses: Responses, given: list[str]) -> tuple[Responses, dict[str,
 
 
 def _place_on_bridge(text: str, word: str) -> float:
-    try:
-        u = float(word)
-    except ValueError:
-        u = 2.0
+    u = number_in(word)
     if not -1.0 <= u <= 1.0:
         raise TonewoodError(f"is {text!r}; the place U is a number from -1 (bass) to 1 (treble)", key="--point")
     return u

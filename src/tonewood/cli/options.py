@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Collection
 from functools import wraps
 from types import NoneType
@@ -13,6 +14,7 @@ from pydantic.fields import FieldInfo
 
 from tonewood.errors import TonewoodError
 from tonewood.output.options import RenderOptions, choices, limits
+from tonewood.units import number_in
 from tonewood.validation_messages import unit_of
 
 #: options whose names leave out the unit; their help texts state it
@@ -67,10 +69,7 @@ def render_options(values: dict[str, Any]) -> RenderOptions:
 
 def _number(text: str) -> float | str:
     """Return the number that a text stands for, or the text if it is a word."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
+    return text if math.isnan(number := number_in(text)) else number
 
 
 def _takes_number(field: FieldInfo) -> bool:

@@ -107,7 +107,7 @@ def render(
 ) -> None:
     """Render SCORE on an instrument to a sound file."""
     began = time.perf_counter()
-    from tonewood.cli.stems import check_stem_folder, write_output_stems, write_string_stems
+    from tonewood.cli.stems import check_stem_folder, stem_files, write_output_stems, write_string_stems
     from tonewood.live.take import Replay
     from tonewood.output.audio import file_format
     from tonewood.output.energy import check_energy_file, save_energy
@@ -129,7 +129,6 @@ def render(
         need("batch", "pyloudnorm")
     for path in energy or ():
         check_energy_file(path)
-    check_stem_folder(stems)
     given = reading(start, stop, transpose, tempo, tracks)
     target = PEAK if normalize is None else normalize
     if part or ensemble is not None:
@@ -146,7 +145,11 @@ def render(
                 raise TonewoodError("is for one instrument; with --part or --ensemble it is not allowed", key=option)
         del given["tracks"]
         from tonewood.cli.ensemble import render_parts
+        from tonewood.whole_files import AtomicFile
 
+        AtomicFile(output).discard()  # parts are mixed before the file is begun: to know now that it can be
+        if stems is not None:
+            check_stem_folder(stems, parents=True)
         render_parts(
             score, players, output, options, reading=given, subtype=subtype, level=wanted, target=target,
             stems=stems, as_json=as_json,
@@ -161,8 +164,10 @@ def render(
         raise TonewoodError(reason, key="--stems-by")
     if stems is not None and room is not None:
         raise TonewoodError("a room mixes the outputs; with --room it is not allowed", key="--stems")
-    if stems is not None and not stems.parent.is_dir():
+    if stems is not None and not stems.parent.exists():
         raise TonewoodError(f"there is no folder {stems.parent}", key="--stems")
+    if stems is not None:
+        check_stem_folder(stems)
     bundle = load(instrument, settings, allow_code, strings)
     with dropped_notes_listed():
         renderer: Renderer | Replay
@@ -172,6 +177,8 @@ def render(
             renderer = Replay(score, bundle, options=options.at(energy=bool(energy)))
         else:
             renderer = Renderer(read_score(score, **given), bundle, options=options.at(energy=bool(energy)))
+    by_string = assembled(bundle, options, by_string=True) if stems_by == "string" else None
+    files = [] if stems is None else stem_files(stems, [g.name for g in (by_string or renderer.model).outputs], output)
     about = None
     if room is not None:
         from tonewood.output.room import Room, room_response
@@ -180,15 +187,12 @@ def render(
     loaded = time.perf_counter()
     hold = Limiter(fs) if limiter else None
     clipped, peak, gain = _write(renderer, output, subtype, block, wanted, target, hold, about)
-    stem_files = []
     try:
-        if stems is not None and stems_by == "output":
-            stem_files = write_output_stems(output, stems, subtype, renderer)
-        elif stems is not None:
-            by_string = Renderer(
-                read_score(score, **given), bundle, options=options, model=assembled(bundle, options, by_string=True)
-            )
-            stem_files = write_string_stems(by_string, output, stems, subtype, gain, renderer.summary().frames)
+        if by_string is not None:
+            again = Renderer(read_score(score, **given), bundle, options=options, model=by_string)
+            write_string_stems(again, files, subtype, gain, renderer.summary().frames)
+        elif files:
+            write_output_stems(output, files, subtype, renderer)
     except KeyboardInterrupt:
         raise InterruptError(f"{output} is written, its stems are not") from None
     gain += options.gain_db
@@ -230,7 +234,7 @@ def render(
         print(f"  a step of {step} at the first frame was smoothed: sound before it was cut off (see --lead-in)")
     for line in _left_out(summary):
         print(line)
-    for file in stem_files:
+    for file in files:
         print(f"  {file}")
     if account is not None:
         print(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,19 +12,36 @@ import numpy as np
 from tonewood.errors import OutputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from tonewood.live.take import Replay
     from tonewood.output.render import Renderer
 
 
-def check_stem_folder(folder: Path | None) -> None:
-    """Check before any work that ``--stems`` is not a file.
+def check_stem_folder(folder: Path, *, parents: bool = False) -> None:
+    """Check before any work that files can be written to the folder of ``--stems``: make it, and remove it again.
 
     Raises
     ------
-    OutputError : it is.
+    OutputError : it is a file, cannot be made, or cannot be written to.
     """
-    if folder is not None and folder.exists() and not folder.is_dir():
-        raise OutputError("is a file; a folder is allowed", file=folder, key="--stems")
+    from tonewood.whole_files import AtomicFile
+
+    missing = []
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise OutputError("is a file; a folder is allowed", file=folder, key="--stems")
+        missing = [path for path in (folder, *folder.parents) if not path.exists()]
+        make_stem_folder(folder, parents=parents)
+        AtomicFile(folder / "stem").discard()
+    except OutputError as error:
+        raise OutputError(error.reason, file=folder, key="--stems") from None
+    except OSError as fault:  # a name too long, a folder that may not be searched
+        raise OutputError(f"cannot be made: {fault.strerror}", file=folder, key="--stems") from None
+    finally:
+        for path in missing:
+            with suppress(OSError):  # it was not made, or holds files of another program by now
+                path.rmdir()
 
 
 def make_stem_folder(folder: Path, *, parents: bool = False) -> None:
@@ -39,46 +57,54 @@ def make_stem_folder(folder: Path, *, parents: bool = False) -> None:
         raise OutputError(f"cannot be made: {fault.strerror}", file=folder, key="--stems") from None
 
 
-def write_output_stems(output: Path, folder: Path, subtype: str, renderer: Renderer | Replay) -> list[Path]:
+def stem_files(folder: Path, names: Iterable[str], output: Path) -> list[Path]:
+    """Files of stems, with the suffix of the mix.
+
+    Raises
+    ------
+    OutputError : the mix has the name of one of them.
+    """
+    files = [folder / f"{name}{output.suffix}" for name in names]
+    if output.resolve() in [file.resolve() for file in files]:
+        raise OutputError("is the name of a stem; another is allowed", file=output, key="--stems")
+    return files
+
+
+def write_output_stems(output: Path, files: Sequence[Path], subtype: str, renderer: Renderer | Replay) -> None:
     """Cut the channels of a written file into one file per output group."""
     import soundfile as sf
 
     from tonewood.output.audio import SoundWriter
 
-    make_stem_folder(folder)
-    files, first = [], 0
-    for group in renderer.model.outputs:
+    make_stem_folder(files[0].parent)
+    first = 0
+    for group, file in zip(renderer.model.outputs, files, strict=True):
         n = len(group.channels)
-        files.append(folder / f"{group.name}{output.suffix}")
         with (
             sf.SoundFile(output) as source,
-            SoundWriter(files[-1], renderer.fs, n, subtype, frames=source.frames) as writer,
+            SoundWriter(file, renderer.fs, n, subtype, frames=source.frames) as writer,
         ):
             for block in source.blocks(65536, dtype="float64", always_2d=True):
                 writer.write(block[:, first : first + n])
         first += n
-    return files
 
 
-def write_string_stems(
-    renderer: Renderer, output: Path, folder: Path, subtype: str, gain_db: float, frames: int
-) -> list[Path]:
+def write_string_stems(renderer: Renderer, files: Sequence[Path], subtype: str, gain_db: float, frames: int) -> None:
     """Write a file per string and output group, ``GROUP.STRING``, as long as the mix and at its gain.
 
     Parameters
     ----------
     renderer : of a model whose outputs are by string.
-    output : file of the mix, whose suffix they have.
+    files : a file per output group.
     gain_db, frames : of the mix.
     """
     from contextlib import ExitStack
 
     from tonewood.output.audio import SoundWriter
 
-    make_stem_folder(folder)
+    make_stem_folder(files[0].parent)
     groups = renderer.model.outputs
     edges = np.cumsum([0, *(len(group.channels) for group in groups)])
-    files = [folder / f"{group.name}{output.suffix}" for group in groups]
     written, factor = 0, 10 ** (gain_db / 20)
     with ExitStack() as stack:
         writers = [
@@ -98,4 +124,3 @@ def write_string_stems(
         while written < frames:  # the mix rang on longer
             write(np.zeros((min(65536, frames - written), int(edges[-1]))))
             written += min(65536, frames - written)
-    return files

@@ -66,7 +66,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
     score = with_techniques(score, model.playing)
     score = with_marks(score, [n for n, e in model.exciters.items() if e.at is None], playable(model))
     if not score.notes and not score.dropped:
-        raise ScoreError("has no notes to play", file=score.name)
+        raise ScoreError("has no notes to play", file=score.place)
     notes, body_plays = _split_taps(score, model)
     factor = dict(zip(map(id, score.notes), volume_factors(score), strict=True))
     louder = [_with_force(n, model, factor[id(n)]) for n in notes]
@@ -102,7 +102,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
                 following = line[i + 1] if i + 1 < len(line) else None
                 held = line[i - 1].stop if i else float(capo)
                 event = _event(assigned, string, held, following, model, controllers, drawn.get(id(assigned)))
-                n_moved += string == name and not is_where_asked(event, assigned, model, score.name)
+                n_moved += string == name and not is_where_asked(event, assigned, model, score.place)
                 place = model.place(string, assigned.stop, una_corda=pedals.una_corda(assigned.note.time))
                 gesture = exciter_of(assigned.note, model, string).gesture(event, place)
                 exciter = assigned.note.technique or model.default_exciter
@@ -120,7 +120,7 @@ def perform(score: Score, model: Model, *, channel_per_string: bool = False, cap
             if string == name:
                 plays += noises(line, own, model, capo)
     if not plays:
-        raise NothingPlayedError(_why_nothing(dropped), file=score.name)
+        raise NothingPlayedError(_why_nothing(dropped), file=score.place)
     warnings = list(score.warnings)
     if assignment.n_cut:
         warnings.append(f"{assignment.n_cut} notes end early: their string is needed again")
@@ -190,7 +190,7 @@ def _split_taps(score: Score, model: Model) -> tuple[list[Note], list[Play]]:
         if note.technique is None or note.technique not in model.exciters:
             if note.technique is not None:
                 names = f"{did_you_mean(note.technique, model.exciters)}there are {', '.join(model.exciters)}"
-                raise ScoreError(f"there is no technique {note.technique!r}; {names}", file=score.name)
+                raise ScoreError(f"there is no technique {note.technique!r}; {names}", file=score.place)
             strings.append(note)
             continue
         exciter = model.exciters[note.technique]

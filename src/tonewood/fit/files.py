@@ -16,6 +16,8 @@ A name ending in ``_Pa`` in place of a point is a microphone.
 from __future__ import annotations
 
 import hashlib
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -193,11 +195,18 @@ def _npz(path: Path) -> _Table:
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError) as fault:
+    # an archive that is damaged, encrypted, or of a later version raises any of these
+    except (OSError, ValueError, EOFError, RuntimeError, AttributeError, zipfile.BadZipFile, zlib.error) as fault:
         raise TonewoodError(f"is no npz file of arrays: {fault}", file=path) from None
+    for name, values in arrays.items():
+        real = name == "freq_Hz" or name.endswith("_coherence")
+        if values.ndim != 1 or values.dtype.kind not in ("iuf" if real else "iufc"):
+            raise TonewoodError(f"is no row of {'real' if real else 'complex'} numbers", file=path, key=name)
     if "freq_Hz" not in arrays:
         raise TonewoodError(f"has no array freq_Hz; there are {', '.join(arrays)}", file=path)
     freq = np.asarray(arrays.pop("freq_Hz"), dtype=np.float64)
+    if not np.all(np.isfinite(freq)):
+        raise TonewoodError("holds a value that is not a finite number", file=path, key="freq_Hz")
     rows, coherence = {}, {}
     for name, values in arrays.items():
         if values.shape != freq.shape:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.errors import BundleError
+from tonewood.units import number_in
 
 Floats = NDArray[np.float64]
 
@@ -127,10 +128,7 @@ class Files:
 
 
 def _number(cell: str, column: str, line: int, file: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
+    value = number_in(cell)
     if not math.isfinite(value):
         raise BundleError(f"line {line}, column {column}: {cell!r} is not a finite number", file=file)
     return value

@@ -32,6 +32,7 @@ from tonewood.instrument.files import Files
 from tonewood.instrument.key_schema import MOST_STRINGS
 from tonewood.instrument.schema import Bundle, PluginPart
 from tonewood.score.scales import note_name, note_number
+from tonewood.units import number_in
 from tonewood.validation_messages import did_you_mean
 
 _PLAIN = ("note", "strings", "una_corda", "damped", "kind")
@@ -165,10 +166,7 @@ class _Row:
         """A finite number."""
         if not (text := self.cells.get(column)):
             return default
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
+        value = number_in(text)
         if not math.isfinite(value):
             raise self.fault(column, f"{text!r} is not a finite number")
         return value
@@ -302,10 +300,7 @@ def _value(text: str) -> Any:
     """A number where the cell is one, whole where it is written so, else the text."""
     if _WHOLE.fullmatch(text):
         return int(text)
-    try:
-        return float(text)
-    except ValueError:
-        return text
+    return text if math.isnan(number := number_in(text)) else number
 
 
 def _check_columns(header: list[str], line: int, exciter: Any, file: str) -> None:

@@ -23,6 +23,8 @@ SCHEMA = "tonewood-answers/1"
 FOLDER = "answers"
 #: 128 random bits: nobody finds the session of another one
 _TOKEN = re.compile(r"[0-9a-f]{32}")
+#: key of the header -> type
+_HEADER = {"sha256": str, "listener": str, "language": str, "seed": int, "started": str, "simulated": bool}
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,9 @@ def read(path: Path) -> ListenerAnswers:
         rows.append(row)
     if not rows or rows[0].get("schema") != SCHEMA or not _TOKEN.fullmatch(str(rows[0].get("token", ""))):
         raise ListeningError(f"no answers of a listener: schema {SCHEMA} is wanted", file=path)
+    for key, kind in _HEADER.items():
+        if type(rows[0].get(key)) is not kind:
+            raise ListeningError(f"line 1: {rows[0].get(key)!r} is no {kind.__name__}", file=path, key=key)
     return ListenerAnswers(path, rows[0], rows[1:], len(whole), len(whole) < len(raw))
 
 
@@ -168,19 +173,44 @@ def resume(test: ListeningTest, token: str) -> OpenSession | None:
             os.truncate(path, found.length)
         except OSError as fault:
             raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
-    session = Session(test, int(found.header["seed"]))
-    for record in found.records:
-        session.take(record)
-    return OpenSession(session, found.header, path)
+    return OpenSession(_replayed(test, found), found.header, path)
 
 
 def answers_of(test: ListeningTest) -> list[ListenerAnswers]:
-    """Answers of all listeners, in the order in which they began."""
+    """Answers of all listeners, in the order in which they began.
+
+    Raises
+    ------
+    ListeningError : answers are damaged, or were given to another definition.
+    """
     found = [read(path) for path in sorted((test.folder / FOLDER).glob("*.jsonl"))]
     for one in found:
         if one.header["sha256"] != test.sha256:
             raise ListeningError("was answered with another version of this test", file=one.path)
+        _replayed(test, one)
     return sorted(found, key=lambda one: (one.header["started"], one.header["token"]))
+
+
+def _replayed(test: ListeningTest, found: ListenerAnswers) -> Session:
+    """Return the session that gives these records again, answer by answer.
+
+    Raises
+    ------
+    ListeningError : none does; names the line.
+    """
+    session = Session(test, found.header["seed"])
+    for line, record in enumerate(found.records, start=2):
+        try:
+            if not isinstance(answer := record.get("answer"), dict):
+                raise ListeningError(f"is {answer!r}; a mapping is allowed", key="answer")
+            made = session.answer(answer)
+        except ListeningError as fault:
+            raise ListeningError(fault.reason, file=found.path, line=line, key=fault.key) from None
+        for key, value in json.loads(json.dumps(made)).items():
+            if key not in record or record[key] != value:
+                reason = f"is {record.get(key)!r}, and {value!r} in the course of this test: the file is damaged"
+                raise ListeningError(reason, file=found.path, line=line, key=key)
+    return session
 
 
 def _append(path: Path, line: bytes, *, sync: bool = True) -> None:

@@ -319,7 +319,7 @@ def _questionnaire(page: QuestionnairePage, values: Mapping[str, Any]) -> dict[s
         if question.kind == "text":
             found[question.name] = str(value)[:10_000]
         elif question.kind == "choice":
-            if value not in (question.choices or {}):
+            if not isinstance(value, str) or value not in (question.choices or {}):
                 raise ListeningError(f"{value!r} is not one of {', '.join(question.choices or {})}", key=key)
             found[question.name] = value
         else:

@@ -79,7 +79,7 @@ def preview_gain(score: Score, instrument: Instrument, options: RenderOptions) -
     quick = options.at(effects="none", energy=False, gain_db=0.0, max_duration=_PREVIEW, lead_in=0.0)
     controls = [replace(c, time=max(c.time - begin, 0.0)) for c in score.controls if c.time < begin + _PREVIEW]
     try:
-        renderer = Renderer(Score(part, controls, name=score.name), instrument, options=quick)
+        renderer = Renderer(Score(part, controls, name=score.name, file=score.file), instrument, options=quick)
     except NothingPlayedError:
         return 0.0
     peak = max((float(np.abs(block).max()) for block in renderer.blocks(4096)), default=0.0)

@@ -28,6 +28,12 @@ _JUMPS = {
 }  # fmt: skip
 
 
+def _jumps(name: str, ignored: Counter[str]) -> set[str]:
+    """Sign of a direction, if it is one of `_JUMPS`."""
+    ignored["direction that is not known"] += name not in _JUMPS
+    return {_JUMPS[name]} if name in _JUMPS else set()
+
+
 def read_guitar_pro(data: bytes, path: Path) -> WrittenMusic:
     """Read a file of Guitar Pro 3, 4 or 5.
 
@@ -44,7 +50,7 @@ def read_guitar_pro(data: bytes, path: Path) -> WrittenMusic:
     except Exception as error:  # whatever a damaged file makes of a reader without checks
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ScoreError(f"damaged Guitar Pro file: {reason}", file=path) from None
-    music = WrittenMusic(path.stem, [], [], {"title": song.title} if song.title else {})
+    music = WrittenMusic(path, [], [], {"title": song.title} if song.title else {})
     endings = 0
     for header in song.measureHeaders:
         numerator, denominator = header.timeSignature.numerator, header.timeSignature.denominator.value
@@ -55,8 +61,8 @@ def read_guitar_pro(data: bytes, path: Path) -> WrittenMusic:
         measure.endings = frozenset(i + 1 for i in range(8) if endings >> i & 1)
         endings = 0 if measure.closes else endings
         for direction in (header.direction, header.fromDirection):
-            name = "" if direction is None else direction.name.replace(" ", "")
-            measure.signs |= {_JUMPS[name]} if name in _JUMPS else set()
+            if direction is not None:
+                measure.signs |= _jumps(direction.name.title().replace(" ", ""), music.ignored)
         music.measures.append(measure)
     if music.measures:
         music.measures[0].tempos.append((Fraction(0), float(song.tempo)))
@@ -198,7 +204,7 @@ class _Gpif:
         """All tracks."""
         title = text_of(self.root, "Score/Title")
         bars = self.root.findall("MasterBars/MasterBar")
-        out = WrittenMusic(self.path.stem, [self._measure(bar) for bar in bars], [], {"title": title} if title else {})
+        out = WrittenMusic(self.path, [self._measure(bar) for bar in bars], [], {"title": title} if title else {})
         for change in self.root.findall("MasterTrack/Automations/Automation"):
             if text_of(change, "Type") == "Tempo":
                 i, share = int(number_of(change, "Bar", 0.0)), number_of(change, "Position", 0.0)
@@ -237,7 +243,7 @@ class _Gpif:
             measure.closes = min(int(count), 32) if repeat.get("end") == "true" and count.isdecimal() else 0
         measure.endings = frozenset(int(n) for n in text_of(bar, "AlternateEndings").split() if n.isdecimal())
         for sign in (text_of(e, ".") for e in bar.findall("Directions/*")):
-            measure.signs |= {_JUMPS[sign]} if sign in _JUMPS else set()
+            measure.signs |= _jumps(sign, self.ignored)
         return measure
 
     def _bar(self, bars: list[str], column: int, tuning: list[float], capo: int) -> list[WrittenNote]:

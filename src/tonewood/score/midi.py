@@ -76,7 +76,9 @@ def read_midi(path: str | os.PathLike[str], *, start: float = 0.0, stop: float |
         raise ScoreError(f"no notes in the file ({'; '.join(warnings)})", file=path)
     until = math.inf if stop is None else stop
     ignored = Counter(kind for time, kind in performance.ignored if start <= time < until)
-    return Score(notes, controls, warnings=warnings, name=path.stem, metadata=_texts(midi), ignored=ignored)
+    return Score(
+        notes, controls, warnings=warnings, name=path.stem, metadata=_texts(midi), ignored=ignored, file=str(path)
+    )
 
 
 def read_messages(path: str | os.PathLike[str]) -> tuple[list[tuple[float, int, int, int]], float, dict[str, str]]:

@@ -59,7 +59,7 @@ def read_musicxml(data: bytes, path: Path) -> WrittenMusic:
         raise ScoreError(f"is no score but <{root.tag}>", file=path)
     names = {e.get("id"): text_of(e, "part-name") for e in root.iter("score-part")}
     title = text_of(root, "work/work-title") or text_of(root, "movement-title")
-    music = WrittenMusic(path.stem, [], [], {"title": title} if title else {})
+    music = WrittenMusic(path, [], [], {"title": title} if title else {})
     for element in root.iter():
         if element.tag in _NUMBERS and math.isnan(as_number(element.text or "", math.nan)):
             music.ignored[f"{element.tag} that cannot be read"] += 1
@@ -195,7 +195,8 @@ class _PartReader:
                 else:
                     self.velocity = min(max(round(number * 0.9), 1), 127)
             jumps = {"segno": "segno", "coda": "coda", "fine": "fine", "tocoda": "to_coda", "dacapo": "da_capo"}
-            measure.signs |= {sign for name, sign in (jumps | {"dalsegno": "dal_segno"}).items() if sound.get(name)}
+            jumps |= {"dalsegno": "dal_segno"}
+            measure.signs |= {sign for name, sign in jumps.items() if sound.get(name, "no") not in ("", "no")}
             mute = text_of(sound, "play/mute")
             self.palm = mute == "palm" if mute else self.palm
         if bpm is not None and not _TEMPOS[0] <= bpm <= _TEMPOS[1]:

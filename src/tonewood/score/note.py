@@ -180,6 +180,7 @@ class Score:
     name : of the score, or of its file.
     metadata : texts of the file, such as its title.
     ignored : kind of a message or mark -> how many of them were ignored while reading.
+    file : path that it was read from, as it was given; None of a score that was made otherwise.
 
     Raises
     ------
@@ -193,6 +194,12 @@ class Score:
     name: str = "score"
     metadata: dict[str, str] = field(default_factory=dict)
     ignored: Mapping[str, int] = field(default_factory=dict)
+    file: str | None = None
+
+    @property
+    def place(self) -> str:
+        """File, or else name, that errors name."""
+        return self.file or self.name
 
     def __post_init__(self) -> None:
         if isinstance(self.notes, str | bytes) or not isinstance(self.notes, Sequence):

@@ -94,7 +94,7 @@ def _channels(score: Score, tracks: Sequence[int]) -> Score:
     there = sorted({(n.channel or 0) + 1 for n in score.notes})
     for track in tracks:
         if track not in there:
-            raise ScoreError(f"there is no channel {track}; there are {', '.join(map(str, there))}", file=score.name)
+            raise ScoreError(f"there is no channel {track}; there are {', '.join(map(str, there))}", file=score.place)
     wanted = {track - 1 for track in tracks}
     notes = [n for n in score.notes if (n.channel or 0) in wanted]
     return replace(score, notes=notes, controls=[c for c in score.controls if (c.channel or 0) in wanted])

@@ -27,6 +27,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from itertools import pairwise
+from pathlib import Path
 
 from tonewood.errors import ScoreError
 from tonewood.score.note import Control, Note, Score
@@ -36,6 +37,8 @@ GRACE = Fraction(1, 8)
 #: Hz and cents of a vibrato, and s between two of its controls and of a bend's
 _VIBRATO, _DEPTH, _TICK = 5.5, 35.0, 0.02
 MAX_NOTES, _MOST_MEASURES = 200_000, 20_000
+#: jump that leads nowhere -> name by which it is counted
+_NOWHERE = {"dal_segno": "dal segno without a segno", "to_coda": "to coda without a coda"}
 #: (share of the note, cents), in order of the share
 Curve = tuple[tuple[float, float], ...]
 _VELOCITIES = {"accent": 16, "marcato": 28, "ghost": -24}
@@ -108,7 +111,7 @@ class WrittenPart:
 class WrittenMusic:
     """Content of a file of written music."""
 
-    name: str
+    file: Path
     measures: list[Measure]
     parts: list[WrittenPart]
     metadata: dict[str, str] = field(default_factory=dict)
@@ -127,6 +130,7 @@ def order(measures: Sequence[Measure]) -> list[int]:
     i = begin = 0
     passes, jumped = 1, False
     played: Counter[int] = Counter()
+    targets = _targets(measures)
     while i < len(measures):
         measure = measures[i]
         past = i > 0 and bool(measures[i - 1].endings) and not measure.endings
@@ -139,8 +143,8 @@ def order(measures: Sequence[Measure]) -> list[int]:
             if jumped and "fine" in measure.signs:
                 break
             if jumped and "to_coda" in measure.signs:
-                coda = next((j for j, m in enumerate(measures) if "coda" in m.signs), None)
-                if coda is not None and coda > i:
+                coda = targets[i]["to_coda"]
+                if coda is not None:
                     i, jumped, begin, passes = coda, False, coda, 1
                     continue
             if measure.closes > 1 and not jumped and played[i] < measure.closes - 1:
@@ -148,14 +152,28 @@ def order(measures: Sequence[Measure]) -> list[int]:
                 passes += 1
                 i = begin
                 continue
-            if not jumped and measure.signs & {"da_capo", "dal_segno"}:
-                segno = next((j for j, m in enumerate(measures) if "segno" in m.signs), 0)
-                i = segno if "dal_segno" in measure.signs else 0
+            back = [j for jump, j in targets[i].items() if jump != "to_coda" and j is not None]
+            if not jumped and back:
+                i = back[0]
                 jumped, begin, passes = True, i, 1
                 continue
             if measure.closes:
                 begin, passes = i + 1, 1
         i += 1
+    return out
+
+
+def _targets(measures: Sequence[Measure]) -> list[dict[str, int | None]]:
+    """Jumps in each measure -> the measure each leads to: the first segno so far, the next coda; None without one."""
+    out: list[dict[str, int | None]] = [{} for _ in measures]
+    segno = coda = None
+    for i, measure in enumerate(measures):
+        segno = i if segno is None and "segno" in measure.signs else segno
+        out[i] = {jump: at for jump, at in (("dal_segno", segno), ("da_capo", 0)) if jump in measure.signs}
+    for i, measure in reversed(list(enumerate(measures))):
+        if "to_coda" in measure.signs:
+            out[i]["to_coda"] = coda
+        coda = i if "coda" in measure.signs else coda
     return out
 
 
@@ -207,8 +225,11 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
     for number in chosen:
         if not 1 <= number <= len(music.parts):
             names = ", ".join(f"{i} {p.name}".strip() for i, p in enumerate(music.parts, 1))
-            raise ScoreError(f"there is no part {number}; there are {names}", file=music.name)
-    played = order(music.measures)
+            raise ScoreError(f"there is no part {number}; there are {names}", file=music.file)
+    try:
+        played = order(music.measures)
+    except ScoreError as error:
+        raise ScoreError(error.reason, file=music.file) from None
     clock = _Clock(music.measures, played)
     notes: list[Note] = []
     controls: list[Control] = []
@@ -223,13 +244,16 @@ def performed(music: WrittenMusic, parts: Sequence[int] | None = None) -> Score:
                 notes.append(replace(note, channel=channel))
             controls += _bends(one, channel, clock)
         if len(notes) > MAX_NOTES:
-            raise ScoreError(f"{len(notes)} notes: {MAX_NOTES} are allowed", file=music.name)
+            raise ScoreError(f"{len(notes)} notes: {MAX_NOTES} are allowed", file=music.file)
+    ignored = Counter(music.ignored)
+    for jumps in _targets(music.measures):
+        ignored.update(_NOWHERE[jump] for jump, at in jumps.items() if at is None)
     warnings = list(music.warnings)
     if len(channels) > 16 and controls:
         warnings.append("more than 16 strings: bends of some are those of others, too; choose fewer --tracks")
     notes.sort(key=lambda n: n.time)
     controls.sort(key=lambda c: c.time)
-    return Score(notes, controls, (), warnings, music.name, music.metadata, dict(music.ignored))
+    return Score(notes, controls, (), warnings, music.file.stem, music.metadata, dict(+ignored), str(music.file))
 
 
 def _tied(part: WrittenPart, played: Sequence[int], starts: Sequence[Fraction]) -> Iterator[_Sounding]:

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from tonewood.errors import ScoreError
+from tonewood.units import number_in
 
 #: bytes of a file, and of a member of an archive
 MAX_BYTES = 64 * 2**20
@@ -76,8 +77,5 @@ def number_of(element: Element | None, path: str, default: float) -> float:
 
 def as_number(text: str, default: float) -> float:
     """Number that a text says; the default where it says none, or one beyond `MOST`."""
-    try:
-        number = float(text)
-    except ValueError:
-        return default
+    number = number_in(text)
     return number if abs(number) <= MOST else default

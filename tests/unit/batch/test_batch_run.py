@@ -20,7 +20,7 @@ import soundfile
 from batch_fakes import FakeRenderer
 
 from tonewood.batch import stimuli, trimming
-from tonewood.batch.manifest import Stimuli
+from tonewood.batch.manifest import ManifestError, Stimuli
 from tonewood.batch.production import room_response
 from tonewood.batch.runner import Report, plan_batch, run_batch
 from tonewood.batch.stimuli import StimulusError
@@ -335,8 +335,17 @@ def test_sounds_in_a_room(tmp_path: Path) -> None:
         room_response(tmp_path / "out_in" / "room.wav", Stimuli())
     record = json.loads((report.folder / "manifest.json").read_text())
     assert record["room_sha256"] == hashlib.sha256((tmp_path / "out_in" / "room.wav").read_bytes()).hexdigest()
-    with pytest.raises(StimulusError, match=r"gone\.wav: cannot be read"):
-        run(tmp_path, "absent", stimuli={"room": "gone.wav"})
+    (tmp_path / "absent_in").mkdir()
+    (tmp_path / "absent_in" / "text.wav").write_text("no sound")
+    soundfile.write(tmp_path / "absent_in" / "silent.wav", np.zeros((9, 1)), 48000)
+    for name, reason in (
+        ("gone.wav", "cannot be read: No such file or directory"),
+        (".", "cannot be read: Is a directory"),
+        ("text.wav", "cannot be read: Format not recogni[sz]ed"),
+        ("silent.wav", "is silent, or holds a number that is not finite"),
+    ):
+        with pytest.raises(ManifestError, match=rf"\.yaml: stimuli\.room: {re.escape(name)}: {reason}"):
+            run(tmp_path, "absent", stimuli={"room": name})
 
 
 def test_24_bits_two_channels_other_rates_and_a_given_length(tmp_path: Path) -> None:

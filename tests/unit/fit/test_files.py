@@ -159,6 +159,33 @@ def test_what_is_wrong_with_a_table_is_reported_in_one_line(tmp_path, text, repo
     assert "\n" not in str(fault.value)
 
 
+@pytest.mark.parametrize(
+    ("arrays", "reported"),
+    [
+        ({"freq_Hz": FREQ.astype(str)}, "freq_Hz: is no row of real numbers"),
+        ({"freq_Hz": FREQ + 1j}, "freq_Hz: is no row of real numbers"),
+        ({"freq_Hz": np.array(3.0)}, "freq_Hz: is no row of real numbers"),
+        ({"freq_Hz": np.full(FREQ.size, np.nan)}, "freq_Hz: holds a value that is not a finite number"),
+        ({"a:a": np.array(["a"] * FREQ.size)}, "a:a: is no row of complex numbers"),
+        ({"a:a_coherence": TRUTH[0]}, "a:a_coherence: is no row of real numbers"),
+    ],
+)
+def test_what_is_wrong_with_arrays_is_reported_in_one_line(tmp_path, arrays, reported):
+    np.savez(tmp_path / "bad.npz", **({"freq_Hz": FREQ, "a:a": TRUTH[0]} | arrays))
+    with pytest.raises(TonewoodError, match=f"bad.npz: {reported}"):
+        read_responses([tmp_path / "bad.npz"], Reading("mobility"))
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:200] + b"x" + b[201:], lambda _: b""])
+def test_a_damaged_archive_of_arrays_is_reported_in_one_line(tmp_path, damage):
+    path = tmp_path / "bad.npz"
+    np.savez(path, **{"freq_Hz": FREQ, "a:a": TRUTH[0]})
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(TonewoodError, match=r"bad\.npz: is no npz file of arrays: ") as fault:
+        read_responses([path], Reading("mobility"))
+    assert "\n" not in str(fault.value)
+
+
 def test_what_is_wrong_with_a_measurement_is_reported_in_one_line(tmp_path):
     path = write_csv(tmp_path / "a.csv")
     with pytest.raises(TonewoodError, match="--form: the quantity measured is not stated"):

@@ -69,6 +69,7 @@ def test_overrides_reach_what_a_table_gave(few: tw.Instrument) -> None:
         ({"strings": "9"}, r"keys\.csv: line 2: strings: is 9; whole numbers from 1 to 6"),
         ({"una_corda": "4"}, r"keys\.csv: line 2: una_corda: is 4; 1 to 3, the number of its strings"),
         ({"damped": "perhaps"}, r"keys\.csv: line 2: damped: is 'perhaps'; yes and no"),
+        ({"cents_2": "1_0"}, r"keys\.csv: line 2: cents_2: '1_0' is not a finite number"),
         ({"cents_2": "x"}, r"keys\.csv: line 2: cents_2: 'x' is not a finite number"),
         ({"cents_2": "300"}, r"keys\.csv: line 2: cents_2: is 300.*at most 100"),
         ({"note": ""}, r"keys\.csv: line 2: note: is empty"),

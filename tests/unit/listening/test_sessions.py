@@ -4,7 +4,9 @@ import copy
 import json
 import os
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import listening_fakes as fakes
 import numpy as np
@@ -208,6 +210,46 @@ def test_answers_to_another_test_are_refused(tmp_path: Path) -> None:
     opened.path.write_text("x\n")
     with pytest.raises(ListeningError, match="line 1: not JSON"):
         answers_of(test)
+
+
+def damaged(value: Any) -> Iterator[Any]:
+    """The value with one of its parts of another type, not finite or missing."""
+    yield from (x for x in (None, "x", -1, float("nan"), [], {}) if type(x) is not type(value) or x != x)
+    if isinstance(value, dict):
+        for key in value:
+            yield {k: v for k, v in value.items() if k != key}
+            for part in damaged(value[key]):
+                yield {**value, key: part}
+
+
+def test_damaged_answers_are_one_line(test_of_all: ListeningTest) -> None:
+    """Each part of a row of each kind, one by one; names of tests and times are not read."""
+
+    def changed(old: dict[str, Any], new: dict[str, Any]) -> set[str]:
+        keys = {key for key in old if key not in new or new[key] != old[key]}
+        return {f"answer.{key}" for key in changed(old["answer"], new["answer"])} if keys == {"answer"} else keys
+
+    who = listener(test_of_all)
+    opened = begin(test_of_all, language="en", listener="me", started="2026", seed=3)
+    while opened.session.step is not None:
+        opened.answer(who.answer(opened.session), now="now")
+    lines = opened.path.read_text().splitlines()
+    assert answers_of(test_of_all)
+    kinds = {row["type"]: i for i, row in reversed(list(enumerate(map(json.loads, lines)))) if i}
+    read_all, said = set(), []
+    for i in (0, *kinds.values()):
+        for row in damaged(json.loads(lines[i])):
+            opened.path.write_text("\n".join([*lines[:i], json.dumps(row)]) + "\n")
+            try:
+                answers_of(test_of_all)
+                read_all |= changed(json.loads(lines[i]), row)
+            except ListeningError as error:
+                said.append(str(error))
+    assert len(said) > 100
+    assert all(line.startswith(f"{opened.path}: ") and "\n" not in line for line in said)
+    # a sound need not be played, nor an optional question be answered
+    assert read_all == {"test", "time", "answer.plays", "answer.values"}
+    opened.path.unlink()
 
 
 def test_definitions_that_cannot_be_used_are_one_line(tmp_path: Path) -> None:

@@ -173,6 +173,10 @@ def test_repeats_endings_and_jumps() -> None:
         Measure(signs={"coda"}),
     ]
     assert names(*coda) == "abcdbce"
+    # a jump whose mark is not there, or on the wrong side of it, leads nowhere
+    assert names(plain, Measure(signs={"to_coda"}), Measure(signs={"dal_segno"}), plain) == "abcd"
+    assert names(Measure(signs={"coda"}), Measure(signs={"to_coda"}), Measure(signs={"da_capo"})) == "abcabc"
+    assert names(Measure(signs={"dal_segno"}), Measure(signs={"segno"})) == "ab"
     first_and_second = frozenset({1, 2})
     three = [
         plain,
@@ -186,6 +190,55 @@ def test_repeats_endings_and_jumps() -> None:
         order([Measure(closes=32) for _ in range(2000)])
 
 
+SOUND = "<direction><sound {}/></direction><note><pitch><step>A</step><octave>3</octave></pitch>"
+SOUND += "<duration>1</duration></note>"
+
+
+@pytest.mark.parametrize(
+    ("jumps", "n_notes", "ignored"),
+    [
+        (['segno="a"', 'dalsegno="a"'], 4, {}),
+        (['fine="yes"', 'dalsegno="a"'], 2, {"dal segno without a segno": 1}),
+        (['tocoda="a"', 'dacapo="yes"', 'coda="a"'], 4, {}),
+        (['tocoda="a"', 'dacapo="yes"', 'tocoda="b"'], 5, {"to coda without a coda": 2}),
+        (['dacapo="no"', 'dacapo="no"'], 2, {}),
+    ],
+)
+def test_jumps_that_lead_nowhere_are_counted(
+    tmp_path: Path, jumps: list[str], n_notes: int, ignored: dict[str, int]
+) -> None:
+    measures = "".join(f"<measure>{SOUND.format(jump)}</measure>" for jump in jumps)
+    score = tw.read_score(write(tmp_path / "a.xml", f'<score-partwise><part id="P">{measures}</part></score-partwise>'))
+    assert (len(score.notes), score.ignored) == (n_notes, ignored)
+
+
+@pytest.mark.parametrize(
+    ("name", "n_notes", "ignored"),
+    [
+        ("Da Capo", 8, {}),
+        ("Da Capo al Fine", 8, {}),
+        ("Da Segno al Coda", 4, {"dal segno without a segno": 1}),
+        ("Da Double Coda", 4, {"direction that is not known": 1}),
+    ],
+)
+def test_directions_of_guitar_pro_are_followed_or_counted(
+    tmp_path: Path, name: str, n_notes: int, ignored: dict[str, int]
+) -> None:
+    import guitarpro
+
+    def change(song: guitarpro.Song, _: object) -> None:
+        song.measureHeaders[0].fromDirection = guitarpro.DirectionSign(name)
+
+    five = tw.read_score(guitar_pro(tmp_path / "a.gp5", change))
+    with zipfile.ZipFile(gpif(tmp_path / "b.gp", [(i, 0, "", "") for i in range(4)])) as archive:
+        text = archive.read("Content/score.gpif").decode()
+    jump = f"<Directions><Jump>{name.title().replace(' ', '')}</Jump></Directions></MasterBar>"
+    with zipfile.ZipFile(tmp_path / "b.gp", "w") as archive:
+        archive.writestr("Content/score.gpif", text.replace("</MasterBar>", jump))
+    for score in (five, tw.read_score(tmp_path / "b.gp")):
+        assert (len(score.notes), score.ignored) == (n_notes, ignored)
+
+
 def test_tempo_changes_and_grace_notes() -> None:
     quarter = Fraction(1)
     measure = Measure(tempos=[(Fraction(0), 60.0), (Fraction(2), 120.0)])
@@ -194,7 +247,7 @@ def test_tempo_changes_and_grace_notes() -> None:
         WrittenNote(Fraction(3), Fraction(0), 62.0),
         WrittenNote(Fraction(3), quarter, 64.0),
     ]
-    score = performed(WrittenMusic("t", [measure, Measure()], [WrittenPart("p", [notes, notes[:1]])]))
+    score = performed(WrittenMusic(Path("t"), [measure, Measure()], [WrittenPart("p", [notes, notes[:1]])]))
     # 2 s for the first two quarters, 0.5 s for each after them; the grace note takes an eighth of a quarter
     assert [n.time for n in score.notes] == pytest.approx([0.0, 2.5, 2.5625, 3.0])
     assert score.notes[1].duration == pytest.approx(0.0625)
@@ -212,7 +265,7 @@ def test_excerpts_tempo_tracks_and_transposition(tmp_path: Path) -> None:
         ({"transpose": 99}, "-48 to 48"),
         ({"start": 3.0, "stop": 2.0}, "0 <= start < stop"),
     ):
-        with pytest.raises(ScoreError, match=line):
+        with pytest.raises(ScoreError, match=f"^{re.escape(str(path))}: .*{line}"):
             tw.read_score(path, **settings)  # type: ignore[arg-type]
 
 
@@ -220,8 +273,13 @@ def test_channels_of_midi_are_its_tracks(tmp_path: Path) -> None:
     notes = [tw.Note(0.5 * i, 0.4, note=60 + i, channel=i % 2, velocity_midi=80) for i in range(4)]
     tw.write_midi(tw.Score(notes), tmp_path / "a.mid")
     assert [n.note for n in tw.read_score(tmp_path / "a.mid", tracks=[2]).notes] == [61.0, 63.0]
-    with pytest.raises(ScoreError, match="there is no channel 5; there are 1, 2"):
+    place = re.escape(str(tmp_path / "a.mid"))
+    with pytest.raises(ScoreError, match=f"^{place}: there is no channel 5; there are 1, 2"):
         tw.read_score(tmp_path / "a.mid", tracks=[5])
+    for excerpt, line in ((tw.read_score(tmp_path / "a.mid", start=9.0), "has no notes"), (None, "none of 4 notes")):
+        score = excerpt or tw.read_score(tmp_path / "a.mid", transpose=48)
+        with pytest.raises(ScoreError, match=f"^{place}: {line}"):
+            tw.Renderer(score, "monochord", fs=8000)
 
 
 def test_files_that_cannot_be_read_are_one_line(tmp_path: Path) -> None:
@@ -289,6 +347,8 @@ def test_numbers_that_are_none_keep_the_other_notes(tmp_path: Path, number: str)
     [
         (("<octave>3<", "<octave>x<"), "octave that cannot be read"),
         (("<octave>3<", "<alter>nan</alter><octave>3<"), "alter that cannot be read"),
+        (("<octave>3<", "<octave>0_3<"), "octave that cannot be read"),
+        (("<duration>1<", "<duration>\u0661<"), "duration that cannot be read"),
         (("<duration>1<", "<duration><"), "duration that cannot be read"),
         (("<duration>1<", "<duration>-1<"), "duration below 0"),
         (("<divisions>1<", "<divisions>1e300<"), "divisions that cannot be read"),
