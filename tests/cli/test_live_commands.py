@@ -102,6 +102,27 @@ def test_written_scores_are_rendered_and_lacking_techniques_counted(tonewood: Ru
         assert ("4 palm mute, plucked as any note" if path.suffix == ".gp5" else "1 handbell") in out
 
 
+def test_one_part_twice_has_two_stems(tonewood: Run, duo: Path, tmp_path: Path) -> None:
+    words = (
+        "render",
+        duo,
+        "--fs",
+        16000,
+        "--max-duration",
+        0.3,
+        "-o",
+        tmp_path / "mix.wav",
+        "--stems",
+        tmp_path / "stems",
+    )
+    code, out, _ = tonewood(*words, "--part", "2=monochord", "--part", "2=monochord@-6dB", "--json")
+    stems = json.loads(out)["stems"]
+    assert (code, [Path(file).name for file in stems]) == (0, ["02_monochord.wav", "02_monochord_2.wav"])
+    one, two = (sf.read(file)[0] for file in stems)
+    assert np.abs(two - one / 10**0.3).max() < 2 * 2**-23
+    assert one.any()
+
+
 def test_excerpts_and_capo(tonewood: Run, duo: Path, tmp_path: Path) -> None:
     words = ("render", duo, "-i", "classical_guitar", "--fs", 8000, "-o", tmp_path / "a.wav", "--json", "--tail", 0.1)
     code, out, _ = tonewood(*words, "--start", 0.15, "--stop", 0.45, "--tempo", 2, "--tracks", 2, "--capo", 2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from itertools import pairwise
+from itertools import chain, count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,13 +58,16 @@ def make_stem_folder(folder: Path, *, parents: bool = False) -> None:
 
 
 def stem_files(folder: Path, names: Iterable[str], output: Path) -> list[Path]:
-    """Files of stems, with the suffix of the mix.
+    """Files of stems, with the suffix of the mix; of equal names the second is numbered, ``name_2``.
 
     Raises
     ------
     OutputError : the mix has the name of one of them.
     """
-    files = [folder / f"{name}{output.suffix}" for name in names]
+    files: list[Path] = []
+    for name in names:
+        numbered = (folder / f"{name}{end}{output.suffix}" for end in chain([""], (f"_{i}" for i in count(2))))
+        files.append(next(file for file in numbered if file not in files))
     if output.resolve() in [file.resolve() for file in files]:
         raise OutputError("is the name of a stem; another is allowed", file=output, key="--stems")
     return files
