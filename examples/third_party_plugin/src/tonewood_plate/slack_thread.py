@@ -32,16 +32,21 @@ class ThreadEffect(ta.SwitchedConnections):
     #: shares of the slack: a thread is switched on above the first and off below the second. The energy of a string
     #: that nobody plays would have to grow fourfold from one look to the next to reach the slack unseen
     ON, OFF = 0.5, 0.4
-    #: points of the control grid (64 samples) between two looks
-    LOOK = 16
+    #: points of the control grid (64 samples) between two looks, and where all threads are on: to switch one off is
+    #: not urgent
+    LOOK, SELDOM = 16, 64
 
     def next_watch(self, sample: int, switching: ta.Switching) -> int:
         """Look at all strings at fixed samples, whatever is played."""
-        return ta.next_multiple(sample, self.LOOK)
+        return ta.next_multiple(sample, self.looks(switching))
+
+    def looks(self, switching: ta.Switching) -> int:
+        """Points of the control grid between two looks."""
+        return self.LOOK if len(switching.on) < len(self.components) else self.SELDOM
 
     def watch(self, moment: ta.Moment, switching: ta.Switching) -> ta.Watched | None:
         """Compare a bound on the excursion at the knot with the slack; gestures switch the thread on at once."""
-        if moment.sample % (64 * self.LOOK) and not (moment.moved or moment.fresh):
+        if moment.sample % (64 * self.looks(switching)) and not (moment.moved or moment.fresh):
             return None
         wanted = set(moment.busy) & set(self.components)
         for string in self.components:
