@@ -17,6 +17,18 @@ _OPTIONS = ("--headless", "--no-sandbox", "--disable-gpu", "--autoplay-policy=no
 
 
 @contextmanager
+def answering(handler: type[BaseHTTPRequestHandler]) -> Iterator[int]:
+    """A port at which a handler answers."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield server.server_port
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+@contextmanager
 def listening() -> Iterator[tuple[int, Queue[str]]]:
     """A port, and the words that pages ask it for: it plays in real time, whatever the browser's clock does."""
     reported: Queue[str] = Queue()
@@ -30,13 +42,8 @@ def listening() -> Iterator[tuple[int, Queue[str]]]:
         def log_message(self, format: str, *args: object) -> None:
             """Says nothing."""
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Listener)
-    Thread(target=server.serve_forever, daemon=True).start()
-    try:
-        yield server.server_port, reported
-    finally:
-        server.shutdown()
-        server.server_close()
+    with answering(Listener) as port:
+        yield port, reported
 
 
 @contextmanager

@@ -13,9 +13,8 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import listening_fakes as fakes
@@ -25,7 +24,7 @@ import soundfile
 from listening_fakes import made
 from scipy.signal import hilbert
 
-from browser import CHROMIUM, opened
+from browser import CHROMIUM, answering, opened
 from tonewood.listening.answer_file import answers_of
 from tonewood.listening.definition import ListeningTest
 from tonewood.listening.results import analyse
@@ -281,7 +280,7 @@ def test_a_whole_test_is_taken_in_a_browser_through_a_kill(tmp_path: Path) -> No
 
 @contextmanager
 def cut_off(port: int) -> Iterator[tuple[int, set[str]]]:
-    """A port that passes everything on to another, but half of each sound the first time, and those that it cut."""
+    """A relay of a port that breaks each sound off half-way the first time: its port, and the addresses broken off."""
     cut: set[str] = set()
 
     class Relay(BaseHTTPRequestHandler):
@@ -307,13 +306,8 @@ def cut_off(port: int) -> Iterator[tuple[int, set[str]]]:
         def log_message(self, format: str, *args: object) -> None:
             """Says nothing."""
 
-    relay = ThreadingHTTPServer(("127.0.0.1", 0), Relay)
-    Thread(target=relay.serve_forever, daemon=True).start()
-    try:
-        yield relay.server_port, cut
-    finally:
-        relay.shutdown()
-        relay.server_close()
+    with answering(Relay) as relayed:
+        yield relayed, cut
 
 
 @pytest.mark.validate
