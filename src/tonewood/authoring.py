@@ -20,7 +20,7 @@ from tonewood import plate as plate
 from tonewood.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.coupling.layout import Drive, Probe, Readout
-from tonewood.coupling.phantoms import PhantomPartials
+from tonewood.coupling.potentials.phantom import PhantomPartials
 from tonewood.engine.effect_usage import Bound
 from tonewood.engine.effects.base import Moment, RuntimeEffect, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.engine.effects.connections import SwitchedConnections

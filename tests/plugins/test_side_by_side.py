@@ -16,10 +16,10 @@ from test_geometric_string import STEEL
 
 import tonewood as tw
 from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.geometric import GeometricStretch
 from tonewood.coupling.laws import Contact
+from tonewood.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.coupling.potentials.tension import TensionModulation
 from tonewood.coupling.system import State, System
-from tonewood.coupling.tension import TensionModulation
 from tonewood.energy.stored import stored_energy
 from tonewood.engine.engine import Engine
 from tonewood.engine.playing import perform
@@ -84,8 +84,8 @@ BUSY = tw.Score(
 def test_a_render_of_everything_adds_up_and_knows_no_blocks(tmp_path: Path) -> None:
     """The energy budget closes in every interval; every part acts on every string; blocks change no sample."""
     made = band(tmp_path)
-    longitudinal = [(g.name, g.longitudinal) for g in assemble(made, 12000).system.geometric]
-    assert longitudinal == [("along", "along.longitudinal"), ("rising", None)]
+    kinds = {p.name: type(p) for p in assemble(made, 12000).system.potentials}
+    assert kinds == {"along": GeometricStretch, "rising": TensionModulation}
 
     def renderer(**options: Any) -> tw.Renderer:
         return tw.Renderer(BUSY, made, 12000, max_duration=0.12, **options)
@@ -132,12 +132,12 @@ def two(fs: float = 24000) -> tuple[System, System]:
         return System.build(parts, [*ends, edge], dt=1 / fs, **stretch)
 
     rising = ("rising1", "rising2")
-    alone = built(list(rising), tensions=[TensionModulation("rising", rising, 12000.0)])
+    alone = built(list(rising), potentials=[TensionModulation("rising", rising, 12000.0)])
     beside = built(
         [*rising, "along1", "along2", "long"],
-        geometric=[
+        potentials=[
             GeometricStretch("along", ("along1", "along2"), "long", 14612.0, 2000.0),
-            GeometricStretch("rising", rising, None, 12000.0),
+            TensionModulation("rising", rising, 12000.0),
         ],
     )
     return alone, beside

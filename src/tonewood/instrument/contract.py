@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.phantoms import PhantomPartials
+from tonewood.coupling.potentials.phantom import PhantomPartials
 from tonewood.coupling.system import Drive, Readout
 from tonewood.errors import BundleError
 from tonewood.instrument.attached import Attached, Site
@@ -108,7 +108,7 @@ class Plugin(ABC, Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class Longitudinal:
-    """Motion along a string, stepped with the transverse one; see `tonewood.coupling.geometric`.
+    """Motion along a string, stepped with the transverse one; see `tonewood.coupling.potentials.longitudinal`.
 
     Attributes
     ----------

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from tonewood.coupling.phantoms import PhantomPartials
+from tonewood.coupling.potentials.phantom import PhantomPartials
 from tonewood.instrument.contract import Longitudinal
 from tonewood.instrument.schema import Finger
 from tonewood.params import Vector
