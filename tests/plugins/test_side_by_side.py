@@ -158,9 +158,8 @@ def drawn(system: System, names: dict[str, float], place: float = 0.15) -> State
 
 @pytest.mark.parametrize("height", [2e-3, 1e-2])
 def test_a_rising_tension_is_the_same_beside_another_string(height: float) -> None:
-    """Two schemes of second order, one string: an auxiliary variable, and a fixed point of all modal forces."""
-    apart = []
-    for k in (1, 2, 4):
+    """A potential of another kind beside it changes nothing."""
+    for k in (1, 2):
         alone, beside = two(24000 * k)
         pulled = {"rising1": height, "rising2": 0.4 * height}
         a, b = drawn(alone, pulled), drawn(beside, {**pulled, "along1": -height})
@@ -171,9 +170,7 @@ def test_a_rising_tension_is_the_same_beside_another_string(height: float) -> No
             np.concatenate([to_motion(s.compiled[s.slot(n)].basis, s.modes_of(x, n))[0][:8] for n in pulled])
             for s, x in ((alone, a), (beside, b))
         )
-        apart.append(np.abs(there - here).max() / np.abs(here).max())
-    assert apart[2] < 0.2 * apart[0]
-    assert apart[2] < 2e-3
+        assert np.abs(there - here).max() < 1e-12 * np.abs(here).max()
 
 
 @pytest.mark.parametrize("height", [2e-3, 2e-2])
