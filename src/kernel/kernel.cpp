@@ -18,6 +18,7 @@ extern const Table table_baseline;
 
 namespace {
 
+constexpr std::size_t kMemory[Potentials::n_kinds] = {4, 4, kPhantomMemory, 2};  // numbers of a potential in the state
 constexpr std::size_t kStored = 4;  // replaced components in store for each slot
 
 // Whether `to` was another array; it is this one now.
@@ -158,11 +159,11 @@ bool Kernel::load_nonlinear(const NonlinearDescription& d) {
 bool Kernel::load_potentials(const std::vector<PotentialDescription>& all, bool components_changed) {
     Potentials& t = model_.potentials;
     const std::vector<Potentials::One> before = std::move(t.two_way);
-    t.two_way.clear(), t.driven.clear(), t.stretches.clear(), t.memory = 0;
+    t.two_way.clear(), t.driven.clear(), t.stretches.clear(), t.users.clear(), t.memory = 0;
     for (std::size_t s = 0; s < all.size(); ++s) {
         const PotentialDescription& d = all[s];
         const std::string name = "potentials[" + std::to_string(s) + "].";
-        t.memory = std::max(t.memory, d.at + (d.kind == Potentials::phantom ? kPhantomMemory : 4));
+        t.memory = std::max(t.memory, d.at + kMemory[d.kind]);
         if (d.kind == Potentials::phantom) {
             t.driven.push_back(load_phantom(d, model_.components, name));
             continue;
@@ -171,6 +172,8 @@ bool Kernel::load_potentials(const std::vector<PotentialDescription>& all, bool 
         one.kind = d.kind, one.at = d.at, one.scale = d.scale, one.components = d.slots;
         if (d.kind == Potentials::longitudinal)
             one.data = int(t.stretches.size()), t.stretches.push_back(load_stretch(d, model_.components, name));
+        if (d.kind == Potentials::user)
+            one.data = int(t.users.size()), t.users.push_back(load_user(d, model_.components, name));
         t.two_way.push_back(std::move(one));
     }
     const bool same = std::equal(before.begin(), before.end(), t.two_way.begin(), t.two_way.end(),

@@ -21,6 +21,7 @@ from tonewood.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.coupling.layout import Drive, Probe, Readout
 from tonewood.coupling.potentials.phantom import PhantomPartials
+from tonewood.coupling.potentials.user import ModalPotential, PotentialEnergy, PotentialFunction
 from tonewood.engine.effect_usage import Bound
 from tonewood.engine.effects.base import Moment, RuntimeEffect, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.engine.effects.connections import SwitchedConnections
@@ -100,6 +101,7 @@ __all__ = [
     "LossLaw",
     "Microphones",
     "ModalBasis",
+    "ModalPotential",
     "Model",
     "Moment",
     "Motion",
@@ -113,6 +115,8 @@ __all__ = [
     "Place",
     "Plugin",
     "PluginError",
+    "PotentialEnergy",
+    "PotentialFunction",
     "Probe",
     "Readout",
     "Resonator",

@@ -84,7 +84,8 @@ def coordinates(weights: np.ndarray) -> dict[str, Any]:
     one = np.zeros(PAD)
     one[0] = 1.0
     kick, velocity = np.stack([1e-3 * one] * 2), np.stack([one] * 3)
-    return {"a": weights, "reading": one, "stiffness": one.copy(), "kick": kick, "velocity": velocity}
+    more = {"kick": kick, "velocity": velocity, "middle": 0.5 * velocity, "impulse": one.copy()}
+    return {"a": weights, "reading": one, "stiffness": one.copy(), **more}
 
 
 def stretched() -> dict[str, Any]:

@@ -91,6 +91,7 @@ ComponentDescription component(const Reader& in) {
         d.coordinates.reading = in.view("reading"), d.coordinates.stiffness = in.view("stiffness");
         d.coordinates.kick = in.view("kick"), d.coordinates.velocity = in.view("velocity");
         d.coordinates.a = in.view("a");
+        d.coordinates.middle = in.view("middle"), d.coordinates.impulse = in.view("impulse");
     }
     return d;
 }
@@ -108,6 +109,11 @@ PotentialDescription potential(const Reader& in) {
             if (part.has("weights"))
                 d.parts.back().weights = part.view("weights"), d.parts.back().mirrored = part.view("mirrored");
         }
+    if (in.has("function")) {
+        d.sizes = in.get<std::vector<int>>("sizes"), d.scratch = in.get<std::size_t>("scratch");
+        d.function = reinterpret_cast<UserPotential::Function>(in.get<std::uintptr_t>("function"));
+        d.data = reinterpret_cast<const void*>(in.get<std::uintptr_t>("data"));
+    }
     if (in.has("target"))
         d.target = in.get<int>("target"), d.vector = in.view("vector"), d.steps = in.view("steps");
     return d;

@@ -89,6 +89,8 @@ struct Coordinates {
     Array<double> gain;           // (2, n): state per sum of row * port force, row that of the port's displacement
     Array<double> velocity;       // (3, n): y' per first and second number, second number per y'
     Array<double> stiffness;      // (n): square of the frequency
+    Array<double> middle;         // (3, n): y after half a step per y before it, after it, and moved by port forces
+    Array<double> impulse;        // (n): x / sin x, x half the angle of a step
     Array<double> numbers, basis; // modal/scaled_modes.hpp: tables of the pass; changes of basis
     // of strings under rising tension: (n) weights of the stretch S; w a / 2, w the displacement per modal force
     Array<double> a, half;

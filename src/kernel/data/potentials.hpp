@@ -39,6 +39,24 @@ struct PhantomString {
     bool operator==(const PhantomString&) const = default;
 };
 
+// A potential given as a C function (potentials/user.hpp).
+struct UserPotential {
+    using Function = double (*)(const void* data, std::int64_t n, const double* y, double* gradient, double* scratch);
+    Function function = nullptr;
+    const void* data = nullptr;
+    std::size_t scratch = 0;   // numbers
+    double shift = 0;          // C
+    std::vector<int> sizes;    // coordinates of each component: its lowest modes
+    int n() const {
+        int sum = 0;
+        for (const int size : sizes) sum += size;
+        return sum;
+    }
+    double call(const double* y, double* gradient, double* scratch_) const {
+        return function(data, n(), y, gradient, scratch_);
+    }
+};
+
 // All potentials, and the tables that load/potentials.hpp derives of them.
 struct Potentials {
     enum Kind { tension, longitudinal, phantom, user, n_kinds };
@@ -56,7 +74,7 @@ struct Potentials {
         std::size_t at = 0;            // of its numbers in the state
         double scale = 0;              // of a tension: EA/(4 L)
         std::vector<int> components;
-        int data = -1;                 // its own arrays: among `stretches`
+        int data = -1;                 // its own arrays: among `stretches` or `users`
         int first = 0, n = 0, first_part = 0;  // its ports; its parts, one for each component
         // of a tension
         Array<double> steady;           // (n) sqrt(sum h r r / 2)
@@ -69,6 +87,7 @@ struct Potentials {
     std::vector<One> two_way;           // those of a kind together, in the order of kinds
     std::vector<PhantomString> driven;
     std::vector<Stretch> stretches;
+    std::vector<UserPotential> users;
     std::size_t memory = 0;             // numbers in the state, at least
     std::vector<Part> parts;            // potential by potential
     std::vector<Port> ports;            // part by part

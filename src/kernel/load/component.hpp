@@ -212,8 +212,10 @@ inline void load_coordinates(Component& c, const CoordinatesDescription& d, cons
     const std::size_t n = c.n, p = c.n_ports;
     expect(name + "reading", d.reading, {n});
     expect(name + "stiffness", d.stiffness, {n});
+    expect(name + "impulse", d.impulse, {n});
     expect(name + "kick", d.kick, {2, n});
     expect(name + "velocity", d.velocity, {3, n});
+    expect(name + "middle", d.middle, {3, n});
     expect(name + "a", d.a, {n});
     require(!c.driven && n > 0 && p <= kMaxScaledPorts,
             name + "reading: no potential acts on a driven component, or on one of more than " +
@@ -221,6 +223,7 @@ inline void load_coordinates(Component& c, const CoordinatesDescription& d, cons
     Coordinates& s = c.coordinates;
     s.reading = d.reading.copy(), s.stiffness = d.stiffness.copy(), s.kick = d.kick.copy();
     s.velocity = d.velocity.copy(), s.a = d.a.copy();
+    s.middle = d.middle.copy(), s.impulse = d.impulse.copy();
     s.half.assign(n, 0.0), s.gain.assign(2 * n, 0.0);
     for (std::size_t k = 0; k < n; ++k) s.half[k] = 0.5 * (s.reading[k] * s.kick[k]) * s.a[k];
     s.largest_half = *std::max_element(s.half.begin(), s.half.end());

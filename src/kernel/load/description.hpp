@@ -46,9 +46,9 @@ struct ContactPortsDescription {
 
 // Coordinates of a component on which a potential acts.
 struct CoordinatesDescription {
-    View reading, stiffness;  // (modes)
+    View reading, stiffness, impulse;  // (modes)
     View kick;                // (2, modes)
-    View velocity;            // (3, modes)
+    View velocity, middle;    // (3, modes)
     View a;                   // (modes) weights of the stretch under rising tension, else zero
 };
 
@@ -108,6 +108,10 @@ struct PotentialDescription {
     std::vector<Part> parts;     // by component
     int target = 0;              // phantom: component that its force acts on, and
     View vector, steps;          // (2, modes of the target), (order, 4)
+    std::vector<int> sizes;      // user: coordinates of each component, and a function; its C is `scale`
+    UserPotential::Function function = nullptr;
+    const void* data = nullptr;
+    std::size_t scratch = 0;
 };
 
 struct CompiledSystem {

@@ -139,6 +139,17 @@ inline Stretch load_stretch(const PotentialDescription& d, const std::vector<Com
     return out;
 }
 
+// The C function of a potential.
+inline UserPotential load_user(const PotentialDescription& d, const std::vector<Component>& components,
+                               const std::string& name) {
+    require(d.function, name + "function: none is given");
+    require(d.sizes.size() == d.slots.size(), name + "sizes: one for each component is needed");
+    for (std::size_t q = 0; q < d.sizes.size(); ++q)
+        require(d.sizes[q] >= 0 && d.sizes[q] <= components[d.slots[q]].n && !components[d.slots[q]].contact.n,
+                name + "sizes: they do not fit component " + std::to_string(d.slots[q]));
+    return {d.function, d.data, d.scratch, d.scale, d.sizes};
+}
+
 // A string whose longitudinal motion is driven one way.
 inline PhantomString load_phantom(const PotentialDescription& d, const std::vector<Component>& components,
                                   const std::string& name) {

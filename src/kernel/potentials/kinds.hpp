@@ -3,6 +3,7 @@
 
 #include "longitudinal.hpp"
 #include "tension.hpp"
+#include "user.hpp"
 
 namespace tonewood {
 namespace {
@@ -14,7 +15,10 @@ inline std::vector<std::unique_ptr<PotentialGroup>> make_potential_groups(Potent
         while (end < int(all.size()) && all[end].kind == all[first].kind) ++end;
         switch (all[first].kind) {
             case Potentials::tension: groups.push_back(std::make_unique<ModulatedTensions>(run, first, end)); break;
-            default: groups.push_back(std::make_unique<StretchedStrings>(run, first, end));
+            case Potentials::longitudinal:
+                groups.push_back(std::make_unique<StretchedStrings>(run, first, end));
+                break;
+            default: groups.push_back(std::make_unique<UserPotentials>(run, first, end));
         }
         for (PotentialPart& part : run.parts)
             if (part.part->potential >= first && part.part->potential < end) part.group = groups.back().get();

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -63,13 +63,21 @@ class Compiled:
     compliance: Floats
     residual: Floats
     potentials: Mapping[str, Any] = field(default_factory=dict)
+    _joined: dict[str, tuple[tuple[Any, ...], Any]] = field(init=False, repr=False, default_factory=dict)
     _impulses: dict[str, Floats] = field(init=False, repr=False, default_factory=dict)
     _motions: dict[bytes, tuple[NDArray[np.intp], Floats]] = field(init=False, repr=False, default_factory=dict)
 
     @cached_property
     def coordinates(self) -> ModalCoordinates:
         """Coordinates of its modes, which must be real."""
-        return ModalCoordinates.of(self.basis, self.held)
+        return ModalCoordinates.of(self.basis, self.dt, self.E, self.held)
+
+    def joined(self, name: str, shares: tuple[Any, ...], join: Callable[[tuple[Any, ...]], Any]) -> Any:
+        """The potential of a name joined of all its components' shares; the last result is kept with the first one."""
+        known = self._joined.get(name)
+        if known is None or any(a is not b for a, b in zip(known[0], shares, strict=True)):
+            self._joined[name] = known = shares, join(shares)
+        return known[1]
 
     def impulses(self, point: str) -> Floats:
         """`propagator.impulse_series` of a named point, kept for use again."""

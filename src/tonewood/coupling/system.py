@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -263,6 +264,13 @@ class System:
         """Place of each potential's numbers in `State.potentials`."""
         ends = np.cumsum([0, *(p.memory for p in self.potentials)]).tolist()
         return tuple(slice(*pair) for pair in pairwise(ends))
+
+    def joined(self, index: int) -> Any:
+        """Return a potential as it is stepped: `Potential.join` of its components' shares."""
+        potential = self.potentials[index]
+        parts = [self.compiled[self.slot(name)] for name in potential.components]
+        shares = tuple(part.potentials[potential.name] for part in parts)
+        return parts[0].joined(potential.name, shares, potential.join)
 
     def potential(self, name: str) -> int:
         """Index of a potential."""

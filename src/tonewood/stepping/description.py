@@ -116,10 +116,10 @@ def describe_component(compiled: Compiled, sets: PortSets, one_way: bool, loaded
     if compiled.potentials and not one_way:
         y, none = compiled.coordinates, np.zeros(compiled.basis.n_modes)
         weights = next((p.weights for p in compiled.potentials.values() if isinstance(p, TensionShare)), none)
-        names = ("a", weights), ("reading", y.reading), ("stiffness", y.stiffness)
+        names = ("a", weights), ("reading", y.reading), ("stiffness", y.stiffness), ("impulse", y.gain)
         out |= {name: packed(a[None, :, None])[0, 0] for name, a in names}
         out["kick"] = packed(y.kick[None])[0]
-        out["velocity"] = packed(y.velocity.T[None])[0]
+        out["velocity"], out["middle"] = packed(y.velocity.T[None])[0], packed(y.middle.T[None])[0]
     return out
 
 
@@ -150,12 +150,11 @@ def describe_linear(solve: LinearSolve, weights: Floats, port_sets: Sequence[Por
 def describe_potentials(system: System) -> list[Description]:
     """Describe the potentials that are on, those of a kind together: place in the state, components, and arrays."""
     out: list[Description] = []
-    for potential, memory, on in zip(system.potentials, system.memory, system.on, strict=True):
-        if not on:
+    for i, (potential, memory) in enumerate(zip(system.potentials, system.memory, strict=True)):
+        if not system.on[i]:
             continue
         slots = [system.slot(name) for name in potential.components]
-        joined = potential.join([system.compiled[slot].potentials[potential.name] for slot in slots])
-        entry: Description = {"at": memory.start, "slots": slots, **joined.describe()}
+        entry: Description = {"at": memory.start, "slots": slots, **system.joined(i).describe()}
         if isinstance(potential, DrivenLongitudinal):
             entry["target"] = system.slot(potential.targets[0])
             entry["vector"] = packed(force_vector(system, potential)[None])[0]

@@ -81,16 +81,20 @@ class Step:
     ----------
     before : at the beginning.
     after : at the end under all forces but those of potentials and nonlinear connections.
+    middle : after half the step under the same forces.
     answered : as `after`, under the forces on fast coordinates too (`JoinedPotential.fast`).
     compliance : displacement over the step per modal force held over it, s^2.
+    gain : x / sin x, x = omega h / 2, by which a force held over the step acts as an impulse in its middle.
     row : numbers of the potential in the state.
     shift : C, J.
     """
 
     before: Floats
     after: Floats
+    middle: Floats
     answered: Floats
     compliance: Floats
+    gain: Floats
     row: Floats
     shift: float
 

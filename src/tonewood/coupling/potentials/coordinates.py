@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.modal.modes import PAIR, ModalBasis
-from tonewood.modal.propagator import apply
+from tonewood.modal.propagator import apply, flow
 
 Floats = NDArray[np.float64]
 
@@ -28,21 +28,43 @@ class ModalCoordinates:
     kick : (n_modes, 2) state added by a unit modal force held over one step.
     velocity : (3, n_modes) y' per first and per second number, and second number per y'.
     stiffness : (n_modes,) omega^2, 1 / s^2.
+    middle : (3, n_modes) displacement after half a step per displacement before the step, per that after it without
+        port forces, and per displacement that port forces held over the step add to it.
+    gain : (n_modes,) x / sin x, x = omega h / 2 up to pi / 2: a force held over the step, times this, moves a mode as
+        an impulse in the middle of the step does.
     """
 
     reading: Floats
     kick: Floats
     velocity: Floats
     stiffness: Floats
+    middle: Floats
+    gain: Floats
 
     @classmethod
-    def of(cls, basis: ModalBasis, held: Floats) -> ModalCoordinates:
-        """Make them of real modes and (n_modes, 2, 2) h phi_1(A h), the response to an input held over a step."""
+    def of(cls, basis: ModalBasis, dt: float, E: Floats, held: Floats) -> ModalCoordinates:
+        """Make them of real modes.
+
+        Parameters
+        ----------
+        dt : s, step.
+        E, held : (n_modes, 2, 2) propagator of a step, and h phi_1(A h), the response to an input held over it.
+        """
         pair = basis.kind == PAIR
         kick = np.where(pair[:, None], [[0.0, -0.5]] / np.where(pair, basis.poles.imag, 1.0)[:, None], [[0.0, 1.0]])
         _, on_first, on_second, *_, per_velocity = basis.motion
         velocity = np.stack([on_first, on_second, per_velocity])
-        return cls(np.where(pair, 2.0, 1.0), apply(held, kick), velocity, np.asarray(basis.stiffness))
+        over_step, stiffness = apply(held, kick), np.asarray(basis.stiffness)
+        half, half_held = flow(basis, 0.5 * dt)
+        moved = 0.5 * dt * apply(half_held, kick)[:, 0]
+        moves, reached = E[:, 0, 1] != 0.0, over_step[:, 0] != 0.0
+        after = np.where(moves, half[:, 0, 1], 0.0) / np.where(moves, E[:, 0, 1], 1.0)
+        by_ports = np.where(reached, moved, 0.0) / np.where(reached, over_step[:, 0], 1.0)
+        x = np.minimum(0.5 * dt * np.sqrt(stiffness), 0.5 * np.pi)
+        return cls(
+            np.where(pair, 2.0, 1.0), over_step, velocity, stiffness,
+            np.stack([half[:, 0, 0] - after * E[:, 0, 0], after, by_ports]), 1 / np.sinc(x / np.pi),
+        )  # fmt: skip
 
     @cached_property
     def compliance(self) -> Floats:

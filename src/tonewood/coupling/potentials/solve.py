@@ -112,6 +112,16 @@ class ActivePotential:
         """(n,) displacement over a step per modal force."""
         return np.concatenate([part.compliance[: at.stop - at.start] for _, part, at in self.places])
 
+    @cached_property
+    def gain(self) -> Floats:
+        """(n,) x / sin x of `ModalCoordinates`."""
+        return np.concatenate([part.gain[: at.stop - at.start] for _, part, at in self.places])
+
+    @cached_property
+    def half(self) -> Floats:
+        """(3, n) ``middle`` of `ModalCoordinates`."""
+        return np.hstack([part.middle[:, : at.stop - at.start] for _, part, at in self.places])
+
     def y(self, x: Sequence[Floats] | Mapping[int, Floats]) -> Floats:
         """(..., n) coordinates of states (..., n_modes, 2) by slot."""
         parts = [part.of_state(x[slot], at.stop - at.start) for slot, part, at in self.places]
@@ -176,10 +186,12 @@ class PotentialSolve:
         for q, (p, (before, after)) in enumerate(zip(self.active, ends, strict=True)):
             row = memory[p.memory]
             shift[q], psi[q] = p.joined.begin(before, row, partial(p.energy, x))
-            step = Step(before, after, p.y(answered) if added else after, p.compliance, row, float(shift[q]))
+            free_y, answered_y = p.y(free), p.y(answered) if added else after
+            middle = p.half[0] * before + p.half[1] * free_y + p.half[2] * (after - free_y)
+            step = Step(before, after, middle, answered_y, p.compliance, p.gain, row, float(shift[q]))
             g, per_mean[q] = p.joined.direction(step)
             own[q] = g @ (p.compliance * g)
-            start[q] = psi[q] + 0.5 * g @ (p.y(free) - before)
+            start[q] = psi[q] + 0.5 * g @ (free_y - before)
             action = p.added(-g)
             reach[:, q] = self._gaps(action)
             for slot, part, at in p.places:
@@ -246,11 +258,10 @@ class DrivenForces:
         for i in self.on:
             potential = system.potentials[i]
             assert isinstance(potential, DrivenLongitudinal)
-            slots = tuple(system.slot(name) for name in potential.components)
             self.targets.append(system.slot(potential.targets[0]))
             self.vectors.append(force_vector(system, potential))
-            self.slots.append(slots)
-            self.joined.append(potential.join([system.compiled[slot].potentials[potential.name] for slot in slots]))
+            self.slots.append(tuple(system.slot(name) for name in potential.components))
+            self.joined.append(system.joined(i))
 
     def advance(self, x: Sequence[Floats], memory: Floats) -> Floats:
         """(n_on,) N, forces over the step that begins with states x by component slot.
@@ -265,11 +276,9 @@ class DrivenForces:
 
 def active_potential(system: System, index: int) -> ActivePotential:
     """A two-way potential of a system as it is stepped while it is on."""
-    potential = system.potentials[index]
-    slots = tuple(system.slot(name) for name in potential.components)
-    compiled = [system.compiled[slot] for slot in slots]
-    joined = potential.join([c.potentials[potential.name] for c in compiled])
-    return ActivePotential(index, system.memory[index], slots, joined, tuple(c.coordinates for c in compiled))
+    slots = tuple(system.slot(name) for name in system.potentials[index].components)
+    coordinates = tuple(system.compiled[slot].coordinates for slot in slots)
+    return ActivePotential(index, system.memory[index], slots, system.joined(index), coordinates)
 
 
 def force_vector(system: System, string: DrivenLongitudinal) -> Floats:
