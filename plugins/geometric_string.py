@@ -17,13 +17,23 @@ the squared slope is small, and cost goes with the square of their number. Valid
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
 from pydantic import model_validator
 from tonewood.plugins.tension_modulated_string import TensionModulatedParameters, TensionModulatedString
 
-from tonewood.authoring import LONGITUDINAL, Longitudinal, ModalBasis, quantity, string_basis
+from tonewood.authoring import (
+    LONGITUDINAL,
+    GeometricStretch,
+    Longitudinal,
+    ModalBasis,
+    Potential,
+    StringMotion,
+    quantity,
+    string_basis,
+)
 
 
 class GeometricParameters(TensionModulatedParameters):
@@ -61,7 +71,14 @@ class GeometricString(TensionModulatedString):
     @property
     def longitudinal(self) -> Longitudinal:
         """Motion along the string."""
-        return Longitudinal(self._longitudinal, self.parameters.freq_coupled, self.parameters.bridge_leverage)
+        return Longitudinal(self._longitudinal, self.parameters.bridge_leverage)
+
+    def potentials(self, string: StringMotion) -> Sequence[Potential]:
+        """The coupling to the longitudinal motion; where that is left out, the rising tension alone."""
+        if string.longitudinal is None:
+            return super().potentials(string)
+        p = self.parameters
+        return [GeometricStretch(string.name, string.planes, string.longitudinal, p.axial_stiffness, p.freq_coupled)]
 
     def _longitudinal(self, freq_upper: float, stop: float) -> ModalBasis:
         p = self.parameters

@@ -13,9 +13,11 @@ heard: a piano's strings, below a cent.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from tonewood.plugins.stiff_string import StiffString, StiffStringParameters
 
-from tonewood.authoring import PHANTOM_PARTIALS, PhantomPartials, quantity
+from tonewood.authoring import PHANTOM_PARTIALS, DrivenLongitudinal, Potential, StringMotion, quantity
 
 
 class PhantomStringParameters(StiffStringParameters):
@@ -41,8 +43,8 @@ class PhantomString(StiffString):
     Parameters = PhantomStringParameters
     parameters: PhantomStringParameters
 
-    @property
-    def phantom_partials(self) -> PhantomPartials:
-        """Motion along the string."""
-        p = self.parameters
-        return PhantomPartials(p.axial_stiffness, p.freq_coupled, p.longitudinal_loss, p.bridge_leverage)
+    def potentials(self, string: StringMotion) -> Sequence[Potential]:
+        """The motion along the string, where it moves the body."""
+        p, onto = self.parameters, string.onto_body(self.parameters.bridge_leverage)
+        driven = string.name, string.planes, onto, p.axial_stiffness, p.freq_coupled, p.longitudinal_loss
+        return [DrivenLongitudinal(*driven)] if onto else []

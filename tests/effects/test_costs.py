@@ -16,7 +16,7 @@ import tonewood as tw
 from tonewood.coupling.system import System
 from tonewood.engine import engine as engine_module
 from tonewood.engine.costs import Costs, not_negative
-from tonewood.instrument.effects import TENSION_MODULATION
+from tonewood.engine.effects.tension import TENSION_MODULATION
 from tonewood.output import plan as plan_module
 from tonewood.output import render as render_module
 from tonewood.stepping.kernel import KernelStepper

@@ -14,9 +14,6 @@ from typing import Any
 from tonewood.blas import one_blas_thread
 from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.coupling.potentials.base import Potential
-from tonewood.coupling.potentials.longitudinal import GeometricStretch
-from tonewood.coupling.potentials.phantom import DrivenLongitudinal
-from tonewood.coupling.potentials.tension import TensionModulation
 from tonewood.coupling.system import System
 from tonewood.errors import BundleError
 from tonewood.instrument.added import body_parts
@@ -179,7 +176,7 @@ def assemble(
         made.readouts,
         dt=1.0 / fs,
         drives=made.drives,
-        potentials=[*_stretches(strings.values(), choice), *_phantoms(strings.values())],
+        potentials=_potentials(instrument, strings.values(), added.body, choice),
         owners=owners,
     )
     kept.save()
@@ -243,34 +240,15 @@ def _attached_connections(attached: Iterable[Attached], resting: Mapping[str, Co
     return [replace(c, law=SpringDashpot()) if c.name in resting else c for a in attached for c in a.connections]
 
 
-def _stretches(strings: Iterable[StringModel], choice: Choice) -> list[Potential]:
-    """Strings whose tension rises with their amplitude."""
-    out: list[Potential] = []
-    for s in strings:
-        if s.longitudinal:
-            motion = s.longitudinal
-            planes = tuple(p.component for p in s.polarizations)
-            stiffness, freq = s.resonator.axial_stiffness, motion.motion.freq_coupled
-            out.append(GeometricStretch(s.name, planes, motion.component, stiffness, freq))
-        elif s.resonator.axial_stiffness > 0 and choice.keeps(s.resonator, "tension_modulation"):
-            out.append(TensionModulation(s.name, s.components, s.resonator.axial_stiffness))
-    return out
-
-
-def _phantoms(strings: Iterable[StringModel]) -> list[DrivenLongitudinal]:
-    """Strings whose longitudinal motion is driven one way."""
-    return [
-        DrivenLongitudinal(
-            s.name,
-            tuple(p.component for p in s.polarizations),
-            tuple(("body", point, share) for point, share in s.phantoms.ends.items()),
-            s.phantoms.motion.axial_stiffness,
-            s.phantoms.motion.freq_coupled,
-            s.phantoms.motion.loss,
-        )
-        for s in strings
-        if s.phantoms
-    ]
+def _potentials(
+    instrument: Instrument, strings: Iterable[StringModel], body: ModalBasis, choice: Choice
+) -> list[Potential]:
+    """Potentials of strings and of the body, without those that are left out by choice."""
+    own = list(instrument.body.potentials("body"))
+    if own and not body.is_real:
+        raise instrument.body.fault("stores energy beside that of its modes, which then must be real")
+    declared = [(s.resonator, p) for s in strings for p in s.potentials] + [(instrument.body, p) for p in own]
+    return [p for plugin, p in declared if not p.effect or choice.keeps(plugin, p.effect)]
 
 
 def _check_places(instrument: Instrument, strings: Mapping[str, StringModel]) -> None:

@@ -40,6 +40,7 @@ class Potential(ABC):
     one_way : whether it is driven by its components and acts on another one, without an action on themselves.
     memory : numbers that it keeps in the state.
     label : word for its stored energy in accounts, ``NAME.LABEL``.
+    effect : name of the effect that may leave it out; empty: it is never left out.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Potential(ABC):
     one_way: ClassVar[bool] = False
     memory: ClassVar[int]
     label: ClassVar[str] = "potential"
+    effect: str = ""
 
     @property
     def targets(self) -> tuple[str, ...]:

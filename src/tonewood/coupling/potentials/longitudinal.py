@@ -90,6 +90,7 @@ class GeometricStretch(Potential):
     freq_coupled: float = np.inf
     memory: ClassVar[int] = 4
     label: ClassVar[str] = "stretch"
+    effect: ClassVar[str] = "longitudinal"  # type: ignore[misc]  # of this kind always
 
     def __post_init__(self) -> None:
         if not (self.axial_stiffness > 0.0 and self.freq_coupled > 0.0 and self.transverse):

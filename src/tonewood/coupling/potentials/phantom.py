@@ -46,24 +46,6 @@ MOST_MODES = 32
 MEMORY = DELAY + 2 * MOST_MODES
 
 
-@dataclass(frozen=True, slots=True)
-class PhantomPartials:
-    """Motion along a string, driven one way by the transverse one, as a string gives it.
-
-    Attributes
-    ----------
-    axial_stiffness : EA, N.
-    freq_coupled : Hz, transverse modes below it drive.
-    loss : loss factor of longitudinal modes, 2 sigma / omega.
-    bridge_leverage : force on the body's point per tension at the bridge, besides the projection on the string.
-    """
-
-    axial_stiffness: float
-    freq_coupled: float
-    loss: float
-    bridge_leverage: float
-
-
 @dataclass(frozen=True, eq=False)
 class DrivenLongitudinal(Potential):
     """A string whose longitudinal modes are driven one way.
@@ -87,6 +69,7 @@ class DrivenLongitudinal(Potential):
     loss: float
     one_way: ClassVar[bool] = True
     memory: ClassVar[int] = MEMORY
+    effect: ClassVar[str] = "phantom_partials"  # type: ignore[misc]  # of this kind always
 
     def __post_init__(self) -> None:
         if not (self.axial_stiffness > 0.0 and self.freq_coupled > 0.0 and 0.0 <= self.loss < 2.0 and self.components):

@@ -68,6 +68,7 @@ class TensionModulation(Potential):
     correction: float = 0.0
     memory: ClassVar[int] = 4
     label: ClassVar[str] = "tension"
+    effect: ClassVar[str] = "tension_modulation"  # type: ignore[misc]  # of this kind always
 
     def __post_init__(self) -> None:
         if not (self.axial_stiffness >= 0.0 and 0.0 <= self.correction < np.pi):

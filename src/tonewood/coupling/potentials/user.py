@@ -162,11 +162,13 @@ class ModalPotential(Potential):
     name : unique among the potentials of a system.
     components : of real modes; each belongs to one potential at most.
     energy : returns V of the components' modes as they are stepped; called anew when one is exchanged.
+    effect : name of the effect that may leave it out; empty: it is never left out.
     """
 
     name: str
     components: tuple[str, ...]
     energy: Callable[[Sequence[ModalBasis]], PotentialEnergy]
+    effect: str = ""
     memory: ClassVar[int] = 2
 
     def share(self, component: str, basis: ModalBasis, dt: float) -> ModalBasis:

@@ -186,3 +186,12 @@ class PhantomPartialsEffect(SwitchedEffect):
             shares[component] = replace(compiled[planes[0]], basis=lengthwise)
             self._bounds[key] = Phantoms.of(stretch, shares, self.model.strings[name].tension(stop), self._response)
         return self._bounds[key]
+
+
+#: motion along a string that the transverse one drives one way; for plugins whose strings have it
+PHANTOM_PARTIALS = Effect(
+    "phantom_partials", "motion along the string, driven one way: partials at sums of transverse ones", "additive",
+    "any gesture on the string", "a bound on the phantom partials that the string's partials would drive",
+    cost=lambda n: 2.0 * n, title="phantom partials",
+    runtime=PhantomPartialsEffect,
+)  # fmt: skip

@@ -39,7 +39,7 @@ from tonewood.engine.gestures import places
 from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
-from tonewood.instrument.effects import Effect, Norms
+from tonewood.instrument.effects import Effect, Norms, rise_of_tension
 from tonewood.stepping.forcing import Segment
 from tonewood.stepping.motion import to_motion
 
@@ -99,7 +99,8 @@ class TensionEffect(SwitchedEffect):
         self.budget = model.choice.budget_cents
         laws = [p for p in system.potentials if isinstance(p, TensionModulation | GeometricStretch)]
         self._laws = {t.name: t for t in laws}
-        stiff = (name for name in plugins if model.strings[name].resonator.axial_stiffness > 0)
+        kinds = TensionModulation | GeometricStretch
+        stiff = (name for name in plugins if any(isinstance(p, kinds) for p in model.strings[name].potentials))
         self._strings = tuple(self._laws) if self.chosen else tuple(stiff)
         #: strings whose longitudinal motion is coupled
         self.longitudinal = {g.name: g for g in laws if isinstance(g, GeometricStretch)}
@@ -446,3 +447,14 @@ def largest(piece: Segment) -> float:
     extremum = -piece.c1 / (2 * piece.c2) if piece.c2 else 0.0
     times = np.array([0.0, length, extremum if 0.0 < extremum < length else 0.0])
     return float(np.max(np.abs(piece.c0 + times * (piece.c1 + times * piece.c2))))
+
+
+#: rising tension of a string; for plugins whose strings have it
+TENSION_MODULATION = Effect(
+    "tension_modulation", "tension that rises with amplitude: glides, turning planes", "detuning",
+    "a gesture's force bends the string so far that its tension would rise by more than the budget; every gesture that "
+    "moves a mass, a bow or a finger",
+    "the string's energy, which bounds the mean rise of its tension; its partials, which bound the sidebands",
+    bound=rise_of_tension, cost=lambda n: 8.0 * n, title="rising tension",
+    runtime=TensionEffect,
+)  # fmt: skip
