@@ -167,10 +167,10 @@ def test_pitch_of_a_plucked_tension_modulated_string_glides_down():
     a = 2 * 4e-3 / (n * math.pi) ** 2 * np.sin(n * math.pi * 0.13) / (0.13 * 0.87)
     state.modes[0, :30] = 0.5 * a * math.sqrt(STEEL["density"] / 2)
     stepper, linear = KernelStepper(system), steel_string(1, rate).compiled[0].basis.poles.imag[0] / (2 * math.pi)
-    tensions = []
+    tensions, kappa = [], system.joined(0).shares[0].kappa
     for _ in range(30):
         stepper.run(state, 1600)
-        tensions.append(float(np.mean(state.potentials)))
+        tensions.append(2 * math.sqrt(2 * kappa * stored_energy(system, state).potentials))
     cents = 600 * np.log2(1 + np.array(tensions) / STEEL["tension"])
     assert cents[0] > 5
     assert np.polyfit(np.arange(30), cents, 1)[0] < 0

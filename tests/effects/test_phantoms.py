@@ -96,7 +96,7 @@ def test_switches_lose_no_more_than_the_budget_and_gain_no_energy() -> None:
     engine, other = (renderer(NOTES, 3.0, longitudinal(**options)).engine for _ in range(2))
     other._switch = lambda moved, fresh: None  # type: ignore[method-assign]  # never switches
     peak, left, energies, ways = 0.0, [], [], set()
-    while engine.state.sample < 2.0 * FS:
+    while engine.state.sample < 2.9 * FS:
         before, modulated = engine.snapshot(), engine.running(TENSION)
         out = engine.advance(SELDOM // 8)
         peak = max(peak, abs(out).max())

@@ -37,6 +37,8 @@ Floats = NDArray[np.float64]
 
 #: of V + C: excess of psi^2 / 2 up to which psi is not put back; paying for less would be no nearer, and of first order
 TOLERANCE = 1e-3
+#: of an energy, by which two sums of it may differ
+SAME = 1e-13
 
 
 class Potential(ABC):
@@ -47,8 +49,8 @@ class Potential(ABC):
     name : unique among the potentials of a system.
     components : names of those whose coordinates it acts on; a component belongs to one potential at most.
     one_way : whether it is driven by its components and acts on another one, without an action on themselves.
-    memory : numbers that it keeps in the state; of two-way ones the excess of psi^2 / 2 - C over V, J, C, J, and the
-        sign of psi.
+    memory : numbers that it keeps in the state; of two-way ones the excess of psi^2 / 2 - C over V, J, C, J, and
+        psi, sqrt(J).
     label : word for its stored energy in accounts, ``NAME.LABEL``.
     effect : name of the effect that may leave it out; empty: it is never left out.
     """
@@ -170,6 +172,8 @@ class JoinedPotential(ABC):
         """C, J, and psi, sqrt(J), of a state."""
         stored = self.stored(y, row)
         shift = self.shift(float(row[1]), stored, modes)
+        if shift == row[1] and abs(0.5 * row[2] ** 2 - shift - stored) <= SAME * (abs(stored) + abs(row[0]) + shift):
+            return shift, float(row[2])  # near zero the root would not be as exact
         psi = float(np.sqrt(2 * max(stored + shift, 0.0)))
         return shift, -psi if row[2] < 0.0 else psi
 
@@ -191,5 +195,6 @@ class JoinedPotential(ABC):
         if pay is not None:
             if abs(excess) > TOLERANCE * (value + shift):
                 excess += pay(-excess)
-            shift, psi = self.shift(0.0, value + excess, modes), 1.0
-        return np.array([excess, shift, np.copysign(1.0, psi)])
+            shift = self.shift(0.0, value + excess, modes)
+            psi = float(np.sqrt(2 * max(value + excess + shift, 0.0)))
+        return np.array([excess, shift, psi])
