@@ -35,6 +35,8 @@ _NOT_LIVE = ("tail", "tail_level_db", "max_duration", "lead_in", "energy")
 _FORGET = 1 << 16
 #: s, shortest and longest preparation of a pluck
 RAMP = (1e-3, 0.1)
+#: cents, largest bend
+BEND_LIMIT = 12800.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,8 +264,8 @@ class Live:
         ------
         TonewoodError : more than 12800 cents up or down.
         """
-        if not -12800.0 <= cents <= 12800.0:
-            raise TonewoodError(f"a bend of {cents!r} cents: -12800 to 12800 are allowed")
+        if not -BEND_LIMIT <= cents <= BEND_LIMIT:
+            raise TonewoodError(f"a bend of {cents!r} cents: {-BEND_LIMIT:g} to {BEND_LIMIT:g} are allowed")
         self.player.bend(cents, channel)
 
     def all_off(self, channel: int | None = None) -> None:

@@ -17,7 +17,7 @@ from tonewood.live.ports import MidiInput
 from tonewood.live.receiver import MidiReceiver
 from tonewood.live.session import LiveSession
 from tonewood.live.take import Replay, Take
-from tonewood.score.midi import read_messages
+from tonewood.score.midi import read_messages, read_midi
 
 
 def receiver(instrument: tw.Instrument) -> MidiReceiver:
@@ -71,6 +71,41 @@ def test_a_zone_adds_the_masters_bend_and_passes_its_controllers_on(guitar: tw.I
     assert midi.zones == {0: list(range(1, 16))}
     register(midi, 0, (0, 6), 0)
     assert midi.zones == {}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_bends_are_those_of_the_file_reader(monochord: tw.Instrument, tmp_path: Path, seed: int) -> None:
+    """Zones, ranges, wheels and resets at random: live and from a file every channel ends at the same bend."""
+    rng = np.random.default_rng(seed)
+    messages = []
+    for _ in range(60):
+        at, value = int(rng.choice([0, 1, 2, 9, 14, 15])), int(rng.integers(0, 16))
+        messages += [
+            [(0xB0 | at, 101, 0), (0xB0 | at, 100, int(rng.choice([0, 6]))), (0xB0 | at, 6, value)],
+            [(0xE0 | at, 0, int(rng.integers(0, 128)))],
+            [(0xB0 | at, 121, 0)],
+        ][int(rng.choice(3, p=[0.3, 0.6, 0.1]))]
+    midi, track = receiver(monochord), mido.MidiTrack()
+    for message in messages:
+        midi.receive(message)
+        track.append(mido.Message.from_bytes(message, time=1))
+    track += [mido.Message("note_on", note=45), mido.Message("note_off", note=45, time=500)]
+    file = mido.MidiFile()
+    file.tracks.append(track)
+    file.save(tmp_path / "a.mid")
+    read = {c.channel: c.value for c in read_midi(tmp_path / "a.mid").controls if c.kind == "bend"}
+    assert {c: round(v) for c, v in read.items() if round(v)} == {c: v for c, v in bends(midi).items() if v}
+
+
+def test_a_bend_beyond_all_limits_is_held_there(monochord: tw.Instrument) -> None:
+    """Ranges of a member and of its master may add up to more than a string can be bent."""
+    midi = receiver(monochord)
+    for channel, parameter, value in ((0, (0, 6), 3), (0, (0, 0), 100), (1, (0, 0), 127)):
+        register(midi, channel, parameter, value)
+    midi.receive((0xE1, 127, 127))
+    midi.receive((0xE0, 127, 127))
+    assert bends(midi)[1] == 12800
+    assert midi.ignored == {"bend beyond 12800 cents, held there": 1}
 
 
 def test_each_voice_of_a_zone_bends_its_own_string(guitar: tw.Instrument) -> None:
