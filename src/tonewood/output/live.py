@@ -22,6 +22,7 @@ from tonewood.instrument.assembly import FREQ_LIMIT, assemble
 from tonewood.output.accuracy import LEVELS
 from tonewood.output.audio import decibels
 from tonewood.output.inputs import InstrumentLike, as_instrument
+from tonewood.output.one_user import OneUser, alone
 from tonewood.output.options import RenderOptions
 from tonewood.output.resampling import Resampler
 from tonewood.output.routing import Routing
@@ -83,6 +84,8 @@ class Live:
     control grid (64 steps of the engine) on that no frame up to n needs. A note then sounds after the preparation of
     its gesture, `ramp` for a pluck; `latency` adds this up.
 
+    One thread at a time may call these methods, another gets an error; `AudioStream.send` passes calls on.
+
     Parameters
     ----------
     instrument : a loaded instrument, or its name or folder.
@@ -93,6 +96,10 @@ class Live:
     spacing : control intervals between the beginnings of notes that come together, 0 for none: a chord is strummed.
         One interval is 64 steps, 1.3 ms at 48 kHz; the default lets six notes cost no more than their time.
     prepare : compile every stop before the first note, in about a second, so that no note has to wait for it.
+
+    Attributes
+    ----------
+    use : context of a thread that calls several methods with no other in between.
 
     Raises
     ------
@@ -111,6 +118,7 @@ class Live:
         prepare: bool = True,
         **settings: Any,
     ):
+        self.use = OneUser("instrument", "AudioStream.send calls a function before the next block")
         self.options = options = RenderOptions.of(options, fs, settings)
         wrong = [name for name in _NOT_LIVE if getattr(options, name) != type(options).model_fields[name].default]
         if wrong:
@@ -167,6 +175,7 @@ class Live:
         """
         return self.ramp + GRID / self.model.fs - self._resampler.frame(0) / self.fs
 
+    @alone
     def note_on(
         self,
         note: float | str | None = None,
@@ -213,6 +222,7 @@ class Live:
         )
         return self.player.note_on(given)
 
+    @alone
     def note_off(self, note: float | str, channel: int = 0) -> bool:
         """Release the key of a pitch, that struck first if there are several; returns whether there was one.
 
@@ -222,10 +232,12 @@ class Live:
         """
         return self.player.note_off(Note(0.0, note=note).note or 0.0, channel)
 
+    @alone
     def release(self, voice: Voice) -> None:
         """Release the key of a note: the `voice` that `note_on` returned."""
         self.player.release(voice)
 
+    @alone
     def control(self, number: int, value: float, channel: int = 0) -> None:
         """Move controller `number` to a value from 0 to 1: 64 the sustain pedal, 7 and 11 volume, others by bundle.
 
@@ -237,6 +249,7 @@ class Live:
             raise TonewoodError(f"controller {number} at {value!r}: 0 to 127, at values 0 to 1, are allowed")
         self.player.control(f"cc{number}", value, channel)
 
+    @alone
     def pressure(self, value: float, channel: int = 0, note: float | None = None) -> None:
         """Press on the keys of a channel, or on one, 0 to 1.
 
@@ -257,6 +270,7 @@ class Live:
             raise TonewoodError(f"pressure of {value!r}: 0 to 1 is allowed")
         self.player.control("channel_pressure" if note is None else "polyphonic_pressure", value, channel)
 
+    @alone
     def bend(self, cents: float, channel: int | None = None) -> None:
         """Bend the strings of a channel, or all, to so many cents above their notes; followed at 40 cents per ms.
 
@@ -268,6 +282,7 @@ class Live:
             raise TonewoodError(f"a bend of {cents!r} cents: {-BEND_LIMIT:g} to {BEND_LIMIT:g} are allowed")
         self.player.bend(cents, channel)
 
+    @alone
     def all_off(self, channel: int | None = None) -> None:
         """Release all keys and pedals, of a channel or of all."""
         for at in range(16) if channel is None else (channel,):
@@ -275,10 +290,12 @@ class Live:
                 self.player.control(kind, 0.0, at)
         self.player.all_off(channel, pedalled=True)
 
+    @alone
     def release_keys(self, channel: int | None = None) -> None:
         """Release all keys of a channel, or of all; notes that the pedal holds sound on."""
         self.player.all_off(channel)
 
+    @alone
     def process(self, frames: int) -> Floats:
         """Return the next frames, (frames, n_channels).
 

@@ -27,6 +27,7 @@ from tonewood.instrument.string_setup import GivenTension
 from tonewood.output.accuracy import LEVELS
 from tonewood.output.audio import Audio, decibels
 from tonewood.output.inputs import InstrumentLike, ScoreLike, as_instrument, as_score
+from tonewood.output.one_user import OneReader
 from tonewood.output.options import RenderOptions
 from tonewood.output.resampling import Resampler
 from tonewood.output.routing import Routing
@@ -179,6 +180,7 @@ class Renderer:
         self._frames, self._seconds, self._loudest = 0, 0.0, 0.0
         self._recent: list[tuple[int, float]] = []
         self._end = ""
+        self._reading = OneReader("renderer")
         warn_of_dropped_notes(self.dropped)
 
     @property
@@ -211,21 +213,26 @@ class Renderer:
     def blocks(self, block_size: int = 1024) -> Iterator[Floats]:
         """Yield (n, n_channels) arrays of `block_size` frames, the last one shorter, until the sound has ended.
 
+        A later call goes on where the one before was left, which can then be continued no more.
+
         Raises
         ------
         NumericalError : the state is no longer finite; nothing of that block is yielded.
-        TonewoodError : `block_size` is below 1.
+        TonewoodError : `block_size` is below 1; or blocks are taken in several places at once, which would each get
+            pieces of the sound.
         """
         if block_size < 1:
             raise TonewoodError(f"is {block_size}; 1 or more is allowed", key="block_size")
-        while True:
-            while len(self._pending) < block_size and not self._end:
-                self._fill(block_size - len(self._pending))
-            if not len(self._pending):
-                return
-            block, self._pending = self._pending[:block_size], self._pending[block_size:]
-            self._frames += len(block)
-            yield block
+        with self._reading.begun() as reading:
+            while True:
+                with reading:
+                    while len(self._pending) < block_size and not self._end:
+                        self._fill(block_size - len(self._pending))
+                    if not len(self._pending):
+                        return
+                    block, self._pending = self._pending[:block_size], self._pending[block_size:]
+                    self._frames += len(block)
+                yield block
 
     def summary(self) -> Summary:
         """Return the summary of the frames so far."""
@@ -251,24 +258,26 @@ class Renderer:
 
     def snapshot(self) -> Checkpoint:
         """Return a copy of the whole state, to `restore` in this renderer or in one made from the same arguments."""
-        return Checkpoint(
-            self.engine.snapshot(),
-            (self._resampler.memory.copy(), self._routing.memory.copy()),
-            self._pending.copy(),
-            self._frames,
-            self._loudest,
-            tuple(self._recent),
-            self._end,
-            self._step,
-        )
+        with self._reading.use:
+            return Checkpoint(
+                self.engine.snapshot(),
+                (self._resampler.memory.copy(), self._routing.memory.copy()),
+                self._pending.copy(),
+                self._frames,
+                self._loudest,
+                tuple(self._recent),
+                self._end,
+                self._step,
+            )
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Restore a `checkpoint` of this renderer; the samples that follow are the same to the last bit."""
-        self.engine.restore(checkpoint.engine)
-        self._resampler.memory, self._routing.memory = (memory.copy() for memory in checkpoint.memory)
-        self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
-        self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
-        self._step = checkpoint.step
+        with self._reading.use:
+            self.engine.restore(checkpoint.engine)
+            self._resampler.memory, self._routing.memory = (memory.copy() for memory in checkpoint.memory)
+            self._pending, self._frames = checkpoint.pending.copy(), checkpoint.frames
+            self._loudest, self._recent, self._end = checkpoint.loudest, list(checkpoint.recent), checkpoint.end
+            self._step = checkpoint.step
 
     def _fill(self, frames: int) -> None:
         """Step at least `frames` frames, in whole spans; one span at a time where the render may end."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,11 @@ from tonewood.output.render import Renderer
 Floats = NDArray[np.float64]
 #: takes a block (n, n_channels) and the sampling rate in Hz, returns one of as many channels
 Processor = Callable[[Floats, int], Floats]
+
+
+#: instruments that streams play now
+_STREAMED = weakref.WeakSet[Live]()
+_STREAMED_LOCK = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +98,7 @@ class AudioStream:
         channels = len(source.channels) if isinstance(source, Live | Renderer) else n_channels or 0
         self.block_size, self.ahead, self.n_channels = block_size, ahead, max(2, channels)
         self._before, self._chain = before, tuple(chain)
-        self._source = self._blocks(source)
+        self._played, self._source = source, self._blocks(source)
         self._calls: deque[Callable[[], Any]] = deque()
         self._ready: queue.Queue[Floats | None] = queue.Queue(maxsize=ahead)
         self.done, self._primed = threading.Event(), threading.Event()
@@ -117,9 +123,24 @@ class AudioStream:
                 continue
 
     def start(self) -> None:
-        """Start computing, and wait until the queue is full, so that the stream does not begin with underruns."""
+        """Start computing, and wait until the queue is full, so that the stream does not begin with underruns.
+
+        Raises
+        ------
+        TonewoodError : it was started before, or another stream plays this instrument.
+        NumericalError, ... : as the source raised it.
+        """
+        if self._filler.ident is not None:
+            raise TonewoodError("this stream was started before; each playing needs one of its own")
+        if isinstance(self._played, Live):
+            with _STREAMED_LOCK:
+                if self._played in _STREAMED:
+                    raise TonewoodError("this instrument is played by another stream; one at a time is allowed")
+                _STREAMED.add(self._played)
         self._filler.start()
         self._primed.wait()
+        if self._failed:
+            raise self._failed[0]
 
     def __enter__(self) -> AudioStream:
         self.start()
@@ -186,7 +207,20 @@ class AudioStream:
         return self.playback()
 
     def callback(self, out: Any, n: int, _time: Any = None, status: Any = None) -> None:
-        """Fill `out`, (n, n_channels), with n frames of a block; a sound card's callback, `status` its flags."""
+        """Fill `out`, (n, n_channels), with n frames of a block; a sound card's callback, `status` its flags.
+
+        An error ends the stream; `playback` raises it.
+        """
+        try:
+            self._give(out, status)
+        except Exception as error:
+            if not isinstance(error, _stops()):
+                self._failed.append(error)
+                self.done.set()
+                out[:] = 0.0
+            raise
+
+    def _give(self, out: Any, status: Any) -> None:
         if getattr(status, "output_underflow", False):
             self.underruns += 1
         try:
@@ -198,7 +232,7 @@ class AudioStream:
         if block is None:
             self.done.set()
             out[:] = 0.0
-            raise _stop()
+            raise _stops()[-1]()
         out[: len(block)] = block
         out[len(block) :] = 0.0
         self.frames += len(block)
@@ -252,6 +286,8 @@ class AudioStream:
         except Exception as error:  # raised again in `playback`
             self._failed.append(error)
         finally:
+            if isinstance(self._played, Live):
+                _STREAMED.discard(self._played)
             self._primed.set()
             self._ready.put(None)
 
@@ -273,10 +309,10 @@ def _output_stream() -> Any:
     return make
 
 
-def _stop() -> BaseException:
+def _stops() -> tuple[type[Exception], ...]:
+    """Exceptions that end a stream in order; the last is raised."""
     try:
         import sounddevice
     except (ImportError, OSError):
-        return StopIteration()
-    stop: BaseException = sounddevice.CallbackStop()
-    return stop
+        return (StopIteration,)
+    return sounddevice.CallbackAbort, sounddevice.CallbackStop
