@@ -270,13 +270,14 @@ def _write(
     gain : dB, of the level.
     """
     from tonewood.output.audio import SoundWriter
-    from tonewood.whole_files import AtomicFile
+    from tonewood.whole_files import AtomicFile, remove_leftovers
 
     channels, fs = len(renderer.channels), renderer.fs
     frames = math.ceil(renderer.expected_duration * fs)
     sound = renderer.blocks(block) if room is None else room.process(renderer.blocks(block))
     with progress("rendering", renderer.expected_duration) as advance:
         if level == "calibrated":
+            remove_leftovers(output.with_suffix(".rf64"))  # of a scratch file
             with SoundWriter(output, fs, channels, subtype, frames=frames) as writer:
                 for samples in sound if limiter is None else limiter.process(sound):
                     writer.write(samples)
@@ -289,7 +290,7 @@ def _write(
         except OutputError as error:
             raise OutputError(error.reason, file=output) from None
         try:
-            with SoundWriter(scratch.path, fs, channels, "DOUBLE", frames=frames) as writer:
+            with SoundWriter(scratch, fs, channels, "DOUBLE", frames=frames) as writer:
                 for samples in sound:
                     writer.write(samples)
                     advance(renderer.time)
