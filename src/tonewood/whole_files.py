@@ -24,6 +24,8 @@ except ImportError:  # no POSIX
 
 #: writers of one target at a time that are told apart by small numbers
 _PLACES = 8
+#: files that this program has completed: what remains where it is interrupted
+completed: list[Path] = []
 _FLAGS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -86,6 +88,7 @@ class AtomicFile:
         except OSError as fault:
             raise OutputError(f"cannot be written: {fault.strerror}", file=self._named) from None
         self.discard.detach()
+        completed.append(self._final)
         _unlock(self._claimed)
 
 
