@@ -5,13 +5,14 @@ from __future__ import annotations
 import gc
 import sys
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 from typing import Any
 
 from tonewood.live.ports import EventSource
 from tonewood.live.receiver import MidiReceiver
 from tonewood.live.take import Take
 from tonewood.output.live import Live
-from tonewood.output.stream import AudioStream, Playback
+from tonewood.output.stream import Arrivals, AudioStream, Playback
 
 #: s, after which a thread of Python gives way to another: the card's callback must not wait for the computing thread
 _SWITCH = 5e-4
@@ -20,7 +21,8 @@ _SWITCH = 5e-4
 class LiveSession:
     """Plays an instrument from sources of MIDI messages on a sound card.
 
-    All sources are asked before every block, so that every message reaches the next block that is computed.
+    All sources are asked before every block, so that every message reaches the next block that is computed. Messages
+    that came before there was sound keep their distances (`Arrivals`).
 
     Parameters
     ----------
@@ -45,15 +47,18 @@ class LiveSession:
     ):
         self.live, self.sources, self.take = live, sources, take
         self.receiver = MidiReceiver(live)
+        self._arrivals = Arrivals[Sequence[int]](live.fs, block_size)
         self.stream = AudioStream(live, block_size, ahead=ahead, before=self._poll)
 
     def _poll(self) -> None:
         frame = self.live.frames
-        for source in self.sources:
-            for message in source.poll():
-                if self.take is not None:
-                    self.take.add(frame, message)
-                self.receiver.receive(message)
+        come = [arrival for source in self.sources for arrival in source.poll()]
+        for time, message in sorted(come, key=itemgetter(0)):
+            self._arrivals.add(time, message)
+        for message in self._arrivals.due(frame):
+            if self.take is not None:
+                self.take.add(frame, message)
+            self.receiver.receive(message)
 
     @property
     def latency(self) -> dict[str, float]:
@@ -87,3 +92,5 @@ class LiveSession:
             gc.enable()
             for source in self.sources:
                 source.close()
+            if self._arrivals:
+                self.receiver.ignored["message still due at the end"] += len(self._arrivals)

@@ -9,7 +9,7 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ Floats = NDArray[np.float64]
 Processor = Callable[[Floats, int], Floats]
 
 
+T = TypeVar("T")
+#: s, for which a message may wait for the next block; beyond that, blocks were not computed as they should be
+PATIENCE = 0.05
 #: instruments that streams play now
 _STREAMED = weakref.WeakSet[Live]()
 _STREAMED_LOCK = threading.Lock()
@@ -46,6 +49,44 @@ class Playback:
     clipped: int = 0
     load: float = 0.0
     worst_block_s: float = 0.0
+
+
+class Arrivals(Generic[T]):
+    """Messages that wait for the block that they come before.
+
+    One that has just come is due at once. Where the oldest has waited for longer than `PATIENCE`, because sound had not
+    begun or was interrupted, messages keep their distances: they come as late as that one, until none waits any more.
+
+    Parameters
+    ----------
+    fs, block_size : Hz, frames per block.
+    clock : s, of the times of arrival.
+    """
+
+    def __init__(self, fs: int, block_size: int, clock: Callable[[], float] = time.monotonic):
+        self._fs, self._block_size, self._clock = fs, block_size, clock
+        self._waiting: deque[tuple[float, T]] = deque()
+        #: time of arrival and frame of the message that was late; None where none is
+        self._late: tuple[float, int] | None = None
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def add(self, time: float, message: T) -> None:
+        """Add a message that came at a time, s; of several in their order."""
+        self._waiting.append((time, message))
+
+    def due(self, frame: int) -> Iterator[T]:
+        """Yield the messages due before the block that begins at a frame."""
+        if self._late is None and self._waiting and self._clock() - self._waiting[0][0] > PATIENCE:
+            self._late = self._waiting[0][0], frame
+        while self._waiting:
+            if self._late is not None:
+                time, first = self._late
+                if (self._waiting[0][0] - time) * self._fs >= frame - first + self._block_size:
+                    return
+            yield self._waiting.popleft()[1]
+        self._late = None
 
 
 class AudioStream:
@@ -99,7 +140,7 @@ class AudioStream:
         self.block_size, self.ahead, self.n_channels = block_size, ahead, max(2, channels)
         self._before, self._chain = before, tuple(chain)
         self._played, self._source = source, self._blocks(source)
-        self._calls: deque[Callable[[], Any]] = deque()
+        self._calls = Arrivals[Callable[[], Any]](self.fs, block_size)
         self._ready: queue.Queue[Floats | None] = queue.Queue(maxsize=ahead)
         self.done, self._primed = threading.Event(), threading.Event()
         self._failed: list[Exception] = []
@@ -110,8 +151,11 @@ class AudioStream:
         self._filler = threading.Thread(target=self._fill, daemon=True)
 
     def send(self, function: Callable[..., Any], *arguments: Any, **keywords: Any) -> None:
-        """Call a function before the next block, in the thread that computes: ``send(live.note_on, "A2", 90)``."""
-        self._calls.append(lambda: function(*arguments, **keywords))
+        """Call a function before the next block, in the thread that computes: ``send(live.note_on, "A2", 90)``.
+
+        Calls that were sent before there was sound keep their distances.
+        """
+        self._calls.add(time.monotonic(), lambda: function(*arguments, **keywords))
 
     def close(self) -> None:
         """Stop computing, and wait for the thread."""
@@ -264,9 +308,14 @@ class AudioStream:
         if len(held):
             yield held
 
+    def _take_calls(self) -> None:
+        for call in self._calls.due(self._blocks_made * self.block_size):
+            call()
+
     def _fill(self) -> None:
         length = self.block_size / self.fs
         try:
+            self._take_calls()
             began = time.perf_counter()
             for block in self._chained():
                 self.clipped += int(np.count_nonzero(np.abs(block) > 1.0))
@@ -281,8 +330,7 @@ class AudioStream:
                 if self.done.is_set():
                     return
                 began = time.perf_counter()
-                while self._calls:
-                    self._calls.popleft()()
+                self._take_calls()
         except Exception as error:  # raised again in `playback`
             self._failed.append(error)
         finally:

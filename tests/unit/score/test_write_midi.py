@@ -64,5 +64,5 @@ def test_what_midi_cannot_say_is_refused(tmp_path, note):
 
 
 def test_a_place_that_cannot_be_written_gives_one_line(tmp_path):
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match="there is no folder"):
         write_midi(Score([Note(0.0, note=60)]), tmp_path / "no" / "x.mid")
