@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tonewood.cli.common import print_json, warn
+from tonewood.cli.common import print_json, warn, warn_of_kinds
 from tonewood.errors import OutputError, TonewoodError
 from tonewood.units import counted
 
@@ -190,7 +190,7 @@ def _tell(session: LiveSession, played: Playback, record: Path | None, *, as_jso
         print(file=sys.stderr)
     if summary.clipped:
         warn([f"{counted(summary.clipped, 'sample')} clipped; lower --gain"])
-    warn([f"{count} not played: {reason}" for reason, count in summary.dropped.items()])
+    warn_of_kinds([f"{count} not played: {reason}" for reason, count in summary.dropped.items()])
     print(
         f"played {played.frames / live.fs:.2f} s, {counted(summary.notes, 'note')}, {dropped} dropped, "
         f"{summary.cut} ended by another on their string; {counted(played.underruns, 'underrun')}"

@@ -21,7 +21,7 @@ from tonewood.output.audio import decibels
 from tonewood.output.inputs import InstrumentLike
 from tonewood.output.live import Live
 from tonewood.output.options import RenderOptions
-from tonewood.output.render import Summary
+from tonewood.output.render import Summary, silence
 from tonewood.score.midi import read_messages
 from tonewood.score.note import Dropped
 from tonewood.whole_files import write_whole
@@ -160,7 +160,7 @@ class Replay:
         self._warnings = (
             [] if recorded == self.fs else [f"recorded at {recorded} Hz: its samples are those at that rate"]
         )
-        self._over = ""
+        self._over, self._loudest = "", 0.0
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -185,7 +185,7 @@ class Replay:
 
     def blocks(self, block_size: int = 1024) -> Iterator[Floats]:
         """Yield blocks until the sound has decayed after the last message."""
-        most, due, loudest = round(self.expected_duration * self.fs), 0, 0.0
+        most, due = round(self.expected_duration * self.fs), 0
         recent: list[float] = []
         while self.live.frames < most:
             frame = self.live.frames
@@ -196,13 +196,13 @@ class Replay:
             block = self.live.process(until - frame)
             yield block
             peak = float(np.abs(block).max(initial=0.0))
-            loudest = max(loudest, peak)
+            self._loudest = max(self._loudest, peak)
             if frame < self._end or due < len(self._messages):
                 continue
             recent.append(peak)
             window = -(-round(0.2 * self.fs) // block_size) + 1
             del recent[:-window]
-            if len(recent) == window and max(recent) <= loudest * 10 ** (self.options.tail_level_db / 20):
+            if len(recent) == window and max(recent) <= self._loudest * 10 ** (self.options.tail_level_db / 20):
                 self._over = "decayed"
                 return
         capped = self.options.max_duration is not None and most == round(self.options.max_duration * self.fs)
@@ -223,7 +223,7 @@ class Replay:
             notes_dropped=found.latest_dropped,
             peak_dbfs=found.peak_dbfs if found.frames else decibels(0.0),
             end=self._over or "not ended",
-            warnings=[*self.model.warnings, *self._warnings, *cut],
+            warnings=[*self.model.warnings, *self._warnings, *cut, *silence(self._loudest, ended=bool(self._over))],
             effects=found.effects,
             ignored={**found.ignored, **self.receiver.ignored},
         )

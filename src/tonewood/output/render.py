@@ -41,6 +41,8 @@ _TICKS = 8
 _BLOCK = 4096
 #: s for which the sound must have stayed below the level of the tail
 _WINDOW = 0.2
+#: re full scale, the loudest sample of silence: 1 bit of 32
+SILENT = 2.0**-31
 #: s over which a step at the first frame is smoothed
 _SMOOTHING = 5e-3
 
@@ -55,8 +57,8 @@ class Summary:
     render_s : seconds of computing, without import and load.
     realtime_factor : seconds of sound per second of computing.
     n_modes : modes that were stepped, at most at a time.
-    notes : notes played.
-    notes_dropped : notes that could not be played, and why.
+    notes : notes played, of those that begin in it.
+    notes_dropped : notes that could not be played and would begin in it, and why.
     peak_dbfs : largest sample re full scale.
     end : why it ended: decayed, tail cap or maximum duration.
     warnings : one line each.
@@ -181,7 +183,8 @@ class Renderer:
         self._recent: list[tuple[int, float]] = []
         self._end = ""
         self._reading = OneReader("renderer")
-        warn_of_dropped_notes(self.dropped)
+        longest = math.inf if options.max_duration is None else options.max_duration
+        warn_of_dropped_notes([drop for drop in self.dropped if drop.time < longest])
 
     @property
     def dropped(self) -> tuple[Dropped, ...]:
@@ -237,6 +240,7 @@ class Renderer:
     def summary(self) -> Summary:
         """Return the summary of the frames so far."""
         duration = self._frames / self.fs
+        until = (self._frames - self.zero_frame) / self.fs
         return Summary(
             frames=self._frames,
             fs=self.fs,
@@ -244,11 +248,11 @@ class Renderer:
             render_s=self._seconds,
             realtime_factor=duration / self._seconds if self._seconds > 0 else 0.0,
             n_modes=self.model.n_modes,
-            notes=len(self.performance.timeline.plays),
-            notes_dropped=self.performance.dropped,
+            notes=sum(play.time < until for play in self.performance.timeline.plays),
+            notes_dropped=[drop for drop in self.performance.dropped if drop.time < until],
             peak_dbfs=decibels(self._loudest),
             end=self._end or "not ended",
-            warnings=[*self.model.warnings, *self.performance.warnings],
+            warnings=[*self.model.warnings, *self.performance.warnings, *silence(self._loudest, ended=bool(self._end))],
             effects=[report for effect in self.engine.effects for report in effect.report(self.engine.usage)],
             ignored=self.performance.ignored,
             zero_frame=self.zero_frame,
@@ -328,17 +332,26 @@ class Renderer:
             self._end = "tail cap"
 
 
+def silence(peak: float, *, ended: bool) -> list[str]:
+    """Return a warning where nothing is heard of a render that has ended, else none."""
+    return [f"the sound is silent: its peak is {decibels(peak):.0f} dBFS"] if ended and peak <= SILENT else []
+
+
 def warn_of_dropped_notes(dropped: Sequence[Dropped]) -> None:
     """Issue one warning, at the line outside this package that called the render."""
     if not dropped:
         return
-    level, frame = 1, sys._getframe()
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "tonewood":
-        level, frame = level + 1, frame.f_back
     drop = dropped[0]
     notes = "1 note" if len(dropped) == 1 else f"{len(dropped)} notes"
     text = f"{notes} cannot be played; the first, at {drop.time:.2f} s: {drop.reason}"
-    warnings.warn(DroppedNotesWarning(text), stacklevel=level)
+    _warn(DroppedNotesWarning(text))
+
+
+def _warn(warning: Warning) -> None:
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "tonewood":
+        level, frame = level + 1, frame.f_back
+    warnings.warn(warning, stacklevel=level)
 
 
 def render(
@@ -368,4 +381,6 @@ def render(
         if progress is not None:
             progress(renderer.time)
     samples = np.concatenate(blocks) if blocks else np.zeros((0, len(renderer.channels)))
+    for line in silence(float(np.max(np.abs(samples), initial=0.0)), ended=True):
+        _warn(UserWarning(line))
     return Audio(samples, renderer.fs, renderer.channels, renderer.energy, renderer.dropped)

@@ -41,8 +41,6 @@ Floats = NDArray[np.float64]
 _SELDOM = 32
 #: share of that below which they are left out; above the whole of it, they come back
 _LEAVE = 0.9
-#: share of the largest energy of a string from which on strings without them are looked at
-_FAINT = 1e-3
 #: strings up to which they run on all or on none: a light body passes motion on within milliseconds. Of a piano's many
 #: strings, others than those of a key are damped or move far less
 _FEW = 24
@@ -88,12 +86,7 @@ class PhantomPartialsEffect(SwitchedEffect):
             return None if played <= switching.on else Watched(switching.on | played)
         held = played | self._moved(moment.busy)
         peak = np.maximum(moment.peak, _SILENT)
-        every = {name: self._energy(moment, name) for name in self._laws}
-        energies = {name: energy for name, energy in every.items() if name not in held}
-        levels = {name: self._level(moment, name, peak) for name in energies if name in switching.on}
-        least = _FAINT * max(every.values(), default=0.0) if not self._few else 0.0
-        off = (name for name, energy in energies.items() if name not in switching.on and energy > least)
-        levels |= {name: self._level(moment, name, peak) for name in off}
+        levels = {name: self._level(moment, name, peak) for name in self._laws if name not in held}
         # levels of the strings of a key add up, and so do those of few strings; those of several keys in power
         wanted, missing, power = set(held), dict.fromkeys(("", *self._laws), 0.0), 0.0
         for name, level in sorted(levels.items(), key=lambda item: item[1]):
@@ -139,14 +132,6 @@ class PhantomPartialsEffect(SwitchedEffect):
 
     def _planes(self, name: str) -> Sequence[str]:
         return [p.component for p in self.model.strings[name].polarizations]
-
-    def _energy(self, moment: Moment, name: str) -> float:
-        total = 0.0
-        for component in self._planes(name):
-            q, v = motion(moment.system, moment.state, component)
-            basis = moment.system.compiled[moment.system.slot(component)].basis
-            total += 0.5 * float(v @ v + basis.stiffness @ (q * q))
-        return total
 
     def _level(self, moment: Moment, name: str, peak: Floats) -> float:
         """Bound on the largest sample that is missing without it, re the loudest one."""
