@@ -37,8 +37,8 @@ from tonewood.modal.string_modes import string_basis
 
 Floats = NDArray[np.float64]
 
-#: points of the control grid between two looks
-_SELDOM = 32
+#: s between two looks, and while motion spreads to other strings; s that it does after a gesture or a change of pedals
+_SELDOM, _OFTEN, _SPREAD = 0.04, 0.005, 0.15
 #: share of that below which they are left out; above the whole of it, they come back
 _LEAVE = 0.9
 #: strings up to which they run on all or on none: a light body passes motion on within milliseconds. Of a piano's many
@@ -55,6 +55,8 @@ class PhantomPartialsEffect(SwitchedEffect):
         super().__init__(model, effect, plugins)
         self._laws = {p.name: p for p in model.system.phantoms}
         self._few = len(self._laws) <= _FEW
+        self._often = max(1, round(_OFTEN / (GRID * model.system.dt)))
+        self._seldom = self._often * max(1, round(_SELDOM / (GRID * model.system.dt) / self._often))
         self._response: BridgeResponse | None = None
         self._bounds: dict[tuple[str, float], Phantoms] = {}
 
@@ -76,15 +78,23 @@ class PhantomPartialsEffect(SwitchedEffect):
                 self._bound(self.model.system, name, 0.0)
 
     def next_watch(self, sample: int, switching: Switching) -> int:
-        """Every 2,048 samples."""
-        return next_multiple(sample, _SELDOM)
+        """Every 40 ms; every 5 ms while motion spreads after a gesture."""
+        return next_multiple(sample, self._often if sample < switching.until.get("", 0) else self._seldom)
 
     def watch(self, moment: Moment, switching: Switching) -> Watched | None:
-        """Wanted where a gesture acts or begins, and where the bound is beyond the budget."""
+        """Wanted where a gesture acts or begins, and where the bound is beyond the budget.
+
+        `Switching.until` holds, for no component, the sample until which motion spreads.
+        """
         played = self._moved(play.string for play in moment.fresh)
-        if moment.sample % (GRID * _SELDOM):
-            return None if played <= switching.on else Watched(switching.on | played)
-        held = played | self._moved(moment.busy)
+        until = switching.until
+        if moment.fresh or moment.moved:
+            until = {"": moment.sample + round(_SPREAD / moment.system.dt)}
+        whole = moment.sample % (GRID * self._seldom) == 0
+        if not whole and (moment.sample % (GRID * self._often) or moment.sample >= switching.until.get("", 0)):
+            same = played <= switching.on and until == switching.until
+            return None if same else Watched(switching.on | played, until=until)
+        held = played | self._moved(moment.busy) | (set() if whole else switching.on)
         peak = np.maximum(moment.peak, _SILENT)
         levels = {name: self._level(moment, name, peak) for name in self._laws if name not in held}
         # levels of the strings of a key add up, and so do those of few strings; those of several keys in power
@@ -99,7 +109,7 @@ class PhantomPartialsEffect(SwitchedEffect):
         if self._few and wanted:
             wanted = set(self._laws)
         bounds = [(name, Bound(level=level), name not in wanted) for name, level in levels.items()]
-        return Watched(frozenset(wanted), bounds)
+        return Watched(frozenset(wanted), bounds, until)
 
     def _moved(self, played: Iterable[str | None]) -> set[str]:
         """Strings that gestures on these move at once: those of their keys, or all where there are few."""
