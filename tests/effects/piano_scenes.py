@@ -1,4 +1,4 @@
-"""Random scenes for phantom partials of a piano: keys that others set in motion through the soundboard and the pedal."""
+"""Random scenes for phantom partials of a piano: keys that others set in motion through soundboard and pedal."""
 
 from __future__ import annotations
 
@@ -28,14 +28,19 @@ def scene(seed: int, folder: Path) -> tuple[tw.Instrument, tw.Score, float, floa
     seconds = float(rng.uniform(0.5, 1.0))
     notes = [
         tw.Note(float(rng.uniform(0, 0.6 * seconds)), float(rng.uniform(0.05, 0.6)), note=int(rng.choice(keys)),
-                velocity_midi=int(rng.integers(20, 128)))
+                velocity_midi=int(rng.integers(20, 128)), channel=0)
         for _ in range(rng.integers(1, 7))
     ]  # fmt: skip
     kind, when = rng.integers(4), float(rng.uniform(0, seconds))
     courses = [[], [(0.0, 1.0)], [(when, 1.0)], [(0.0, 1.0), (when, 0.0)]]
     pedal = [tw.Control(time, "cc64", value, 0) for time, value in courses[kind]]
     notes = [tw.Note(n.time, n.duration, note=n.note, velocity_midi=n.velocity_midi, channel=0) for n in notes]
-    return instrument, tw.Score(sorted(notes, key=lambda n: n.time), controls=pedal), seconds, float(rng.uniform(-100, -60))
+    return (
+        instrument,
+        tw.Score(sorted(notes, key=lambda n: n.time), controls=pedal),
+        seconds,
+        float(rng.uniform(-100, -60)),
+    )
 
 
 def excess(seed: int, folder: Path) -> float:

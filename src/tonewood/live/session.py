@@ -52,13 +52,24 @@ class LiveSession:
 
     def _poll(self) -> None:
         frame = self.live.frames
-        come = [arrival for source in self.sources for arrival in source.poll()]
-        for time, message in sorted(come, key=itemgetter(0)):
-            self._arrivals.add(time, message)
+        self._ask()
         for message in self._arrivals.due(frame):
             if self.take is not None:
                 self.take.add(frame, message)
             self.receiver.receive(message)
+
+    def _ask(self) -> None:
+        come = [arrival for source in self.sources for arrival in source.poll()]
+        for time, message in sorted(come, key=itemgetter(0)):
+            self._arrivals.add(time, message)
+
+    def _end(self) -> None:
+        """Put messages for which there was no block any more into the take, at its end."""
+        self._ask()
+        for message in self._arrivals.rest():
+            self.receiver.ignored["message after the last block"] += 1
+            if self.take is not None:
+                self.take.add(self.live.frames, message)
 
     @property
     def latency(self) -> dict[str, float]:
@@ -90,7 +101,6 @@ class LiveSession:
         finally:
             sys.setswitchinterval(interval)
             gc.enable()
+            self._end()
             for source in self.sources:
                 source.close()
-            if self._arrivals:
-                self.receiver.ignored["message still due at the end"] += len(self._arrivals)

@@ -183,8 +183,7 @@ class Renderer:
         self._recent: list[tuple[int, float]] = []
         self._end = ""
         self._reading = OneReader("renderer")
-        longest = math.inf if options.max_duration is None else options.max_duration
-        warn_of_dropped_notes([drop for drop in self.dropped if drop.time < longest])
+        warn_of_dropped_notes(self.dropped)
 
     @property
     def dropped(self) -> tuple[Dropped, ...]:

@@ -69,9 +69,6 @@ class Arrivals(Generic[T]):
         #: time of arrival and frame of the message that was late; None where none is
         self._late: tuple[float, int] | None = None
 
-    def __len__(self) -> int:
-        return len(self._waiting)
-
     def add(self, time: float, message: T) -> None:
         """Add a message that came at a time, s; of several in their order."""
         self._waiting.append((time, message))
@@ -87,6 +84,11 @@ class Arrivals(Generic[T]):
                     return
             yield self._waiting.popleft()[1]
         self._late = None
+
+    def rest(self) -> Iterator[T]:
+        """Yield all that wait."""
+        while self._waiting:
+            yield self._waiting.popleft()[1]
 
 
 class AudioStream:
@@ -256,15 +258,18 @@ class AudioStream:
         An error ends the stream; `playback` raises it.
         """
         try:
-            self._give(out, status)
+            ended = self._give(out, status)
         except Exception as error:
-            if not isinstance(error, _stops()):
-                self._failed.append(error)
-                self.done.set()
-                out[:] = 0.0
+            self._failed.append(error)
+            self.done.set()
+            out[:] = 0.0
             raise
+        if ended:
+            self.done.set()
+            raise _stop()
 
-    def _give(self, out: Any, status: Any) -> None:
+    def _give(self, out: Any, status: Any) -> bool:
+        """Fill `out`; whether the source has ended."""
         if getattr(status, "output_underflow", False):
             self.underruns += 1
         try:
@@ -272,14 +277,14 @@ class AudioStream:
         except queue.Empty:
             self.underruns += 1
             out[:] = 0.0
-            return
+            return False
         if block is None:
-            self.done.set()
             out[:] = 0.0
-            raise _stops()[-1]()
+            return True
         out[: len(block)] = block
         out[len(block) :] = 0.0
         self.frames += len(block)
+        return False
 
     def _blocks(self, source: Live | Renderer | Iterable[Floats]) -> Iterator[Floats]:
         if isinstance(source, Renderer):
@@ -357,10 +362,10 @@ def _output_stream() -> Any:
     return make
 
 
-def _stops() -> tuple[type[Exception], ...]:
-    """Exceptions that end a stream in order; the last is raised."""
+def _stop() -> BaseException:
     try:
         import sounddevice
     except (ImportError, OSError):
-        return (StopIteration,)
-    return sounddevice.CallbackAbort, sounddevice.CallbackStop
+        return StopIteration()
+    stop: BaseException = sounddevice.CallbackStop()
+    return stop
