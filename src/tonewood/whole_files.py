@@ -24,7 +24,7 @@ except ImportError:  # no POSIX
 
 #: writers of one target at a time that are told apart by small numbers
 _PLACES = 8
-#: files that this program has completed: what remains where it is interrupted
+#: files that this program has completed, which remain where it is interrupted
 completed: list[Path] = []
 _FLAGS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
 
@@ -33,7 +33,7 @@ class AtomicFile:
     """Write a file beside its target, and rename it when it is complete.
 
     An error, or Ctrl-C between any two statements, before `complete` removes the new file and leaves an earlier
-    file of the target's name as it was. What a killed program leaves is removed by the next one.
+    file of the target's name as it was. Leftovers of a killed program are removed by the next one.
 
     Parameters
     ----------

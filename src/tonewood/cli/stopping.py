@@ -25,7 +25,7 @@ _GRACE = 1.0
 _AGAIN = 0.01
 
 
-class Stopping:
+class SignalHandling:
     """State of one process.
 
     Attributes
@@ -90,7 +90,7 @@ class Stopping:
         os._exit(self._code)
 
     def _lost(self, unraisable: Any) -> None:
-        """Raise again what was raised where no exception can be: in a callback of the interpreter."""
+        """Raise an exception again that got lost: none can leave a callback of the interpreter."""
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):
             sys.__unraisablehook__(unraisable)
             return
@@ -109,4 +109,4 @@ def _write(descriptor: int, line: str) -> None:
         return
 
 
-stopping = Stopping()
+stopping = SignalHandling()

@@ -1,4 +1,4 @@
-"""Refusal of concurrent use: what is stepped has one state, and two users would each get pieces of its sound."""
+"""Refusal of concurrent use: an engine has one state, and two users would each get pieces of its sound."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class OneUser:
 
     Parameters
     ----------
-    what : name of the thing in the error.
+    name : in the error.
     way_out : words for the error: how to use it instead.
     """
 
-    def __init__(self, what: str, way_out: str):
-        self._line = f"this {what} is in use by another thread; {way_out}"
+    def __init__(self, name: str, way_out: str):
+        self._line = f"this {name} is in use by another thread; {way_out}"
         self._lock = threading.RLock()
 
     def __enter__(self) -> None:
@@ -46,11 +46,11 @@ def alone(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[S, P],
     """Let one thread at a time into the methods of an object, which has an `OneUser` as attribute `use`."""
 
     @wraps(method)
-    def guarded(self: S, /, *args: P.args, **keywords: P.kwargs) -> R:
+    def wrapped(self: S, /, *args: P.args, **keywords: P.kwargs) -> R:
         with self.use:
             return method(self, *args, **keywords)
 
-    return guarded
+    return wrapped
 
 
 class OneReader:
@@ -64,9 +64,9 @@ class OneReader:
     use : context of every access to the state.
     """
 
-    def __init__(self, what: str):
-        self.use = OneUser(what, "each thread needs one of its own")
-        self._what = what
+    def __init__(self, name: str):
+        self.use = OneUser(name, "each thread needs one of its own")
+        self._name = name
         self._current: tuple[object, int] | None = None
 
     @contextmanager
@@ -81,7 +81,7 @@ class OneReader:
         with self.use:
             if self._current is not None and self._current[1] != threading.get_ident():
                 raise TonewoodError(
-                    f"blocks of this {self._what} are taken by another thread; each needs one of its own"
+                    f"blocks of this {self._name} are taken by another thread; each needs one of its own"
                 )
             self._current = iteration, threading.get_ident()
         try:
@@ -94,7 +94,7 @@ class OneReader:
         """Raise a `TonewoodError` unless this is the iteration that may go on."""
         if self._current is None or self._current[0] is not iteration:
             raise TonewoodError(
-                f"another iteration over the blocks of this {self._what} has begun since; one is allowed"
+                f"another iteration over the blocks of this {self._name} has begun since; one is allowed"
             )
 
 
