@@ -22,7 +22,7 @@ try:
 except ImportError:  # no POSIX
     fcntl = None  # type: ignore[assignment]
 
-#: writers of one target at a time that are told apart by small numbers
+#: writers of one target at a time that take small numbers
 _PLACES = 8
 #: files that this program has completed, which remain where it is interrupted
 completed: list[Path] = []
