@@ -67,7 +67,7 @@ class ListenerAnswers:
     @property
     def listener(self) -> str:
         """Name that the listener gave, or else the beginning of the token."""
-        return printable(str(self.header.get("listener"))) or str(self.header["token"][:8])
+        return listener_of(self.header)
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,11 @@ class Answers:
 def printable(name: str) -> str:
     """A name in one line, of at most 60 characters; control characters would steer a terminal."""
     return " ".join("".join(c if c.isprintable() else " " for c in name).split())[:60]
+
+
+def listener_of(header: Mapping[str, Any]) -> str:
+    """Name that a listener gave, or else the beginning of the token."""
+    return printable(str(header["listener"])) or str(header["token"][:8])
 
 
 def read(path: Path) -> ListenerAnswers:
@@ -144,6 +149,11 @@ class OpenSession:
     def language(self) -> str:
         """The listener's."""
         return str(self.header["language"])
+
+    @property
+    def listener(self) -> str:
+        """Name that the listener gave, or else the beginning of the token."""
+        return listener_of(self.header)
 
     def answer(self, given: Mapping[str, Any], *, now: str) -> dict[str, Any]:
         """Check an answer, write it to the disk, and then go on; returns its record.

@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from tonewood.listening.definition import load_test
+from tonewood.listening.http_guard import BoundedConnection
 from tonewood.listening.on_demand import RenderedPairs
 from tonewood.listening.server import ListeningServer
 
@@ -30,7 +31,10 @@ def main() -> None:
     test = load_test(Path(folder))
     kind = DrivenServer if drive else ListeningServer
     server = kind(test, RenderedPairs(test, fakes.fakes.FakeRenderer()))
-    uvicorn.run(server.application(), host="127.0.0.1", port=int(port), log_level="warning", lifespan="off")
+    uvicorn.run(
+        server.application(), host="127.0.0.1", port=int(port), log_level="warning", lifespan="off",
+        http=BoundedConnection,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -34,6 +34,7 @@ pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
 
 ROOT = Path(__file__).parent
+JSON = {"Content-Type": "application/json"}
 
 
 def free_port() -> int:
@@ -69,7 +70,9 @@ class Client:
 
     def raw(self, path: str, body: bytes | None = None) -> tuple[int, bytes, dict[str, str]]:
         try:
-            with urllib.request.urlopen(urllib.request.Request(self.root + path, data=body), timeout=30) as reply:
+            with urllib.request.urlopen(
+                urllib.request.Request(self.root + path, data=body, headers=JSON), timeout=30
+            ) as reply:
                 return reply.status, reply.read(), dict(reply.headers)
         except urllib.error.HTTPError as fault:
             return fault.code, fault.read(), dict(fault.headers)
@@ -129,7 +132,7 @@ def test_a_whole_test_is_taken_through_a_kill(everything: ListeningTest) -> None
             step = client.answer(step)
         assert client.step()["type"] == "done"
     assert kinds >= {"abx", "ab", "afc", "paired_comparison", "rating", "staircase", "questionnaire", "finish"}
-    (one,) = [a for a in answers_of(everything) if a.listener == "07"]
+    (one,) = [a for a in answers_of(everything).listeners if a.listener == "07"]
     assert [r["index"] for r in one.records] == list(range(len(one.records)))
     assert one.header["language"] == "de"
     found = analyse(everything.folder, screening=False)
@@ -244,7 +247,7 @@ def test_sounds_of_a_staircase_are_of_its_level(tmp_path: Path) -> None:
             reply = json.loads(raw)
             assert reply["feedback"]["right"]
             step = reply["step"]
-            records = answers_of(test)[0].records
+            records = answers_of(test).listeners[0].records
             level = records[-1]["level"] / (2.0 if len(records) % 2 == 0 else 1.0)
 
 
@@ -255,7 +258,7 @@ def test_a_whole_test_is_taken_in_a_browser_through_a_kill(tmp_path: Path) -> No
     port = free_port()
 
     def records() -> list[dict[str, Any]]:
-        found = answers_of(test)
+        found = answers_of(test).listeners
         return found[0].records if found else []
 
     address = f"http://127.0.0.1:{port}/?listener=script&quick=1"
@@ -270,7 +273,7 @@ def test_a_whole_test_is_taken_in_a_browser_through_a_kill(tmp_path: Path) -> No
             while not records() or records()[-1]["type"] != "finish":
                 assert time.monotonic() < ends, records()[-1:]
                 time.sleep(0.1)
-    (one,) = answers_of(test)
+    (one,) = answers_of(test).listeners
     assert one.records[: len(before)] == before
     assert [r["index"] for r in one.records] == list(range(len(one.records)))
     heard = [r for r in one.records if r["slots"]]
@@ -317,7 +320,7 @@ def test_a_sound_that_breaks_off_is_asked_for_again(tmp_path: Path) -> None:
     port = free_port()
 
     def finished() -> bool:
-        found = answers_of(test)
+        found = answers_of(test).listeners
         return bool(found) and [r["type"] for r in found[0].records[-1:]] == ["finish"]
 
     with (
