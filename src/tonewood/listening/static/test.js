@@ -56,15 +56,14 @@ async function begin() {
     const found = await ask("/api/session/" + kept.token);
     token = kept.token;
     if (found.status === 200) return found.data.type === "done" ? show(found.data) : welcome(found.data, kept.listener);
+    localStorage.removeItem(place(named));
     if (found.status === 410) return stopped(texts.broken);
   }
-  localStorage.removeItem(place(named));
   welcome(null, named);
 }
 
-// The page after which another listener may begin; the session that was kept here goes on by its own address only.
+// Another listener begins. A session that the address named is kept for that address.
 function other() {
-  localStorage.removeItem(place(named));
   named = "";
   localStorage.removeItem(place(named));
   query.delete("listener");
