@@ -285,10 +285,10 @@ class ListeningServer:
         known = isinstance(fault, (TonewoodError, OSError))
         text = str(fault) if known else "".join(traceback.format_exception(fault)).rstrip()
         with self._lock:
-            if text in self._said:
+            if (key := f"{type(fault)}{fault}") in self._said:
                 return
             if len(self._said) < 1000:
-                self._said.add(text)
+                self._said.add(key)
         print(f"tonewood: {place}: {text}", file=sys.stderr, flush=True)
 
     def _language(self, asked: str) -> str:

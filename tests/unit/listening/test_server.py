@@ -24,7 +24,8 @@ import soundfile
 from listening_fakes import made
 from scipy.signal import hilbert
 
-from browser import CHROMIUM, answering, opened
+from browser import CHROMIUM, answering, listening, opened
+from tonewood.listening import server
 from tonewood.listening.answer_file import answers_of
 from tonewood.listening.definition import ListeningTest
 from tonewood.listening.results import analyse
@@ -333,3 +334,87 @@ def test_a_sound_that_breaks_off_is_asked_for_again(tmp_path: Path) -> None:
             assert time.monotonic() < ends, answers_of(test)
             time.sleep(0.1)
     assert len(cut) >= 3
+
+
+def said(test: ListeningTest, count: int) -> list[Any]:
+    """The words that a page's script told, when there are so many."""
+    path, ends = test.folder / "said", time.monotonic() + 120
+    while True:
+        words = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+        if len(words) >= count:
+            return words
+        assert time.monotonic() < ends, words
+        time.sleep(0.1)
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_the_address_decides_whose_session_it_is(tmp_path: Path) -> None:
+    test = made(tmp_path, [{"type": "instructions"}, {"type": "instructions", "name": "second"}, {"type": "html"}])
+    port = free_port()
+    with served(test, port, "listeners"), opened(f"http://127.0.0.1:{port}/?listener=P01", tmp_path / "profile"):
+        *words, _ = said(test, 9)
+    assert [(w["act"], w["name"], w["kept"], w["done"]) for w in words] == [
+        ("start", "P01", False, False), ("look", "P02", False, False), ("look", "P01", True, False),
+        ("look", "", False, False), ("other", "P01", True, False), ("look", "P01", True, False),
+        ("finish", "P03", False, False), ("look", None, False, True),
+    ]  # fmt: skip
+    assert words[4]["after"] == {"address": "", "name": ""}
+    assert words[6]["offers"]
+    assert sorted(a.listener for a in answers_of(test).listeners if a.records) == ["P03"]
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_page_whose_sound_cannot_be_made_stops_in_words(tmp_path: Path) -> None:
+    test = made(tmp_path, [fakes.STAIRS])
+    port = free_port()
+    with served(test, port, "stopped"), opened(f"http://127.0.0.1:{port}/?language=en", tmp_path / "profile"):
+        (words,) = said(test, 1)
+    assert "The test cannot go on" in words
+    assert "A sound of this page cannot be made." in words
+    assert "Try again" in words
+
+
+FADE = """
+<script src="players.js"></script>
+<script>
+const tell = words => { new Image().src = "http://127.0.0.1:%d/" + encodeURIComponent(words); };
+(async () => {
+  const fs = 48000, stops = 0.25, found = {};
+  for (const act of ["stop", "halt", "sequence"]) {
+    const context = new OfflineAudioContext(1, fs, fs);
+    const resume = context.resume.bind(context);
+    context.resume = () => {};
+    const buffer = context.createBuffer(1, fs, fs), sine = buffer.getChannelData(0);
+    for (let i = 0; i < fs; i++) sine[i] = 0.5 * Math.sin(2 * Math.PI * 440 * i / fs + 0.3);
+    const sounds = new Sounds(context, { A: buffer, B: buffer });
+    if (act === "sequence") sounds.sequence(["A", "B"]); else sounds.start("A");
+    context.suspend(stops).then(() => { if (act === "halt") sounds.halt(); else sounds.stop(); resume(); });
+    const heard = (await context.startRendering()).getChannelData(0);
+    const at = Math.round(stops * fs), last = heard.findLastIndex(v => v !== 0);
+    let step = 0;
+    for (let i = at - 100; i < fs; i++) step = Math.max(step, Math.abs(heard[i] - heard[i - 1]));
+    found[act] = { step, lasts: (last - at) / fs, before: Math.max(...heard.slice(at - 200, at)) };
+  }
+  tell(JSON.stringify(found));
+})().catch(fault => tell("fault: " + fault));
+</script>
+"""
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_sound_that_is_stopped_fades(tmp_path: Path) -> None:
+    players = Path(server.__file__).with_name("static") / "players.js"
+    (tmp_path / "players.js").write_text(players.read_text())
+    page = tmp_path / "fade.html"
+    with listening() as (port, reported):
+        page.write_text(FADE % port)
+        with opened(page, tmp_path / "profile"):
+            found = json.loads(reported.get(timeout=60))
+    for name, act in found.items():
+        assert act["before"] == pytest.approx(0.5, rel=1e-3)  # it was loud
+        # no step is larger than the sine's own, 0.5 sin(2 pi 440 / fs), and that of the ramp over 20 ms
+        assert act["step"] < 0.5 * 2 * np.pi * 440 / 48000 + 0.5 / (0.02 * 48000), name
+        assert 0.005 < act["lasts"] < 0.05
