@@ -29,16 +29,15 @@ def test_one_process_at_a_time_until_it_is_killed(tmp_path: Path) -> None:
         assert process.stdout.readline() == "held\n"
         for place in (folder, link, tmp_path / "x" / ".." / "folder"):
             (tmp_path / "x").mkdir(exist_ok=True)
-            with pytest.raises(OutputError, match=f"is in use by another command, process {process.pid}"):
-                with locked(place, "this"):
-                    pytest.fail("two processes hold one lock")
+            holder = f"is in use by another command, process {process.pid}"
+            with pytest.raises(OutputError, match=holder), locked(place, "this"):
+                pytest.fail("two processes hold one lock")
     finally:
         process.kill()
         process.wait()
     assert (folder / FILE).exists()  # the file is left, the lock is not
-    with locked(link, "this"):
-        with pytest.raises(OutputError, match="is in use by this"), locked(folder, "that"):
-            pytest.fail("two holders of one lock")
+    with locked(link, "this"), pytest.raises(OutputError, match="is in use by this"), locked(folder, "that"):
+        pytest.fail("two holders of one lock")
     assert list(folder.iterdir()) == []
 
 

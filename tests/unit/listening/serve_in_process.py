@@ -25,6 +25,7 @@ from tonewood.listening.http_guard import BoundedConnection
 from tonewood.listening.on_demand import RenderedPairs
 from tonewood.listening.server import ListeningServer
 
+
 class DrivenServer(ListeningServer):
     script = ""
 

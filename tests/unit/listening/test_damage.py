@@ -23,7 +23,6 @@ from tonewood.listening.report import write_report
 from tonewood.listening.results import analyse, write_tables
 from tonewood.listening.table import read_key
 
-
 PAGES = [
     {"type": "consent"},
     {"type": "training", "page": 3, "trials": 2},
@@ -204,7 +203,10 @@ def test_results_name_and_count_what_they_leave_out(test: ListeningTest, tmp_pat
     assert len(found.to_dict()["left_out"]) == 5
     for one in (whole, broken, torn):
         one.path.unlink()
-    with pytest.raises(ListeningError, match=r"holds no answers that can be used; \d+ are left out, the first because: .*(another|no answers)"):
+    with pytest.raises(
+        ListeningError,
+        match=r"holds no answers that can be used; \d+ are left out, the first because: .*(another|no answers)",
+    ):
         analyse(test.folder)
 
 
@@ -224,7 +226,9 @@ def test_files_of_a_server_that_was_killed_while_it_began_them_are_removed(test:
     assert list(session.path.parent.iterdir()) == [session.path]
 
 
-def test_names_and_texts_of_listeners_are_no_formulas_and_steer_no_terminal(test: ListeningTest, tmp_path: Path) -> None:
+def test_names_and_texts_of_listeners_are_no_formulas_and_steer_no_terminal(
+    test: ListeningTest, tmp_path: Path
+) -> None:
     session = opened(test, 4, name="=cmd|'/C calc'!A0\x1b[2J\u202e")
     who = listener(test)
     while session.session.step is not None:
