@@ -13,7 +13,7 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\N{FULLWIDTH EQUALS SIGN}", "
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
-    """A table with a row of names; what a row lacks is empty.
+    """A table with a row of names; cells that a row lacks are empty.
 
     A text that begins like a formula gets an apostrophe in front, which makes it text in a spreadsheet. Numbers stay as
     they are, also those written as text.

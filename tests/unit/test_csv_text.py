@@ -10,7 +10,8 @@ from tonewood.csv_text import csv_text
 
 @pytest.mark.parametrize(
     "text",
-    ["=1+2", "+1+2", "-1+2", "@SUM(A1)", "\t=1", "\r=1", "\r\n=1", "\n=1", " =1", "\0=1", "＝1+2", "-", "+cmd|' /C calc'!A0"],
+    ["=1+2", "+1+2", "-1+2", "@SUM(A1)", "\t=1", "\r=1", "\r\n=1", "\n=1", " =1", "\0=1", "\uff1d1+2", "-",
+     "+cmd|' /C calc'!A0"],
 )  # fmt: skip
 def test_a_formula_becomes_text(text: str) -> None:
     for columns, row in (([text], {text: "x"}), (["a"], {"a": text})):

@@ -193,7 +193,7 @@ def levelled(rendered: Rendered, settings: Stimuli, room: Path | None = None) ->
 def level_faults(
     levels: Mapping[str, str | None], store: Store, settings: Stimuli, room: Path | None
 ) -> Iterator[Fault]:
-    """Levels of staircases, by name with the key of the render, that cannot be brought to the loudness of the others."""
+    """Levels of staircases (name -> key of the render) that cannot be brought to the loudness of the others."""
     for name, key in levels.items():
         try:
             if key is not None:

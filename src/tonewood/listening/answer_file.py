@@ -212,7 +212,7 @@ def begin(
 
 
 def clear_parts(test: ListeningTest) -> None:
-    """Remove what a server that was killed left of files that it began."""
+    """Remove unfinished files of a server that was killed."""
     for part in (test.folder / FOLDER).glob("*.part"):
         remove(part)
 

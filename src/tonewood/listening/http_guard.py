@@ -1,4 +1,4 @@
-"""What is checked of a request before anything else reads it, and how long a connection may take.
+"""Checks of a request before anything else reads it, and limits of the time that a connection may take.
 
 A page of another site, opened in a listener's browser, must not send answers or read steps: names that lead to this
 computer by another's DNS are refused (`Host`), and so are requests that another page makes (`Origin`).
@@ -34,7 +34,7 @@ class Guard:
 
     Parameters
     ----------
-    application : the one that is guarded.
+    application : behind the checks.
     host : address that the server listens at.
     names : other names by which browsers reach it.
     """
@@ -52,6 +52,7 @@ class Guard:
             self.names |= {own, f"{own}.local"}
 
     async def __call__(self, scope: MutableMapping[str, Any], receive: Any, send: Any) -> None:
+        """Refuse a request, or pass it on."""
         if scope["type"] != "http":
             return
         if (fault := self.fault(scope["headers"])) is not None:

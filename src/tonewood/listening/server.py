@@ -46,7 +46,7 @@ from tonewood.listening.on_demand import PairSource
 from tonewood.listening.session import Step
 from tonewood.listening.shown import shown
 
-#: bytes of a request's body, and depth of what it holds
+#: bytes of a request's body, and depth of its JSON
 _MOST, _DEEPEST = 65536, 8
 #: sessions in memory; others are read from the disk again when they go on
 _MOST_OPEN = 200
@@ -243,7 +243,7 @@ class ListeningServer:
                 except ListeningError:
                     raise
                 except BaseException:
-                    entry.opened = None  # what is on the disk counts: it is read again
+                    entry.opened = None  # the disk counts: it is read again
                     raise
 
         return await run_in_threadpool(work)

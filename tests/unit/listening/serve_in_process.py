@@ -1,6 +1,6 @@
 """Serve a test with sounds of the fake renderer: FOLDER PORT [SCRIPT].
 
-With a script (drive, listeners, stopped) the page runs it; what it asks for as /static/said-WORDS is kept in ``said``.
+With a script (drive, listeners, stopped) the page runs it; its requests for /static/said-WORDS are kept in ``said``.
 With `stopped` no sound of a staircase can be made.
 """
 

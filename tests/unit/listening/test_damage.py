@@ -78,7 +78,7 @@ def test_no_fault_between_check_and_disk_moves_the_session(
         with pytest.raises((type(fault), OutputError)):
             session.answer(given, now="now")
     assert session.session.step == step
-    # what is on the disk counts: as the server does, the session is taken up again; a whole line is an answer
+    # the disk counts: as the server does, the session is taken up again; a whole line is an answer
     if place != "fsync" or isinstance(fault, OSError):
         assert session.path.read_bytes() == before
         session.answer(given, now="now")

@@ -27,7 +27,7 @@ PAGES = [{"type": "consent"}, {"type": "mushra", "reference": {"damping": "compl
 
 @pytest.fixture(scope="module")
 def test(tmp_path_factory: pytest.TempPathFactory) -> ListeningTest:
-    return fakes.made(tmp_path_factory.mktemp("guarded"), PAGES)
+    return fakes.made(tmp_path_factory.mktemp("guard"), PAGES)
 
 
 def begun(application: Any, **asked: Any) -> str:
