@@ -2,7 +2,7 @@
 
 A browser gets the step of its session: texts, slots and the answers allowed. It asks for sounds by slot, never by code
 or name, and only for those of its step. No other file can be reached: there is no listing, and no path leads from an
-address to the disk. Two slots with one sound cannot be told apart by the headers of the replies.
+address to the disk. Two slots with one sound have replies with the same headers.
 
     GET  /                              the page; /static/... its script and style
     POST /api/session                   begin: {listener, language} -> {token}

@@ -337,7 +337,7 @@ def test_a_sound_that_breaks_off_is_asked_for_again(tmp_path: Path) -> None:
 
 
 def said(test: ListeningTest, count: int) -> list[Any]:
-    """The words that a page's script told, when there are so many."""
+    """The words that a page's script reported, when there are so many."""
     path, ends = test.folder / "said", time.monotonic() + 120
     while True:
         words = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
