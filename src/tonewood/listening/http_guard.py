@@ -24,7 +24,7 @@ HEADERS = {
 }
 #: s until a request must have arrived as a whole, and an answer must be read on
 SECONDS = 10.0
-#: connections at one time; beyond that, those are closed of which a request is awaited longest
+#: connections at one time; beyond that, those that have waited longest for a request are closed
 _MOST = 1000
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9_.-]+)(?::([0-9]{1,5}))?")
 
