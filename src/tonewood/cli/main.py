@@ -12,7 +12,7 @@ from typing import NoReturn
 from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.cli.stopping import stopping
 from tonewood.errors import TonewoodError
-from tonewood.validation_messages import did_you_mean
+from tonewood.support.validation_messages import did_you_mean
 
 #: exit code, as shells have it
 _INTERRUPTED = 130
@@ -69,8 +69,8 @@ def run(arguments: list[str] | None = None) -> None:
 
 def _remaining() -> str:
     """Files that were completed before an interruption, besides those kept between runs."""
-    from tonewood.cache_folder import cache_folder
-    from tonewood.whole_files import completed
+    from tonewood.support.cache_folder import cache_folder
+    from tonewood.support.whole_files import completed
 
     cache = cache_folder()
     files = list(dict.fromkeys(f.name for f in completed if cache is None or not f.is_relative_to(cache.resolve())))
@@ -129,7 +129,7 @@ def _in_its_line(error: TonewoodError, given: list[str]) -> TonewoodError:
     for path in (word.partition("=")[0].split(".") for word in words):
         if error.key and all(a in ("*", b) for a, b in zip(path, error.key.split("."), strict=False)):
             return error
-    from tonewood.yaml_io import located
+    from tonewood.support.yaml_io import located
 
     return located(error)
 
