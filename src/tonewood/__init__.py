@@ -12,6 +12,8 @@ error. Each name is imported when it is first used, so that ``import tonewood`` 
 
 from __future__ import annotations
 
+from tonewood.support import moved
+
 # no imports that take time: until the command line has begun, Ctrl-C is Python's
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -89,6 +91,8 @@ _MOVED = {
 _NEW_HOME = {name: module for module, names in _MOVED.items() for name in names}
 
 __all__ = [*_HOME, "__version__"]  # strings, though computed
+
+moved.install()
 
 
 def __getattr__(name: str) -> Any:
