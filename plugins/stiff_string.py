@@ -37,7 +37,9 @@ class StiffStringParameters(Parameters):
     """Parameters of the open string."""
 
     length: float = quantity("m", low=0.02, high=5.0, doc="speaking length of the open string, nut to bridge")
-    tension: float = quantity("N", low=1.0, high=2000.0, doc="tension of the open string; the tuner adjusts it")
+    tension: float = quantity(
+        "N", low=1.0, high=2000.0, usual=(10.0, 1500.0), doc="tension of the open string; the tuner adjusts it"
+    )
     linear_density: float = quantity("kg/m", low=1e-5, high=0.3, doc="mass per length")
     bending_stiffness: float = quantity("N m^2", low=0.0, high=1.0, default=0.0, doc="E I; 0 is an ideal string")
     loss: LossLaw = described("loss law and its numbers")
