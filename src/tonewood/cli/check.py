@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: relative error of a partial's decay rate from which on a string is reported to miss its loss law
 LOSS_TOLERANCE = 1e-3
+#: stops whose second plane is off that are printed
+_PLANES = 12
 #: peak sound of a microphone per N on the bridge, re full scale, from which on its table is doubted
 LOUD = 1e3
 
@@ -40,7 +42,7 @@ def check(
     """
     from tonewood.instrument.added import added_line
     from tonewood.instrument.assembly import assemble
-    from tonewood.instrument.inspection import TOLERANCE_CENTS, check_transfers, microphone_responses, pitches
+    from tonewood.instrument.inspection import PLANE_CENTS, TOLERANCE_CENTS, check_transfers, microphone_responses, pitches
     from tonewood.instrument.mounted import mounted_pitches
 
     render_options({"fs": fs})
@@ -51,6 +53,7 @@ def check(
     found = pitches(model)
     wolves = [p for p in found if p.wolf is not None]
     off = [p for p in found if abs(p.error_cents) > TOLERANCE_CENTS]
+    off_planes = sorted((p for p in found if _worst_plane(p) > PLANE_CENTS), key=_worst_plane, reverse=True)
     together = mounted_pitches(model, found)
     pairs = list(zip(found, together, strict=True))
     spec = bundle.spec
@@ -69,6 +72,7 @@ def check(
         "microphones": [_microphone(response) for response in microphone_responses(model)],
         "off_pitch": [pitch_row(p) for p in off],
         "off_pitch_mounted": [_mounted_row(p, m) for p, m in pairs if abs(m.error_cents) > TOLERANCE_CENTS],
+        "off_planes": [plane_row(p) for p in off_planes],
         "wolf_notes": [pitch_row(p) for p in wolves],
         "table_doubts": bundle.table_doubts(),
         "stand_ins": [{"path": path, "note": spec.provenance[path].note} for path in bundle.stand_ins()],
@@ -168,6 +172,27 @@ def _loss_error(model: Model, name: str) -> dict[str, Any] | None:
     return {"partial": worst + 1, "relative": float(error[worst])}
 
 
+def _worst_plane(p: Pitch) -> float:
+    """Cents by which one of a string's further planes is off; 0 without any."""
+    return max((abs(plane.off_cents) for plane in p.planes[1:]), default=0.0)
+
+
+def plane_row(p: Pitch) -> dict[str, Any]:
+    """A stop and its planes as plain values."""
+    from tonewood.score.scales import note_name
+
+    planes = {x.component: {"cents": x.cents, "split_cents": x.split_cents, "share": x.share} for x in p.planes}
+    row: dict[str, Any] = {"string": p.string, "stop": p.stop, "note": note_name(p.note)}
+    return row | {"off_cents": _worst_plane(p), "planes": planes}
+
+
+def plane_words(row: dict[str, Any]) -> str:
+    """Cents of each plane from the note, in a few words."""
+    first, *others = [(name.rpartition(".")[2], plane) for name, plane in row["planes"].items()]
+    second = ", ".join(f"{name} {plane['cents']:+.1f} (split {plane['split_cents']:+.1f})" for name, plane in others)
+    return f"{first[0]} {first[1]['cents']:+.1f}, {second} cents"
+
+
 def _mounted_row(p: Pitch, mounted: MountedPitch) -> dict[str, Any]:
     """A stop that is off its pitch when all strings are on the body."""
     from tonewood.score.scales import note_name
@@ -227,6 +252,14 @@ def _mounted_line(row: dict[str, Any]) -> str:
     )
 
 
+def _print_planes(rows: list[dict[str, Any]]) -> None:
+    """Stops whose second plane rings on beside the note, the worst first."""
+    for row in rows[:_PLANES]:
+        print(f"  second plane: {row['string']} stop {row['stop']:>2} ({row['note']}): {plane_words(row)}")
+    if more := rows[_PLANES:]:
+        print(f"  second plane: {len(more)} stops more, {more[0]['off_cents']:.1f} cents from their split or less (--json)")
+
+
 def _print(report: dict[str, Any], ok: bool) -> None:
     body = report["body"]
     print(f"{report['instrument']}: {report['title']} ({report['licence']})")
@@ -276,6 +309,7 @@ def _print(report: dict[str, Any], ok: bool) -> None:
             print(f"  warning: {name} {row['doubt']}")
     for row in report["off_pitch"]:
         print(f"  off pitch: {row['string']} stop {row['stop']} ({row['note']}): {row['error_cents']:+.1f} cents")
+    _print_planes(report["off_planes"])
     for row in report["off_pitch_mounted"]:
         print(f"  with all strings on: {_mounted_line(row)}")
     for row in report["wolf_notes"]:

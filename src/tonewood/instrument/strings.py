@@ -316,6 +316,10 @@ class StringModel:
             return polarization.detune
         return polarization.detune * ratio_of_cents(self._scatter(stop))
 
+    def plane_cents(self, stop: float = 0) -> tuple[float, ...]:
+        """Return the pitch of each polarization at a stop over the first one's, cents, as the bundle splits them."""
+        return tuple(cents(self._detune(p, self._end(stop))) for p in self.polarizations)
+
     def n_modes(self, stop: float = 0) -> int:
         """Modes per polarization of a stop before tension raises any above the limit."""
         return self._untuned(self._end(stop)).n_modes
