@@ -62,6 +62,7 @@ from tonewood.instrument.microphones import Microphones
 from tonewood.instrument.svg_path import svg_ring
 from tonewood.modal.damping import with_damping_case
 from tonewood.modal.modes import ModalBasis
+from tonewood.modal.string_losses import string_detuned, with_partial_decays
 from tonewood.modal.string_modes import string_basis, wavenumber
 from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
 from tonewood.params import Number, Parameters, Vector, described, quantity
@@ -150,9 +151,11 @@ __all__ = [
     "smooth_step",
     "string_basis",
     "string_carry",
+    "string_detuned",
     "string_transfer",
     "svg_ring",
     "unit_vector",
     "wavenumber",
     "with_damping_case",
+    "with_partial_decays",
 ]

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from tonewood.instrument.inspection import MicrophoneResponse, Pitch
     from tonewood.instrument.mounted import MountedPitch
 
-#: relative error of a partial's decay rate from which on a string is reported to miss its loss law
-LOSS_TOLERANCE = 1e-3
+#: cause of partials that are off
+_DETUNED = "the plugin's `detuned` gives others than its `basis`"
 #: stops whose second plane is off that are printed
 _PLANES = 12
 #: peak sound of a microphone per N on the bridge, re full scale, from which on its table is doubted
@@ -42,7 +42,13 @@ def check(
     """
     from tonewood.instrument.added import added_line
     from tonewood.instrument.assembly import assemble
-    from tonewood.instrument.inspection import PLANE_CENTS, TOLERANCE_CENTS, check_transfers, microphone_responses, pitches
+    from tonewood.instrument.inspection import (
+        PLANE_CENTS,
+        TOLERANCE_CENTS,
+        check_transfers,
+        microphone_responses,
+        pitches,
+    )
     from tonewood.instrument.mounted import mounted_pitches
 
     render_options({"fs": fs})
@@ -140,10 +146,11 @@ def _microphone(response: MicrophoneResponse) -> dict[str, Any]:
 
 def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) -> dict[str, Any]:
     from tonewood.instrument.inspection import feel
+    from tonewood.instrument.string_laws import law_errors
     from tonewood.score.scales import note_name
 
     string, mine = model.strings[name], [(p, m) for p, m in pairs if p.string == name]
-    given = string.given_tension
+    given, errors = string.given_tension, law_errors(model, name)
     return {
         "note": note_name(string.open_note),
         "stops": string.n_stops,
@@ -156,20 +163,11 @@ def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) ->
         "held_note": given.line() if given.noticeable else None,
         "worst_cents": max((p.error_cents for p, _ in mine), key=abs),
         "worst_cents_mounted": max((m.error_cents for _, m in mine), key=abs),
-        "loss_error": _loss_error(model, name),
+        "loss_error": None
+        if errors[0].decay is None
+        else {"partial": errors[0].decay_partial, "relative": errors[0].decay},
+        "law": [asdict(e) | {"decay_is_off": e.decay_is_off, "pitch_is_off": e.pitch_is_off} for e in errors],
     }
-
-
-def _loss_error(model: Model, name: str) -> dict[str, Any] | None:
-    """Partial of the open string whose decay on a rigid end is farthest from its loss law; None if unknown."""
-    import numpy as np
-
-    basis = next(iter(model.strings[name].bases().values()))
-    error = basis.metadata.get("loss_error")
-    if not isinstance(error, np.ndarray) or not error.size:
-        return None
-    worst = int(np.argmax(np.abs(error)))
-    return {"partial": worst + 1, "relative": float(error[worst])}
 
 
 def _worst_plane(p: Pitch) -> float:
@@ -252,16 +250,48 @@ def _mounted_line(row: dict[str, Any]) -> str:
     )
 
 
+def _law_lines(rows: list[dict[str, Any]]) -> list[str]:
+    """How well a string's partials keep to its own law on a rigid end: one line, then warnings."""
+    worst = max(abs(row["cents"]) for row in rows if not row["bend_cents"])
+    bent = next((row for row in rows if row["bend_cents"]), None)
+    if rows[0]["decay"] is None:
+        decays = "its plugin does not tell its loss law (`decay_rate`): decays are not compared"
+    else:
+        decay = max(abs(row["decay"]) for row in rows if not row["bend_cents"])
+        shown = f" ({100 * abs(bent['decay']):.2g} %)" if bent else ""
+        decays = f"decays within {100 * decay:.2g} %{shown} of its loss law"
+    shown = f" ({abs(bent['cents']):.1g} bent by {bent['bend_cents']:g})" if bent else ""
+    out = [f"partials within {worst:.1g} cents{shown}, {decays}"]
+    # of each kind the first: at a stop before bent
+    if row := next((row for row in rows if row["decay_is_off"]), None):
+        steep = "the law grows too steeply without loss to the air or of stretching"
+        why = steep if abs(row["own"]) > 0.5 * abs(row["decay"]) else _DETUNED
+        rate = f"{1 + row['decay']:.3g} times the rate of its loss law on a rigid end"
+        out.append(f"warning: partial {row['decay_partial']} {_held(row)} decays at {rate}: {why}")
+    if row := next((row for row in rows if row["pitch_is_off"]), None):
+        beside = f"{row['cents']:+.3g} cents from that of a basis made for this tension"
+        out.append(f"warning: partial {row['pitch_partial']} {_held(row)} is {beside}: {_DETUNED}")
+    return out
+
+
+def _held(row: dict[str, Any]) -> str:
+    bend = f", bent by {row['bend_cents']:g} cents," if row["bend_cents"] else ""
+    return f"at stop {row['stop']}{bend}"
+
+
 def _print_planes(rows: list[dict[str, Any]]) -> None:
     """Stops whose second plane rings on beside the note, the worst first."""
     for row in rows[:_PLANES]:
         print(f"  second plane: {row['string']} stop {row['stop']:>2} ({row['note']}): {plane_words(row)}")
     if more := rows[_PLANES:]:
-        print(f"  second plane: {len(more)} stops more, {more[0]['off_cents']:.1f} cents from their split or less (--json)")
+        print(
+            f"  second plane: {len(more)} stops more, {more[0]['off_cents']:.1f} cents off or less (--json lists all)"
+        )
 
 
 def _print(report: dict[str, Any], ok: bool) -> None:
     body = report["body"]
+    warnings = len(report["table_doubts"]) + sum(bool(row["doubt"]) for row in report["microphones"])
     print(f"{report['instrument']}: {report['title']} ({report['licence']})")
     print(f"  folder: {report['folder']}")
     more = "" if (total := report["n_modes_all_outputs"]) == report["n_modes"] else f" ({total} with all outputs)"
@@ -289,12 +319,9 @@ def _print(report: dict[str, Any], ok: bool) -> None:
             print(f"    {feel['newton_per_mm']:.2f} N for 1 mm sideways, {place:.0f} mm from the bridge{down}")
         if row["held_note"]:
             print(f"    {row['held_note']}")
-        loss = row["loss_error"]
-        if loss and abs(loss["relative"]) > LOSS_TOLERANCE:
-            print(
-                f"    warning: partial {loss['partial']} decays at {1 + loss['relative']:.3g} times the rate of its "
-                "loss law on a rigid end: the law grows too steeply without loss to the air or of stretching"
-            )
+        for line in _law_lines(row["law"]):
+            print(f"    {line}")
+            warnings += line.startswith("warning")
     forces = [f and row["count"] * f for row in report["strings"].values() for f in [row["feel"]["force_on_bridge"]]]
     down = "" if None in forces else f", {sum(forces):.0f} N down on the bridge"
     print(
@@ -326,4 +353,5 @@ def _print(report: dict[str, Any], ok: bool) -> None:
         place = source.get("doi") or source.get("url") or ""
         unused = "" if key in report["sources_used"] else ", which no figure names"
         print(f"  source {key}{unused}: {source['text']}{', ' + place if place else ''} ({source['licence']})")
-    print("ok" if ok else "not ok: its body could create energy")
+    warned = f", with {warnings} warning{'s' * (warnings > 1)}" if warnings else ""
+    print(f"ok{warned}" if ok else "not ok: its body could create energy")

@@ -181,6 +181,22 @@ class Resonator(Plugin[P]):
     def detuned(self, basis: ModalBasis, tension: float) -> ModalBasis:
         """Return `basis` (one of this string's) at another tension: same shapes, new frequencies and losses."""
 
+    def decay_rate(self, freq_rad: Floats, tension: float) -> Floats | None:
+        """Return the law of loss, with which `tonewood check` compares; None where the bases say how they meet it.
+
+        Bases of `ta.string_basis` and `ta.with_partial_decays` say so: ``loss_error`` in their metadata.
+
+        Parameters
+        ----------
+        freq_rad : (n,) rad/s, of partials between fixed ends.
+        tension : N.
+
+        Returns
+        -------
+        (n,) 1/s, sigma of each partial.
+        """
+        return None
+
     @abstractmethod
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
         """Carry the string's motion from one stop to another.

@@ -181,7 +181,7 @@ def pitch(model: Model, string: str, stop: int = 0) -> Pitch:
 
 
 def _planes(string: StringModel, stop: int, tuned: TunedStop) -> tuple[PlanePitch, ...]:
-    """Pitches of a string's polarizations; of each the mode of `tuned`, or one near it, with most of its energy there."""
+    """Pitches of a string's polarizations: of each the mode, of `tuned` or near it, with most of its energy there."""
     known = [(mode.pole, mode.shares) for mode in tuned.modes]
     out = []
     for i, (polarization, split) in enumerate(zip(string.polarizations, string.plane_cents(stop), strict=True)):

@@ -220,6 +220,10 @@ class StringModel:
 
         return StringOnBody(bases, self._body, min(self.pluck_from_bridge, 0.9 * self.length(stop)))
 
+    def undetuned(self, stop: float, tension: float) -> ModalBasis:
+        """Return the basis that the string's plugin makes for a tension (N), where `coupled` has a detuned one."""
+        return self.resonator.basis(self._freq_upper, stop=self.position(self._end(stop)), tension=tension)
+
     def bases(
         self,
         stop: float = 0,
