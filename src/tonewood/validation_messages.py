@@ -157,7 +157,7 @@ def _beyond(fault: Any, keys: Sequence[str], owners: Sequence[type[BaseModel]]) 
         return None
     scaled = [(name, value * factor) for name, factor in _SCALES.get(unit, {}).items()]
     ranges = [usual_values(f) for f in fields if unit_of(f)]
-    likely = [(name, x) for name, x in scaled if all(low <= x <= high for low, high in ranges)]
+    likely = [(name, x) for name, x in scaled if all(low < x < high for low, high in ranges)]
     meant = " or ".join(f"{value:.12g} {name} ({x:.6g})" for name, x in likely)
     of = "" if unit == "1" else f" {unit}"
     hint = f": did you mean {meant}?" if meant else " is allowed"

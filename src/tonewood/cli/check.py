@@ -40,6 +40,7 @@ def check(
 
     Exit code 2 if it cannot be played or its body could create energy.
     """
+    from tonewood.engine.trial import try_parts
     from tonewood.instrument.added import added_line
     from tonewood.instrument.assembly import assemble
     from tonewood.instrument.inspection import (
@@ -55,6 +56,7 @@ def check(
     bundle = load(instrument, settings, allow_code, strings)
     model = assemble(bundle, fs, outputs=tuple(bundle.pickups))
     check_transfers(model)
+    try_parts(model)
     body = _body(model)
     found = pitches(model)
     wolves = [p for p in found if p.wolf is not None]

@@ -34,6 +34,7 @@ from tonewood.instrument.attached import Attached, Site
 from tonewood.instrument.effects import BODY_MODES, OUTPUTS, SECOND_POLARIZATION, Effect
 from tonewood.instrument.files import Files
 from tonewood.instrument.gestures import Event, Gesture, Place
+from tonewood.instrument.guards import CHECKS, guard
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.views import SHOWN_TO, ModalViews
 from tonewood.params import Parameters, Vector, validated
@@ -66,6 +67,11 @@ class Plugin(ABC, Generic[P]):
     effects: ClassVar[tuple[Effect, ...]] = ()
     #: pydantic model of the keys the plugin takes in a bundle
     Parameters: ClassVar[type[Parameters]]
+
+    def __init_subclass__(cls, **options: Any):
+        """Check the results of the methods that the class defines; see `guards`."""
+        super().__init_subclass__(**options)
+        guard(cls, CHECKS.get(getattr(cls, "kind", ""), {}), lambda plugin, reason: plugin.fault(reason))
 
     def __init__(self, parameters: P, files: Files, key: str = ""):
         self.parameters = parameters

@@ -186,6 +186,18 @@ class StringModel:
             self._attached[stop] = tuple(a.owned_by(self.name, part) for part, a in found if a is not None)
         return self._attached[stop]
 
+    @property
+    def touching(self) -> Mapping[str, Attachment[Any] | Exciter[Any]]:
+        """Attachments and exciters that may add parts to the string, by name."""
+        return self._touching
+
+    def attached_by(self, stop: float = 0) -> dict[str, Attached]:
+        """Return what each attachment, exciter and a finger adds to the string at a stop, by their names."""
+        by_part: dict[str, list[Connection]] = {}
+        for connection in self.connections(stop):
+            by_part.setdefault(connection.part, []).append(connection)
+        return {part: Attached(connections=tuple(of)) for part, of in by_part.items()}
+
     def connections(self, stop: float = 0) -> tuple[Connection, ...]:
         """Connections of `attached`; at every stop the same ones, with laws that may differ."""
         return tuple(c for a in self.attached(stop) for c in a.connections)
