@@ -66,7 +66,7 @@ def test_notes_scale_and_superpose(tmp_path: Path, pluck: dict[str, Any], effect
 
 
 def test_without_it_they_do_not(tmp_path: Path) -> None:
-    """The release depends on the force, and a finger quiets what its string does."""
+    """The release depends on the force, and a finger damps earlier motion of its string."""
     finger = two_strings(tmp_path, FINGER)
     together = sound(finger, notes())
     assert level(sound(finger, notes(2.0)) - 2 * together, together) > -40.0

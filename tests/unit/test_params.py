@@ -131,7 +131,7 @@ def test_a_hint_has_a_value_that_would_be_believed(key: str, decade: float, sign
 
 @given(st.sampled_from(sorted(BELIEVED)), st.floats(0.2, 0.8))
 def test_a_usual_value_in_another_unit_is_recognised(key: str, share: float) -> None:
-    """A value from the middle of what is usual, written in the unit of daily use: that unit is among the hints."""
+    """A usual value, written in the unit of daily use: that unit is among the hints."""
     low, high = BELIEVED[key]
     unit = {"length": "mm", "time": "ms", "modulus": "GPa", "ratio": "%", "tension": "kN"}[key]
     said = answer(key, low * (high / low) ** share / IN_SI[unit])

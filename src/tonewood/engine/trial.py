@@ -6,6 +6,7 @@ from tonewood.engine.engine import Engine
 from tonewood.engine.playing import perform
 from tonewood.engine.timeline import GRID
 from tonewood.instrument.assembly import Model
+from tonewood.instrument.references import by_part
 from tonewood.score.note import Note, Score
 
 #: s, between gestures that share a string; grid points that are stepped after the last one's time
@@ -43,9 +44,10 @@ def try_parts(model: Model) -> None:
 def _same_connections(model: Model, string: str) -> None:
     """Refuse a part whose connections differ at the last stop from those of the open string."""
     held = model.strings[string]
-    for part, attached in held.attached_by().items():
-        now = [(c.name, c.terms) for c in held.attached_by(held.n_stops).get(part, attached).connections]
-        if now != [(c.name, c.terms) for c in attached.connections] and part in held.touching:
+    stopped = by_part(held.connections(held.n_stops))
+    for part, own in by_part(held.connections()).items():
+        now = [(c.name, c.terms) for c in stopped.get(part, ())]
+        if now != [(c.name, c.terms) for c in own] and part in held.touching:
             plugin = held.touching[part]
             raise plugin.fault(
                 f"{type(plugin).__name__}.attach returns other connections at stop {held.n_stops} of {string} than on "

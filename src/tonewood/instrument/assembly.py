@@ -26,7 +26,7 @@ from tonewood.instrument.contract import BodyPoint, Exciter, Plugin
 from tonewood.instrument.gestures import Place, places
 from tonewood.instrument.kept_tunings import KeptTunings
 from tonewood.instrument.output_assembly import OutputGroup, Outputs, make_outputs, make_scene
-from tonewood.instrument.references import check_connections, check_readouts
+from tonewood.instrument.references import by_part, check_connections, check_readouts
 from tonewood.instrument.registry import MANIFEST
 from tonewood.instrument.schema import Playing
 from tonewood.instrument.string_assembly import string_models
@@ -221,14 +221,14 @@ def _check_references(
     connections: Sequence[Connection],
     made: Outputs,
 ) -> None:
-    """Refuse connections and readouts of plugins that name what is not there."""
+    """Refuse connections and readouts of plugins that name unknown components, points and connections."""
     taken = {c.name for c in connections if c.role != "attached"}
     for string in strings.values():
-        for part, attached in string.attached_by().items():
+        for part, own in by_part(string.connections()).items():
             plugin = string.touching.get(part)
             fault = partial(_fault, plugin, f"connections.{part}")
-            check_connections(attached.connections, components, taken, fault)
-            taken |= {c.name for c in attached.connections}
+            check_connections(own, components, taken, fault)
+            taken |= {c.name for c in own}
     names = [c.name for c in connections]
     for group in made.groups:
         pickup = instrument.pickups.get(group.name.partition(".")[0], instrument.pickups.get(group.name))

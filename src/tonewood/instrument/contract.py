@@ -31,10 +31,10 @@ from tonewood.coupling.phantoms import PhantomPartials
 from tonewood.coupling.system import Drive, Readout
 from tonewood.errors import BundleError
 from tonewood.instrument.attached import Attached, Site
+from tonewood.instrument.contract_checks import CHECKS, check_results
 from tonewood.instrument.effects import BODY_MODES, OUTPUTS, SECOND_POLARIZATION, Effect
 from tonewood.instrument.files import Files
 from tonewood.instrument.gestures import Event, Gesture, Place
-from tonewood.instrument.guards import CHECKS, guard
 from tonewood.modal.modes import ModalBasis
 from tonewood.modal.views import SHOWN_TO, ModalViews
 from tonewood.params import Parameters, Vector, validated
@@ -69,9 +69,9 @@ class Plugin(ABC, Generic[P]):
     Parameters: ClassVar[type[Parameters]]
 
     def __init_subclass__(cls, **options: Any):
-        """Check the results of the methods that the class defines; see `guards`."""
+        """Check the results of the methods that the class defines; see `contract_checks`."""
         super().__init_subclass__(**options)
-        guard(cls, CHECKS.get(getattr(cls, "kind", ""), {}), lambda plugin, reason: plugin.fault(reason))
+        check_results(cls, CHECKS.get(getattr(cls, "kind", ""), {}), lambda plugin, reason: plugin.fault(reason))
 
     def __init__(self, parameters: P, files: Files, key: str = ""):
         self.parameters = parameters

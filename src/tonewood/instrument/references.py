@@ -9,11 +9,20 @@ from tonewood.coupling.layout import Drive, Readout
 from tonewood.errors import BundleError
 from tonewood.modal.modes import ModalBasis
 
-Fault = Callable[[str], BundleError]
+#: makes the error of a part of a reason
+MakeError = Callable[[str], BundleError]
+
+
+def by_part(connections: Iterable[Connection]) -> dict[str, list[Connection]]:
+    """Part -> its connections."""
+    out: dict[str, list[Connection]] = {}
+    for connection in connections:
+        out.setdefault(connection.part, []).append(connection)
+    return out
 
 
 def check_connections(
-    connections: Iterable[Connection], components: Mapping[str, ModalBasis], taken: Iterable[str], fault: Fault
+    connections: Iterable[Connection], components: Mapping[str, ModalBasis], taken: Iterable[str], fault: MakeError
 ) -> None:
     """Check that the connections of a part join points that are there and have names of their own.
 
@@ -41,7 +50,7 @@ def check_readouts(
     drives: Sequence[Drive],
     components: Mapping[str, ModalBasis],
     connections: Iterable[str],
-    fault: Fault,
+    fault: MakeError,
 ) -> None:
     """Check that the rows of a pickup read points and forces that are there.
 
@@ -62,7 +71,7 @@ def check_readouts(
             raise fault(f"a drive of {drive.component!r}: there is no connection {drive.connection!r}{_among(known)}")
 
 
-def _check_point(component: str, point: str, components: Mapping[str, ModalBasis], who: str, fault: Fault) -> None:
+def _check_point(component: str, point: str, components: Mapping[str, ModalBasis], who: str, fault: MakeError) -> None:
     if component not in components:
         raise fault(f"{who}: there is no component {component!r}{_among(components)}")
     if point not in components[component].points:

@@ -19,8 +19,8 @@ from typing import Any
 
 from tonewood.errors import BundleError, PluginError, kind_of
 from tonewood.instrument.contract import API, KINDS, Plugin
+from tonewood.instrument.contract_checks import CHECKS
 from tonewood.instrument.effects import Effect
-from tonewood.instrument.guards import CHECKS
 from tonewood.params import Parameters
 from tonewood.validation_messages import did_you_mean
 

@@ -49,6 +49,7 @@ class StringModel:
     longitudinal, phantoms : its longitudinal motion, if that is stepped, or driven one way.
     pluck_from_bridge, pluck_width : m, place of the pluck where a gesture gives none, and how far it is spread.
     group : strings that a note on the first of them plays together; itself among them.
+    touching : attachments and exciters that may add parts to it, by name.
     damper : resistance (N s/m), place and width (m, from the bridge) of the felt that rests on it; None without one.
 
     Parameters
@@ -89,7 +90,7 @@ class StringModel:
         self._of_key, self._kept = bool(group), kept
         self._body, self._freq_upper, self._freq_limit = body, freq_upper, freq_limit
         self._end_compliance, self._tilt_deg = end_compliance, tilt_deg
-        self._touching, self._scatter = dict(touching or {}), scatter
+        self.touching, self._scatter = dict(touching or {}), scatter
         self._attached: dict[float, tuple[Attached, ...]] = {}
         self._tuned: dict[float, tuple[TunedStop | None, float]] = {}
         self._bases: dict[float, ModalBasis] = {}
@@ -180,23 +181,11 @@ class StringModel:
         if stop not in self._attached:
             site = self.site(stop)
             # pairs: an exciter may have the name of the soft finger
-            found = [(name, part.attach(name, site)) for name, part in self._touching.items()]
+            found = [(name, part.attach(name, site)) for name, part in self.touching.items()]
             if self.stopping.finger is not None:
                 found.append((POINT, fingertips(self.stopping.finger, site, self._left_under_finger(stop))))
             self._attached[stop] = tuple(a.owned_by(self.name, part) for part, a in found if a is not None)
         return self._attached[stop]
-
-    @property
-    def touching(self) -> Mapping[str, Attachment[Any] | Exciter[Any]]:
-        """Attachments and exciters that may add parts to the string, by name."""
-        return self._touching
-
-    def attached_by(self, stop: float = 0) -> dict[str, Attached]:
-        """Return what each attachment, exciter and a finger adds to the string at a stop, by their names."""
-        by_part: dict[str, list[Connection]] = {}
-        for connection in self.connections(stop):
-            by_part.setdefault(connection.part, []).append(connection)
-        return {part: Attached(connections=tuple(of)) for part, of in by_part.items()}
 
     def connections(self, stop: float = 0) -> tuple[Connection, ...]:
         """Connections of `attached`; at every stop the same ones, with laws that may differ."""

@@ -34,8 +34,8 @@ from tonewood.engine.timeline import GRID, Play, Timeline
 from tonewood.errors import PluginError
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
+from tonewood.instrument.contract_checks import check_results, number, want
 from tonewood.instrument.effects import Effect
-from tonewood.instrument.guards import guard, number, want
 from tonewood.modal.modes import ModalBasis
 from tonewood.stepping.motion import from_motion, to_motion
 from tonewood.units import decibel
@@ -262,9 +262,9 @@ class RuntimeEffect:
     """
 
     def __init_subclass__(cls, **options: Any):
-        """Check the results of the methods that the class defines; see `instrument.guards`."""
+        """Check the results of the methods that the class defines; see `instrument.contract_checks`."""
         super().__init_subclass__(**options)
-        guard(cls, _CHECKS, _fault)
+        check_results(cls, _CHECKS, _fault)
 
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
         self.model, self.effect, self.plugins = model, effect, plugins

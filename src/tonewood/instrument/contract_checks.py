@@ -1,7 +1,7 @@
-"""Methods of plugins with their results checked: what a plugin raises or returns amiss is one line that names it.
+"""Methods of plugins with their results checked: a wrong result, or an exception, ends in one line that names the method.
 
-`guarded` wraps the methods of the contract that a class defines. A result is checked for its type, for finite numbers
-and for the shapes that the contract promises; an exception that is not a `TonewoodError` becomes one, from which the
+`check_results` wraps the methods of the contract that a class defines. A result is checked for its type, for finite
+numbers and for the shapes that the contract promises; an exception that is not a `TonewoodError` becomes one, from which the
 first still hangs, so that its traceback is there in Python.
 """
 
@@ -27,8 +27,11 @@ from tonewood.stepping.forcing import SampledForce, Segment
 Verify = Callable[[Any, Any, Mapping[str, Any]], None]
 
 
+_CONTRACT = "tonewood.instrument.contract"
+
+
 class WrongResultError(Exception):
-    """A result is not what the contract promises; the text goes on from ``returns``."""
+    """A result breaks the contract; the text goes on from ``returns``."""
 
 
 def want(ok: object, value: object, wanted: str, where: str = "") -> None:
@@ -90,7 +93,7 @@ def terms(value: object, where: str) -> None:
 
 
 def attached(value: Any) -> None:
-    """Check what a part adds to a string."""
+    """Check the places, components and connections that a part adds to a string."""
     from tonewood.instrument.attached import Attached
 
     want(isinstance(value, Attached), value, "a ta.Attached")
@@ -154,9 +157,7 @@ def gesture(value: Any) -> None:
 
 def pickup_rows(plugin: Any, value: Any) -> None:
     """Check rows of a pickup; that their components and points exist, `references` checks."""
-    from tonewood.instrument.contract import PickupRows
-
-    want(isinstance(value, PickupRows), value, "a ta.PickupRows")
+    want(isinstance(value, _class(_CONTRACT, "PickupRows")), value, "a ta.PickupRows")
     want(isinstance(value.readouts, tuple), value.readouts, "a tuple of ta.Readout", "readouts")
     for readout in value.readouts:
         want(isinstance(readout, Readout), readout, "a ta.Readout", "readouts")
@@ -188,11 +189,9 @@ def texts(value: Any, wanted: str, *, some: bool) -> None:
 
 def body_points(value: Any) -> None:
     """Check the points of a body."""
-    from tonewood.instrument.contract import BodyPoint
-
     want(isinstance(value, Mapping) and value, value, "a mapping of name to ta.BodyPoint")
     for name, point in value.items():
-        want(isinstance(point, BodyPoint), point, "a ta.BodyPoint", f"points[{name!r}]")
+        want(isinstance(point, _class(_CONTRACT, "BodyPoint")), point, "a ta.BodyPoint", f"points[{name!r}]")
         vector = np.asarray(point.direction, dtype=object).ravel()
         want(len(vector) == 3, point.direction, "three numbers", f"the direction of {name!r}")
         for x in vector:
@@ -220,13 +219,18 @@ def _decay_rate(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
         want(fits, value, f"finite rates of shape {shape}, 0 or more,")
 
 
+def _class(module: str, name: str) -> type[Any]:
+    """Class of a module that imports this one, or that only a plugin that uses it has imported."""
+    found: type[Any] = getattr(sys.modules[module], name, type(None)) if module in sys.modules else type(None)
+    return found
+
+
 def _of_type(module: str, name: str) -> Verify:
     """Check for None or an instance of a class, imported when it is needed."""
 
     def verify(plugin: Any, value: Any, given: Mapping[str, Any]) -> None:
         if value is not None:
-            kind = getattr(sys.modules[module], name)
-            want(isinstance(value, kind), value, f"a ta.{name} or None")
+            want(isinstance(value, _class(module, name)), value, f"a ta.{name} or None")
 
     return verify
 
@@ -237,7 +241,7 @@ CHECKS: dict[str, dict[str, Any]] = {
         "length": lambda p, v, a: number(v, "a number of metres above 0", 0.0, above=True),
         "tension": lambda p, v, a: number(v, "a number of newtons above 0", 0.0, above=True),
         "axial_stiffness": lambda p, v, a: number(v, "a number of newtons, 0 or more,", 0.0),
-        "longitudinal": _of_type("tonewood.instrument.contract", "Longitudinal"),
+        "longitudinal": _of_type(_CONTRACT, "Longitudinal"),
         "phantom_partials": _of_type("tonewood.coupling.phantoms", "PhantomPartials"),
         "basis": lambda p, v, a: string_basis(v),
         "detuned": _detuned,
@@ -266,7 +270,7 @@ CHECKS: dict[str, dict[str, Any]] = {
 }
 
 
-def guard(cls: type[Any], checks: Mapping[str, Any], fault: Callable[[Any, str], TonewoodError]) -> None:
+def check_results(cls: type[Any], checks: Mapping[str, Any], fault: Callable[[Any, str], TonewoodError]) -> None:
     """Replace the methods of a class that `checks` names by ones whose results are checked.
 
     Parameters
@@ -278,16 +282,16 @@ def guard(cls: type[Any], checks: Mapping[str, Any], fault: Callable[[Any, str],
     for name, verify in checks.items():
         found = cls.__dict__.get(name)
         if isinstance(found, property) and found.fget is not None:
-            setattr(cls, name, property(_guarded(cls, name, found.fget, verify, fault), doc=found.__doc__))
+            setattr(cls, name, property(_checked(cls, name, found.fget, verify, fault), doc=found.__doc__))
         elif isinstance(found, functools.cached_property):
-            wrapped = functools.cached_property(_guarded(cls, name, found.func, verify, fault))
+            wrapped = functools.cached_property(_checked(cls, name, found.func, verify, fault))
             wrapped.__set_name__(cls, name)
             setattr(cls, name, wrapped)
         elif inspect.isfunction(found):
-            setattr(cls, name, _guarded(cls, name, found, verify, fault))
+            setattr(cls, name, _checked(cls, name, found, verify, fault))
 
 
-def _guarded(
+def _checked(
     cls: type[Any], name: str, function: Callable[..., Any], verify: Any, fault: Callable[[Any, str], TonewoodError]
 ) -> Callable[..., Any]:
     if getattr(function, "__isabstractmethod__", False):
