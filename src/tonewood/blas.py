@@ -50,7 +50,8 @@ class _OneThread:
     def __enter__(self) -> None:
         with self.lock:
             self.entries += 1
-            self._limit()
+            if self.entries == 1:
+                self._limit()
 
     def _limit(self) -> None:
         for library in _loaded():

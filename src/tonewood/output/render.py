@@ -34,8 +34,10 @@ from tonewood.score.note import Dropped
 
 Floats = NDArray[np.float64]
 
-#: ticks of the control grid between checks whether the sound has decayed, whatever the block size
+#: ticks of the control grid in a span; a sound that has decayed ends after a whole span, whatever the block size
 _TICKS = 8
+#: spans that are stepped at once after the last event; those beyond the end of the sound are cut
+_TAIL_SPANS = 8
 #: frames of a block in `render`
 _BLOCK = 4096
 #: s for which the sound must have stayed below the level of the tail
@@ -271,25 +273,37 @@ class Renderer:
         self._step = checkpoint.step
 
     def _fill(self, frames: int) -> None:
-        """Step at least `frames` frames, in whole spans; one span at a time where the render may end."""
+        """Step at least `frames` frames, in whole spans; after the last event always the same number of spans."""
         sample, span = self.engine.state.sample, _TICKS * GRID
         # first frame out of the resampler, which looks ahead
         first = self._resampler.frame(sample)
         longest = self.options.max_duration
         room = math.inf if longest is None else round(longest * self.fs) - max(first, 0)
-        lively = int(self.performance.timeline.stop * self.model.fs) - sample - span
-        wanted = self._resampler.samples(min(frames, room))
-        spans = max(1, min(math.ceil(wanted / span), lively // span))
+        lively = (int(self.performance.timeline.stop * self.model.fs) - sample) // span - 1
+        if lively > 0:
+            spans, pieces = min(math.ceil(self._resampler.samples(min(frames, room)) / span), lively), 1
+        else:  # an account of energy has no entries beyond the end of the sound
+            left = math.inf if room == math.inf else math.ceil(self._resampler.samples(room) / span)
+            spans = pieces = 1 if self.options.energy else max(1, int(min(_TAIL_SPANS, left)))
         began = time.perf_counter()
-        sound = self._resampler(self._routing.scaled(self.engine.advance(spans * _TICKS)), sample)
+        sound = self._resampler(self._routing.scaled(self.engine.advance(max(spans, 1) * _TICKS)), sample)
         sound = self._routing.delayed(sound)
         self._seconds += time.perf_counter() - began
+        unheard = max(0, -first - self.zero_frame)
         sound = self._begun(sound, first + self.zero_frame)
         room += min(max(0, -first), self.zero_frame)  # counted from score time 0
-        if len(sound) >= room:
-            sound, self._end = sound[: int(room)], "maximum duration"
+        start = 0
+        for piece in range(pieces):
+            now = sample + (piece + 1) * max(spans, 1) * span // pieces
+            stop = max(0, self._resampler.frame(now) - first - unheard)
+            if stop >= room:
+                stop, self._end = int(room), "maximum duration"
+            self._watch(now, float(np.max(np.abs(sound[start:stop]), initial=0.0)))
+            start = stop
+            if self._end:
+                break
+        sound = sound[:start]
         self._pending = np.concatenate([self._pending, sound]) if len(self._pending) else sound
-        self._watch(float(np.max(np.abs(sound), initial=0.0)))
 
     def _begun(self, sound: Floats, first: int) -> Floats:
         """Discard the sound before the first frame, and smooth the step that this leaves; `first` is sound's frame."""
@@ -302,12 +316,12 @@ class Renderer:
             sound[: len(fade)] -= fade[:, None] * self._step
         return sound
 
-    def _watch(self, peak: float) -> None:
-        """End the render when the sound has decayed."""
-        now = self.engine.state.sample // self._resampler.ratio
+    def _watch(self, sample: int, peak: float) -> None:
+        """End the render before a sample if the sound has decayed; `peak` is that of the frames since the last call."""
+        now = sample // self._resampler.ratio
         self._loudest = max(self._loudest, peak)
         self._recent.append((now, peak))
-        since_end = self.time - self.performance.timeline.stop
+        since_end = sample / self.model.fs - self.performance.timeline.stop
         while len(self._recent) > 1 and self._recent[0][0] <= now - _WINDOW * self.fs - _TICKS * GRID:
             self._recent.pop(0)
         late = len(self._routing.memory) / self.fs  # sound still due of a delayed channel
@@ -332,6 +346,7 @@ def warn_of_dropped_notes(dropped: Sequence[Dropped]) -> None:
     warnings.warn(DroppedNotesWarning(text), stacklevel=level)
 
 
+@one_blas_thread
 def render(
     score: ScoreLike,
     instrument: InstrumentLike,
