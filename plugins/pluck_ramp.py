@@ -3,8 +3,8 @@
 The force grows smoothly for `ramp_time` (or one period of the note, if that is longer: a shorter ramp sounds by
 itself), has its peak when the note begins, and falls to zero within `release_time`: 0.3 ms for a soft fingertip, 0.05
 ms for a hard nail. Rise and fall are two parabolas each, so that force and its rate are continuous. While it draws the
-string, the finger damps earlier motion by a dashpot, which dissipates only. Notes scale with their force; with `linear`,
-without that dashpot, they superpose, too.
+string, the finger damps earlier motion by a dashpot, which dissipates only. Notes scale with their force; with
+`linear`, without that dashpot, they superpose, too.
 """
 
 from __future__ import annotations

@@ -153,7 +153,8 @@ def test_check_and_modes_show_each_plane(tonewood: Run) -> None:
 def test_check_names_a_string_that_misses_its_loss_law(tonewood: Run) -> None:
     bending_alone = "strings.A2.loss={law: woodhouse, eta_f: 0.0, eta_a: 0.0, eta_b: 0.02}"
     steep = tonewood("check", "monochord", "--set", bending_alone, "--set", "strings.A2.bending_stiffness=5e-5")
-    assert "partial 1 decays at 1." in steep[1]
+    assert "partial 1 at stop 0 decays at 1." in steep[1]
+    assert "the law grows too steeply" in steep[1]
     assert "decays at" not in tonewood("check", "monochord")[1]
 
 

@@ -1,8 +1,8 @@
-"""Methods of plugins with their results checked: a wrong result, or an exception, ends in one line that names the method.
+"""Methods of plugins with their results checked: a wrong result or an exception ends in one line that names the method.
 
 `check_results` wraps the methods of the contract that a class defines. A result is checked for its type, for finite
-numbers and for the shapes that the contract promises; an exception that is not a `TonewoodError` becomes one, from which the
-first still hangs, so that its traceback is there in Python.
+numbers and for the shapes that the contract promises; an exception that is not a `TonewoodError` becomes one, from
+which the first still hangs, so that its traceback is there in Python.
 """
 
 from __future__ import annotations
