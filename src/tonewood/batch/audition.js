@@ -38,11 +38,7 @@ async function play(set, code, share = null) {
   audio.resume();
   if (current && current.set === set && share === null) {
     const now = audio.currentTime;
-    for (const [name, gain] of Object.entries(current.gains)) {
-      gain.cancelScheduledValues(now);
-      gain.setValueAtTime(gain.value, now);
-      gain.linearRampToValueAtTime(name === code ? 1 : 0, now + 0.005);
-    }
+    for (const [name, gain] of Object.entries(current.gains)) ramp(gain, name === code ? 1 : 0, now + 0.005);
     current.code = code;
   } else {
     stop();
@@ -62,8 +58,17 @@ async function play(set, code, share = null) {
   mark();
 }
 
+function ramp(gain, value, until) {
+  gain.cancelScheduledValues(audio.currentTime);
+  gain.setValueAtTime(gain.value, audio.currentTime);
+  gain.linearRampToValueAtTime(value, until);
+}
+
+// The sound fades: a step would be heard as a click.
 function stop() {
-  if (current) for (const source of current.sources) { source.onended = null; source.stop(); }
+  const until = audio ? audio.currentTime + 0.02 : 0;
+  if (current) for (const gain of Object.values(current.gains)) ramp(gain, 0, until);
+  if (current) for (const source of current.sources) { source.onended = null; source.stop(until); }
   current = null;
   mark();
 }

@@ -7,7 +7,10 @@ they get one page at a time.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Sequence
+import json
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +22,10 @@ from tonewood.errors import TonewoodError
 
 SCHEMA = "tonewood-test/1"
 FILE = "test.json"
+#: folder of the listeners' answers, a file each
+ANSWERS = "answers"
+#: s of each level of a staircase that are rendered to see whether it can be
+_PIECE = 0.05
 
 
 def definition_of(
@@ -51,6 +58,14 @@ def definition_of(
     }
 
 
+@dataclass(frozen=True)
+class StaircaseLevel:
+    """A level of a staircase that is known beforehand: the key of its page, and the sound."""
+
+    key: str
+    condition: Condition
+
+
 def changed_condition(manifest: Manifest, conditions: Sequence[Condition], index: int) -> Condition:
     """The one condition that the staircase of page `index` (from 0) changes.
 
@@ -80,8 +95,8 @@ def with_value(manifest: Manifest, condition: Condition, path: str, value: Any) 
     return dataclasses.replace(condition, name=name, render=settings)
 
 
-def check_staircases(manifest: Manifest, folder: Path, own: Any) -> None:
-    """Check that every staircase changes one condition, and that its first levels can be rendered.
+def staircase_levels(manifest: Manifest, folder: Path, own: Callable[[Condition, str], Any]) -> list[StaircaseLevel]:
+    """Sounds that every staircase needs: reference, start, lowest and highest level.
 
     Parameters
     ----------
@@ -90,19 +105,89 @@ def check_staircases(manifest: Manifest, folder: Path, own: Any) -> None:
 
     Raises
     ------
-    ManifestError : names the page and the key.
+    ManifestError : a staircase changes no condition or several, or a level does not fit; names the page and the key.
     """
     conditions = None
+    found = []
     for index, page in enumerate(manifest.pages):
-        if isinstance(page, StaircasePage):
-            conditions = conditions or expand(manifest, folder)
-            condition = changed_condition(manifest, conditions, index)
+        if not isinstance(page, StaircasePage):
+            continue
+        conditions = conditions or expand(manifest, folder)
+        condition = changed_condition(manifest, conditions, index)
+        try:
+            base = own(condition, page.path)
+        except TonewoodError as fault:
+            raise ManifestError(str(fault), key=f"pages.{index}.path") from None
+        for name in ("reference", "start", "lowest", "highest"):
+            key = f"pages.{index}.{name}"
+            if name == "reference":
+                value = base if page.reference is None else page.reference
+            else:
+                try:
+                    value = page.value(getattr(page, name), base)
+                except ValueError as fault:
+                    raise ManifestError(str(fault), key=f"pages.{index}.reference") from None
+                except OverflowError:
+                    value = math.inf
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ManifestError(f"the value of {page.path} is not finite", key=key)
+            # the condition itself where nothing is changed: its value may be none that an override can set
+            same = name == "reference" and page.reference is None
+            level = condition if same else with_value(manifest, condition, page.path, value)
             try:
-                value = page.value(page.start, own(condition, page.path))
-                own(with_value(manifest, condition, page.path, value), page.path)
-            except ValueError as fault:
-                raise ManifestError(str(fault), key=f"pages.{index}.reference") from None
-            except ManifestError:
-                raise
+                own(level, page.path)
             except TonewoodError as fault:
-                raise ManifestError(str(fault), key=f"pages.{index}.path") from None
+                raise ManifestError(f"the level cannot be rendered: {fault}", key=key) from None
+            found.append(StaircaseLevel(key, level))
+    return found
+
+
+def check_rendering(levels: Sequence[StaircaseLevel], render: Callable[[Condition], Any]) -> None:
+    """Render a short piece of each level: values that are allowed one by one may not fit together.
+
+    Raises
+    ------
+    ManifestError : one cannot be rendered; names the page and the key.
+    """
+    for level in levels:
+        settings = level.condition.render
+        piece = settings.at(max_duration=min(settings.max_duration or _PIECE, _PIECE))
+        try:
+            render(dataclasses.replace(level.condition, render=piece))
+        except Exception as fault:  # of a plugin, anything
+            reason = str(fault) if isinstance(fault, TonewoodError) else f"{type(fault).__name__}: {fault}"
+            raise ManifestError(f"the level cannot be rendered: {reason}", key=level.key) from None
+
+
+def check_answers(folder: Path, manifest: Manifest, source: Path, groups: Sequence[Group], todo: int) -> None:
+    """Check that a batch leaves a test as it is to which answers were given.
+
+    Parameters
+    ----------
+    folder : of the batch.
+    source : the manifest's.
+    groups : that are planned.
+    todo : sounds that would be rendered.
+
+    Raises
+    ------
+    ManifestError : the test or its sounds would be replaced.
+    """
+    answers = sum(max(path.read_bytes().count(b"\n") - 1, 0) for path in (folder / ANSWERS).glob("*.jsonl"))
+    if not answers:
+        return
+    planned = definition_of(manifest, groups, {s.code for g in groups for s in g.stimuli}, source, {})
+    try:
+        old = json.loads((folder / FILE).read_bytes())
+        drops = [row.pop("drop_db") for row in old["trials"]]
+    except (OSError, ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        old, drops = None, []
+    for row in planned["trials"][: len(drops)]:
+        row.pop("drop_db")
+    changed = FILE if json.loads(json.dumps(planned)) != old else f"{todo} of its sounds" if todo else None
+    if changed:
+        raise ManifestError(
+            f"{answers} answers were given to this test, and {changed} would be replaced: take another folder with -o, "
+            f"or move {folder / ANSWERS} away",
+            file=folder / FILE,
+        )

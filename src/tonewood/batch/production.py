@@ -8,7 +8,7 @@ the true-peak limit is lowered as a whole.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -176,6 +176,30 @@ def prepared(rendered: Rendered, settings: Stimuli, role: str = "sound", room: P
     if role in _CUTOFF:
         audio = st.anchor(audio, settings.fs, _CUTOFF[role])
     return st.faded(audio, settings.fs, settings.fade.in_, settings.fade.out)
+
+
+def levelled(rendered: Rendered, settings: Stimuli, room: Path | None = None) -> st.Samples:
+    """A prepared sound at its loudness.
+
+    Raises
+    ------
+    TonewoodError : it is silent, or has other channels.
+    """
+    sound = prepared(rendered, settings, room=room)
+    gain = st.level_gain_db(sound, settings.fs, *level_settings(settings.loudness))
+    return np.asarray(sound * 10.0 ** (gain / 20.0), dtype=np.float64)
+
+
+def level_faults(
+    levels: Mapping[str, str | None], store: Store, settings: Stimuli, room: Path | None
+) -> Iterator[Fault]:
+    """Levels of staircases (name -> key of the render) that cannot be brought to the loudness of the others."""
+    for name, key in levels.items():
+        try:
+            if key is not None:
+                levelled(store.load(key), settings, room)
+        except TonewoodError as fault:
+            yield Fault(name, str(fault))
 
 
 @cache

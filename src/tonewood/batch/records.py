@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -14,6 +12,7 @@ from tonewood.batch.conditions import Condition
 from tonewood.batch.layout import Group
 from tonewood.batch.manifest import Manifest
 from tonewood.batch.production import Fault, SoundFile
+from tonewood.csv_text import csv_text
 from tonewood.whole_files import whole_file
 
 KEY_SCHEMA = "tonewood-key/1"
@@ -117,12 +116,8 @@ def write_csv(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
     """Write records as a table: nested facts get dotted columns, lists stand as JSON."""
     rows = [dict(_flat(record)) for record in records]
     columns = list(dict.fromkeys(name for row in rows for name in row))
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
     with whole_file(path, make_folder=True) as stream:
-        stream.write(text.getvalue().encode())
+        stream.write(csv_text(columns, rows).encode())
 
 
 def _flat(value: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:

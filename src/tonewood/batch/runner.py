@@ -25,11 +25,12 @@ from tonewood.batch.layout import Group, lay_out
 from tonewood.batch.manifest import Manifest, ManifestError, load_manifest
 from tonewood.batch.pages import HtmlPage, PairPage, as_pairs
 from tonewood.batch.pictures import write_differences
-from tonewood.batch.production import PICTURES, SOUNDS, Fault, SoundFile, make_files, room_response
+from tonewood.batch.production import PICTURES, SOUNDS, Fault, SoundFile, level_faults, make_files, room_response
 from tonewood.batch.stimuli import StimulusError
 from tonewood.batch.store import Rendered, Store, content_key
 from tonewood.batch.workers import Workers
 from tonewood.errors import NumericalError, OutputError, TonewoodError
+from tonewood.folder_lock import locked
 from tonewood.whole_files import remove
 
 WORK = "work"
@@ -62,6 +63,7 @@ class BatchPlan:
     ----------
     source : the manifest's folder.
     conditions, groups : of the manifest, those that could be resolved.
+    levels : of staircases, rendered beforehand.
     keys : content key by condition name.
     todo : one condition for each key that is not rendered yet.
     seconds : predicted time of rendering those and of writing the files with the workers given, s; None if not asked.
@@ -71,6 +73,7 @@ class BatchPlan:
     manifest: Manifest
     source: Path
     conditions: tuple[Condition, ...]
+    levels: tuple[definition.StaircaseLevel, ...]
     groups: tuple[Group, ...]
     keys: dict[str, str]
     identities: dict[str, dict[str, Any]]
@@ -171,7 +174,7 @@ def plan_batch(
     try:
         conditions = expand(manifest, manifest_path.parent)
         groups, notes = lay_out(manifest, conditions)
-        definition.check_staircases(manifest, manifest_path.parent, renderer.own_value)
+        levels = definition.staircase_levels(manifest, manifest_path.parent, renderer.own_value)
         if (room := manifest.stimuli.room) is not None:
             try:
                 room_response(manifest_path.parent / room, manifest.stimuli)
@@ -182,7 +185,7 @@ def plan_batch(
     keys: dict[str, str] = {}
     identities: dict[str, dict[str, Any]] = {}
     faults: list[Fault] = []
-    for condition in conditions:
+    for condition in (*conditions, *(level.condition for level in levels)):
         try:
             identity = renderer.identity(condition)
         except TonewoodError as fault:
@@ -193,8 +196,13 @@ def plan_batch(
     if not keys:  # a misspelt path of a factor: one line, however many conditions have it
         raise ManifestError(f"no condition can be resolved: {faults[0].reason}", file=manifest_path)
     store = Store(folder / WORK)
+    try:
+        new = [level for level in levels if not store.has(keys.get(level.condition.name, ""))]
+        definition.check_rendering(new, renderer.render)
+    except ManifestError as fault:
+        raise ManifestError(fault.reason, file=manifest_path, key=fault.key) from None
     todo: dict[str, Condition] = {}
-    for condition in conditions:
+    for condition in (*conditions, *(level.condition for level in levels)):
         wanted = keys.get(condition.name)
         if wanted is not None and wanted not in todo and not store.has(wanted):
             todo[wanted] = condition
@@ -217,10 +225,11 @@ def plan_batch(
             except TonewoodError as fault:
                 faults.append(Fault(condition.name, str(fault)))
         seconds /= 1 if workers is None else workers.count
-    return BatchPlan(
+    plan = BatchPlan(
         manifest,
         manifest_path.parent,
         conditions,
+        tuple(levels),
         groups,
         keys,
         identities,
@@ -229,6 +238,15 @@ def plan_batch(
         tuple(faults),
         tuple(notes),
     )
+    _check_answers(plan, folder)
+    return plan
+
+
+def _check_answers(plan: BatchPlan, folder: Path) -> None:
+    """Check that no test and no sound is replaced to which answers were given; raises as `check_answers`."""
+    heard = {plan.keys.get(condition.name) for condition in plan.conditions}
+    replaced = sum(plan.keys[condition.name] in heard for condition in plan.todo)
+    definition.check_answers(folder, plan.manifest, plan.source, plan.groups, replaced)
 
 
 def run_batch(
@@ -257,11 +275,26 @@ def run_batch(
     started = time.perf_counter()
     workers = workers or Workers()
     plan = plan_batch(manifest_path, folder, renderer, workers)
-    manifest, store = plan.manifest, Store(folder / WORK)
+    store = Store(folder / WORK)
     try:
         store.folder.mkdir(parents=True, exist_ok=True)
     except OSError as fault:  # better to know before the first render
         raise OutputError(f"cannot be made: {fault.strerror}", file=folder) from None
+    with locked(folder, "tonewood batch"):
+        _check_answers(plan, folder)
+        return _run(plan, folder, store, renderer, workers, progress, started)
+
+
+def _run(
+    plan: BatchPlan,
+    folder: Path,
+    store: Store,
+    renderer: StimulusRenderer,
+    workers: Workers,
+    progress: Progress | None,
+    started: float,
+) -> Report:
+    manifest = plan.manifest
     failed = _render_missing(plan, store, renderer, workers, progress)
     renders = {key: store.facts(key) for key in set(plan.keys.values()) - set(failed)}
     keys = {name: key for name, key in plan.keys.items() if key in renders}
@@ -284,7 +317,8 @@ def run_batch(
     heard = {s.code for g in groups for s in g.stimuli}
     files = [f for f in files if f.code in heard]
     unrendered = [Fault(name, f.reason, f.detail) for name, key in plan.keys.items() if (f := failed.get(key))]
-    faults = (*plan.faults, *unrendered, *silent)
+    levels = {f"{x.condition.name} ({x.key})": keys.get(x.condition.name) for x in plan.levels}
+    faults = (*plan.faults, *unrendered, *silent, *level_faults(levels, store, manifest.stimuli, plan.room))
     notes = (*plan.notes, *lost, *lowered, *lost_too)
     _write_records(plan, groups, files, renders, faults, notes, folder, workers.local())
     return Report(

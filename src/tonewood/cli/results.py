@@ -76,6 +76,10 @@ def _print(found: PanelResults) -> None:
     for page in found.pages:
         warn([f"{s.listener} is left out: {s.reason}" for s in page.screened])
     warn([f"{who} did not finish" for who in found.unfinished])
+    warn([f"left out: {one.reason}" for one in found.left_out])
+    if found.left_out:
+        count = sum(one.answers for one in found.left_out)
+        warn([f"{count} {'answer is' if count == 1 else 'answers are'} left out"])
     print(f"{found.test.manifest.name}: {found.who}, {100 * found.confidence:g} % intervals")
     for page in found.pages:
         print(f"{page.page}. {page.heading} ({page.kind}, {page.listeners} listeners)")

@@ -11,6 +11,7 @@ import io
 import threading
 from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from typing import Protocol
 
 import numpy as np
@@ -19,10 +20,11 @@ from tonewood.batch import stimuli as st
 from tonewood.batch.conditions import Condition, expand
 from tonewood.batch.definition import changed_condition, with_value
 from tonewood.batch.pages import StaircasePage
-from tonewood.batch.production import encoded_wav, level_settings, prepared
+from tonewood.batch.production import encoded_wav, levelled
 from tonewood.batch.runner import WORK, StimulusRenderer
 from tonewood.batch.seeds import generator
 from tonewood.batch.store import Rendered, Store, content_key
+from tonewood.errors import NumericalError, OutputError
 from tonewood.listening.definition import ListeningTest
 from tonewood.listening.session import CHANGED, STANDARD
 from tonewood.units import decibel
@@ -105,9 +107,7 @@ class RenderedPairs:
         changed = with_value(self.test.manifest, base, page.path, value)
         made = {}
         for name, condition in ((STANDARD, standard), (CHANGED, changed)):
-            sound = prepared(self._rendered(condition), settings, room=room)
-            gain = st.level_gain_db(sound, settings.fs, *level_settings(settings.loudness))
-            made[name] = sound * 10.0 ** (gain / 20.0)
+            made[name] = levelled(self._rendered(condition), settings, room)
         peaks = [decibel(st.true_peak(sound)) for sound in made.values()]
         drop = st.page_drop_db(peaks, settings.loudness.true_peak_dbtp)
         length = max(map(len, made.values()))
@@ -122,6 +122,11 @@ class RenderedPairs:
 
     def _rendered(self, condition: Condition) -> Rendered:
         key = content_key(self.renderer.identity(condition))
-        if not self._store.has(key):
-            self._store.save(key, self.renderer.render(condition))
-        return self._store.load(key)
+        with suppress(OutputError):  # it is not kept, or damaged
+            return self._store.load(key)
+        rendered = self.renderer.render(condition)
+        if not (rendered.samples.size and np.isfinite(rendered.samples).all()):
+            raise NumericalError(f"{condition.name}: the sound is empty, or not finite")
+        with suppress(OutputError):  # a full disk: the sound is heard all the same, and rendered again next time
+            self._store.save(key, rendered)
+        return rendered

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,7 +16,8 @@ from tonewood.batch.pages import (
     StaircasePage,
     localised,
 )
-from tonewood.listening.answer_file import answers_of
+from tonewood.csv_text import csv_text
+from tonewood.listening.answer_file import LeftOut, answers_of
 from tonewood.listening.definition import ListeningError, ListeningTest, load_test
 from tonewood.listening.detection import Detection, detections, task_of
 from tonewood.listening.means import CellMean, ScreenedListener, cell_means, screen, unique
@@ -76,6 +75,7 @@ class PanelResults:
     ----------
     simulated : listeners among them that are simulated.
     unfinished : listeners who did not finish.
+    left_out : answers that do not count because their files are damaged, or of another version of the test.
     """
 
     test: ListeningTest
@@ -84,6 +84,7 @@ class PanelResults:
     listeners: int
     simulated: int
     unfinished: tuple[str, ...]
+    left_out: tuple[LeftOut, ...]
     pages: tuple[PageResults, ...]
 
     @property
@@ -101,6 +102,7 @@ class PanelResults:
             "listeners": self.listeners,
             "simulated": self.simulated,
             "unfinished": list(self.unfinished),
+            "left_out": [asdict(one) for one in self.left_out],
             "pages": [page.to_dict() for page in self.pages],
         }
 
@@ -123,9 +125,12 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
         raise ListeningError(f"is {confidence:g}; a number between 0 and 1 is allowed", key="--confidence")
     test = load_test(folder)
     opened = read_key(key or folder / test.manifest.output.key)
-    answers = answers_of(test)
+    every = answers_of(test)
+    answers = every.listeners
     if not any(one.records for one in answers):
-        raise ListeningError("holds no answers", file=folder / "answers")
+        others = sum(one.answers for one in every.left_out)
+        why = f" that can be used; {others} are left out, the first because: {every.left_out[0].reason}"
+        raise ListeningError(f"holds no answers{why if others else ''}", file=folder / "answers")
     table = tidy(test, opened, answers)
     finish = len(test.pages)
     unfinished = [one.listener for one in answers if not one.records or one.records[-1]["page"] != finish]
@@ -136,7 +141,9 @@ def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, 
             pages += _page_results(test, index, page, rows, table, confidence, screening)
     began = [one for one in answers if one.records]
     simulated = sum(bool(one.header.get("simulated")) for one in began)
-    return PanelResults(test, confidence, table, len(began), simulated, tuple(unfinished), tuple(pages))
+    return PanelResults(
+        test, confidence, table, len(began), simulated, tuple(unfinished), every.left_out, tuple(pages)
+    )  # fmt: skip
 
 
 def _page_results(
@@ -276,12 +283,8 @@ def write_tables(found: PanelResults, folder: Path) -> None:
             for listener in page.thresholds.listeners:
                 rows.append({**head, "cell": f"listener={listener.listener}", **_numbers(asdict(listener))})
     columns = list(dict.fromkeys(name for row in rows for name in row))
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
     with whole_file(folder / "means.csv", make_folder=True) as stream:
-        stream.write(text.getvalue().encode())
+        stream.write(csv_text(columns, rows).encode())
 
 
 def _numbers(data: dict[str, Any]) -> dict[str, Any]:

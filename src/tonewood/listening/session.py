@@ -35,8 +35,8 @@ LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 OPEN = "reference"
 #: sounds of a staircase, in the place of codes
 STANDARD, CHANGED = "standard", "changed"
-#: seconds and plays that are taken from a browser at most
-_LONGEST = 86400.0
+#: seconds on one page that a browser may state: ten years, for pages that stay open
+_LONGEST = 3.2e8
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,19 @@ class Session:
     ----------
     test : the definition.
     seed : the listener's; it decides orders and right answers.
+
+    Attributes
+    ----------
+    step : the one to answer; None after the last.
+    answers : records of the answers taken.
+    incomplete : staircases (pages from 0) of which a trial was passed over.
     """
 
     def __init__(self, test: ListeningTest, seed: int):
         self.test, self.seed = test, seed
         self.answers: list[dict[str, Any]] = []
         self.tracks: dict[int, list[StaircaseTrack]] = {}
+        self.incomplete: set[int] = set()
         self._course = self._steps()
         self.step: Step | None = next(self._course, None)
 
@@ -116,6 +123,17 @@ class Session:
         ------
         ListeningError : it does not fit the step; one line.
         """
+        record = self.record(given)
+        self.take(record)
+        return record
+
+    def record(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Check the answer to the step; returns the record of it and changes nothing.
+
+        Raises
+        ------
+        ListeningError : it does not fit the step; one line.
+        """
         step, page = self.step, self.page
         if step is None or page is None:
             raise ListeningError("the test is finished")
@@ -134,7 +152,6 @@ class Session:
             record |= {"correct": step.correct, "right": answer.get("choice") == step.correct}
         if step.track is not None:
             record |= {"track": step.track, "level": step.level}
-        self.take(record)
         return record
 
     def take(self, record: dict[str, Any]) -> None:
@@ -155,6 +172,27 @@ class Session:
             self.tracks[step.page][step.track].answer(bool(record["right"]))
         self.answers.append(record)
         self.step = next(self._course, None)
+
+    def pass_over(self) -> None:
+        """Go on without an answer; a staircase ends with that, because its next level is unknown."""
+        step = self.step
+        if step is not None and step.track is not None and not step.training:
+            self.incomplete.add(step.page)
+        self.step = next(self._course, None)
+
+    def has_taken(self, given: Mapping[str, Any]) -> bool:
+        """Whether the answer to an earlier step, by its `index`, is the one that was taken."""
+        index = given.get("index")
+        if type(index) is not int or not 0 <= index < len(self.answers):
+            return False
+        record = self.answers[index]
+        course = Session(self.test, self.seed)
+        for earlier in self.answers[:index]:
+            course.take(earlier)
+        try:
+            return bool(course.record(given)["answer"] == record["answer"])
+        except ListeningError:
+            return False
 
     def _steps(self) -> Iterator[Step]:
         index = 0
@@ -240,7 +278,7 @@ class Session:
         """Trials of interleaved tracks, until all have ended."""
         tracks = self.tracks[number] = [StaircaseTrack(page) for _ in range(page.tracks)]
         trial = 0
-        while running := [i for i, track in enumerate(tracks) if not track.done]:
+        while (running := [i for i, t in enumerate(tracks) if not t.done]) and number not in self.incomplete:
             random = generator(self.test.manifest.seed, "track", self.seed, number, trial)
             chosen = running[int(random.integers(len(running)))]
             fields = self._intervals(page, (number, trial), STANDARD, CHANGED)
@@ -277,7 +315,7 @@ def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, An
         },
     }
     if comment := given.get("comment"):
-        found["comment"] = str(comment)[:2000]
+        found["comment"] = _text(comment, "comment")[:2000]
     if allowed := choices(page, step):
         choice = given.get("choice")
         if choice not in allowed:
@@ -317,7 +355,7 @@ def _questionnaire(page: QuestionnairePage, values: Mapping[str, Any]) -> dict[s
                 raise ListeningError("is missing", key=key)
             continue
         if question.kind == "text":
-            found[question.name] = str(value)[:10_000]
+            found[question.name] = _text(value, key)[:10_000]
         elif question.kind == "choice":
             if not isinstance(value, str) or value not in (question.choices or {}):
                 raise ListeningError(f"{value!r} is not one of {', '.join(question.choices or {})}", key=key)
@@ -334,9 +372,19 @@ def _mapping(value: Any, key: str) -> Mapping[str, Any]:
     return value
 
 
+def _text(value: Any, key: str) -> str:
+    if not isinstance(value, str):
+        raise ListeningError("is no text", key=key)
+    return value
+
+
 def _number(value: Any, key: str, low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise ListeningError(f"{value!r} is not a number from {low:g} to {high:g}", key=key)
-    if not math.isfinite(value):
+    try:
+        number = float(value)
+    except OverflowError:  # an integer of hundreds of digits
+        number = math.inf
+    if not math.isfinite(number):
         raise ListeningError("is not finite", key=key)
-    return float(value)
+    return number

@@ -9,8 +9,6 @@ for a tie.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,6 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from tonewood.batch.pages import PairedPage
 from tonewood.batch.records import KEY_SCHEMA
+from tonewood.csv_text import csv_text
 from tonewood.listening.answer_file import ListenerAnswers
 from tonewood.listening.definition import ListeningError, ListeningTest, ServedTrial
 from tonewood.listening.session import OPEN
@@ -87,12 +86,9 @@ class AnswerTable:
 
     def write(self, path: Path) -> None:
         """Write all rows as CSV."""
-        text = io.StringIO(newline="")
-        writer = csv.DictWriter(text, [*COLUMNS, *self.factors], restval="", lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: _cell(v) for k, v in row.items()} for row in self.rows)
+        rows = ({k: _cell(v) for k, v in row.items()} for row in self.rows)
         with whole_file(path, make_folder=True) as stream:
-            stream.write(text.getvalue().encode())
+            stream.write(csv_text([*COLUMNS, *self.factors], rows).encode())
 
 
 def read_key(path: Path) -> Key:

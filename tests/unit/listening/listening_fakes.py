@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import sys
 from pathlib import Path
 from typing import Any
@@ -63,3 +64,27 @@ def made(folder: Path, pages: list[dict[str, Any]], **changes: Any) -> Listening
     report = run_batch(path, folder / "out", fakes.FakeRenderer())
     assert report.ok, report.faults
     return load_test(folder / "out")
+
+
+def request(
+    application: Any, method: str, path: str, body: bytes = b"", headers: dict[str, str] | None = None
+) -> tuple[int, dict[str, str], bytes]:
+    """Status, headers and body of the reply to one request, without sockets."""
+    sent: list[dict[str, Any]] = []
+    arriving = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def receive() -> dict[str, Any]:
+        return arriving.pop() if arriving else {"type": "http.disconnect"}
+
+    async def send(message: dict[str, Any]) -> None:
+        sent.append(message)
+
+    given = {"Host": "localhost", "Content-Type": "application/json"} | (headers or {})
+    scope = {
+        "type": "http", "method": method, "path": path, "raw_path": path.encode(), "query_string": b"",
+        "root_path": "", "scheme": "http", "http_version": "1.1", "server": ("127.0.0.1", 80), "client": None,
+        "headers": [(k.lower().encode(), v.encode("latin-1")) for k, v in given.items() if v],
+    }  # fmt: skip
+    asyncio.run(application(scope, receive, send))
+    found = {k.decode(): v.decode() for k, v in sent[0]["headers"]}
+    return sent[0]["status"], found, b"".join(m.get("body", b"") for m in sent[1:])

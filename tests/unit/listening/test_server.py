@@ -24,7 +24,8 @@ import soundfile
 from listening_fakes import made
 from scipy.signal import hilbert
 
-from browser import CHROMIUM, answering, opened
+from browser import CHROMIUM, answering, listening, opened
+from tonewood.listening import server
 from tonewood.listening.answer_file import answers_of
 from tonewood.listening.definition import ListeningTest
 from tonewood.listening.results import analyse
@@ -34,6 +35,7 @@ pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
 
 ROOT = Path(__file__).parent
+JSON = {"Content-Type": "application/json"}
 
 
 def free_port() -> int:
@@ -69,7 +71,9 @@ class Client:
 
     def raw(self, path: str, body: bytes | None = None) -> tuple[int, bytes, dict[str, str]]:
         try:
-            with urllib.request.urlopen(urllib.request.Request(self.root + path, data=body), timeout=30) as reply:
+            with urllib.request.urlopen(
+                urllib.request.Request(self.root + path, data=body, headers=JSON), timeout=30
+            ) as reply:
                 return reply.status, reply.read(), dict(reply.headers)
         except urllib.error.HTTPError as fault:
             return fault.code, fault.read(), dict(fault.headers)
@@ -129,7 +133,7 @@ def test_a_whole_test_is_taken_through_a_kill(everything: ListeningTest) -> None
             step = client.answer(step)
         assert client.step()["type"] == "done"
     assert kinds >= {"abx", "ab", "afc", "paired_comparison", "rating", "staircase", "questionnaire", "finish"}
-    (one,) = [a for a in answers_of(everything) if a.listener == "07"]
+    (one,) = [a for a in answers_of(everything).listeners if a.listener == "07"]
     assert [r["index"] for r in one.records] == list(range(len(one.records)))
     assert one.header["language"] == "de"
     found = analyse(everything.folder, screening=False)
@@ -244,7 +248,7 @@ def test_sounds_of_a_staircase_are_of_its_level(tmp_path: Path) -> None:
             reply = json.loads(raw)
             assert reply["feedback"]["right"]
             step = reply["step"]
-            records = answers_of(test)[0].records
+            records = answers_of(test).listeners[0].records
             level = records[-1]["level"] / (2.0 if len(records) % 2 == 0 else 1.0)
 
 
@@ -255,7 +259,7 @@ def test_a_whole_test_is_taken_in_a_browser_through_a_kill(tmp_path: Path) -> No
     port = free_port()
 
     def records() -> list[dict[str, Any]]:
-        found = answers_of(test)
+        found = answers_of(test).listeners
         return found[0].records if found else []
 
     address = f"http://127.0.0.1:{port}/?listener=script&quick=1"
@@ -270,7 +274,7 @@ def test_a_whole_test_is_taken_in_a_browser_through_a_kill(tmp_path: Path) -> No
             while not records() or records()[-1]["type"] != "finish":
                 assert time.monotonic() < ends, records()[-1:]
                 time.sleep(0.1)
-    (one,) = answers_of(test)
+    (one,) = answers_of(test).listeners
     assert one.records[: len(before)] == before
     assert [r["index"] for r in one.records] == list(range(len(one.records)))
     heard = [r for r in one.records if r["slots"]]
@@ -317,7 +321,7 @@ def test_a_sound_that_breaks_off_is_asked_for_again(tmp_path: Path) -> None:
     port = free_port()
 
     def finished() -> bool:
-        found = answers_of(test)
+        found = answers_of(test).listeners
         return bool(found) and [r["type"] for r in found[0].records[-1:]] == ["finish"]
 
     with (
@@ -330,3 +334,87 @@ def test_a_sound_that_breaks_off_is_asked_for_again(tmp_path: Path) -> None:
             assert time.monotonic() < ends, answers_of(test)
             time.sleep(0.1)
     assert len(cut) >= 3
+
+
+def said(test: ListeningTest, count: int) -> list[Any]:
+    """The words that a page's script reported, when there are so many."""
+    path, ends = test.folder / "said", time.monotonic() + 120
+    while True:
+        words = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+        if len(words) >= count:
+            return words
+        assert time.monotonic() < ends, words
+        time.sleep(0.1)
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_the_address_decides_whose_session_it_is(tmp_path: Path) -> None:
+    test = made(tmp_path, [{"type": "instructions"}, {"type": "instructions", "name": "second"}, {"type": "html"}])
+    port = free_port()
+    with served(test, port, "listeners"), opened(f"http://127.0.0.1:{port}/?listener=P01", tmp_path / "profile"):
+        *words, _ = said(test, 9)
+    assert [(w["act"], w["name"], w["kept"], w["done"]) for w in words] == [
+        ("start", "P01", False, False), ("look", "P02", False, False), ("look", "P01", True, False),
+        ("look", "", False, False), ("other", "P01", True, False), ("look", "P01", True, False),
+        ("finish", "P03", False, False), ("look", None, False, True),
+    ]  # fmt: skip
+    assert words[4]["after"] == {"address": "", "name": ""}
+    assert words[6]["offers"]
+    assert sorted(a.listener for a in answers_of(test).listeners if a.records) == ["P03"]
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_page_whose_sound_cannot_be_made_stops_in_words(tmp_path: Path) -> None:
+    test = made(tmp_path, [fakes.STAIRS])
+    port = free_port()
+    with served(test, port, "stopped"), opened(f"http://127.0.0.1:{port}/?language=en", tmp_path / "profile"):
+        (words,) = said(test, 1)
+    assert "The test cannot go on" in words
+    assert "A sound of this page cannot be made." in words
+    assert "Try again" in words
+
+
+FADE = """
+<script src="players.js"></script>
+<script>
+const tell = words => { new Image().src = "http://127.0.0.1:%d/" + encodeURIComponent(words); };
+(async () => {
+  const fs = 48000, stops = 0.25, found = {};
+  for (const act of ["stop", "halt", "sequence"]) {
+    const context = new OfflineAudioContext(1, fs, fs);
+    const resume = context.resume.bind(context);
+    context.resume = () => {};
+    const buffer = context.createBuffer(1, fs, fs), sine = buffer.getChannelData(0);
+    for (let i = 0; i < fs; i++) sine[i] = 0.5 * Math.sin(2 * Math.PI * 440 * i / fs + 0.3);
+    const sounds = new Sounds(context, { A: buffer, B: buffer });
+    if (act === "sequence") sounds.sequence(["A", "B"]); else sounds.start("A");
+    context.suspend(stops).then(() => { if (act === "halt") sounds.halt(); else sounds.stop(); resume(); });
+    const heard = (await context.startRendering()).getChannelData(0);
+    const at = Math.round(stops * fs), last = heard.findLastIndex(v => v !== 0);
+    let step = 0;
+    for (let i = at - 100; i < fs; i++) step = Math.max(step, Math.abs(heard[i] - heard[i - 1]));
+    found[act] = { step, lasts: (last - at) / fs, before: Math.max(...heard.slice(at - 200, at)) };
+  }
+  tell(JSON.stringify(found));
+})().catch(fault => tell("fault: " + fault));
+</script>
+"""
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_sound_that_is_stopped_fades(tmp_path: Path) -> None:
+    players = Path(server.__file__).with_name("static") / "players.js"
+    (tmp_path / "players.js").write_text(players.read_text())
+    page = tmp_path / "fade.html"
+    with listening() as (port, reported):
+        page.write_text(FADE % port)
+        with opened(page, tmp_path / "profile"):
+            found = json.loads(reported.get(timeout=60))
+    for name, act in found.items():
+        assert act["before"] == pytest.approx(0.5, rel=1e-3)  # it was loud
+        # no step is larger than the sine's own, 0.5 sin(2 pi 440 / fs), and that of the ramp over 20 ms
+        assert act["step"] < 0.5 * 2 * np.pi * 440 / 48000 + 0.5 / (0.02 * 48000), name
+        assert 0.005 < act["lasts"] < 0.05

@@ -1,8 +1,17 @@
 "use strict";
 // Gapless players on the Web Audio API. All sounds of a page run together from one start; switching fades their gains in
-// 5 ms, so that the place in the sound stays the same to the sample.
+// 5 ms, so that the place in the sound stays the same to the sample. A sound that is stopped fades out: a step would be
+// heard as a click.
 
-const SWITCH = 0.005;
+const SWITCH = 0.005, FADE = 0.02;
+
+// A gain to a value in some seconds, from where it is now.
+function ramp(context, gain, value, seconds) {
+  const now = context.currentTime;
+  gain.cancelScheduledValues(now);
+  gain.setValueAtTime(gain.value, now);
+  gain.linearRampToValueAtTime(value, now + seconds);
+}
 
 class Sounds {
   constructor(context, buffers) {
@@ -46,12 +55,7 @@ class Sounds {
   play(slot) {
     this.context.resume();
     if (!this.sources) return this.start(slot, 0);
-    const now = this.context.currentTime;
-    for (const [name, gain] of Object.entries(this.gains)) {
-      gain.cancelScheduledValues(now);
-      gain.setValueAtTime(gain.value, now);
-      gain.linearRampToValueAtTime(name === slot ? 1 : 0, now + SWITCH);
-    }
+    for (const [name, gain] of Object.entries(this.gains)) ramp(this.context, gain, name === slot ? 1 : 0, SWITCH);
     this.heard(slot);
   }
 
@@ -65,11 +69,12 @@ class Sounds {
   sequence(slots, gap = 0.5) {
     this.context.resume();
     this.halt();
-    const sources = [];
+    const sources = [], gain = new GainNode(this.context);
+    gain.connect(this.context.destination);
     let at = this.context.currentTime + 0.05;
     slots.forEach(slot => {
       const source = new AudioBufferSourceNode(this.context, { buffer: this.buffers[slot] });
-      source.connect(this.context.destination);
+      source.connect(gain);
       source.start(at);
       const wait = (at - this.context.currentTime) * 1000;
       setTimeout(() => { if (this.sources === sources) this.heard(slot); }, wait);
@@ -77,13 +82,14 @@ class Sounds {
       sources.push(source);
     });
     this.sources = sources;
-    this.gains = {};
+    this.gains = { sequence: gain.gain };
     this.began = this.context.currentTime;
     sources[sources.length - 1].onended = () => { if (this.sources === sources) { this.halt(); this.onchange(); } };
   }
 
   halt() {
-    for (const source of this.sources || []) { source.onended = null; source.stop(); }
+    for (const gain of Object.values(this.sources ? this.gains : {})) ramp(this.context, gain, 0, FADE);
+    for (const source of this.sources || []) { source.onended = null; source.stop(this.context.currentTime + FADE); }
     this.sources = null;
     this.playing = null;
   }

@@ -3,7 +3,7 @@
 
 const main = document.getElementById("page"), message = document.getElementById("message");
 const query = new URLSearchParams(location.search);
-let texts = {}, token = null, step = null, sounds = null, shownAt = 0, audio = null;
+let about = {}, texts = {}, token = null, step = null, sounds = null, shownAt = 0, audio = null;
 
 function make(tag, fields = {}, ...children) {
   const made = document.createElement(tag);
@@ -21,11 +21,16 @@ const wait = ms => new Promise(done => setTimeout(done, ms));
 
 function tell(text, kind = "") { message.textContent = text; message.className = kind; }
 
+// The place of a session in this browser: of one test, and of the listener whom the address names.
+const place = listener => `session:${about.test}:${listener}`;
+let named = (query.get("listener") || "").trim();
+
 // A request, made again until the server answers: it may be down for a while, and nothing is lost.
 async function ask(address, body) {
   for (let pause = 500; ; pause = Math.min(2 * pause, 8000)) {
     try {
-      const options = body === undefined ? {} : { method: "POST", body: JSON.stringify(body) };
+      const options = body === undefined ? {} : {
+        method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
       const reply = await fetch(address, options);
       if (reply.status < 500) return { status: reply.status, data: await reply.json() };
     } catch (fault) { /* no connection */ }
@@ -36,38 +41,69 @@ async function ask(address, body) {
 
 async function begin() {
   const wished = query.get("language") || (navigator.languages || []).join(",");
-  const about = (await ask("/api/test?language=" + encodeURIComponent(wished))).data;
+  const reply = await ask("/api/test?language=" + encodeURIComponent(wished));
+  if (reply.status !== 200) return tell(reply.data.error);
+  about = reply.data;
   texts = about.texts;
   tell("");
   document.documentElement.lang = about.language;
   document.title = about.title;
   document.getElementById("name").textContent = about.title;
   document.getElementById("progress").setAttribute("aria-label", texts.progress);
-  token = localStorage.getItem("session");
-  if (token) {
-    const found = await ask("/api/session/" + token);
-    if (found.status === 200 && found.data.type !== "done") return welcome(about, found.data);
-    localStorage.removeItem("session");
+  let kept = null;
+  try { kept = JSON.parse(localStorage.getItem(place(named))); } catch (fault) { /* not ours */ }
+  if (kept && kept.token) {
+    const found = await ask("/api/session/" + kept.token);
+    token = kept.token;
+    if (found.status === 200) return found.data.type === "done" ? show(found.data) : welcome(found.data, kept.listener);
+    localStorage.removeItem(place(named));
+    if (found.status === 410) return stopped(texts.broken);
   }
-  welcome(about, null);
+  welcome(null, named);
+}
+
+// Another listener begins. A session that the address named is kept for that address.
+function other() {
+  named = "";
+  localStorage.removeItem(place(named));
+  query.delete("listener");
+  history.replaceState(null, "", location.pathname + (query.size ? "?" + query : ""));
+  begin();
+}
+
+const otherButton = () => make("button", { class: "other", onclick: other }, texts.new_listener);
+
+// The test cannot go on; why, in words, and what can be done.
+function stopped(reason, retry = null) {
+  if (sounds) sounds.halt();
+  sounds = null;
+  delete main.dataset.index;
+  tell("");
+  const again = retry ? [make("button", { class: "main", id: "again", onclick: retry }, texts.again)] : [];
+  main.replaceChildren(make("h2", { id: "stopped" }, texts.stopped_title), make("p", {}, reason),
+    make("p", {}, texts.stopped), make("div", { class: "row" }, ...again, otherButton()));
 }
 
 // The first page: browsers play nothing before the first click.
-function welcome(about, kept) {
-  const listener = make("input", { type: "text", value: query.get("listener") || "", id: "listener", maxLength: 60 });
+function welcome(kept, name) {
+  const fixed = Boolean(named || kept);         // the address, or the session, says who listens
+  const listener = make("input", { type: "text", value: name || "", id: "listener", maxLength: 60, readOnly: fixed });
   const start = make("button", { class: "main", id: "next", onclick: async () => {
     start.disabled = true;
-    audio = null;
     if (!kept) {
       const made = await ask("/api/session", { listener: listener.value, language: about.language });
+      if (made.status !== 201) return stopped(made.data.error);
       token = made.data.token;
-      localStorage.setItem("session", token);
+      localStorage.setItem(place(named), JSON.stringify({ token, listener: listener.value }));
       kept = (await ask("/api/session/" + token)).data;
     }
     show(kept);
-  } }, texts.start);
+  } }, kept ? texts.go_on : texts.start);
   const field = make("label", { class: "field" }, make("span", {}, texts.listener), listener);
-  main.replaceChildren(make("h2", {}, about.title), make("p", {}, texts.begin_text), ...(kept ? [] : [field]), start);
+  const parts = [make("h2", {}, about.title), make("p", {}, texts.begin_text)];
+  if (kept) parts.push(make("p", { id: "kept" }, texts.unfinished));
+  main.replaceChildren(...parts, ...(kept && !name ? [] : [field]),
+    make("div", { class: "row" }, start, ...(kept ? [otherButton()] : [])));
 }
 
 async function show(next) {
@@ -76,8 +112,9 @@ async function show(next) {
   step = next;
   document.getElementById("progress").value = step.progress;
   if (step.type === "done") {
-    localStorage.removeItem("session");
-    main.replaceChildren(make("h2", { id: "done" }, texts.finish_title), make("p", {}, texts.done));
+    delete main.dataset.index;
+    if (!named) localStorage.removeItem(place(named));     // a named listener has taken the test, and does so once
+    main.replaceChildren(make("h2", { id: "done" }, texts.finish_title), make("p", {}, texts.done), otherButton());
     return;
   }
   const parts = [make("h2", {}, step.title)];
@@ -91,6 +128,7 @@ async function show(next) {
   if (slots.length) {
     main.append(make("p", { class: "hint", id: "loading" }, texts.loading));
     const buffers = await load(slots);
+    if (!buffers || step !== next) return;
     document.getElementById("loading").remove();
     sounds = new Sounds(audio, buffers);
     sounds.onchange = mark;
@@ -104,22 +142,39 @@ async function show(next) {
   main.dataset.type = step.type;
 }
 
+// The sounds of a step; null where the page stops instead, or goes to the step where the session is.
 async function load(slots) {
+  const asked = step;
+  let fault = null;
   const raw = await Promise.all(slots.map(async slot => {
-    for (let pause = 500; ; pause = Math.min(2 * pause, 8000)) {
+    for (let pause = 500; !fault; pause = Math.min(2 * pause, 8000)) {
       try {
-        const reply = await fetch(`/api/session/${token}/sound/${step.index}/${slot}`);
+        const reply = await fetch(`/api/session/${token}/sound/${asked.index}/${slot}`);
         if (reply.ok) return await reply.arrayBuffer();   // or the connection breaks half-way
-        if (reply.status < 500) throw new Error((await reply.json()).error);
-      } catch (fault) { tell(texts.lost); }
+        if (reply.status < 500) { fault = reply.status; return null; }
+      } catch (broken) { /* no connection */ }
+      tell(texts.lost_sound);
       await wait(pause);
     }
+    return null;
   }));
+  if (step !== asked) return null;
   tell("");
+  if (fault === 422) { stopped(texts.no_sound, () => show(asked)); return null; }
+  if (fault) { await current(); return null; }
   const rate = new DataView(raw[0]).getUint32(24, true);   // of the WAV file: decoding must not resample
   if (!audio || audio.sampleRate !== rate) audio = new AudioContext({ sampleRate: rate });
-  const decoded = await Promise.all(raw.map(data => audio.decodeAudioData(data)));
-  return Object.fromEntries(slots.map((slot, i) => [slot, decoded[i]]));
+  try {
+    const decoded = await Promise.all(raw.map(data => audio.decodeAudioData(data)));
+    return Object.fromEntries(slots.map((slot, i) => [slot, decoded[i]]));
+  } catch (broken) { stopped(texts.no_sound, () => show(asked)); return null; }
+}
+
+// Show the step where the session is: another window may have gone on.
+async function current() {
+  const found = await ask("/api/session/" + token);
+  if (found.status !== 200) return stopped(found.status === 410 ? texts.broken : texts.gone);
+  return show(found.data);
 }
 
 function mark() {
@@ -257,6 +312,13 @@ async function send(answer, button) {
   const seconds = (performance.now() - shownAt) / 1000;
   const body = { index: step.index, seconds, plays: sounds ? sounds.plays : {}, ...found };
   const reply = await ask("/api/session/" + token, body);
+  if (reply.status === 409) {
+    tell(texts.elsewhere);
+    await wait(query.has("quick") ? 50 : 4000);
+    tell("");
+    return show(reply.data.step);
+  }
+  if (reply.status === 404 || reply.status === 410) return stopped(reply.status === 410 ? texts.broken : texts.gone);
   if (reply.status !== 200) { button.disabled = false; return tell(reply.data.error); }
   tell("");
   const { feedback } = reply.data;
@@ -271,7 +333,7 @@ async function send(answer, button) {
 
 document.addEventListener("keydown", event => {
   if (!sounds || /^(text|number|textarea)$/.test(event.target.type || "") || event.ctrlKey || event.metaKey) return;
-  if (event.key === " " && event.target.tagName !== "BUTTON") { event.preventDefault(); sounds.stop(); return; }
+  if (event.key === " " && event.target.tagName !== "BUTTON" && !/^(checkbox|radio)$/.test(event.target.type || "")) { event.preventDefault(); sounds.stop(); return; }
   const slot = event.key.toLowerCase() === "r" ? step.open : event.key.toUpperCase();
   if (!step.sequence && slot in sounds.buffers) sounds.play(slot);
 });
