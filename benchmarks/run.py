@@ -25,13 +25,13 @@ import numpy as np
 import tonewood as tw
 import tonewood.authoring as ta
 from tonewood import _kernel
-from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.energy.account import EnergyAccount
-from tonewood.engine.engine import GRID, Engine
-from tonewood.stepping.forcing import Segment, compile_force
-from tonewood.stepping.kernel import KernelStepper, instruction_set
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.performance.engine.engine import GRID, Engine
+from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.energy.account import EnergyAccount
+from tonewood.physics.stepping.forcing import Segment, compile_force
+from tonewood.physics.stepping.kernel import KernelStepper, instruction_set
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 ROOT = Path(__file__).parents[1]
 FS = 48000

@@ -12,7 +12,7 @@ from scene import instrument
 
 import tonewood as tw
 from tonewood.errors import BundleError
-from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.bundle.loading import Instrument
 
 FINGER = {"plugin": "finger_pluck", "from_bridge": 0.1}
 RAMP = {"plugin": "pluck_ramp", "from_bridge": 0.1}

@@ -5,7 +5,7 @@ import io
 
 import pytest
 
-from tonewood.csv_text import csv_text
+from tonewood.support.csv_text import csv_text
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from tonewood.errors import OutputError
-from tonewood.folder_lock import FILE, locked
+from tonewood.support.folder_lock import FILE, locked
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from tonewood.folder_lock import locked
+from tonewood.support.folder_lock import locked
 with locked(Path(sys.argv[1]), "another command"):
     print("held", flush=True)
     time.sleep(600)

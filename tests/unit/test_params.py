@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tonewood.errors import BundleError
-from tonewood.params import Number, Parameters, Vector, described, quantity, validated
-from tonewood.units import cents, decibel, ratio_of_cents, t60
+from tonewood.support.params import Number, Parameters, Vector, described, quantity, validated
+from tonewood.support.units import cents, decibel, ratio_of_cents, t60
 
 
 class Inner(Parameters):

@@ -13,9 +13,9 @@ from tonewood.cli.common import AllowCode, BundleName, Json, Overrides, StringSe
 from tonewood.cli.options import render_options
 
 if TYPE_CHECKING:
-    from tonewood.instrument.assembly import Model
-    from tonewood.instrument.inspection import MicrophoneResponse, Pitch
-    from tonewood.instrument.mounted import MountedPitch
+    from tonewood.instrument.inspection.frequencies import MicrophoneResponse, Pitch
+    from tonewood.instrument.inspection.mounted import MountedPitch
+    from tonewood.instrument.model.assembly import Model
 
 #: cause of partials that are off
 _DETUNED = "the plugin's `detuned` gives others than its `basis`"
@@ -40,17 +40,17 @@ def check(
 
     Exit code 2 if it cannot be played or its body could create energy.
     """
-    from tonewood.engine.trial import try_parts
-    from tonewood.instrument.added import added_line
-    from tonewood.instrument.assembly import assemble
-    from tonewood.instrument.inspection import (
+    from tonewood.instrument.bundle.added import added_line
+    from tonewood.instrument.inspection.frequencies import (
         PLANE_CENTS,
         TOLERANCE_CENTS,
         check_transfers,
         microphone_responses,
         pitches,
     )
-    from tonewood.instrument.mounted import mounted_pitches
+    from tonewood.instrument.inspection.mounted import mounted_pitches
+    from tonewood.instrument.model.assembly import assemble
+    from tonewood.performance.engine.trial import try_parts
 
     render_options({"fs": fs})
     bundle = load(instrument, settings, allow_code, strings)
@@ -107,7 +107,7 @@ def _modes_of_other_outputs(model: Model) -> list[int]:
 
 def _body(model: Model) -> dict[str, Any]:
     """The body's modes and whether it is passive; real modes are by construction."""
-    from tonewood.passivity.basis import check_basis
+    from tonewood.physics.passivity.basis import check_basis
 
     basis = model.system.compiled[model.system.slot("body")].basis
     verdict = check_basis(basis, [name for name, p in model.body_points.items() if p.driven], dt=model.system.dt)
@@ -147,9 +147,9 @@ def _microphone(response: MicrophoneResponse) -> dict[str, Any]:
 
 
 def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) -> dict[str, Any]:
-    from tonewood.instrument.inspection import feel
-    from tonewood.instrument.string_laws import law_errors
-    from tonewood.score.scales import note_name
+    from tonewood.instrument.inspection.frequencies import feel
+    from tonewood.instrument.scales import note_name
+    from tonewood.instrument.inspection.string_laws import law_errors
 
     string, mine = model.strings[name], [(p, m) for p, m in pairs if p.string == name]
     given, errors = string.given_tension, law_errors(model, name)
@@ -179,7 +179,7 @@ def _worst_plane(p: Pitch) -> float:
 
 def plane_row(p: Pitch) -> dict[str, Any]:
     """A stop and its planes as plain values."""
-    from tonewood.score.scales import note_name
+    from tonewood.instrument.scales import note_name
 
     planes = {x.component: {"cents": x.cents, "split_cents": x.split_cents, "share": x.share} for x in p.planes}
     row: dict[str, Any] = {"string": p.string, "stop": p.stop, "note": note_name(p.note)}
@@ -195,7 +195,7 @@ def plane_words(row: dict[str, Any]) -> str:
 
 def _mounted_row(p: Pitch, mounted: MountedPitch) -> dict[str, Any]:
     """A stop that is off its pitch when all strings are on the body."""
-    from tonewood.score.scales import note_name
+    from tonewood.instrument.scales import note_name
 
     return {
         "string": p.string,
@@ -212,8 +212,8 @@ def _mounted_row(p: Pitch, mounted: MountedPitch) -> dict[str, Any]:
 
 def pitch_row(p: Pitch) -> dict[str, Any]:
     """A pitch as plain values."""
-    from tonewood.score.scales import note_name
-    from tonewood.units import cents
+    from tonewood.instrument.scales import note_name
+    from tonewood.support.units import cents
 
     row: dict[str, Any] = {
         "string": p.string,

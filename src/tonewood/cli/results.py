@@ -12,7 +12,7 @@ from tonewood.cli.common import Json, need, print_json, warn
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
-    from tonewood.listening.results import PageResults, PanelResults
+    from tonewood.workshop.listening.results import PageResults, PanelResults
 
 
 def results(
@@ -25,8 +25,8 @@ def results(
 ) -> None:
     """Write the table of answers of DIR, means, models, sensitivities and thresholds, and a report with figures."""
     need("results", "statsmodels", "pandas", "jinja2", "matplotlib")
-    from tonewood.listening.report import write_report
-    from tonewood.listening.results import FOLDER, analyse, write_tables
+    from tonewood.workshop.listening.report import write_report
+    from tonewood.workshop.listening.results import FOLDER, analyse, write_tables
 
     found = analyse(folder, key=key, confidence=confidence, screening=screening)
     place = output or folder / FOLDER

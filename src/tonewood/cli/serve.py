@@ -32,13 +32,13 @@ def serve(
     need("serve", "starlette", "uvicorn", "soundfile")
     import uvicorn
 
-    from tonewood.batch.rendering import EngineRenderer
-    from tonewood.folder_lock import locked
-    from tonewood.listening.answer_file import clear_parts
-    from tonewood.listening.definition import load_test
-    from tonewood.listening.http_guard import BoundedConnection
-    from tonewood.listening.on_demand import RenderedPairs
-    from tonewood.listening.server import ListeningServer, has_staircase
+    from tonewood.support.folder_lock import locked
+    from tonewood.workshop.batch.rendering import EngineRenderer
+    from tonewood.workshop.listening.answer_file import clear_parts
+    from tonewood.workshop.listening.definition import load_test
+    from tonewood.workshop.listening.http_guard import BoundedConnection
+    from tonewood.workshop.listening.on_demand import RenderedPairs
+    from tonewood.workshop.listening.server import ListeningServer, has_staircase
 
     allow("--port", port, 0, 65535, "")
     load_test(folder)  # its fault comes first

@@ -10,9 +10,9 @@ import pytest
 
 from system_modes import CoupledModes, coupled_modes
 from tonewood.errors import BundleError
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.inspection import pitch
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.inspection.frequencies import pitch
+from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.lab.string_end import ExactString, coupled_pole
 
 Make = Callable[..., Instrument]

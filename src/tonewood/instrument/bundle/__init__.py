@@ -1,0 +1,1 @@
+"""A bundle: its schema and how it is read, made, changed and migrated."""

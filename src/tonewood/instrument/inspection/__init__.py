@@ -1,0 +1,1 @@
+"""Partials, pitches and wolf notes of an assembled instrument."""
