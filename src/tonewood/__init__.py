@@ -16,6 +16,7 @@ import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from tonewood.support import moved
 from tonewood.support.garbage import without_collecting
 
 if TYPE_CHECKING:
@@ -91,6 +92,8 @@ _MOVED = {
 _NEW_HOME = {name: module for module, names in _MOVED.items() for name in names}
 
 __all__ = [*_HOME, "__version__"]  # strings, though computed
+
+moved.install()
 
 
 def __getattr__(name: str) -> Any:

@@ -1,5 +1,6 @@
-"""Assembled systems in files, with the samples that they should give: beside the arrays of `tonewood.sound.render.model_file`
-stand known forces as ``injections/i/0`` to ``3`` (slot, first step, vectors, values) and ``samples`` (n, channels).
+"""Assembled systems in files, with the samples that they should give: beside the arrays of
+`tonewood.sound.render.model_file` stand known forces as ``injections/i/0`` to ``3`` (slot, first step, vectors,
+values) and ``samples`` (n, channels).
 """
 
 from __future__ import annotations

@@ -148,8 +148,8 @@ def _microphone(response: MicrophoneResponse) -> dict[str, Any]:
 
 def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) -> dict[str, Any]:
     from tonewood.instrument.inspection.frequencies import feel
-    from tonewood.instrument.scales import note_name
     from tonewood.instrument.inspection.string_laws import law_errors
+    from tonewood.instrument.scales import note_name
 
     string, mine = model.strings[name], [(p, m) for p, m in pairs if p.string == name]
     given, errors = string.given_tension, law_errors(model, name)

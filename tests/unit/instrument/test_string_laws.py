@@ -13,8 +13,8 @@ from ruamel.yaml import YAML
 import tonewood as tw
 import tonewood.authoring as ta
 from tonewood.cli.main import run
-from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.instrument.inspection.string_laws import LawErrors, law_errors
+from tonewood.instrument.model.assembly import Model, assemble
 
 Floats = np.ndarray
 PLUGIN = '''

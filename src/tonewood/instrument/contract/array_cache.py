@@ -81,6 +81,6 @@ def _read(path: Path) -> Arrays | None:
 def _sources(package: str) -> str:
     """Hash of a package's sources and of the libraries that compute for it."""
     digest = hashlib.sha256(" ".join([np.__version__, *numpy_blas(), version("scipy")]).encode())
-    for path in sorted((Path(__file__).parents[1] / package).glob("*.py")):
+    for path in sorted((Path(__file__).parents[2] / package).glob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 
 from tonewood.errors import BundleError
 from tonewood.instrument.contract.attached import Attached, Site
+from tonewood.instrument.contract.contract_checks import CHECKS, check_results
 from tonewood.instrument.contract.effects import BODY_MODES, OUTPUTS, SECOND_POLARIZATION, Effect
 from tonewood.instrument.contract.files import Files
 from tonewood.instrument.contract.gestures import Event, Gesture, Place
-from tonewood.instrument.contract.contract_checks import CHECKS, check_results
 from tonewood.physics.coupling.phantoms import PhantomPartials
 from tonewood.physics.coupling.system import Drive, Readout
 from tonewood.physics.modal.modes import ModalBasis

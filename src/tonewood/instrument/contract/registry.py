@@ -19,8 +19,8 @@ from typing import Any
 
 from tonewood.errors import BundleError, PluginError, kind_of
 from tonewood.instrument.contract.base import API, KINDS, Plugin
-from tonewood.instrument.contract.effects import Effect
 from tonewood.instrument.contract.contract_checks import CHECKS
+from tonewood.instrument.contract.effects import Effect
 from tonewood.support.params import Parameters
 from tonewood.support.validation_messages import did_you_mean
 

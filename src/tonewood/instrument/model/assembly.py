@@ -22,10 +22,10 @@ from tonewood.instrument.contract.registry import MANIFEST
 from tonewood.instrument.model.choice import Choice, declared
 from tonewood.instrument.model.kept_tunings import KeptTunings
 from tonewood.instrument.model.output_assembly import OutputGroup, Outputs, make_outputs, make_scene
+from tonewood.instrument.model.references import by_part, check_connections, check_readouts
 from tonewood.instrument.model.string_assembly import string_models
 from tonewood.instrument.model.string_stems import outputs_by_string
 from tonewood.instrument.model.strings import StringModel
-from tonewood.instrument.model.references import by_part, check_connections, check_readouts
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.physics.coupling.geometric import GeometricStretch
 from tonewood.physics.coupling.phantoms import DrivenLongitudinal

@@ -25,7 +25,7 @@ from tonewood.support.cache_folder import cache_folder
 from tonewood.support.whole_files import whole_file
 
 #: packages whose sources decide on a tuning; "" for the modules beside them
-_SOURCES = ("", "coupling", "instrument", "modal", "plate", "passivity", "score")
+_SOURCES = ("physics", "instrument", "support", "performance/score")
 
 
 class KeptTunings:
@@ -113,5 +113,5 @@ def _stamp(path: Path) -> str:
 @cache
 def _sources() -> str:
     """Names, lengths and times of the source files, as a hash."""
-    files = (path for package in _SOURCES for path in sorted((Path(__file__).parents[1] / package).glob("*.py")))
+    files = (path for room in _SOURCES for path in sorted((Path(__file__).parents[2] / room).rglob("*.py")))
     return hashlib.sha256("\n".join(_stamp(path) for path in files).encode()).hexdigest()

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from tonewood.errors import PluginError
 from tonewood.instrument.contract.base import Plugin
-from tonewood.instrument.contract.effects import Effect
 from tonewood.instrument.contract.contract_checks import check_results, number, want
+from tonewood.instrument.contract.effects import Effect
 from tonewood.instrument.model.assembly import Model
 from tonewood.performance.effects.usage import Bound, EffectUsage
 from tonewood.performance.player.fretting import Fretting

@@ -1,4 +1,4 @@
-"""Dampers of an instrument with keys, moved by keys and pedals as they come; see `tonewood.performance.player.pedals`."""
+"""Dampers of an instrument with keys, moved by keys and pedals as they come (`tonewood.performance.player.pedals`)."""
 
 from __future__ import annotations
 

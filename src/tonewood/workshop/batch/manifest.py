@@ -164,7 +164,7 @@ class Onset(Section):
 
 
 class Trim(Section):
-    """The end of a sound: after it no block is louder than `level_db` re the loudest; see `tonewood.workshop.batch.trimming`."""
+    """The end of a sound: after it no block is louder than `level_db` re the loudest (`workshop.batch.trimming`)."""
 
     level_db: float | None = Field(default=-60.0, ge=-120, le=-20, description="None: sounds are not trimmed")
     block: float = Field(default=0.020, ge=0.001, le=1.0, description="s")

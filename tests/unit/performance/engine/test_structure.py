@@ -6,15 +6,15 @@ import ast
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-import tonewood.performance.engine
+import tonewood.performance
 
-FOLDER = Path(tonewood.performance.engine.__path__[0])
+FOLDER = Path(tonewood.performance.__path__[0])
 FILES = sorted(FOLDER.rglob("*.py"))
 
 
 def module(path: Path) -> str:
     parts = path.relative_to(FOLDER).with_suffix("").parts
-    return ".".join(["tonewood", "engine", *(part for part in parts if part != "__init__")])
+    return ".".join(["tonewood", "performance", *(part for part in parts if part != "__init__")])
 
 
 def test_no_import_goes_round_in_a_circle() -> None:

@@ -18,7 +18,7 @@ from tonewood.physics.stepping.forcing import Segment, compile_force
 from tonewood.physics.stepping.kernel import KernelStepper, Shortcuts
 
 DT = 1 / 48000
-PAGE = Path(__file__).parents[3] / "docs" / "kernel.md"
+PAGE = Path(__file__).parents[4] / "docs" / "kernel.md"
 NAMES = [field.name for field in fields(Shortcuts)]
 #: shortcuts that skip work without another order of operations change no bit
 EXACT = {"block_culling", "group_bound", "fine_bound"}

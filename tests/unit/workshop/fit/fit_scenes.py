@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import scipy.linalg as sla
 
-INSTRUMENTS = Path(__file__).parents[3] / "instruments"
+INSTRUMENTS = Path(__file__).parents[4] / "instruments"
 TAU = 2 * np.pi
 
 
