@@ -73,7 +73,7 @@ def law_errors(model: Model, name: str) -> list[LawErrors]:
 
 def _compared(string: StringModel, stop: int, bend_cents: float) -> LawErrors:
     tension = string.tension(stop) * ratio_of_cents(bend_cents) ** 2
-    made = string.undetuned(stop, tension)
+    made = string.resonator.basis(string.freq_upper, stop=string.position(stop), tension=tension)
     try:
         used, own = (HeldModes.of(b, "bridge") for b in (string.coupled(stop).bases(tension)[0], made))
     except ValueError as fault:
