@@ -1,4 +1,4 @@
-// Potentials over one step, of any kinds side by side; the equations are in tonewood.coupling.potentials.solve.
+// Potentials over one step, of any kinds side by side; the equations are in tonewood.physics.coupling.potentials.solve.
 //
 // A potential acts along a direction g that is known before the forces are, by -psi_m g, and psi_m answers to the
 // motion along g as a linear connection does. So every sample is linear in psi_m, one unknown for each potential:
