@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Literal
 
 #: cents per relative change of frequency
@@ -78,8 +79,7 @@ class Effect:
     title : in words, for summaries; the name if empty.
     runtime : makes of (model, effect, component -> plugin) the object that the engine steps, counts and reports: a
         `RuntimeEffect`, or a `SwitchedEffect` that is switched on and off while the engine steps; see
-        `tonewood.performance.effects.base`. A string is its ``module:name``. None for effects that always run, and for
-        contacts.
+        `tonewood.performance.effects.base`. None for effects that always run, and for contacts.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Effect:
     cost: Callable[[int], float] = modes
     basic: bool = False
     title: str = ""
-    runtime: Callable[..., Any] | str | None = None
+    runtime: Callable[..., Any] | None = None
 
     @property
     def unit(self) -> str:
@@ -99,10 +99,15 @@ class Effect:
         return "dB" if self.kind == "additive" else "cents"
 
 
+def _second_planes(*arguments: Any) -> Any:
+    """Make the effect of second planes, whose class stands above this module."""
+    return import_module("tonewood.performance.effects.unswitched").SecondPolarizationEffect(*arguments)
+
+
 SECOND_POLARIZATION = Effect(
     "second_polarization", "motion across the first plane: two decays in one sound", "additive",
     "always, where a string has two planes", "nothing: it is stepped or not from the beginning",
-    runtime="tonewood.performance.effects.unswitched:SecondPolarizationEffect",
+    runtime=_second_planes,
 )  # fmt: skip
 BODY_MODES = Effect(
     "body_modes", "resonances of the body", "additive", "always", "nothing: all are stepped", basic=True

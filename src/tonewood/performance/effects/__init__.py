@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from importlib import import_module
-from typing import Any, cast
+from typing import Any
 
 from tonewood.errors import PluginError, TonewoodError, kind_of
 from tonewood.instrument.contract.base import Plugin
@@ -62,7 +61,4 @@ def _plugins(model: Model) -> Iterator[tuple[str, Plugin[Any]]]:
 
 
 def _maker(effect: Effect, kind: str) -> Maker:
-    if isinstance(effect.runtime, str):
-        module, _, name = effect.runtime.partition(":")
-        return cast(Maker, getattr(import_module(module), name))
     return effect.runtime or _BY_KIND.get(kind, RuntimeEffect)
