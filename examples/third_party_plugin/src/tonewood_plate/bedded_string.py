@@ -25,16 +25,17 @@ class BeddedStringParameters(ta.Parameters):
 
 
 class Bed(ta.PotentialEnergy):
-    """V by the motion at 96 places, of the 40 lowest modes of each plane."""
+    """V by the motion at 64 places, of the 24 lowest modes of each plane."""
 
     def __init__(self, planes: Sequence[ta.ModalBasis], stiffness: float):
         length = float(planes[0].metadata["length"])
-        places = (np.arange(96) + 0.5) / 96 * length
-        self.shapes = [np.array([np.asarray(b.shape(x)).real[:40] for x in places]) for b in planes]
+        places = (np.arange(64) + 0.5) / 64 * length
+        self.shapes = [np.array([np.asarray(b.shape(x)).real[:24] for x in places]) for b in planes]
         self.sizes = tuple(shape.shape[1] for shape in self.shapes)
-        self.stiffness = stiffness * length / 96
+        self.stiffness = stiffness * length / 64
 
     def gradient(self, y: np.ndarray) -> tuple[float, np.ndarray]:
+        """V, J, and dV/dy."""
         parts = np.split(y, np.cumsum(self.sizes)[:-1])
         u = [shape @ part for shape, part in zip(self.shapes, parts, strict=True)]
         square = sum(plane**2 for plane in u)
@@ -51,17 +52,21 @@ class BeddedString(ta.Resonator[BeddedStringParameters]):
     tension = property(lambda self: self.parameters.tension)
 
     def basis(self, freq_upper: float, *, stop: float = 0.0, tension: float | None = None) -> ta.ModalBasis:
+        """Its modes with the bridge end free."""
         p, rate = self.parameters, np.log(1000.0) / self.parameters.t60
         loss = lambda omega, k: 2 * rate / omega  # noqa: E731
         pull = p.tension if tension is None else tension
         return ta.string_basis(p.length - stop, pull, p.linear_density, 0.0, loss, freq_upper=freq_upper)
 
     def detuned(self, basis: ta.ModalBasis, tension: float) -> ta.ModalBasis:
+        """The same modes at another tension."""
         freq_rad = np.sqrt(tension * np.asarray(basis.metadata["tension_part"]))
         return ta.retuned(basis, freq_rad, basis.damping_rate, {"tension": tension})
 
     def transfer(self, old: ta.ModalBasis, new: ta.ModalBasis) -> tuple[np.ndarray, np.ndarray]:
+        """Motion from one stop to another."""
         return ta.string_transfer(old, new)
 
     def potentials(self, string: ta.StringMotion) -> Sequence[ta.Potential]:
+        """The bed's energy."""
         return [ta.ModalPotential(string.name, string.planes, lambda bases: Bed(bases, self.parameters.bed))]
