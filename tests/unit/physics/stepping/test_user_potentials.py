@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from tonewood.errors import TonewoodError
 from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.physics.coupling.laws import Contact
 from tonewood.physics.coupling.potentials.coordinates import middle_of_step
@@ -248,7 +249,7 @@ def test_kinds_stand_side_by_side() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(ValueError, match="has 6 modes, not 7"):
+    with pytest.raises(TonewoodError, match="has 6 modes, not 7"):
         KernelStepper(plate(48000, quartic((7,), 1.0)))
     with pytest.raises(ValueError, match="C function"):
         PotentialFunction(ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(abs))

@@ -37,6 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.errors import TonewoodError
 from tonewood.physics.coupling.c_functions import CFunction
 from tonewood.physics.coupling.potentials.base import JoinedPotential, Kind, Potential, Step
 from tonewood.physics.modal.modes import ModalBasis
@@ -157,10 +158,12 @@ class ModalPotential(Potential):
 
         Raises
         ------
-        ValueError : V has more coordinates than a component has modes.
+        TonewoodError : V has more coordinates than a component has modes.
         """
         made = self.energy(shares)
         for component, size, basis in zip(self.components, made.sizes, shares, strict=True):
             if not 0 <= size <= basis.n_modes:
-                raise ValueError(f"{self.name}: {component} has {basis.n_modes} modes, not {size} coordinates")
+                raise TonewoodError(
+                    f"potential {self.name}: {component} has {basis.n_modes} modes, not {size} coordinates"
+                )
         return made
