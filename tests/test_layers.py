@@ -16,7 +16,8 @@ SOURCES = ROOT / "src" / "tonewood"
 #: bottom to top; modules of one set may not import each other
 LAYERS = (
     {"errors", "garbage", "validation_messages", "_kernel", "_methods"},
-    {"cache_folder", "whole_files", "yaml_parser"},
+    {"whole_files", "yaml_parser"},
+    {"cache_folder"},
     {"units", "params", "yaml_io", "blas"},
     {"yaml_edit", "plotting", "tables", "scipy_linalg"},
     {"modal", "plate"},
