@@ -68,14 +68,17 @@ def read_kept(kind: str, key: str, decode: Callable[[bytes], T]) -> T | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as fault:
-        return _no_value(path, "a link" if path.is_symlink() else getattr(fault, "strerror", None) or str(fault))
+        _warn_damaged(path, "a link" if path.is_symlink() else getattr(fault, "strerror", None) or str(fault))
+        return None
     line, _, content = data.partition(b"\n")
     if line != _heading(kind, key, content):
-        return _no_value(path, "damaged, or not the file of this name")
+        _warn_damaged(path, "damaged, or not the file of this name")
+        return None
     try:
         return decode(content)
     except Exception as fault:  # of this version, and yet: whatever a decoder raises
-        return _no_value(path, f"damaged ({type(fault).__name__})")
+        _warn_damaged(path, f"damaged ({type(fault).__name__})")
+        return None
 
 
 def keep(kind: str, key: str, content: bytes) -> None:
@@ -111,7 +114,7 @@ def _heading(kind: str, key: str, content: bytes) -> bytes:
     return f"{_VERSION} {kind} {key} {hashlib.sha256(content).hexdigest()}".encode()
 
 
-def _no_value(path: Path, reason: str) -> None:
+def _warn_damaged(path: Path, reason: str) -> None:
     # here, not where it is called from: a text is shown once
     warnings.warn(f"{path}: {reason}; it is computed again", DamagedCacheWarning, stacklevel=1)
 

@@ -21,7 +21,7 @@ class OldFormatWarning(FutureWarning):
 
 
 class CacheFolderWarning(UserWarning):
-    """The folder of files kept between runs belongs to somebody else or can be written to by others: nothing is kept."""
+    """The folder of files kept between runs belongs to somebody else, or others can write to it: nothing is kept."""
 
 
 class DamagedCacheWarning(UserWarning):

@@ -1,4 +1,4 @@
-"""Small systems with every kind of component and connection, saved: what is damaged to test the reader of saved models."""
+"""Small systems with every kind of component and connection, saved: tests of the reader of saved models damage them."""
 
 from __future__ import annotations
 

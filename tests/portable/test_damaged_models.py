@@ -172,9 +172,7 @@ def test_lines_that_do_not_fit_are_refused(mutate: Path, tmp_path: Path, number:
 
 
 @pytest.mark.validate
-def test_a_million_damaged_files_give_samples_or_one_line(
-    mutate: Path, files: dict[str, Path], tmp_path: Path
-) -> None:
+def test_a_million_damaged_files_give_samples_or_one_line(mutate: Path, files: dict[str, Path], tmp_path: Path) -> None:
     each, running = MUTATIONS // PROCESSES, []
     for seed in range(PROCESSES):
         folder = tmp_path / str(seed)

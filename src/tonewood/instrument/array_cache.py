@@ -1,7 +1,7 @@
 """Arrays that take seconds to compute, kept between runs: a file per content, safe to delete at any time.
 
-The files lie in the `cache_folder`. A file's key is a hash of the inputs, of the function that computes with the file it
-stands in, of the sources of the package that it uses, and of NumPy with its BLAS library and SciPy: the arrays read are
+The files lie in the `cache_folder`. A file's key is a hash of the inputs, of the function that computes and its source
+file, of the sources of the package that it uses, and of NumPy with its BLAS library and SciPy: the arrays read are
 those that would be computed, to the last bit. SciPy's own BLAS library has the version that SciPy brings, and the
 processor kernel of NumPy's.
 """
