@@ -1,6 +1,6 @@
-// Reads files of named arrays, as tonewood.output.model_file writes them: for each array a line "name type n0 n1 ..."
-// (type f8 or i8, sizes in decimal, none for one number) and, after its newline, the numbers: little-endian, 8 bytes
-// each, the last index fastest.
+// Reads files of named arrays, as tonewood.sound.render.model_file writes them: for each array a line
+// "name type n0 n1 ..." (type f8 or i8, sizes in decimal, none for one number) and, after its newline, the numbers:
+// little-endian, 8 bytes each, the last index fastest.
 //
 // A file is not trusted: every size is compared with the bytes that are left before anything is allocated, and every
 // number is finite. What does not fit throws std::runtime_error with one line that names file and array.

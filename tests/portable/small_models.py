@@ -7,17 +7,17 @@ from unittest.mock import patch
 
 import numpy as np
 
-from tonewood.coupling import elimination
-from tonewood.coupling.connections import Connection, Law, Rigid, SpringDashpot, Term
-from tonewood.coupling.geometric import GeometricStretch
-from tonewood.coupling.inverse import InverseInParts
-from tonewood.coupling.laws import Contact, Friction, HardeningSpring, SampledPotential
-from tonewood.coupling.phantoms import DrivenLongitudinal
-from tonewood.coupling.system import Injection, Probe, Readout, System
-from tonewood.coupling.tension import TensionModulation
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
-from tonewood.output.model_file import recorded, save_model, write_arrays
+from tonewood.physics.coupling import elimination
+from tonewood.physics.coupling.connections import Connection, Law, Rigid, SpringDashpot, Term
+from tonewood.physics.coupling.geometric import GeometricStretch
+from tonewood.physics.coupling.inverse import InverseInParts
+from tonewood.physics.coupling.laws import Contact, Friction, HardeningSpring, SampledPotential
+from tonewood.physics.coupling.phantoms import DrivenLongitudinal
+from tonewood.physics.coupling.system import Injection, Probe, Readout, System
+from tonewood.physics.coupling.tension import TensionModulation
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
+from tonewood.sound.render.model_file import recorded, save_model, write_arrays
 
 LENGTH, TENSION, DENSITY, AXIAL, FS = 0.65, 70.0, 3.6e-3, 2e4, 16000.0
 PLACES = {"pluck": 0.08, "a": 0.2, "b": 0.3, "c": 0.4}

@@ -16,7 +16,7 @@ import pytest
 import saved
 from small_models import NAMES, write_small_models
 
-from tonewood.output.model_file import MAGIC, Arrays, write_arrays
+from tonewood.sound.render.model_file import MAGIC, Arrays, write_arrays
 
 ROOT = Path(__file__).parents[2]
 KERNEL, EMBED = ROOT / "src" / "kernel", ROOT / "src" / "embed"

@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tonewood import cache_folder
-from tonewood.cache_folder import keep, read_kept
 from tonewood.errors import CacheFolderWarning, DamagedCacheWarning
-from tonewood.instrument import array_cache
-from tonewood.yaml_io import load_yaml
+from tonewood.instrument.contract import array_cache
+from tonewood.support import cache_folder
+from tonewood.support.cache_folder import keep, read_kept
+from tonewood.support.yaml_io import load_yaml
 
 KEY, OTHER_KEY = "0123456789abcdef" * 4, "0123456789abcdef" * 3 + "f" * 16
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="owners and modes of POSIX")
@@ -247,7 +247,7 @@ def test_without_a_place_to_write_nothing_is_kept(tmp_path: Path, monkeypatch: p
 FULL = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))  # as a full disk: writing fails half-way
-from tonewood.cache_folder import keep, read_kept
+from tonewood.support.cache_folder import keep, read_kept
 keep("words", "0" * 64, b"x" * 10_000)
 assert read_kept("words", "0" * 64, bytes) is None
 """
@@ -261,7 +261,7 @@ def test_a_full_disk_leaves_nothing(folder: Path) -> None:
 
 WRITER = """
 import sys
-from tonewood.cache_folder import keep, read_kept
+from tonewood.support.cache_folder import keep, read_kept
 for i in range(150):
     keep("words", "0" * 64, bytes([i % 256]) * 20_000)
     got = read_kept("words", "0" * 64, bytes)
