@@ -174,6 +174,14 @@ def test_a_changed_source_file_of_the_function_is_another_content(
     monkeypatch.delitem(sys.modules, "my_body")
 
 
+def test_the_sources_that_compute_are_part_of_the_key(folder: Path) -> None:
+    """A package that has moved would otherwise have no sources, and its arrays would outlive every change of it."""
+    names = {"/".join(path.parts[-2:]) for path in array_cache._source_files("physics")}
+    assert {"plate/plate.py", "plate/radiation.py", "modal/modes.py"} <= names
+    with pytest.raises(ValueError, match="tonewood has no package 'plate'"):
+        array_cache.cached_arrays({"x": 1}, arrays, package="plate")
+
+
 @pytest.mark.parametrize("mode", [0o777, 0o770, 0o702, 0o1777])
 def test_a_folder_that_others_may_write_to_is_not_used(folder: Path, mode: int) -> None:
     keep("words", KEY, b"words")

@@ -32,7 +32,7 @@ _MOST_RECENT = 16
 
 
 def cached_arrays(
-    inputs: Mapping[str, Any], make: Callable[[], Mapping[str, NDArray[Any]]], package: str = "plate"
+    inputs: Mapping[str, Any], make: Callable[[], Mapping[str, NDArray[Any]]], package: str = "physics"
 ) -> Arrays:
     """Return the arrays of `make`, computed once for the same inputs.
 
@@ -40,7 +40,11 @@ def cached_arrays(
     ----------
     inputs : everything that decides on the result, as plain values (JSON).
     make : computes name -> array; its name and the file that it stands in are part of the hash.
-    package : of tonewood, whose sources are part of the hash.
+    package : of tonewood, whose sources and those of its packages are part of the hash.
+
+    Raises
+    ------
+    ValueError : tonewood has no such package.
     """
     digest = hashlib.sha256(json.dumps(inputs, sort_keys=True, ensure_ascii=True).encode())
     digest.update(_sources(package).encode() + _origin(make))
@@ -79,6 +83,12 @@ def _origin(make: Callable[..., object]) -> bytes:
 def _sources(package: str) -> str:
     """Hash of a package's sources and of the libraries that compute for it."""
     digest = hashlib.sha256(" ".join([np.__version__, *numpy_blas(), version("scipy")]).encode())
-    for path in sorted((Path(__file__).parents[2] / package).glob("*.py")):
+    for path in _source_files(package):
         digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def _source_files(package: str) -> list[Path]:
+    if files := sorted((Path(__file__).parents[2] / package).rglob("*.py")):
+        return files
+    raise ValueError(f"tonewood has no package {package!r}")
