@@ -1,6 +1,7 @@
 #include "kernel.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 #include "load/component.hpp"
 #include "load/contacts.hpp"
@@ -25,6 +26,20 @@ bool assign(Array<double>& to, const View& from) {
     if (from.equals(to)) return false;
     to = from.copy();
     return true;
+}
+
+// Refuses a law without what its kind needs.
+void expect_law(const Law& law, std::size_t j) {
+    const std::string number = std::to_string(j);
+    const std::vector<double>& knots = law.knots;
+    bool rises = knots.size() >= 2 && std::isfinite(knots.front()) && std::isfinite(knots.back());
+    for (std::size_t i = 1; i < knots.size(); ++i) rises = rises && knots[i - 1] < knots[i];
+    const bool has_none = knots.empty() && law.coefficients.empty();
+    require(has_none ? law.kind != Law::sampled : (rises && law.coefficients.size() == 4 * (knots.size() - 1)),
+            "nonlinear.samples: law " + number + " is missing, or has not rising knots and 4 coefficients between two");
+    const auto known = [](const Law::Function& f) { return f.plain || f.with_data; };
+    require(law.kind != Law::compiled || (known(law.potential) && known(law.slope)),
+            "nonlinear.functions: law " + number + " is missing");
 }
 
 }  // namespace
@@ -86,7 +101,7 @@ void Kernel::load_phantoms(const std::vector<PhantomDescription>& strings) {
     for (std::size_t q = 0; q < strings.size(); ++q) {
         const PhantomDescription& d = strings[q];
         const std::string name = "phantoms[" + std::to_string(q) + "].";
-        require(d.index >= 0, name + "index is negative");
+        require(d.index >= 0 && std::size_t(d.index) < components.size(), name + "index is out of range");
         require(d.target >= 0 && std::size_t(d.target) < components.size() && !components[d.target].driven &&
                     !components[d.target].geometric && !components[d.target].tension.on,
                 name + "target: no force can act on component " + std::to_string(d.target));
@@ -103,7 +118,7 @@ void Kernel::load_phantoms(const std::vector<PhantomDescription>& strings) {
         for (const auto& p : d.parts) {
             const bool known = p.slot >= 0 && std::size_t(p.slot) < components.size() && p.weights.ndim == 2;
             const std::size_t n = known ? p.weights.shape[1] : 0, wide = (n + kPadding - 1) / kPadding * kPadding;
-            require(known && n <= std::size_t(components[p.slot].n) && !components[p.slot].driven &&
+            require(n > 0 && n <= std::size_t(components[p.slot].n) && !components[p.slot].driven &&
                         !components[p.slot].geometric && !components[p.slot].tension.on,
                     name + "parts: one does not fit component " + std::to_string(p.slot));
             expect(name + "weights", p.weights, {order + 1, n});
@@ -185,6 +200,7 @@ bool Kernel::load_nonlinear(const NonlinearDescription& d) {
         require(t.connection >= 0 && std::size_t(t.connection) < k && t.component >= 0 &&
                     std::size_t(t.component) < model_.components.size() && t.port >= 0,
                 "nonlinear.terms: connection " + std::to_string(t.connection) + " does not fit the components");
+    for (std::size_t j = 0; j < k; ++j) expect_law(d.laws[j], j);
     Nonlinear& nl = model_.nonlinear;
     bool changed =
         nl.k != int(k) || nl.dt != d.dt || nl.theta != d.theta || nl.all_terms != d.terms || nl.laws != d.laws;
@@ -218,11 +234,14 @@ bool Kernel::load_tensions(const TensionsDescription& d, bool components_changed
     for (std::size_t s = 0; s < d.strings.size(); ++s) {
         const auto& string = d.strings[s];
         const std::string name = "tensions[" + std::to_string(s) + "]";
-        require(string.index >= 0, name + ": no tension " + std::to_string(string.index));
+        require(string.index >= 0 && std::size_t(string.index) < model_.components.size(),
+                name + ": no tension " + std::to_string(string.index));
+        require(!string.slots.empty(), name + ": no components");
         for (const int i : string.slots) {
             require(i >= 0 && std::size_t(i) < model_.components.size(), name + ": no component " + std::to_string(i));
             Component& c = model_.components[i];
             require(!c.tension.a.empty(), name + ": component " + std::to_string(i) + " was loaded without `tension`");
+            require(!c.tension.on && !c.geometric, name + ": component " + std::to_string(i) + " is in two strings");
             (d.stretches.empty() ? c.tension.on : c.geometric) = true;
             if (d.stretches.empty()) components.push_back(i);
         }

@@ -119,7 +119,7 @@ inline Stretch::Part load_part(const StretchDescription::Part& d, const Componen
     const std::size_t n = d.slopes.shape[1], cosines = d.slopes.shape[0], w = padded(n);
     const std::size_t modes = (n + kPadding - 1) / kPadding * kPadding;
     expect(name + "stiffness", d.stiffness, {n});
-    require(!c.driven && !c.contact.n && n <= std::size_t(c.n) && cosines > 0 && (longitudinal || cosines == 1),
+    require(!c.driven && !c.contact.n && n > 0 && n <= std::size_t(c.n) && cosines > 0 && (longitudinal || cosines == 1),
             name + "slopes: they do not fit the component");
     Stretch::Part part;
     part.component = d.slot, part.n = int(n), part.width = int(w), part.cosines = int(cosines);
