@@ -1,7 +1,7 @@
 """A body from its drawing: outline, wood, braces, bridge, soundhole and cavity give modes; nothing is measured.
 
 The top is an orthotropic Kirchhoff plate with eccentric braces, solved by the Rayleigh-Ritz method with B-splines; air
-in cavity and hole is coupled to it, and radiation damps it (`tonewood.plate`). All modes are real, and so the
+in cavity and hole is coupled to it, and radiation damps it (`tonewood.physics.plate`). All modes are real, and so the
 body is passive. Coordinates of the drawing: x (m) from the neck joint to the tail, y from bass to treble, z out of the
 top. A point at height H above the top's middle surface moves by w along z, -H dw/dx along x and -H dw/dy
 along y: strings across the bridge feel it rock.

@@ -2,8 +2,8 @@
 
     mu u_tt + loss = T u_xx - EI u_xxxx + f(x, t),    no moment at either end
 
-Modes and their derivation: `tonewood.modal.string_modes`; loss laws: `tonewood.instrument.losses`. Valid for small
-slopes (no change of tension with amplitude) and for wavelengths long against the diameter.
+Modes and their derivation: `tonewood.physics.modal.string_modes`; loss laws: `tonewood.instrument.contract.losses`.
+Valid for small slopes (no change of tension with amplitude) and for wavelengths long against the diameter.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class StiffString(Resonator[StiffStringParameters]):
         return retuned(basis, freq_rad, sigma, {"tension": tension})
 
     def transfer(self, old: ModalBasis, new: ModalBasis) -> tuple[Floats, Floats]:
-        """Projections of displacement and velocity; see `tonewood.modal.string_transfer`."""
+        """Projections of displacement and velocity; see `tonewood.physics.modal.string_transfer`."""
         return string_transfer(old, new)
 
     def carried(self, old: ModalBasis, new: ModalBasis, q: Floats, velocity: Floats) -> tuple[Floats, Floats]:

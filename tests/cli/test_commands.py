@@ -241,8 +241,8 @@ def test_plan_names_what_matters_and_verbose_the_rest(tonewood: Run, score: Path
 )
 def test_what_was_left_out_and_what_it_saved(strings: list[str], said: str) -> None:
     from tonewood.cli.render import _left_out
-    from tonewood.engine.effects.base import EffectReport
-    from tonewood.output.render import Summary
+    from tonewood.performance.effects.base import EffectReport
+    from tonewood.sound.render.renderer import Summary
 
     reports = [
         EffectReport("tension_modulation", name, 2.0 + i, 0.8, 0.3, "cents", title="rising tension")
@@ -275,8 +275,8 @@ def test_plan_and_play_have_the_options_of_render(tonewood: Run, score: Path, mo
         def __exit__(self, *error: object) -> None:
             pass
 
-    monkeypatch.setattr("tonewood.output.stream._output_stream", lambda: Stream)
-    monkeypatch.setattr("tonewood.output.stream._stop", StopIteration)
+    monkeypatch.setattr("tonewood.sound.live.stream._output_stream", lambda: Stream)
+    monkeypatch.setattr("tonewood.sound.live.stream._stop", StopIteration)
     play = ("play", score, "-i", "monochord", "--fs", 16000, "--max-duration", 0.2, "--lead-in", 0.1)
     code, out, _ = tonewood(*play)
     assert code == 0

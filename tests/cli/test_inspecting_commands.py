@@ -99,7 +99,7 @@ def test_modes_refuses(tonewood: Run, arguments: list[str], said: list[str]) -> 
 def test_schema_is_one_json_schema_that_all_bundles_keep(tonewood: Run) -> None:
     from jsonschema import Draft202012Validator
 
-    from tonewood.yaml_io import load_yaml
+    from tonewood.support.yaml_io import load_yaml
 
     code, out, _ = tonewood("schema")
     assert code == 0

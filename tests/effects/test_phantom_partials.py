@@ -10,7 +10,7 @@ from phantom_scenes import excess
 
 import tonewood as tw
 from pianos import piano
-from tonewood.engine.effects.base import SwitchedEffect
+from tonewood.performance.effects.base import SwitchedEffect
 
 FS = 24000.0
 

@@ -8,8 +8,8 @@ from typing import Any, Literal
 import pytest
 
 from tonewood.errors import BundleError
-from tonewood.params import Number, Parameters, Vector, described, quantity, validated
-from tonewood.units import cents, decibel, ratio_of_cents, t60
+from tonewood.support.params import Number, Parameters, Vector, described, quantity, validated
+from tonewood.support.units import cents, decibel, ratio_of_cents, t60
 
 
 class Inner(Parameters):

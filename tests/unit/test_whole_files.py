@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tonewood.errors import OutputError
-from tonewood.whole_files import AtomicFile, whole_file, write_whole
+from tonewood.support.whole_files import AtomicFile, whole_file, write_whole
 
 
 def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_ctrl_c_between_any_two_statements_leaves_nothing(tmp_path: Path, statem
 
 def test_the_end_of_the_program_removes_what_is_incomplete(tmp_path: Path) -> None:
     program = (
-        "from tonewood.whole_files import AtomicFile\n"
+        "from tonewood.support.whole_files import AtomicFile\n"
         f"kept = AtomicFile({str(tmp_path / 'a')!r})\nassert kept.path.exists()"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

@@ -13,9 +13,9 @@ from tonewood.cli.common import AllowCode, BundleName, Json, Overrides, StringSe
 from tonewood.cli.options import render_options
 
 if TYPE_CHECKING:
-    from tonewood.instrument.assembly import Model
-    from tonewood.instrument.inspection import MicrophoneResponse, Pitch
-    from tonewood.instrument.mounted import MountedPitch
+    from tonewood.instrument.inspection.frequencies import MicrophoneResponse, Pitch
+    from tonewood.instrument.inspection.mounted import MountedPitch
+    from tonewood.instrument.model.assembly import Model
 
 #: relative error of a partial's decay rate from which on a string is reported to miss its loss law
 LOSS_TOLERANCE = 1e-3
@@ -38,10 +38,15 @@ def check(
 
     Exit code 2 if it cannot be played or its body could create energy.
     """
-    from tonewood.instrument.added import added_line
-    from tonewood.instrument.assembly import assemble
-    from tonewood.instrument.inspection import TOLERANCE_CENTS, check_transfers, microphone_responses, pitches
-    from tonewood.instrument.mounted import mounted_pitches
+    from tonewood.instrument.bundle.added import added_line
+    from tonewood.instrument.inspection.frequencies import (
+        TOLERANCE_CENTS,
+        check_transfers,
+        microphone_responses,
+        pitches,
+    )
+    from tonewood.instrument.inspection.mounted import mounted_pitches
+    from tonewood.instrument.model.assembly import assemble
 
     render_options({"fs": fs})
     bundle = load(instrument, settings, allow_code, strings)
@@ -95,7 +100,7 @@ def _modes_of_other_outputs(model: Model) -> list[int]:
 
 def _body(model: Model) -> dict[str, Any]:
     """The body's modes and whether it is passive; real modes are by construction."""
-    from tonewood.passivity.basis import check_basis
+    from tonewood.physics.passivity.basis import check_basis
 
     basis = model.system.compiled[model.system.slot("body")].basis
     verdict = check_basis(basis, [name for name, p in model.body_points.items() if p.driven], dt=model.system.dt)
@@ -135,8 +140,8 @@ def _microphone(response: MicrophoneResponse) -> dict[str, Any]:
 
 
 def _string(model: Model, name: str, pairs: list[tuple[Pitch, MountedPitch]]) -> dict[str, Any]:
-    from tonewood.instrument.inspection import feel
-    from tonewood.score.scales import note_name
+    from tonewood.instrument.inspection.frequencies import feel
+    from tonewood.instrument.scales import note_name
 
     string, mine = model.strings[name], [(p, m) for p, m in pairs if p.string == name]
     given = string.given_tension
@@ -170,7 +175,7 @@ def _loss_error(model: Model, name: str) -> dict[str, Any] | None:
 
 def _mounted_row(p: Pitch, mounted: MountedPitch) -> dict[str, Any]:
     """A stop that is off its pitch when all strings are on the body."""
-    from tonewood.score.scales import note_name
+    from tonewood.instrument.scales import note_name
 
     return {
         "string": p.string,
@@ -187,8 +192,8 @@ def _mounted_row(p: Pitch, mounted: MountedPitch) -> dict[str, Any]:
 
 def pitch_row(p: Pitch) -> dict[str, Any]:
     """A pitch as plain values."""
-    from tonewood.score.scales import note_name
-    from tonewood.units import cents
+    from tonewood.instrument.scales import note_name
+    from tonewood.support.units import cents
 
     row: dict[str, Any] = {
         "string": p.string,

@@ -16,8 +16,8 @@ import typer
 from tonewood.errors import DroppedNotesWarning, TonewoodError
 
 if TYPE_CHECKING:
-    from tonewood.instrument.bundle import Instrument
-    from tonewood.score.note import Dropped
+    from tonewood.instrument.bundle.loading import Instrument
+    from tonewood.performance.score.note import Dropped
 
 ScorePath = Annotated[Path, typer.Argument(help="score: MIDI, MusicXML or Guitar Pro file", metavar="SCORE")]
 Start = Annotated[float, typer.Option("--start", help="begin of the excerpt of SCORE, s at its own tempo")]
@@ -45,14 +45,14 @@ def reading(start: float, stop: float | None, transpose: float, tempo: float, tr
 
 def installed() -> list[str]:
     """Names of installed instruments, for shell completion."""
-    from tonewood.instrument.registry import list_instruments
+    from tonewood.instrument.contract.registry import list_instruments
 
     return list(list_instruments())
 
 
 def _string_sets() -> list[str]:
     """Names of string sets, for shell completion."""
-    from tonewood.instrument.string_sets import string_sets
+    from tonewood.instrument.bundle.string_sets import string_sets
 
     return list(string_sets())
 
@@ -139,8 +139,8 @@ def progress(label: str, total: float) -> Iterator[Advance]:
 
 def load(name: str, overrides: list[str] | None, allow_code: bool, strings: str | None = None) -> Instrument:
     """Load an instrument, put a string set on and apply ``--set``."""
-    from tonewood.instrument.bundle import Instrument
-    from tonewood.instrument.overrides import parse_assignment
+    from tonewood.instrument.bundle.loading import Instrument
+    from tonewood.instrument.bundle.overrides import parse_assignment
 
     instrument = Instrument.load(name, allow_code=allow_code)
     changes = {} if strings is None else {"strings_from": strings}

@@ -12,14 +12,14 @@ import numpy as np
 
 from tonewood.cli.common import dropped_notes_listed, print_json, progress, warn
 from tonewood.cli.stems import make_stem_folder, stem_files
-from tonewood.units import counted, decibel
+from tonewood.support.units import counted, decibel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from tonewood.output.ensemble import EnsemblePart
-    from tonewood.output.level import LevelName
-    from tonewood.output.options import RenderOptions
+    from tonewood.sound.ensemble import EnsemblePart
+    from tonewood.sound.render.level import LevelName
+    from tonewood.sound.render.options import RenderOptions
 
 
 def render_parts(
@@ -36,10 +36,10 @@ def render_parts(
     as_json: bool,
 ) -> None:
     """Render and mix; the mix is brought to its level by its true peak."""
-    from tonewood.output.audio import Audio
-    from tonewood.output.ensemble import render_ensemble
-    from tonewood.output.level import LOUDNESS
-    from tonewood.output.loudness import loudness, matching_gain_db, true_peak
+    from tonewood.sound.ensemble import render_ensemble
+    from tonewood.sound.files.audio import Audio
+    from tonewood.sound.level.loudness import loudness, matching_gain_db, true_peak
+    from tonewood.sound.render.level import LOUDNESS
 
     began = time.perf_counter()
     names = [f"{part.part:02d}_" + re.sub(r"\W+", "_", Path(part.instrument).name) for part in parts]

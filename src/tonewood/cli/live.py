@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from tonewood.cli.common import print_json, warn
 from tonewood.errors import TonewoodError
-from tonewood.units import counted
+from tonewood.support.units import counted
 
 if TYPE_CHECKING:
-    from tonewood.instrument.bundle import Instrument
-    from tonewood.live.ports import EventSource
-    from tonewood.live.session import LiveSession
-    from tonewood.output.options import RenderOptions
-    from tonewood.output.stream import Playback
+    from tonewood.instrument.bundle.loading import Instrument
+    from tonewood.sound.live.ports import EventSource
+    from tonewood.sound.live.session import LiveSession
+    from tonewood.sound.live.stream import Playback
+    from tonewood.sound.render.options import RenderOptions
 
 #: velocity of the chord of all open strings whose peak is brought near full scale
 _LOUD = 110
@@ -43,12 +43,12 @@ def play_live(
     stream: Any = None,
 ) -> None:
     """Play until Ctrl-C, Esc on the computer's keys, or `duration` s; then print the notes played and dropped."""
-    from tonewood.live.keyboard import HELP, ComputerKeyboard
-    from tonewood.live.ports import MidiInput
-    from tonewood.live.session import LiveSession
-    from tonewood.live.take import Take
-    from tonewood.output.level import meaning
-    from tonewood.output.live import Live
+    from tonewood.sound.live.instrument import Live
+    from tonewood.sound.live.keyboard import HELP, ComputerKeyboard
+    from tonewood.sound.live.ports import MidiInput
+    from tonewood.sound.live.session import LiveSession
+    from tonewood.sound.live.take import Take
+    from tonewood.sound.render.level import meaning
 
     take = Take(options.fs) if record is not None else None
     if record is not None:
@@ -94,9 +94,9 @@ def _check_record(record: Path) -> None:
 
 def _gain(instrument: Instrument, options: RenderOptions) -> float:
     """Gain (dB) that brings a chord of all open strings near full scale."""
-    from tonewood.instrument.assembly import assemble
-    from tonewood.output.level import preview_gain
-    from tonewood.score.note import Note, Score
+    from tonewood.instrument.model.assembly import assemble
+    from tonewood.performance.score.note import Note, Score
+    from tonewood.sound.render.level import preview_gain
 
     strings = assemble(instrument, 48000.0).strings
     chord = [Note(0.01 * i, 1.0, string=name, stop=0, velocity_midi=_LOUD) for i, name in enumerate(strings)]

@@ -11,7 +11,7 @@ from typing import NoReturn
 
 from tonewood.cli.commands import COMMANDS, InterruptError, ReaderGoneError
 from tonewood.errors import TonewoodError
-from tonewood.validation_messages import did_you_mean
+from tonewood.support.validation_messages import did_you_mean
 
 #: exit code, as shells have it
 _INTERRUPTED = 130
@@ -103,7 +103,7 @@ def _in_its_line(error: TonewoodError, given: list[str]) -> TonewoodError:
     for path in (word.partition("=")[0].split(".") for word in words):
         if error.key and all(a in ("*", b) for a, b in zip(path, error.key.split("."), strict=False)):
             return error
-    from tonewood.yaml_io import located
+    from tonewood.support.yaml_io import located
 
     return located(error)
 

@@ -10,8 +10,8 @@ import pytest
 
 from system_modes import CoupledModes, coupled_modes
 from tonewood.errors import BundleError
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.lab.string_end import ExactString, coupled_pole
 
 Make = Callable[..., Instrument]
