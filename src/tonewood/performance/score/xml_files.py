@@ -18,8 +18,9 @@ from tonewood.performance.score.limits import Allowance, number
 MAX_BYTES, _MOST_RATIO, _RATIO_FROM = 64 * 2**20, 300, 2**22
 #: files in an archive
 _MOST_MEMBERS = 10_000
-#: elements, one within the other, and characters of a text or tag
+#: elements, one within the other, and characters of a text, a tag and a name
 MAX_ELEMENTS, _DEEPEST, _LONGEST = 1_000_000, 100, 2**21
+_LONGEST_NAME = 500
 #: elements, attributes and texts that are kept at a time: some 100 bytes each
 _MOST_KEPT = 2_000_000
 #: bytes that are parsed at a time
@@ -105,7 +106,10 @@ class _Tree:
             raise ScoreError(f"elements more than {_DEEPEST} deep", file=self._path)
         if len(self._open) == 2:
             self._kept_before = self._kept
-        self._keep(4 + len(attributes) if attributes else 1)
+        names = [tag, *attributes]
+        if max(map(len, names)) > _LONGEST_NAME:  # with its namespace, which expat writes out in each of them
+            raise ScoreError(f"a name of more than {_LONGEST_NAME} characters", file=self._path)
+        self._keep(4 + len(attributes) + (sum(map(len, attributes.values())) >> 6) if attributes else 1)
         self._text = 0
         self._open.append(self._builder.start("{" + tag if "}" in tag else tag, attributes))
 

@@ -92,6 +92,7 @@ def test_an_archive_that_expands_is_left_while_it_expands(tmp_path: Path, monkey
         ("<a " + " ".join(f'a{i}=""' for i in range(400_000)) + "/>", "a tag or comment of more than"),
         ("<!--" + "x" * 3 * MB + "-->", "a tag or comment of more than"),
         ("<a>" + "x\n" * 2 * MB + "</a>", "a text of more than"),
+        ('<a xmlns="' + "u" * 9000 + '">' + "<b/>" * 9, "a name of more than 500 characters"),
         ('<a b="c"/>' * 500_000, "elements, attributes and texts"),
     ],
 )
