@@ -28,7 +28,7 @@ bool assign(Array<double>& to, const View& from) {
     return true;
 }
 
-// Refuses a law without what its kind needs.
+// Refuses a law without the numbers or functions of its kind.
 void expect_law(const Law& law, std::size_t j) {
     const std::string number = std::to_string(j);
     const std::vector<double>& knots = law.knots;

@@ -1,11 +1,12 @@
 // Damages saved models and loads and plays what comes of them: every damaged file gives samples or one line.
 //     mutate COUNT SEED FILE...
 // prints "mutations played refused"; exit code 1 and the damaged file in ./damaged.tonewood where an error has another
-// form or a call takes longer than 20 s. Built with sanitizers (tests/portable/test_damaged_models.py). With
+// form or a call takes more than 20 s of processor. Built with sanitizers (tests/portable/test_damaged_models.py). With
 // -fsanitize=fuzzer -DTONEWOOD_LIBFUZZER it is a target of libFuzzer, FILE... being its corpus.
 //
 // A mutation changes numbers, shapes, names and types of the arrays, of several with the same length together, and
 // puts offsets and capacity right again most of the time: so what is behind the first checks is reached as well.
+#include <sys/time.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -286,12 +287,17 @@ int main(int count, char** arguments) {
     }
     if (files.empty()) return 1;
     if (__sanitizer_set_death_callback) __sanitizer_set_death_callback(keep_damaged);
-    std::signal(SIGALRM, [](int) { keep_damaged(), _exit(1); });
+    std::signal(SIGVTALRM, [](int) {
+        keep_damaged();
+        std::fprintf(stderr, "more than 20 s of processor\n");
+        _exit(1);
+    });
+    const itimerval limit{{0, 0}, {20, 0}};
     std::uint64_t played = 0;
     for (std::uint64_t i = 0; i < n; ++i) {
         damaged = Mutation(seed + i)(files[i % files.size()]);
         try {
-            alarm(20);
+            setitimer(ITIMER_VIRTUAL, &limit, nullptr);
             played += refusal(damaged).empty();
         } catch (const std::exception& error) {
             keep_damaged();

@@ -185,5 +185,5 @@ def test_a_million_damaged_files_give_samples_or_one_line(mutate: Path, files: d
         assert process.returncode == 0, f"{process.args}: {errors[-3000:]}"
         n, played, refused = map(int, out.split())
         assert (n, played + refused) == (each, each)
-        assert played > 0.1 * n  # some still play, so that what comes after the door is reached
+        assert played > 0.1 * n  # some still play, so that the steps are reached as well
         assert refused > 0.1 * n

@@ -1,4 +1,4 @@
-"""Files kept between runs: only what was written under a key is read back, and only in a folder of the user's own."""
+"""Files kept between runs: only the content written under a key is read, and only in a folder of the user's own."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ def test_a_folder_or_a_file_of_another_user_is_not_used(folder: Path, monkeypatc
 
 
 def test_links_are_not_followed(folder: Path, tmp_path: Path) -> None:
-    """Of a name in the folder; it is replaced and what it led to is left alone. The folder itself may be a link."""
+    """Of a name in the folder; it is replaced and its target is left alone. The folder itself may be a link."""
     keep("words", KEY, b"words")
     (file,) = folder.iterdir()
     elsewhere = file.rename(tmp_path / "elsewhere")

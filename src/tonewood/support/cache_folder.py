@@ -5,7 +5,7 @@ It is the folder that the environment variable ``TONEWOOD_CACHE`` names, else ``
 somebody else, or that others may write to, is not used: a file of it decides on samples.
 
 A file begins with a line of 4 words: ``tonewood-cache/1``, its kind, its key and the SHA-256 of the bytes that follow.
-A file whose line or hash does not fit is damaged, cut short, renamed or of another version: what it held is computed
+A file whose line or hash does not fit is damaged, cut short, renamed or of another version: its content is computed
 again and written over it, with a warning. Nothing in it is ever unpickled.
 """
 
@@ -42,7 +42,7 @@ def cache_folder() -> Path | None:
 
 
 def read_kept(kind: str, key: str, decode: Callable[[bytes], T]) -> T | None:
-    """Read what `keep` wrote.
+    """Read a file written by `keep`.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def keep(kind: str, key: str, content: bytes) -> None:
         path = _path(folder, kind, key)
         if not _is_own(folder):
             return
-        if path.is_symlink() or not path.is_file():  # an `AtomicFile` would replace what a link leads to
+        if path.is_symlink() or not path.is_file():  # an `AtomicFile` would replace the target of a link
             path.unlink(missing_ok=True)
         file = AtomicFile(path)
         try:
@@ -127,7 +127,7 @@ def _is_users(status: os.stat_result) -> bool:
 def _is_own(folder: Path) -> bool:
     """Whether a folder exists and is the user's own, and nobody else may write to it; warns where it is another's."""
     try:
-        link, status = folder.lstat(), folder.stat()  # a link, and what it leads to
+        link, status = folder.lstat(), folder.stat()  # a link, and its target
     except (OSError, ValueError):
         return False
     if not stat.S_ISDIR(status.st_mode):

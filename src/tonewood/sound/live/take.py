@@ -109,15 +109,20 @@ def _settings(title: str) -> dict[str, str]:
     return dict(part.split("=", 1) for part in parts if "=" in part) if heading == _HEADING else {}
 
 
+#: least and largest value of the settings of a take
+_RANGES = {"fs": (8000.0, 768000.0), "ramp": (0.0, 1.0), "spacing": (0.0, 1e6)}
+
+
 def _number(settings: dict[str, str], name: str, default: float, path: str | os.PathLike[str]) -> float:
-    """Return the number of a setting; raises a `TonewoodError` where it is none."""
-    text = settings.get(name, str(default))
+    """Return the number of a setting; raises a `TonewoodError` where it is none, or out of its range."""
+    text, (least, most) = settings.get(name, str(default)), _RANGES[name]
     try:
-        if 0.0 <= (value := float(text)) < 1e9:
+        if least <= (value := float(text)) <= most:
             return value
     except ValueError:
         pass
-    raise TonewoodError(f"the take has the value {text[:40]!r}; a number is needed", file=path, key=name)
+    reason = f"the take has the value {text[:40]!r}; a number from {least:g} to {most:g} is needed"
+    raise TonewoodError(reason, file=path, key=name)
 
 
 class Replay:
