@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from assembled import chain, connect, merged, motion_readouts
-from tonewood.coupling.connections import Connection, Term
+from tonewood.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.coupling.system import PrescribedMotion, Probe, Readout, System
 from tonewood.coupling.tension import TensionModulation
@@ -65,7 +65,9 @@ SCENES = {
     "friction": [((1.0, 0.0, 0.5, 0.0), *SLIDING)],
     # friction moves the gap of the contact: what they do to one another has a sign
     "friction beside a contact": [((1.0, 0.0, 0.4, 0.0), *CONTACT), ((1.0, 0.3, 0.0, 0.0), *SLIDING)],
-    "all": [
+    "all, and linear connections": [
+        ((1.0, 0.0, 0.0, -1.0), SpringDashpot(5e5, 40.0, 1e-4), lambda p, r, t: 5e5 * p + 40.0 * r),
+        ((0.0, 1.0, -0.5, 0.0), SpringDashpot(1e5, 60.0), lambda p, r, t: 1e5 * p + 60.0 * r),
         ((1.0, 0.0, -1.0, 0.0), *CONTACT), ((0.0, 1.0, 0.0, -0.7), *SPRING), ((0.5, 1.0, 0.0, 0.0), *SAMPLED),
         ((0.0, 0.0, 1.0, 0.6), *SLIDING),
     ],
