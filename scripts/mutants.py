@@ -7,7 +7,7 @@ package run until one fails; what outlasts the time limit counts as noticed. `ke
 each edit, without optimisation and for one instruction set. Printed is a line for each edit; those that no test noticed
 are to be read by a person: an edit that changes nothing is no gap.
 
-Further options: ``--where FILE:LINE`` draws edits of these lines alone; ``--tests PATH...`` replaces the package's tests.
+Further options: ``--where FILE:LINE`` draws edits of these lines alone; ``--tests PATH...`` replaces the tests.
 """
 
 from __future__ import annotations
@@ -243,7 +243,8 @@ class Copy:
 
     def __init__(self, folder: Path):
         self.folder, self.package = folder, folder / "lib" / "tonewood"
-        files = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+        files = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
         for name in filter(None, files.split("\0")):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
