@@ -135,6 +135,35 @@ def test_signs_of_guitar_pro_7(tmp_path: Path) -> None:
     assert (capo.notes[0].note, capo.notes[0].stop) == (45 + 3 + 2, 5.0)
 
 
+def test_a_natural_harmonic_sounds_beyond_the_capo(tmp_path: Path) -> None:
+    natural = enabled("Harmonic") + '<Property name="HarmonicType"><HType>Natural</HType></Property>'
+    natural += '<Property name="HarmonicFret"><HFret>12</HFret></Property>'
+    (one,) = tw.read_score(gpif(tmp_path / "a.gp", [(2, 12, natural, "")], capo=3)).notes
+    assert (one.note, one.stop, set(one.marks) - {"tablature"}) == (50.0 + 3, 3.0, {"harmonic"})
+
+
+@pytest.mark.parametrize(("dots", "beats"), [(0, 1.0), (1, 1.5), (2, 1.75), (3, 1.875)])
+def test_every_dot_adds_half_of_what_the_last_one_did(tmp_path: Path, dots: int, beats: float) -> None:
+    with zipfile.ZipFile(gpif(tmp_path / "a.gp", [(1, 0, "", ""), (2, 0, "", "")])) as archive:
+        text = archive.read("Content/score.gpif").decode()
+    dot = f'<NoteValue>Quarter</NoteValue><AugmentationDot count="{dots}"/>'
+    with zipfile.ZipFile(tmp_path / "a.gp", "w") as archive:
+        archive.writestr("Content/score.gpif", text.replace("<NoteValue>Quarter</NoteValue>", dot))
+    assert [n.time for n in tw.read_score(tmp_path / "a.gp").notes] == [0.0, beats]
+
+
+def test_octaves_of_transposing_instruments_and_dotted_tempos(tmp_path: Path) -> None:
+    """A guitar's part sounds an octave below what is written; 40 dotted quarters a minute are 60 quarters."""
+    text = musicxml(note("E", 4, 4) + note("A", 4, 4)).replace(
+        "</divisions>", "</divisions><transpose><chromatic>2</chromatic><octave-change>-1</octave-change></transpose>"
+    )
+    text = text.replace(
+        "<beat-unit>quarter</beat-unit><per-minute>60", "<beat-unit>quarter</beat-unit><beat-unit-dot/><per-minute>40"
+    )
+    notes = tw.read_score(write(tmp_path / "a.xml", text)).notes[:2]
+    assert [(n.time, n.note) for n in notes] == [(0.0, 64.0 + 2 - 12), (1.0, 69.0 + 2 - 12)]
+
+
 def test_signs_of_musicxml(tmp_path: Path) -> None:
     text = musicxml(
         note("E", 4, 4, more='<slur type="start"/><articulations><staccato/><accent/></articulations>')
