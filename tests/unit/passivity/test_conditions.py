@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,6 +13,8 @@ from scipy import linalg, optimize
 from random_bodies import DAMPING, body, held_step, solve, state_space
 from tonewood.errors import PassivityError
 from tonewood.modal.mobility import mobility
+from tonewood.modal.modes import ModalBasis
+from tonewood.passivity.basis import check_basis
 from tonewood.passivity.conditions import TOLERANCE, check, signature_changes
 
 
@@ -303,3 +307,22 @@ def test_signatures_change_where_the_mobility_of_one_port_has_no_real_part(produ
     changes = signature_changes(np.array([pole]), np.array([[1.0 + 0j]]), np.array([[product]]))
     for w in crossings:
         assert np.abs(changes / w - 1).min() < 1e-6
+
+
+def test_a_band_ends_where_nothing_was_looked_for_beyond():
+    """A mode that gives energy at all frequencies, without a direct term: the band has an end, and the worst a size."""
+    report = check(np.array([-30 + 900j, -5 + 400j]), np.ones((1, 2)) + 0j, np.array([[0.5j, -0.3j]]))
+    assert report.direct_min == pytest.approx(0.0, abs=1e-12)
+    assert np.isfinite([v.upper_hz for v in report.violations]).all()
+    assert report.worst == max(v.size for v in report.violations) > 0.5
+    assert check(*real_modes(np.random.default_rng(1))).worst == 0.0
+
+
+def test_rigid_body_modes_need_real_shapes():
+    """A phase common to driving and moving turns velocities against forces: no real mass does that."""
+    free = ModalBasis.real([0.0, 300.0], [0.0, 3.0], {"p": [1.0, 0.5]})
+    assert check_basis(free, ["p"]).passive
+    for factor in (1j, np.exp(0.3j)):
+        turned = np.array([[factor, 1.0]])
+        basis = replace(free, right=free.right * turned, left=free.left * turned)
+        assert any("complex shapes" in fault for fault in check_basis(basis, ["p"]).faults)
