@@ -14,10 +14,6 @@ from tonewood.modal.receptance import Joint, Ports
 
 OMEGA, SIGMA = np.array([500.0, 900.0, 1400.0, 2100.0]), np.array([3.0, 5.0, 4.0, 9.0])
 SHAPE = np.array([1.0, 2.0, 1.0, 0.7])
-    np.array([500.0, 900.0, 1400.0, 2100.0]),
-    np.array([3.0, 5.0, 4.0, 9.0]),
-    np.array([1.0, 2, 1, 0.7]),
-)
 
 
 def exact_zeros():
