@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -118,3 +119,26 @@ def test_a_matched_filter_sees_the_whole_gain_of_a_mode():
         found = filters.candidates(y, 1)
         assert found.freq[0] == pytest.approx(at[k], rel=1e-9)
         assert found.quality[0] == pytest.approx(25.0, rel=1e-9)
+
+
+def test_modes_beyond_the_band_stand_for_nothing_that_noise_could_be():
+    """Neither a mass line nor a compliance where residues of these columns are not three deviations above zero."""
+    truth, freq = random_body(2, seed=2, high=700.0), np.arange(60.0, 800.5)
+    pairs = (("a", "a"), ("b", "a"))
+    for seed in range(8):
+        mobility, sigma = truth.noisy(freq, 0.01, seed)
+        problem = Projection(Line(freq, mobility, sigma), Shape((0,), 2, complex=False))
+        poles, found = descend(problem, Poles.at(truth.freq, truth.quality), 10, 1e-9)
+        modes: Any = SimpleNamespace(problem=problem, poles=poles, solution=found)
+        body = passive_body(modes, pairs)
+        clear = found.residues[0, 2:] > 3 * problem.deviations(poles)[2][0, 2:]
+        assert np.count_nonzero(~body.measured) == clear[0]
+        assert body.compliance.any() == clear[1]
+    s = 2j * np.pi * freq
+    modes.problem = problem = Projection(Line(freq, mobility + 4.0 / s + 2e-7 * s, sigma), problem.shape)
+    modes.poles, modes.solution = descend(problem, poles, 10, 1e-9)
+    body = passive_body(modes, pairs)
+    assert np.count_nonzero(~body.measured) == 1
+    assert body.compliance[0, 0] == pytest.approx(2e-7, rel=0.2)
+    lower = body.shapes[0, 0] ** 2
+    assert lower == pytest.approx(4.0, rel=0.2)
