@@ -164,6 +164,33 @@ def test_octaves_of_transposing_instruments_and_dotted_tempos(tmp_path: Path) ->
     assert [(n.time, n.note) for n in notes] == [(0.0, 64.0 + 2 - 12), (1.0, 69.0 + 2 - 12)]
 
 
+def test_a_measure_of_guitar_pro_is_as_long_as_its_time_signature(tmp_path: Path) -> None:
+    """Two measures of 6/8 with a quarter in each: the second begins after three quarters."""
+    import guitarpro as gp
+
+    song = gp.Song(title="Study", tempo=60)
+    header = song.measureHeaders[0]
+    header.timeSignature.numerator, header.timeSignature.denominator.value = 6, 8
+    track = song.tracks[0]
+    second = gp.MeasureHeader(number=2, start=header.start + header.length)
+    song.addMeasureHeader(second)
+    track.measures.append(gp.Measure(track, second))
+    second.timeSignature.numerator, second.timeSignature.denominator.value = 6, 8
+    for measure in track.measures:
+        beat = gp.Beat(measure.voices[0], status=gp.BeatStatus.normal)
+        beat.notes.append(gp.Note(beat, value=2, string=5, type=gp.NoteType.normal))
+        measure.voices[0].beats.append(beat)
+    gp.write(song, str(tmp_path / "a.gp5"))
+    assert [n.time for n in tw.read_score(tmp_path / "a.gp5").notes] == pytest.approx([0.0, 3.0])
+
+
+def test_a_pitch_beyond_all_strings_is_no_note(tmp_path: Path) -> None:
+    """Octave 10 ends at 140 with its a flat; what lies above is counted."""
+    text = musicxml(note("G", 10, 4) + note("A", 10, 4)).replace('<repeat direction="backward"/>', "")
+    score = tw.read_score(write(tmp_path / "a.xml", text))
+    assert [n.note for n in score.notes] == [139.0]
+
+
 def test_signs_of_musicxml(tmp_path: Path) -> None:
     text = musicxml(
         note("E", 4, 4, more='<slur type="start"/><articulations><staccato/><accent/></articulations>')
@@ -291,6 +318,7 @@ def test_excerpts_tempo_tracks_and_transposition(tmp_path: Path) -> None:
     for settings, line in (
         ({"tracks": [2]}, "there is no part 2; there are 1 Track 1"),
         ({"tempo": 0.0}, "0.05 to 20 are allowed"),
+        ({"tempo": 20.5}, "0.05 to 20 are allowed"),
         ({"transpose": 99}, "-48 to 48"),
         ({"start": 3.0, "stop": 2.0}, "0 <= start < stop"),
     ):
