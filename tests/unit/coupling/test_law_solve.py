@@ -76,3 +76,20 @@ def test_friction_says_how_its_velocity_follows_the_motion(branch, load):
         rise = (velocity(free + 1e-6) - velocity(free - 1e-6)) / 2e-6
         velocity(free)
         assert friction.follows() == pytest.approx(rise, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("turned", [1.0, -1.0])
+@pytest.mark.parametrize(("free", "load"), [(0.3, 0.1), (1.5, 1.0), (4.0, 0.4), (0.2, 0.6), (2.0, 0.0)])
+def test_halving_ends_where_the_curve_meets_the_rest_of_the_step(free, load, turned):
+    """Of one gap alone, whose meeting is the root of a quadratic; below the limit of sticking, at rest."""
+    law = Friction(2.0, 0.8, 0.3, 0.1)
+    friction = FrictionBranch(law, 0.5, 0.0)
+    law_solve._halve(friction, lambda: friction.meet(turned * free, load / 1.0 if load else 1e-12))
+    if free <= load * law.static:
+        assert friction.velocity == 0.0
+    else:
+        v = friction.velocity * turned
+        pressed = law.normal_force * 0.5
+        coefficient = law.dynamic + (law.static - law.dynamic) / (1 + v / law.speed)
+        assert v + load * coefficient * pressed == pytest.approx(free, rel=1e-9)
+    assert friction.branch == "held"
