@@ -3,7 +3,7 @@
 Edits are drawn from the syntax of a package's sources: a sign, a factor of 2, a term or a condition dropped, < for <=,
 off by one, min for max, `not`, a conjugate dropped, arguments swapped, a constant returned. Texts, types, messages and
 limits of keys are left alone. Each edit is made in a copy of the tree, in which the tests of the package run until one
-fails; what outlasts the time limit counts as noticed. `kernel` is the C++ kernel, built again for each edit, without
+fails; tests beyond the time limit count as noticed. `kernel` is the C++ kernel, built again for each edit, without
 optimisation and for one instruction set. Edits that no test noticed are for a person to read: one that changes nothing
 is no gap. ``--where FILE`` or ``FILE:LINE`` draws edits there alone; ``--tests PATH...`` replaces the tests.
 """
@@ -27,7 +27,7 @@ from pathlib import Path
 import pytest
 from small_edits import ROOT, Edit, candidates, draw
 
-#: package -> its tests; `near` puts those first that import what was edited
+#: package -> its tests; `near` puts those first that import the edited module
 LAWS = "tests/analytic/test_laws_against_ode.py"
 UNITS = ("modal", "passivity", "energy", "instrument", "output", "score", "plate", "fit", "listening", "batch")
 TESTS = {name: [f"tests/unit/{name}"] for name in UNITS} | {
@@ -66,7 +66,7 @@ class Copy:
         (folder / "lib" / "sitecustomize.py").write_text(hook)
 
     def put(self, file: Path, text: str) -> None:
-        """Write a file; what was compiled of it goes."""
+        """Write a file, and remove its compiled form."""
         (self.folder / file).write_text(text, encoding="utf-8")
         for compiled in (self.folder / "pyc").rglob(f"{file.stem}.*.pyc"):
             compiled.unlink()
@@ -117,7 +117,7 @@ class Copy:
         return "" if ended[1] == 0 else lines[0] if lines else " ".join(text.split()[-12:])
 
     def judged(self, package: str, edits: list[Edit], tests: list[str], limit: float) -> int:
-        """Make edits one by one and print what became of each; return the number that no test noticed."""
+        """Make edits one by one, print the verdict on each, return the number that no test noticed."""
         if package == "kernel" and not self.build():
             sys.exit("kernel: it does not compile without any edit")
         if fault := self.fault(tests, 10 * limit):

@@ -19,7 +19,7 @@ SWAPPED = {
     ast.In: ("in", "not in"), ast.NotIn: ("not in", "in"), ast.FloorDiv: ("//", "/"), ast.Mod: ("%", "*"),
 }  # fmt: skip
 OTHERS = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "floor": "ceil", "ceil": "floor"}
-#: C++ as the formatted sources have it: pattern, what stands in its place
+#: C++ as the formatted sources have it: pattern, and its replacement
 TOKENS = [
     (r" \+ ", " - "), (r" - ", " + "), (r" \* ", " / "), (r" / ", " * "), (r" < ", " <= "), (r" <= ", " < "),
     (r" > ", " >= "), (r" >= ", " > "), (r" == ", " != "), (r" != ", " == "), (r" && ", " || "), (r" \|\| ", " && "),
@@ -95,7 +95,7 @@ class PythonEdits:
             yield Edit(self.file, self.source, at, at + len(old), new)
 
     def below(self, node: ast.AST) -> Iterator[Edit]:
-        """Edits of a node and of what is in it."""
+        """Edits of a node and of all nodes in it."""
         children = list(ast.iter_child_nodes(node))
         match node:
             case ast.Raise() | ast.JoinedStr() | ast.Import() | ast.ImportFrom() | ast.Assert():

@@ -63,7 +63,7 @@ SCENES = {
     "sampled potential": [((1.0, -0.5, 0.0, 0.0), *SAMPLED)],
     "compiled potential": [((0.0, 1.0, 0.0, 1.0), *EXPONENTIAL)],
     "friction": [((1.0, 0.0, 0.5, 0.0), *SLIDING)],
-    # friction moves the gap of the contact: what they do to one another has a sign
+    # friction moves the gap of the contact: their effect on one another has a sign
     "friction beside a contact": [((1.0, 0.0, 0.4, 0.0), *CONTACT), ((1.0, 0.3, 0.0, 0.0), *SLIDING)],
     "all, and linear connections": [
         ((1.0, 0.0, 0.0, -1.0), SpringDashpot(5e5, 40.0, 1e-4), lambda p, r, t: 5e5 * p + 40.0 * r),
@@ -131,7 +131,7 @@ def test_laws_between_coupled_masses(make, name):
 
 @STEPPERS
 def test_partners_that_move(make):
-    """A barrier that swings, and a bow of changing speed and pressure."""
+    """A barrier that oscillates, and a bow of changing speed and pressure."""
     omega = 2 * np.pi * 120.0
     bow = Friction(600.0, 0.9, 0.2, 1.5)
     scene = [
@@ -167,7 +167,7 @@ def free_mass(make, law, n, dt, *, mass, start, speed, controls=()):
 @STEPPERS
 @pytest.mark.parametrize("exponent", [1.0, 2.3])
 def test_a_lossy_barrier_throws_a_mass_back_as_slowly_as_hunt_and_crossley_say(make, exponent):
-    """v dv / (1 + loss v) = -(K/m) p^n dp: what comes back depends on the loss alone; the depth on K as well."""
+    """v dv / (1 + loss v) = -(K/m) p^n dp: the speed of return depends on the loss alone, the depth on K as well."""
     loss, mass, stiffness, v = 0.3, 0.01, 1e7, 2.0
 
     def paid(v):  # int_0^v w dw / (1 + loss w)

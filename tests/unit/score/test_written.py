@@ -153,7 +153,7 @@ def test_every_dot_adds_half_of_what_the_last_one_did(tmp_path: Path, dots: int,
 
 
 def test_octaves_of_transposing_instruments_and_dotted_tempos(tmp_path: Path) -> None:
-    """A guitar's part sounds an octave below what is written; 40 dotted quarters a minute are 60 quarters."""
+    """A guitar's part sounds an octave below the written one; 40 dotted quarters a minute are 60 quarters."""
     text = musicxml(note("E", 4, 4) + note("A", 4, 4)).replace(
         "</divisions>", "</divisions><transpose><chromatic>2</chromatic><octave-change>-1</octave-change></transpose>"
     )
@@ -185,7 +185,7 @@ def test_a_measure_of_guitar_pro_is_as_long_as_its_time_signature(tmp_path: Path
 
 
 def test_a_pitch_beyond_all_strings_is_no_note(tmp_path: Path) -> None:
-    """Octave 10 ends at 140 with its a flat; what lies above is counted."""
+    """Octave 10 ends at 140 with its a flat; no higher note is played."""
     text = musicxml(note("G", 10, 4) + note("A", 10, 4)).replace('<repeat direction="backward"/>', "")
     score = tw.read_score(write(tmp_path / "a.xml", text))
     assert [n.note for n in score.notes] == [139.0]
