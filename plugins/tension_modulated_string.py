@@ -3,7 +3,7 @@
     T = T0 + EA/(2 L) int_0^L u_x^2 dx,    both polarizations together,
 
 so that a hard pluck begins sharp and glides down, and its plane of motion turns. The root of the potential
-EA/(8 L) S^2 is stepped as a variable of its own (`tonewood.coupling.tension`): energy cannot rise. Valid while
+EA/(8 L) S^2 is stepped as a variable of its own (`tonewood.physics.coupling.tension`): energy cannot rise. Valid while
 longitudinal waves are quick against the partials of interest: the tension is one number for the whole speaking length.
 The part of the string behind a stop or the nut, which would share the stretch, is left out.
 

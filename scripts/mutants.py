@@ -27,15 +27,22 @@ from pathlib import Path
 import pytest
 from small_edits import ROOT, Edit, candidates, draw
 
-#: package -> its tests; `near` puts those first that import the edited module
-LAWS = "tests/analytic/test_laws_against_ode.py"
-UNITS = ("modal", "passivity", "energy", "instrument", "output", "score", "plate", "fit", "listening", "batch")
-TESTS = {name: [f"tests/unit/{name}"] for name in UNITS} | {
-    "coupling": [LAWS, "tests/unit/coupling", "tests/unit/stepping"],
-    "stepping": [LAWS, "tests/unit/stepping"],
-    "engine": ["tests/unit/engine", "tests/effects"],
+#: package, a folder of the sources -> its tests; `near` puts those first that import the edited module
+LAWS, PHYSICS = "tests/analytic/test_laws_against_ode.py", "tests/unit/physics"
+TESTS = {name: [f"{PHYSICS}/{name}"] for name in ("modal", "passivity", "energy", "plate")} | {
+    "coupling": [LAWS, f"{PHYSICS}/coupling", f"{PHYSICS}/stepping"],
+    "stepping": [LAWS, f"{PHYSICS}/stepping"],
+    "instrument": ["tests/unit/instrument"],
+    "score": ["tests/unit/performance/score"],
+    "player": ["tests/unit/performance/engine"],
+    "engine": ["tests/unit/performance/engine"],
+    "effects": ["tests/effects", "tests/unit/performance/engine"],
+    "sound": ["tests/unit/sound"],
+    "fit": ["tests/unit/workshop/fit"],
+    "listening": ["tests/unit/workshop/listening"],
+    "batch": ["tests/unit/workshop/batch"],
     "plugins": ["tests/plugins"],
-    "kernel": [LAWS, "tests/unit/stepping", "tests/unit/coupling", "tests/effects"],
+    "kernel": [LAWS, f"{PHYSICS}/stepping", f"{PHYSICS}/coupling", "tests/effects"],
 }
 #: imported once, before the package and its tests are
 LIBRARIES = """numpy scipy.linalg scipy.signal scipy.optimize scipy.integrate scipy.interpolate scipy.sparse.linalg
@@ -84,7 +91,7 @@ class Copy:
     def near(self, file: Path, tests: list[str]) -> list[str]:
         """Test files, those first that import the module of a file."""
         places = [self.folder / t for t in tests]
-        files = [f for place in places for f in ([place] if place.suffix else sorted(place.glob("test_*.py")))]
+        files = [f for place in places for f in ([place] if place.suffix else sorted(place.rglob("test_*.py")))]
         pattern = re.compile(rf"\b(?:from|import) [\w.]*\b{file.stem}\b")
         first = {f: bool(pattern.search(f.read_text(encoding="utf-8"))) for f in files}
         return [str(f.relative_to(self.folder)) for f in sorted(first, key=lambda f: not first[f])]

@@ -159,7 +159,8 @@ class PythonEdits:
 def candidates(package: str) -> list[Edit]:
     """All edits of a package."""
     if package != "kernel":
-        folder = ROOT / ("plugins" if package == "plugins" else f"src/tonewood/{package}")
+        sources = ROOT / "src/tonewood"
+        folder = ROOT / package if package == "plugins" else next(p for p in sources.rglob(package) if p.is_dir())
         return [e for f in sorted(folder.rglob("*.py")) for e in PythonEdits(f.relative_to(ROOT)).out]
     out = []
     for file in sorted(f for f in (ROOT / "src/kernel").rglob("*.hpp") if f.parent.name not in ("lab", "bind")):

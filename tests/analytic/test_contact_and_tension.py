@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.special import ellipk, gamma
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.laws import Contact, Friction
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.coupling.tension import TensionModulation
-from tonewood.energy.stored import stored_energy
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.coupling.laws import Contact, Friction
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.coupling.tension import TensionModulation
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
 
 BOTH = [Readout("u", "displacement", (Probe("part", "p"),)), Readout("v", "velocity", (Probe("part", "p"),))]
 

@@ -16,14 +16,14 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from assembled import chain, connect, merged, motion_readouts
-from tonewood.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
-from tonewood.coupling.system import PrescribedMotion, Probe, Readout, System
-from tonewood.coupling.tension import TensionModulation
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.propagator import real_form
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
+from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
+from tonewood.physics.coupling.system import PrescribedMotion, Probe, Readout, System
+from tonewood.physics.coupling.tension import TensionModulation
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.propagator import real_form
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 STEPPERS = pytest.mark.parametrize("make", [NumpyStepper, KernelStepper])
 DOUBLE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from scipy.signal.windows import blackmanharris
 from tension_scenes import guitar
 
-from tonewood.coupling.system import State
-from tonewood.engine.effects.sidebands import Sidebands
-from tonewood.engine.fretting import Fretting
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.modal.held_modes import HeldModes
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion, share_velocities, to_motion
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.performance.effects.sidebands import Sidebands
+from tonewood.performance.player.fretting import Fretting
+from tonewood.physics.coupling.system import State
+from tonewood.physics.modal.held_modes import HeldModes
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion, share_velocities, to_motion
 
 Floats = NDArray[np.float64]
 STRINGS = [("steel_guitar", "G3"), ("classical_guitar", "B3")]

@@ -13,10 +13,10 @@ from scene import PLUCK, instrument, play
 
 import tonewood as tw
 from tonewood.errors import BundleError
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model.assembly import assemble
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 Floats = NDArray[np.float64]
 

@@ -12,13 +12,13 @@ import pytest
 from numpy.typing import NDArray
 from scene import band_energy, instrument, play
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.strings import StringModel
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion
+from tonewood.instrument.model.assembly import assemble
+from tonewood.instrument.model.strings import StringModel
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion
 
 Floats = NDArray[np.float64]
 COARSE, DURATION = 24000, 0.012

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tonewood import _kernel
-from tonewood.coupling.phantoms import MEMORY
+from tonewood.physics.coupling.phantoms import MEMORY
 
 PAD, BLOCK, CHANNELS, CAPACITY = _kernel.PADDING, _kernel.BLOCK_SIZE, 2, 4 * _kernel.PADDING
 CONNECTIONS = 2

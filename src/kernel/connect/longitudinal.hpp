@@ -1,5 +1,5 @@
 // Strings with longitudinal motion, and strings without it beside them: their direction is the gradient of U; the
-// equations are in tonewood.coupling.geometric.
+// equations are in tonewood.physics.coupling.geometric.
 #pragma once
 
 #include "../modal/stretch_pass.hpp"

@@ -1,4 +1,4 @@
-// Strings whose tension rises, over one step; the equations are in tonewood.coupling.tension and .geometric.
+// Strings whose tension rises, over one step; the equations are in tonewood.physics.coupling.tension and .geometric.
 //
 // Such a string acts along a direction g that is known before the forces are, by -psi_m g, and psi_m answers to the
 // motion along g as a linear connection does. So every sample is linear in psi_m, one unknown for each string:

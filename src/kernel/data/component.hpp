@@ -78,7 +78,7 @@ struct Shapes {
     Array<double> drive;              // (2, n), as its `w`
 };
 
-// A string's polarization under rising tension, in mass-normalised coordinates y (coupling/tension.py).
+// A string's polarization under rising tension, in mass-normalised coordinates y (physics/coupling/tension.py).
 constexpr int kMaxTensionPorts = 32;
 // numbers per mode in `numbers` (one more per port) and in the state
 constexpr int kScaledNumbers = 4, kScaledState = 2;
