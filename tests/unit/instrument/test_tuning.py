@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from tonewood.instrument.bundle.loading import Instrument
-from tonewood.instrument.inspection.frequencies import pitch
 
 from system_modes import CoupledModes, coupled_modes
 from tonewood.errors import BundleError
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.inspection.frequencies import pitch
 from tonewood.instrument.model.assembly import Model, assemble
 from tonewood.instrument.model.tuning import CoupledMode
 from tonewood.lab.string_end import ExactString, coupled_pole

@@ -46,8 +46,8 @@ def tied(alpha: float, step: float) -> float:
     """Bound on the factor by which an exponential window raises the error of a fit over that of independent bins.
 
     The window ties neighbouring bins to one another. In time, noise of a level sigma in all bins has the power
-    sigma^2 w^2(t) / <w^2>, w = exp(-alpha t) over T = 1 / step, and a response that has decayed before the window has is
-    met by that of the beginning, w = 1:
+    sigma^2 w^2(t) / <w^2>, w = exp(-alpha t) over T = 1 / step, and a response that has decayed before the window has
+    is met by that of the beginning, w = 1:
 
         1 / sqrt(<w^2>) = sqrt(2 x / (1 - exp(-2 x))),   x = alpha T.
     """

@@ -8,8 +8,8 @@ import scipy.linalg as sla
 from numpy.polynomial import legendre
 from scipy.optimize import brentq
 from scipy.special import iv, ivp, jv, jvp
-from tonewood.instrument.contract.svg_path import svg_ring
 
+from tonewood.instrument.contract.svg_path import svg_ring
 from tonewood.physics.plate.air import cavity_modes
 from tonewood.physics.plate.beams import Beam, line, torsion_constant
 from tonewood.physics.plate.outline import area, circle, crossing, guitar_outline, inside, smooth_ring
