@@ -30,7 +30,6 @@ from tonewood.performance.effects.base import (
     SwitchedEffect,
     Switching,
     Watched,
-    clear_memory,
     motion,
     next_multiple,
 )
@@ -41,6 +40,7 @@ from tonewood.performance.player.fretting import Fretting
 from tonewood.performance.player.timeline import GRID, Timeline
 from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
 from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
+from tonewood.physics.coupling.potentials.solve import clear_memory
 from tonewood.physics.coupling.system import State, System
 from tonewood.physics.modal.string_modes import string_basis
 

@@ -33,7 +33,6 @@ from tonewood.performance.effects.base import (
     SwitchedEffect,
     Switching,
     Watched,
-    clear_memory,
     motion,
     next_multiple,
 )
@@ -45,7 +44,7 @@ from tonewood.performance.player.fretting import Fretting
 from tonewood.performance.player.gestures import places
 from tonewood.performance.player.timeline import GRID, Play, Timeline
 from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
-from tonewood.physics.coupling.potentials.solve import active_potential
+from tonewood.physics.coupling.potentials.solve import active_potential, clear_memory
 from tonewood.physics.coupling.potentials.tension import TensionModulation, stretch_weights
 from tonewood.physics.coupling.system import Compiled, State, System
 from tonewood.physics.stepping.forcing import Segment
