@@ -130,13 +130,6 @@ def _take(data, start, rows, columns):
     return data[start:end].reshape(rows, columns), end
 
 
-@nb.njit(cache=True)
-def scratch_size(mx, my, hx, hy, jx, jy):
-    """Numbers that `potential` works in."""
-    kept = 2 * mx * my + 2 * mx * hy + 16 * hx * hy + 2 * jx * hy + 2 * jx * jy
-    return kept + 2 * max(hx, jx, mx) * 2 * max(hy, jy, my)
-
-
 def potential(data_at, n, y_at, gradient_at, scratch_at):
     """V, J, of n coordinates at `y_at`; writes dV/dy unless `gradient_at` is NULL. `data_at`: `PlateGrid.packed`."""
     head = nb.carray(data_at, HEAD, np.float64)
@@ -164,7 +157,8 @@ def potential(data_at, n, y_at, gradient_at, scratch_at):
     compliance = data[at : at + stress]
     places, ax, ay = data[at + stress :][:n], data[at + stress + n :][:n], data[at + stress + 2 * n :][:n]
 
-    scratch = nb.carray(scratch_at, scratch_size(mx, my, hx, hy, jx, jy))
+    kept = 2 * mx * my + 2 * mx * hy + 16 * hx * hy + 2 * jx * hy + 2 * jx * jy
+    scratch = nb.carray(scratch_at, kept + 4 * max(hx, jx, mx) * max(hy, jy, my))
     c, o = _take(scratch, 0, mx, my)
     slope, o = _take(scratch, o, mx, my)
     across, o = _take(scratch, o, mx, 2 * hy)

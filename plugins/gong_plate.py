@@ -323,6 +323,14 @@ class PlateGrid:
         data = np.concatenate([np.ravel(np.asarray(a, dtype=np.float64)) for a in arrays])
         return data
 
+    @property
+    def scratch(self) -> int:
+        """Numbers that `gong_compiled.potential` works in."""
+        (mx, my), (jx, jy), ((gx, _), (gy, _)) = self._highest, self.stress_shapes, self.points
+        hx, hy = len(gx) // 2, len(gy) // 2
+        kept = 2 * mx * my + 2 * mx * hy + 16 * hx * hy + 2 * jx * hy + 2 * jx * jy
+        return kept + 4 * max(hx, jx, mx) * max(hy, jy, my)
+
 
 def _grouped(count: int) -> NDArray[np.intp]:
     """Numbers 0 .. count - 1, the even ones first."""
