@@ -32,10 +32,11 @@ inline ComponentDescription component(const File& file, const std::string& at) {
         d.contact.from_fixed = view(file, at + "from_fixed"), d.contact.from_contact = view(file, at + "from_contact");
         d.contact.on_rows = view(file, at + "on_rows");
     }
-    if ((d.has_tension = file.has(at + "a"))) {
-        d.tension.a = view(file, at + "a"), d.tension.half = view(file, at + "half");
-        d.tension.reading = view(file, at + "reading"), d.tension.kick = view(file, at + "kick");
-        d.tension.velocity = view(file, at + "velocity");
+    if ((d.has_coordinates = file.has(at + "reading"))) {
+        d.coordinates.reading = view(file, at + "reading"), d.coordinates.stiffness = view(file, at + "stiffness");
+        d.coordinates.kick = view(file, at + "kick"), d.coordinates.velocity = view(file, at + "velocity");
+        d.coordinates.a = view(file, at + "a");
+        d.coordinates.middle = view(file, at + "middle"), d.coordinates.impulse = view(file, at + "impulse");
     }
     return d;
 }
@@ -78,30 +79,19 @@ inline CompiledSystem system_of(const File& file) {
         s.linear.hub = {int(file.integer("linear/hub/slot")), file.integers("linear/hub/ports"), file.integers("linear/hub/point"),
                         view(file, "linear/hub/factor"), view(file, "linear/hub/span"), view(file, "linear/hub/joined")};
     s.nonlinear = nonlinear(file, "nonlinear/");
-    for (std::size_t i = 0; file.has(entry("tensions/strings", i) + "0"); ++i) {
-        const std::string at = entry("tensions/strings", i);
-        s.tensions.strings.push_back({int(file.integer(at + "0")), file[at + "1"].f8[0], file.integers(at + "2")});
-    }
-    for (std::size_t i = 0; file.has(entry("tensions/stretches", i) + "scale"); ++i) {
-        const std::string string = entry("tensions/stretches", i);
-        StretchDescription d;
-        d.scale = file[string + "scale"].f8[0], d.longitudinal = file.integer(string + "longitudinal");
-        for (std::size_t p = 0; file.has(entry(string + "parts", p) + "slot"); ++p) {
-            const std::string at = entry(string + "parts", p);
-            d.parts.push_back({int(file.integer(at + "slot")), view(file, at + "slopes"), view(file, at + "stiffness")});
+    for (std::size_t i = 0; file.has(entry("potentials", i) + "kind"); ++i) {
+        const std::string p = entry("potentials", i);
+        PotentialDescription d;
+        d.kind = Potentials::Kind(file.integer(p + "kind")), d.at = std::size_t(file.integer(p + "at"));
+        d.slots = file.integers(p + "slots"), d.scale = file[p + "scale"].f8[0];
+        const auto given = [&](const std::string& name) { return file.has(name) ? view(file, name) : View(); };
+        for (std::size_t q = 0; file.has(entry(p + "parts", q) + "slopes") || file.has(entry(p + "parts", q) + "weights"); ++q) {
+            const std::string at = entry(p + "parts", q);
+            d.parts.push_back({given(at + "slopes"), given(at + "weights"), given(at + "mirrored")});
         }
-        s.tensions.stretches.push_back(std::move(d));
-    }
-    for (std::size_t i = 0; file.has(entry("phantoms", i) + "index"); ++i) {
-        const std::string string = entry("phantoms", i);
-        PhantomDescription d;
-        d.index = int(file.integer(string + "index")), d.target = int(file.integer(string + "target"));
-        d.scale = file[string + "scale"].f8[0], d.vector = view(file, string + "vector"), d.steps = view(file, string + "steps");
-        for (std::size_t p = 0; file.has(entry(string + "parts", p) + "slot"); ++p) {
-            const std::string at = entry(string + "parts", p);
-            d.parts.push_back({int(file.integer(at + "slot")), view(file, at + "weights"), view(file, at + "mirrored")});
-        }
-        s.phantoms.push_back(std::move(d));
+        if (file.has(p + "target")) d.target = int(file.integer(p + "target"));
+        d.vector = given(p + "vector"), d.steps = given(p + "steps");
+        s.potentials.push_back(std::move(d));
     }
     return s;  // all shortcuts on
 }
@@ -116,7 +106,7 @@ public:
         kernel_.load(system_);
         const std::size_t k = system_.nonlinear.laws.size();
         modes_.resize(2 * capacity_), series_.resize(k), slip_.resize(k), last_.resize(k);
-        tension_.resize(8 * kernel_.n_tensions()), phantoms_.resize(kPhantomMemory * kernel_.n_phantoms());
+        potentials_.resize(kernel_.memory());
         for (std::size_t i = 0; file_.has("plucks/" + std::to_string(i) + "/0/0"); ++i) ++n_plucks_;
     }
     SavedModel(const SavedModel&) = delete;
@@ -147,7 +137,7 @@ public:
         job.modes[0] = modes_.data(), job.modes[1] = modes_.data() + capacity_;
         job.n = std::int64_t(n), job.out = out, job.forces = linear_.data(), job.n_channels = n_channels_;
         job.law_forces = laws_.data(), job.series = series_.data(), job.slip = slip_.data();
-        job.last_force = last_.data(), job.tension = tension_.data(), job.phantoms = phantoms_.data();
+        job.last_force = last_.data(), job.potentials = potentials_.data();
         for (const Force& f : forces_)
             job.injections.push_back({f.slot, f.start, std::int64_t(f.values.shape[1]), int(f.values.shape[0]),
                                       f.vectors->f8.data(), f.values.f8.data()});
@@ -168,7 +158,7 @@ private:
     std::size_t capacity_, n_plucks_ = 0;
     int n_channels_;
     Kernel kernel_;
-    std::vector<double> modes_, series_, slip_, last_, tension_, phantoms_, linear_, laws_;
+    std::vector<double> modes_, series_, slip_, last_, potentials_, linear_, laws_;
     std::vector<Force> forces_;
 };
 

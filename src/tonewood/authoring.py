@@ -20,10 +20,18 @@ from tonewood import plate as plate
 from tonewood.coupling.connections import Connection, SpringDashpot, Term
 from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
 from tonewood.coupling.layout import Drive, Probe, Readout
-from tonewood.coupling.phantoms import PhantomPartials
+from tonewood.coupling.potentials.base import Potential
+from tonewood.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.coupling.potentials.phantom import DrivenLongitudinal
+from tonewood.coupling.potentials.tension import TensionModulation
+from tonewood.coupling.potentials.user import ModalPotential, PotentialEnergy, PotentialFunction
 from tonewood.engine.effect_usage import Bound
 from tonewood.engine.effects.base import Moment, RuntimeEffect, SwitchedEffect, Switching, Watched, next_multiple
 from tonewood.engine.effects.connections import SwitchedConnections
+from tonewood.engine.effects.longitudinal import LONGITUDINAL
+from tonewood.engine.effects.phantom_partials import PHANTOM_PARTIALS
+from tonewood.engine.effects.tension import TENSION_MODULATION
+from tonewood.engine.effects.unswitched import DAMPERS, FRETTING_NOISE, SQUEAK, TOUCH_NOISE
 from tonewood.errors import BundleError, PassivityError, PluginError, TonewoodError
 from tonewood.instrument.array_cache import cached_arrays
 from tonewood.instrument.assembly import Model, assemble
@@ -40,17 +48,11 @@ from tonewood.instrument.contract import (
     Plugin,
     Resonator,
     Scene,
+    StringMotion,
     dot,
 )
 from tonewood.instrument.directions import Direction, unit_vector
 from tonewood.instrument.effects import (
-    DAMPERS,
-    FRETTING_NOISE,
-    LONGITUDINAL,
-    PHANTOM_PARTIALS,
-    SQUEAK,
-    TENSION_MODULATION,
-    TOUCH_NOISE,
     Effect,
     Norms,
     contact_effect,
@@ -88,11 +90,13 @@ __all__ = [
     "Contact",
     "Direction",
     "Drive",
+    "DrivenLongitudinal",
     "Effect",
     "Event",
     "Exciter",
     "Fraction",
     "Friction",
+    "GeometricStretch",
     "Gesture",
     "HardeningSpring",
     "Hold",
@@ -100,6 +104,7 @@ __all__ = [
     "LossLaw",
     "Microphones",
     "ModalBasis",
+    "ModalPotential",
     "Model",
     "Moment",
     "Motion",
@@ -107,12 +112,14 @@ __all__ = [
     "Number",
     "Parameters",
     "PassivityError",
-    "PhantomPartials",
     "Pickup",
     "PickupRows",
     "Place",
     "Plugin",
     "PluginError",
+    "Potential",
+    "PotentialEnergy",
+    "PotentialFunction",
     "Probe",
     "Readout",
     "Resonator",
@@ -123,10 +130,12 @@ __all__ = [
     "Segment",
     "Site",
     "SpringDashpot",
+    "StringMotion",
     "StringPlace",
     "SwitchedConnections",
     "SwitchedEffect",
     "Switching",
+    "TensionModulation",
     "Term",
     "TonewoodError",
     "Vector",

@@ -10,8 +10,8 @@ from scipy.special import ellipk, gamma
 
 from tonewood.coupling.connections import Connection, Term
 from tonewood.coupling.laws import Contact, Friction
+from tonewood.coupling.potentials.tension import TensionModulation
 from tonewood.coupling.system import Probe, Readout, System
-from tonewood.coupling.tension import TensionModulation
 from tonewood.energy.stored import stored_energy
 from tonewood.modal.modes import ModalBasis
 from tonewood.stepping.kernel import KernelStepper
@@ -120,7 +120,7 @@ def steel_string(n_modes, rate, components=("part",), axial=True, damping=0.0):
     )  # fmt: skip
     tension = TensionModulation("string", components, STEEL["young"] * area if axial else 0.0)
     readouts = [Readout(name, "displacement", (Probe(name, "p"),)) for name in components]
-    return System.build(dict.fromkeys(components, basis), [], readouts, dt=1 / rate, tensions=[tension])
+    return System.build(dict.fromkeys(components, basis), [], readouts, dt=1 / rate, potentials=[tension])
 
 
 @pytest.mark.parametrize(("amplitude", "printed"), [(0.0005, 76.598626), (0.001, 76.647562), (0.002, 76.842943)])
@@ -170,7 +170,7 @@ def test_pitch_of_a_plucked_tension_modulated_string_glides_down():
     tensions = []
     for _ in range(30):
         stepper.run(state, 1600)
-        tensions.append(float(np.mean(state.tension)))
+        tensions.append(float(np.mean(state.potentials)))
     cents = 600 * np.log2(1 + np.array(tensions) / STEEL["tension"])
     assert cents[0] > 5
     assert np.polyfit(np.arange(30), cents, 1)[0] < 0

@@ -10,8 +10,8 @@ import pytest
 
 from tonewood.coupling.connections import Connection, Term
 from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
+from tonewood.coupling.potentials.tension import TensionModulation
 from tonewood.coupling.system import Probe, Readout, System
-from tonewood.coupling.tension import TensionModulation
 from tonewood.modal.modes import ModalBasis
 from tonewood.stepping.kernel import KernelStepper
 
@@ -48,7 +48,7 @@ def motion(law, rate, residual=0.0):
     readouts = [Readout("u", "displacement", (Probe("string", "p"),))]
     connections = [Connection("law", (Term("string", "q"),), law)] if law is not None else []
     tensions = [TensionModulation("t", ("string",), 3e4)] if law is None else []
-    system = System.build({"string": basis}, connections, readouts, dt=1 / rate, tensions=tensions)
+    system = System.build({"string": basis}, connections, readouts, dt=1 / rate, potentials=tensions)
     state = system.start()
     state.modes[0, :N_MODES] = 1e-3 * np.sin(0.3 * n) / n**3 * np.sqrt(DENSITY * LENGTH / 2)
     out, _ = KernelStepper(system).run(state, int(DURATION * rate) + 1)

@@ -16,7 +16,7 @@ import tonewood as tw
 from tonewood.coupling.system import System
 from tonewood.engine import engine as engine_module
 from tonewood.engine.costs import Costs, not_negative
-from tonewood.instrument.effects import TENSION_MODULATION
+from tonewood.engine.effects.tension import TENSION_MODULATION
 from tonewood.output import plan as plan_module
 from tonewood.output import render as render_module
 from tonewood.stepping.kernel import KernelStepper
@@ -71,7 +71,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
     def per_sample(system: System) -> float:
         modes = {name: c.basis.n_modes for name, c in zip(system.names, system.compiled, strict=True)}
-        rising = [t for t, on in zip(system.tensions, system.tension_on, strict=True) if on]
+        rising = [t for t, on in zip(system.potentials, system.on, strict=True) if on]
         modulated = sum(modes[c] for t in rising for c in t.components)
         return MODE * sum(modes.values()) + RISING * (modulated > 0) + RISING_MODE * modulated
 

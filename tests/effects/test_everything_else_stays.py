@@ -34,13 +34,13 @@ def check(score: tw.Score, name: str, seconds: float | None, fs: int, moments: b
     a, b = sound(auto), sound(all_)
     # additive effects alone: with all detuning ones held the same
     same = a
-    if auto.model.system.rising:
+    if auto.model.system.potentials:
         same = sound(tw.Renderer(score, tw.load_instrument(name), fs, max_duration=seconds, budget_cents=0.0))
     # the tail may be judged decayed a moment sooner or later
     n = min(len(same), len(b))
     assert abs(n - max(len(same), len(b))) <= 0.3 * fs
     assert abs(same[:n] - b[:n]).max() <= 10 ** (auto.model.choice.budget_db / 20) * abs(b).max()
-    if not auto.model.system.rising:
+    if not auto.model.system.potentials:
         return
     # detuning effects: partials followed
     bounds = [r.bound for r in auto.summary().effects if r.name == "tension_modulation"]

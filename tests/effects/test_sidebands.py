@@ -27,10 +27,10 @@ def partials(model: Model, name: str, rng: np.random.Generator, cents: dict[int,
     Each is the motion of the linear instrument at one frequency, seen through a window, and alone would raise the
     string's pitch by so many cents in the mean.
     """
-    system, component = model.system.with_tensions([]), model.strings[name].components[0]
+    system, component = model.system.with_potentials([]), model.strings[name].components[0]
     basis = system.compiled[system.slot(component)].basis
     held = HeldModes.of(basis, "bridge")
-    law = next(t for t in system.rising if t.name == name)
+    law = next(t for t in system.potentials if t.name == name)
     tension, length = (float(basis.metadata[key]) for key in ("tension", "length"))  # type: ignore[arg-type]  # numbers
     numbers, n = list(cents), FS // 4
     v = np.sum(held.vectors[np.array(numbers) - 1], axis=0)
@@ -99,7 +99,7 @@ def test_what_is_missing_stays_below_its_bound(guitar_name: str, name: str, seed
     model = assemble(guitar(guitar_name, (name,), mode="all"), FS)
     numbers = [int(k) for k in rng.choice(np.arange(1, 11), 3, replace=False)]
     state, held = partials(model, name, rng, {k: 10 ** rng.uniform(-1.5, -0.3) for k in numbers})
-    on, off = model.system, model.system.with_tensions([])
+    on, off = model.system, model.system.with_potentials([])
     sounds = [KernelStepper(system).run(state.copy(), FS // 4)[0] for system in (on, off)]
     found, motion = bounds(model, name, state)
     peak = np.abs(sounds[1]).max(axis=0)

@@ -129,7 +129,7 @@ def test_a_tension_that_comes_back_is_paid_for(seed: int) -> None:
     rng = np.random.default_rng(seed)
     model = assemble(duet(mode="all"), FS)
     system = model.system
-    off, on = system.with_tensions([]), system.with_tensions(["E4"])
+    off, on = system.with_potentials([]), system.with_potentials(["E4"])
     state = off.start()
     for name in ("E4.z", "E4.y", "body"):
         modes = off.modes_of(state, name)

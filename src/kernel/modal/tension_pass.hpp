@@ -24,13 +24,13 @@ inline void by_ports(int n_ports, const Use& use) {
 }
 
 template <int P>
-constexpr int kMostPorts = P < 0 ? kMaxTensionPorts : P > 0 ? P : 1;
+constexpr int kMostPorts = P < 0 ? kMaxScaledPorts : P > 0 ? P : 1;
 
 // use(first mode, numbers, xi and v) of each Pack<2> of modes: two vectors at a time, so that their latencies overlap.
 template <class Use>
 inline void in_scaled_pairs(const Component& c, double* state, const Use& use) {
     const std::size_t n = c.n, step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
-    const double* numbers = c.tension.numbers.data();
+    const double* numbers = c.coordinates.numbers.data();
     for (std::size_t k = 0; k < n; k += kPadding, numbers += step, state += kScaledState * kPadding)
         for (int j = 0; j < kPadding; j += Pack<2>::size) use(k + j, numbers + j, state + j);
 }
@@ -105,8 +105,8 @@ inline ContactSums contact_sums(const Component& c, const double* state, int por
     using S = Simd;
     using V = S::V;
     const std::size_t n = c.n, step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
-    const double *numbers = c.tension.numbers.data(), *row = c.contact.rows.data() + 2 * std::size_t(port) * n;
-    const double* const root = c.tension.basis.data() + 3 * n;
+    const double *numbers = c.coordinates.numbers.data(), *row = c.contact.rows.data() + 2 * std::size_t(port) * n;
+    const double* const root = c.coordinates.basis.data() + 3 * n;
     V here{}, later{}, moved{};
     for (std::size_t k = 0; k < n; k += kPadding, numbers += step, state += kScaledState * kPadding)
         for (int j = 0; j < kPadding; j += S::width) {

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tonewood.blas import one_blas_thread
 from tonewood.coupling.connections import Connection
+from tonewood.coupling.potentials.tension import TensionModulation
 from tonewood.coupling.system import Compiled, Injection, PrescribedMotion, State, System
 from tonewood.engine.effect_usage import EffectUsage
 from tonewood.engine.effects import runtime_effects
@@ -41,7 +42,7 @@ Floats = NDArray[np.float64]
 
 #: points of the control grid after which the engine stops at the latest
 _LONGEST = 64
-#: steps of strings with longitudinal motion that an energy budget makes again at most
+#: steps that an energy budget makes again at most where a potential other than a tension acts
 _PIECE = 16
 
 
@@ -214,16 +215,23 @@ class Engine:
     def _book(self, before: State, forces: Floats) -> None:
         """Enter a run into the energy budget.
 
-        With longitudinal motion rounding grows faster: the run is stepped again from a copy, in pieces short enough.
+        With longitudinal motion and potentials of plugins rounding grows faster: the run is stepped again from a copy,
+        in pieces short enough.
         """
         if (budget := self.energy_budget) is None:
             return
-        while self.system.geometric and before.sample + _PIECE < self.state.sample:
+        while self._delicate and before.sample + _PIECE < self.state.sample:
             after = before.copy()
             _, piece = self.stepper.run(after, _PIECE, self.injections, self.controls)
             budget.follow(before, after, piece, self.injections, self.controls, self.active)
             before, forces = after, forces[_PIECE:]
         budget.follow(before, self.state, forces, self.injections, self.controls, self.active)
+
+    @property
+    def _delicate(self) -> bool:
+        """Whether any potential but a tension acts."""
+        pairs = zip(self.system.potentials, self.system.on, strict=True)
+        return any(on and not p.one_way and not isinstance(p, TensionModulation) for p, on in pairs)
 
     def _count(self, start: int, n: int, acted: NDArray[np.intp], seconds: float) -> None:
         """Enter a run into the usage of effects."""

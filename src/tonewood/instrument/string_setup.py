@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from tonewood.coupling.phantoms import PhantomPartials
 from tonewood.instrument.contract import Longitudinal
 from tonewood.instrument.schema import Finger
 from tonewood.params import Vector
@@ -50,20 +49,6 @@ class LongitudinalMotion:
     direction: Vector
     ends: Mapping[str, float]
     motion: Longitudinal
-
-
-@dataclass(frozen=True, slots=True)
-class PhantomMotion:
-    """Motion along a string that its transverse motion drives one way.
-
-    Attributes
-    ----------
-    ends : body point -> share of the tension at the bridge that acts there.
-    motion : as the resonator gives it.
-    """
-
-    ends: Mapping[str, float]
-    motion: PhantomPartials
 
 
 @dataclass(frozen=True, slots=True)

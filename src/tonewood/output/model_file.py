@@ -106,6 +106,8 @@ def recorded(system: System, plucks: Sequence[Sequence[Injection]] = (), isa: st
     description = stepper.describe()
     if description["nonlinear"]["functions"]:
         raise TonewoodError("a law that is a function in memory cannot be saved", key="connections")
+    if any("function" in potential for potential in description["potentials"]):
+        raise TonewoodError("a potential that is a function in memory cannot be saved", key="potentials")
     description["capacity"] = state.modes.shape[1]
     description["n_channels"] = len(system.readouts)
     description["plucks"] = [stepper.pack_injections(pluck, state.sample) for pluck in plucks]

@@ -19,17 +19,17 @@ from geometric_scenes import (
 from numpy.typing import NDArray
 
 from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.geometric import (
+from tonewood.coupling.laws import Contact
+from tonewood.coupling.potentials.longitudinal import (
     GeometricShares,
     GeometricStretch,
     cosine_gradient,
     cosine_product,
     cosine_products,
 )
-from tonewood.coupling.geometric_solve import GeometricSolve
-from tonewood.coupling.laws import Contact
+from tonewood.coupling.potentials.solve import PotentialSolve
+from tonewood.coupling.potentials.tension import TensionModulation
 from tonewood.coupling.system import State, System
-from tonewood.coupling.tension import TensionModulation
 from tonewood.energy.stored import stored_energy
 from tonewood.modal.modes import ModalBasis
 from tonewood.stepping.kernel import KernelStepper
@@ -61,14 +61,14 @@ def stretched(n_modes: int = 12, n_longitudinal: int = 5) -> GeometricShares:
     system = held_string(
         48000.0, ("y", "z"), basis=transverse(n_modes), motion=longitudinal(n_longitudinal), freq_coupled=1e6
     )
-    return GeometricSolve(system).strings[0]
+    return PotentialSolve(system).active[0].joined
 
 
 def strain_energy(string: GeometricShares, y: Floats) -> float:
     """EA/2 int e^2 dx of the strain as far as its first cosines tell, by quadrature over the string."""
     longitudinal_ = string.parts[-1]
     count, x = len(longitudinal_.slopes), (np.arange(400) + 0.5) * LENGTH / 400
-    pieces = np.split(y, string.sizes[1:-1])
+    pieces = np.split(y, np.cumsum(string.sizes)[:-1])
     e = np.zeros(len(x))
     for part, q in zip(string.parts[:-1], pieces[:-1], strict=True):
         cosines = np.cos(np.outer(x, np.arange(len(part.slopes))) * np.pi / LENGTH)
@@ -202,7 +202,7 @@ def test_without_longitudinal_modes_it_is_the_string_of_one_rising_tension() -> 
         ends = [Connection(f"{n}.bridge", (Term(n, "bridge"),), Rigid()) for n in ("y", "z")]
         carrier = System.build(
             {"y": basis, "z": basis}, ends, system.readouts[:1], dt=1 / fs,
-            tensions=[TensionModulation("string", ("y", "z"), AXIAL)],
+            potentials=[TensionModulation("string", ("y", "z"), AXIAL)],
         )  # fmt: skip
         here, there = plucked(system, 6e-3, ("y", "z")), plucked(carrier, 6e-3, ("y", "z"))
         out, _ = NumpyStepper(system).run(here, int(fs / 160))
@@ -289,8 +289,7 @@ def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ValueError, match="ramp and sines"):
         held_string(48000.0, basis=plain)
     basis = transverse(10)
-    with pytest.raises(ValueError, match="all rising tensions"):
-        System.build(
-            {"y": basis, "x": longitudinal(3), "w": basis}, [], [], dt=1e-4,
-            tensions=[TensionModulation("other", ("w",), AXIAL)], geometric=[GeometricStretch("s", ("y",), "x", AXIAL)],
-        )  # fmt: skip
+    parts, stretch = {"y": basis, "x": longitudinal(3), "w": basis}, GeometricStretch("s", ("y",), "x", AXIAL)
+    for other, message in ((("other", ("y",)), "of its own, not 'y'"), (("s", ("w",)), "the same name")):
+        with pytest.raises(ValueError, match=message):
+            System.build(parts, [], [], dt=1e-4, potentials=[TensionModulation(*other, AXIAL), stretch])

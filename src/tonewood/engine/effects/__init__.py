@@ -3,47 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from importlib import import_module
+from typing import Any, cast
 
 from tonewood.engine.effects.base import RuntimeEffect, SwitchedEffect
-from tonewood.engine.effects.longitudinal import LongitudinalEffect
-from tonewood.engine.effects.phantom_partials import PhantomPartialsEffect
-from tonewood.engine.effects.tension import TensionEffect
-from tonewood.engine.effects.unswitched import (
-    ContactEffect,
-    DamperEffect,
-    GestureEffect,
-    PickupEffect,
-    SecondPolarizationEffect,
-)
+from tonewood.engine.effects.unswitched import ContactEffect, PickupEffect
 from tonewood.instrument.assembly import Model
 from tonewood.instrument.contract import Plugin
-from tonewood.instrument.effects import (
-    DAMPERS,
-    FRETTING_NOISE,
-    LONGITUDINAL,
-    PHANTOM_PARTIALS,
-    SECOND_POLARIZATION,
-    SQUEAK,
-    TENSION_MODULATION,
-    TOUCH_NOISE,
-    Effect,
-)
+from tonewood.instrument.effects import Effect
 
 #: makes the runtime effect of a declared one, see `RuntimeEffect`
 Maker = Callable[[Model, Effect, Mapping[str, Plugin[Any]]], RuntimeEffect]
 
-#: of effects that are declared below the engine and so cannot name their own; `Effect.runtime` does for all others
-_BUILT_IN: Mapping[str, Maker] = {
-    TENSION_MODULATION.name: TensionEffect,
-    LONGITUDINAL.name: LongitudinalEffect,
-    PHANTOM_PARTIALS.name: PhantomPartialsEffect,
-    SECOND_POLARIZATION.name: SecondPolarizationEffect,
-    DAMPERS.name: DamperEffect,
-    FRETTING_NOISE.name: GestureEffect,
-    TOUCH_NOISE.name: GestureEffect,
-    SQUEAK.name: GestureEffect,
-}
 #: kind of plugin -> class of its effects if nothing else is said; those of strings and bodies always run
 _BY_KIND: Mapping[str, Maker] = {"connection": ContactEffect, "exciter": ContactEffect, "pickup": PickupEffect}
 
@@ -74,4 +45,7 @@ def _plugins(model: Model) -> Iterator[tuple[str, Plugin[Any]]]:
 
 
 def _maker(effect: Effect, kind: str) -> Maker:
-    return effect.runtime or _BUILT_IN.get(effect.name) or _BY_KIND.get(kind, RuntimeEffect)
+    if isinstance(effect.runtime, str):
+        module, _, name = effect.runtime.partition(":")
+        return cast(Maker, getattr(import_module(module), name))
+    return effect.runtime or _BY_KIND.get(kind, RuntimeEffect)

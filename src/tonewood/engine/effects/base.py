@@ -376,6 +376,14 @@ class SwitchedEffect(RuntimeEffect, ABC):
         return self.effect.before
 
 
+def clear_memory(system: System, state: State, potentials: Collection[str]) -> None:
+    """Set the numbers of these potentials in a state to zero, in place."""
+    if state.potentials.size:
+        for potential, memory in zip(system.potentials, system.memory, strict=True):
+            if potential.name in potentials:
+                state.potentials[memory] = 0.0
+
+
 def switch(effect: SwitchedEffect, moment: Moment, before: Switching, found: Watched) -> Switching:
     """Switch components on or off as wanted, where the energy of the switch can be paid; the system is not changed.
 

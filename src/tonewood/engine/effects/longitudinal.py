@@ -6,7 +6,8 @@ from collections.abc import Collection
 
 from tonewood.engine.effect_usage import EffectUsage
 from tonewood.engine.effects.base import EffectReport, Foreseen, PlannedEffect, Run, RuntimeEffect, in_decibels
-from tonewood.instrument.effects import TENSION_MODULATION
+from tonewood.engine.effects.tension import TENSION_MODULATION
+from tonewood.instrument.effects import Effect
 
 
 class LongitudinalEffect(RuntimeEffect):
@@ -48,3 +49,12 @@ class LongitudinalEffect(RuntimeEffect):
             PlannedEffect(self.name, name, usage.score_time(usage.spans[self.name, name]), why, None)
             for name in self.components
         ]
+
+
+#: longitudinal motion of a string; for plugins whose strings have it
+LONGITUDINAL = Effect(
+    "longitudinal", "motion along the string: partials at sums of transverse ones", "additive",
+    "any gesture on the string", "a bound on the phantom partials that the string's partials would "
+    "drive; without them it is linear", cost=lambda n: 60.0 * n, title="phantom partials",
+    runtime=LongitudinalEffect,
+)  # fmt: skip

@@ -22,10 +22,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.geometric import GeometricStretch
+from tonewood.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.coupling.potentials.phantom import DrivenLongitudinal
 from tonewood.coupling.system import State, System
 from tonewood.engine.effect_usage import Bound, EffectUsage
-from tonewood.engine.effects.base import Moment, SwitchedEffect, Switching, Watched, motion, next_multiple
+from tonewood.engine.effects.base import Moment, SwitchedEffect, Switching, Watched, clear_memory, motion, next_multiple
 from tonewood.engine.effects.bridge_response import BridgeResponse
 from tonewood.engine.effects.phantoms import Phantoms
 from tonewood.engine.fretting import Fretting
@@ -55,7 +56,7 @@ class PhantomPartialsEffect(SwitchedEffect):
 
     def __init__(self, model: Model, effect: Effect, plugins: Mapping[str, Plugin[Any]]):
         super().__init__(model, effect, plugins)
-        self._laws = {p.name: p for p in model.system.phantoms}
+        self._laws = {p.name: p for p in model.system.potentials if isinstance(p, DrivenLongitudinal)}
         self._few = len(self._laws) <= _FEW
         self._response: BridgeResponse | None = None
         self._bounds: dict[tuple[str, float], Phantoms] = {}
@@ -117,18 +118,16 @@ class PhantomPartialsEffect(SwitchedEffect):
 
     def apply(self, system: System, on: Collection[str], frettings: Mapping[str, Fretting]) -> System:
         """Switch the forces of these strings on, and all others off."""
-        same = all((p.name in on) == is_on for p, is_on in zip(system.phantoms, system.phantoms_on, strict=True))
-        return system if same else system.with_phantoms(on)
+        return system.with_potentials(on, self._laws)
 
     def reset(self, system: System, state: State, changed: Collection[str]) -> None:
         """Clear the state of the longitudinal modes."""
-        if state.phantoms.size:
-            state.phantoms[[p.name in changed for p in system.phantoms]] = 0.0
+        clear_memory(system, state, changed)
 
     def load(self, component: str) -> float:
         """Modes that drive."""
         system = self.model.system
-        parts = (system.compiled[system.slot(c)].phantom for c in self._planes(component))
+        parts = (system.compiled[system.slot(c)].potentials.get(component) for c in self._planes(component))
         return float(sum(part.weights.shape[1] for part in parts if part is not None))
 
     def why(self, usage: EffectUsage, component: str) -> str:
@@ -181,9 +180,18 @@ class PhantomPartialsEffect(SwitchedEffect):
             )  # fmt: skip
             stretch = GeometricStretch(name, tuple(planes), component, law.axial_stiffness, law.freq_coupled)
             shares = {
-                c: replace(part, geometric=stretch.part(c, part.basis, np.zeros_like(part.E)))
+                c: replace(part, potentials={name: stretch.share(c, part.basis, part.dt)})
                 for c, part in compiled.items()
             }
             shares[component] = replace(compiled[planes[0]], basis=lengthwise)
             self._bounds[key] = Phantoms.of(stretch, shares, self.model.strings[name].tension(stop), self._response)
         return self._bounds[key]
+
+
+#: motion along a string that the transverse one drives one way; for plugins whose strings have it
+PHANTOM_PARTIALS = Effect(
+    "phantom_partials", "motion along the string, driven one way: partials at sums of transverse ones", "additive",
+    "any gesture on the string", "a bound on the phantom partials that the string's partials would drive",
+    cost=lambda n: 2.0 * n, title="phantom partials",
+    runtime=PhantomPartialsEffect,
+)  # fmt: skip

@@ -29,8 +29,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tonewood.coupling.potentials.tension import stretch_weights
 from tonewood.coupling.system import Compiled, System
-from tonewood.coupling.tension import stretch_weights
 from tonewood.engine.effects.bridge_response import BridgeResponse
 from tonewood.modal.held_modes import HeldModes
 from tonewood.modal.modes import ModalBasis

@@ -167,7 +167,7 @@ def stop_at_the_peak(fs: int) -> Attack:
     engine, best, at = plain.engine, 0.0, 0.0
     while engine.state.sample < 0.05 * fs:
         engine.advance(1)
-        stretch = engine.state.tension[0, 0] if engine.state.tension.size else 0.0
+        stretch = float(engine.state.potentials[:1].sum())
         if engine.state.sample > 0 and stretch > best:
             best, at = stretch, engine.state.sample / fs
     notes = [Note(0.0, at, string="G2", stop=0, force=14.0), Note(at, 0.1, string="G2", stop=5, technique="hammer_on")]

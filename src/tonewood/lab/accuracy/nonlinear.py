@@ -19,8 +19,8 @@ from tonewood import _methods
 from tonewood.coupling.connections import Connection
 from tonewood.coupling.inverse import scaled_pinv
 from tonewood.coupling.laws import Contact, HardeningSpring
+from tonewood.coupling.potentials.tension import TensionModulation
 from tonewood.coupling.system import Probe, Readout, System
-from tonewood.coupling.tension import TensionModulation
 from tonewood.energy.stored import stored_energy
 from tonewood.errors import NumericalError
 from tonewood.lab.accuracy.flat import Flat, RealModes
@@ -307,7 +307,7 @@ class OwnRun:
             [*case.problem.constraints, *laws],
             [Readout("0", "displacement", (Probe(out.component, out.point, out.factor),))],
             dt=1 / self.fs,
-            tensions=case.tensions,
+            potentials=case.tensions,
         )
         self.stepper = KernelStepper(self.system)
         self.state = self.stepper.start()

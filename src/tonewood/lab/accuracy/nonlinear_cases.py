@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tonewood.coupling.connections import Connection, Term
 from tonewood.coupling.laws import Contact, HardeningSpring
-from tonewood.coupling.tension import TensionModulation
+from tonewood.coupling.potentials.tension import TensionModulation
 from tonewood.lab.accuracy.flat import Flat, RealModes, inverses
 from tonewood.lab.accuracy.nonlinear import NonlinearCase
 from tonewood.lab.methods.problem import Problem

@@ -1,0 +1,135 @@
+// Potentials whose forces on the lowest modes of their components are held as arrays: base of all kinds whose direction
+// is no simple multiple of the coordinates.
+#pragma once
+
+#include "../modal/stretch_pass.hpp"
+#include "solve.hpp"
+
+namespace tonewood {
+namespace {
+
+class ModalForces : public PotentialGroup {
+protected:
+    struct Part {
+        const PotentialPart& modes;
+        int n;                               // coordinates: the lowest modes
+        // (n, padded as modes are): coordinate per xi of modal/scaled_modes.hpp
+        Array<double> scale;
+        Array<double> here{}, free{};        // coordinates before the step, and free of potentials after it
+        Array<double> force{}, direction{};  // modal forces of the last step, and per psi_m; scaled as xi is
+    };
+
+    ModalForces(PotentialRun& run, int first, int end) : PotentialGroup(run, first, end), parts_(run.parts.size()) {}
+
+    void sum(const PotentialPart& part, double* to) override { sum_stretch_step(*part.c, part.state, to); }
+    void make(const PotentialPart& p) override {
+        const Array<double>& modal = parts_[std::size_t(&p - run_.parts.data())]->force;
+        make_stretch_step(*p.c, p.state, ws_.forces.data() + p.part->first_port, modal.data(), modal.size());
+    }
+
+    // Part q of potential s, over its lowest n modes.
+    Part& add_part(int s, std::size_t q, int n) {
+        const std::size_t index = std::size_t(t_.two_way[s].first_part) + q, wide = (n + kPadding - 1) / kPadding * kPadding;
+        const PotentialPart& modes = run_.parts[index];
+        parts_[index] = std::make_unique<Part>(Part{modes, n, Array<double>(wide, 0.0)});
+        Part& part = *parts_[index];
+        for (Array<double>* a : {&part.here, &part.free, &part.force, &part.direction}) a->assign(wide, 0.0);
+        const Coordinates& c = modes.c->coordinates;
+        for (int k = 0; k < n; ++k) part.scale[k] = c.reading[k] * std::sqrt(c.gain[k]);
+        return part;
+    }
+
+    // Coordinates of a part now and after a step under forces on its ports.
+    static void coordinates(Part& part, const double* forces) {
+        const Component& c = *part.modes.c;
+        const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
+        const double *numbers = c.coordinates.numbers.data(), *state = part.modes.state;
+        for (std::size_t k = 0; k < part.here.size(); k += kPadding, numbers += step, state += kScaledState * kPadding)
+            for (int j = 0; j < kPadding; j += S::width) {
+                const V xi = S::load(state + j), per = S::load(part.scale.data() + k + j);
+                V free = xi + S::load(state + kPadding + j);
+                for (int p = 0; p < c.n_ports; ++p)
+                    free += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * forces[p];
+                S::store(part.here.data() + k + j, per * xi), S::store(part.free.data() + k + j, per * free);
+            }
+    }
+
+    // Displacements of a part's ports by modal forces: use(port, displacement).
+    template <class Use>
+    static void ports(const Part& part, const double* modal, const Use& use) {
+        const Component& c = *part.modes.c;
+        const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
+        for (int p = 0; p < c.n_ports; ++p) {
+            const double* numbers = c.coordinates.numbers.data() + (kScaledNumbers + p) * kPadding;
+            V sum{};
+            for (std::size_t k = 0; k < part.here.size(); k += kPadding, numbers += step)
+                for (int j = 0; j < kPadding; j += S::width) sum += S::load(numbers + j) * S::load(modal + k + j);
+            use(part.modes.part->first_port + p, S::sum(sum));
+        }
+    }
+
+    // Sums of a potential's directions.
+    struct Sums {
+        double power = 0, own = 0, answered = 0;
+    };
+    // Adds those of a part whose direction is known, and writes the displacements of its ports per psi_m.
+    void add_direction(const Part& part, Sums& sums) {
+        V along{}, size{};
+        const double* state = part.modes.state + kPadding;
+        for (std::size_t k = 0; k < part.direction.size(); k += kPadding, state += kScaledState * kPadding)
+            for (int j = 0; j < kPadding; j += S::width) {
+                const V d = S::load(part.direction.data() + k + j);
+                along += d * S::load(state + j), size += d * d;
+            }
+        sums.power += S::sum(along), sums.own += S::sum(size);
+        ports(part, part.direction.data(), [&](int port, double moved) {
+            ws_.reach[port] = moved, sums.answered += ws_.answering[port] * moved;
+        });
+    }
+    void finish_direction(int s, const Sums& sums) {
+        ws_.own[s] = sums.own;
+        ws_.alone[s] = ws_.psi[s] + 0.5 * (sums.power + sums.answered);
+    }
+
+    // psi, and the forces -psi_m g on the modes, after a step.
+    void make_forces(int s, const std::vector<Part*>& parts) {
+        const double mean = ws_.mean[s];
+        ws_.psi[s] = 2 * mean - ws_.psi[s];
+        for (Part* part : parts)
+            for (std::size_t k = 0; k < part->force.size(); k += S::width)
+                S::store(part->force.data() + k, S::load(part->direction.data() + k) * -mean);
+    }
+
+    // Coordinates of a part in the state of the run.
+    void read(Part& part) const {
+        const double* const x = block_.x(part.modes.part->component);
+        for (int k = 0; k < part.n; ++k) part.here[k] = part.modes.c->coordinates.reading[k] * x[k];
+    }
+
+    // Energy of a part's modes in the state of the run.
+    double energy(const Part& part) const {
+        const Component& c = *part.modes.c;
+        const int i = part.modes.part->component;
+        const double *const per = c.coordinates.velocity.data(), *const x = block_.x(i), *const y = block_.y(i);
+        double sum = 0.0;
+        for (int k = 0; k < part.n; ++k) {
+            const double v = per[k] * x[k] + per[c.n + k] * y[k], displaced = c.coordinates.reading[k] * x[k];
+            sum += 0.5 * (v * v + c.coordinates.stiffness[k] * displaced * displaced);
+        }
+        return sum;
+    }
+
+    double pay(const std::vector<Part*>& parts, double cost) {
+        return pay_from_motion(
+            [&](const auto& use) {
+                for (const Part* part : parts) use(part->modes.part->component, std::size_t(part->n));
+            },
+            cost);
+    }
+
+private:
+    std::vector<std::unique_ptr<Part>> parts_;  // as those of the run; none of other kinds
+};
+
+}  // namespace
+}  // namespace tonewood
