@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
+from importlib.util import find_spec
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -100,10 +101,10 @@ class PlateEnergy(ta.PotentialEnergy):
 
     def function(self) -> ta.PotentialFunction | None:
         """Return V compiled by Numba; None where it is not installed."""
-        try:
-            from tonewood.plugins import gong_compiled
-        except ImportError:
+        if find_spec("numba") is None:
             return None
+        from tonewood.plugins import gong_compiled
+
         return ta.PotentialFunction(gong_compiled.compiled.ctypes, data=self.grid.packed, scratch=self.grid.scratch)
 
 
@@ -132,8 +133,8 @@ def stiffening(grid: PlateGrid, omega: Floats) -> float:
 class LargeDeflection(ta.SwitchedEffect):
     """Switches the potential of each gong with its energy.
 
-    Between looks every 1,024 samples a gong is on from any gesture on; it is left out while its energy raises no mode by
-    more than the budget of cents, and while the force of the potential, as a part of that of the modes at the same
+    A gong is on from any gesture on. At looks every 1,024 samples it is left out if its energy, and that of the mallets at
+    it, raises no mode by more than the budget of cents, and while the force of the potential, as a part of that of the modes at the same
     energy (4 K E at most), is within the budget of level.
     """
 
@@ -161,12 +162,14 @@ class LargeDeflection(ta.SwitchedEffect):
         return ta.Watched(frozenset(wanted), bounds)
 
     def _bound(self, moment: ta.Moment, name: str) -> ta.Bound:
-        energy = factor = 0.0
-        for component in self._planes[name]:
-            basis = moment.system.compiled[moment.system.slot(component)].basis
-            q, v = ta.motion(moment.system, moment.state, component)
-            energy += 0.5 * float(v @ v + basis.stiffness @ (q * q))
-            factor = max(factor, cast(float, basis.metadata["stiffening"]))
+        system, energy, factor = moment.system, 0.0, 0.0
+        # a mallet on its way may give its energy to the gong at the next moment
+        for component in (c for c in system.names if system.owners.get(c) == name):
+            basis = system.compiled[system.slot(component)].basis
+            if basis.is_real:
+                q, v = ta.motion(system, moment.state, component)
+                energy += 0.5 * float(v @ v + basis.stiffness @ (q * q))
+                factor = max(factor, cast(float, basis.metadata.get("stiffening", 0.0)))
         rise = factor * energy
         return ta.Bound(1200 / math.log(2) * 1.5 * rise, 4 * rise)
 
@@ -296,7 +299,7 @@ class Gong(ta.Resonator[GongParameters]):
         def energy(bases: Sequence[ta.ModalBasis]) -> PlateEnergy:
             return PlateEnergy(self.grid(min(cast(int, bases[0].metadata["coupled"]), bases[0].n_modes)))
 
-        return [ta.ModalPotential(string.name, string.planes, energy)]
+        return [ta.ModalPotential(string.name, string.planes, energy, effect=LARGE_DEFLECTION.name)]
 
     def detuned(self, basis: ta.ModalBasis, tension: float) -> ta.ModalBasis:
         """`basis` itself: a plate has no tension at rest."""
