@@ -36,7 +36,7 @@ inline ComponentDescription component(const File& file, const std::string& at) {
         d.coordinates.reading = view(file, at + "reading"), d.coordinates.stiffness = view(file, at + "stiffness");
         d.coordinates.kick = view(file, at + "kick"), d.coordinates.velocity = view(file, at + "velocity");
         d.coordinates.a = view(file, at + "a");
-        d.coordinates.middle = view(file, at + "middle"), d.coordinates.impulse = view(file, at + "impulse");
+        d.coordinates.middle = view(file, at + "middle");
     }
     return d;
 }

@@ -18,7 +18,7 @@ extern const Table table_baseline;
 
 namespace {
 
-constexpr std::size_t kMemory[Potentials::n_kinds] = {4, 4, kPhantomMemory, 2};  // numbers of a potential in the state
+constexpr std::size_t kMemory[Potentials::n_kinds] = {3, 3, kPhantomMemory, 3};  // numbers of a potential in the state
 constexpr std::size_t kStored = 4;  // replaced components in store for each slot
 
 // Whether `to` was another array; it is this one now.

@@ -84,7 +84,7 @@ def coordinates(weights: np.ndarray) -> dict[str, Any]:
     one = np.zeros(PAD)
     one[0] = 1.0
     kick, velocity = np.stack([1e-3 * one] * 2), np.stack([one] * 3)
-    more = {"kick": kick, "velocity": velocity, "middle": 0.5 * velocity, "impulse": one.copy()}
+    more = {"kick": kick, "velocity": velocity, "middle": 0.5 * velocity[:2]}
     return {"a": weights, "reading": one, "stiffness": one.copy(), **more}
 
 
@@ -291,7 +291,7 @@ def test_injections_and_controls_that_do_not_fit_are_refused(argument: int, wron
 
 
 def test_a_state_of_the_potentials_that_is_too_small_is_refused() -> None:
-    for wrong in (np.zeros(0), np.zeros(3), np.zeros((1, 4)), np.zeros(4, dtype=np.float32)):
+    for wrong in (np.zeros(0), np.zeros(2), np.zeros((1, 3)), np.zeros(3, dtype=np.float32)):
         arguments = job()
         arguments[9] = wrong
         with pytest.raises((TypeError, ValueError)):

@@ -91,7 +91,7 @@ ComponentDescription component(const Reader& in) {
         d.coordinates.reading = in.view("reading"), d.coordinates.stiffness = in.view("stiffness");
         d.coordinates.kick = in.view("kick"), d.coordinates.velocity = in.view("velocity");
         d.coordinates.a = in.view("a");
-        d.coordinates.middle = in.view("middle"), d.coordinates.impulse = in.view("impulse");
+        d.coordinates.middle = in.view("middle");
     }
     return d;
 }

@@ -81,7 +81,7 @@ struct Shapes {
 // Mass-normalised coordinates y of real modes on which a potential acts (coupling/potentials/coordinates.py).
 constexpr int kMaxScaledPorts = 32;
 // numbers per mode in `numbers` (one more per port) and in the state
-constexpr int kScaledNumbers = 4, kScaledState = 2;
+constexpr int kScaledNumbers = 6, kScaledState = 2;
 
 struct Coordinates {
     Array<double> reading;        // (n): y = reading * first number of the mode
@@ -89,8 +89,7 @@ struct Coordinates {
     Array<double> gain;           // (2, n): state per sum of row * port force, row that of the port's displacement
     Array<double> velocity;       // (3, n): y' per first and second number, second number per y'
     Array<double> stiffness;      // (n): square of the frequency
-    Array<double> middle;         // (3, n): y after half a step per y before it, after it, and moved by port forces
-    Array<double> impulse;        // (n): x / sin x, x half the angle of a step
+    Array<double> middle;         // (2, n): y in the middle of a step per sum of its ends, and per motion by port forces
     Array<double> numbers, basis; // modal/scaled_modes.hpp: tables of the pass; changes of basis
     // of strings under rising tension: (n) weights of the stretch S; w a / 2, w the displacement per modal force
     Array<double> a, half;

@@ -77,10 +77,9 @@ struct Potentials {
         int data = -1;                 // its own arrays: among `stretches` or `users`
         int first = 0, n = 0, first_part = 0;  // its ports; its parts, one for each component
         // of a tension
-        Array<double> steady;           // (n) sqrt(sum h r r / 2)
+        Array<double> steady;           // (n) bounds on sqrt(sum g^2 / a) per force on a port
         double root = 0, highest = 0;   // 2 sqrt(kappa); largest w a / 2
-        // (n, n) pairs of its ports: coefficients by powers of the tension of sum q r r and of sum q^2 r r, where
-        // q = h (1 - h T)
+        // (n, n) pairs of its ports: coefficients by powers of T of sum q p_1 r r and of sum (q p_1)^2 r r
         std::vector<std::array<double, 2>> once;
         std::vector<std::array<double, 3>> twice;
     };
@@ -103,11 +102,11 @@ constexpr int kSharedSums = 3, kPortSums = 5;  // of a modal pass over a compone
 
 struct PotentialState {
     Array<double> scaled;               // of modes: modal/scaled_modes.hpp
+    Array<double> known;                // of modes: (p_1 - p_0) times what known forces add to v in the step
     Array<double> lanes, sums;          // of the modal passes, before and after their lanes are added
-    // by potential: psi and its mean over the step, with and without nonlinear connections; g . w g
-    Array<double> psi, mean, alone, own;
-    // of tensions: sizes of the direction (excursion); mean tensions of the last steps
-    Array<double> spread, bound, past[3];
+    // by potential: psi and its mean over the step, with and without nonlinear connections; g . w g; C
+    Array<double> psi, mean, alone, own, shift;
+    Array<double> spread, bound;        // of tensions: sizes of the direction (excursion)
     // (ports): displacement per mean psi; forces of the linear connections alone, and of those that answer to psi
     Array<double> reach, driven, answering;
     Array<double> pulled, answered;     // (ports): displacements by fast coordinates, forces with the answer to them

@@ -197,8 +197,9 @@ inline void derive_scaled(Component& c, const std::string& name) {
         require(g > 0.0 && e01 != 0.0, name + "kick: mode " + std::to_string(k) + " has no compliance");
         const double root = std::sqrt(g), det = e00 * e11 - e01 * e10, tilt = gain[n + k] / g;
         double* const to = s.numbers.data() + (k / kPadding * kPadding * step + k % kPadding);
-        const double numbers[kScaledNumbers] = {s.half[k], det, (1 - e00) * (1 - e11) - e01 * e10,
-                                              e01 * tilt - e11 + det};
+        const double numbers[kScaledNumbers] = {
+            s.half[k], det, (1 - e00) * (1 - e11) - e01 * e10, e01 * tilt - e11 + det, 2 * s.middle[k],
+            2 * s.middle[n + k]};
         for (int i = 0; i < kScaledNumbers; ++i) to[i * kPadding] = numbers[i];
         for (std::size_t q = 0; q < p; ++q) to[(kScaledNumbers + q) * kPadding] = c.rows[2 * q * n + k] * root;
         const double basis[8] = {1 / root, (e00 - 1) / root, e01 / root,            // in
@@ -212,10 +213,9 @@ inline void load_coordinates(Component& c, const CoordinatesDescription& d, cons
     const std::size_t n = c.n, p = c.n_ports;
     expect(name + "reading", d.reading, {n});
     expect(name + "stiffness", d.stiffness, {n});
-    expect(name + "impulse", d.impulse, {n});
     expect(name + "kick", d.kick, {2, n});
     expect(name + "velocity", d.velocity, {3, n});
-    expect(name + "middle", d.middle, {3, n});
+    expect(name + "middle", d.middle, {2, n});
     expect(name + "a", d.a, {n});
     require(!c.driven && n > 0 && p <= kMaxScaledPorts,
             name + "reading: no potential acts on a driven component, or on one of more than " +
@@ -223,7 +223,7 @@ inline void load_coordinates(Component& c, const CoordinatesDescription& d, cons
     Coordinates& s = c.coordinates;
     s.reading = d.reading.copy(), s.stiffness = d.stiffness.copy(), s.kick = d.kick.copy();
     s.velocity = d.velocity.copy(), s.a = d.a.copy();
-    s.middle = d.middle.copy(), s.impulse = d.impulse.copy();
+    s.middle = d.middle.copy();
     s.half.assign(n, 0.0), s.gain.assign(2 * n, 0.0);
     for (std::size_t k = 0; k < n; ++k) s.half[k] = 0.5 * (s.reading[k] * s.kick[k]) * s.a[k];
     s.largest_half = *std::max_element(s.half.begin(), s.half.end());

@@ -46,9 +46,9 @@ struct ContactPortsDescription {
 
 // Coordinates of a component on which a potential acts.
 struct CoordinatesDescription {
-    View reading, stiffness, impulse;  // (modes)
-    View kick;                // (2, modes)
-    View velocity, middle;    // (3, modes)
+    View reading, stiffness;  // (modes)
+    View kick, middle;        // (2, modes)
+    View velocity;            // (3, modes)
     View a;                   // (modes) weights of the stretch under rising tension, else zero
 };
 

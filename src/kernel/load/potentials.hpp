@@ -15,15 +15,18 @@ inline void derive_pairs(const Component& c, int at, Potentials::One& string) {
     const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
     for (int p = 0; p < c.n_ports; ++p)
         for (int q = 0; q < c.n_ports; ++q) {
+            double steady = 0.0;
             auto& once = string.once[std::size_t(at + p) * string.n + at + q];
             auto& twice = string.twice[std::size_t(at + p) * string.n + at + q];
             for (int k = 0; k < c.n; ++k) {
                 const double* const numbers = c.coordinates.numbers.data() + k / kPadding * step + k % kPadding;
-                const double h = numbers[0],
-                             rr = numbers[(kScaledNumbers + p) * kPadding] * numbers[(kScaledNumbers + q) * kPadding];
+                const double h = numbers[0], p1 = numbers[5 * kPadding];
+                const double rr = p1 * numbers[(kScaledNumbers + p) * kPadding] * numbers[(kScaledNumbers + q) * kPadding];
                 once[0] += h * rr, once[1] -= h * h * rr;
-                twice[0] += h * h * rr, twice[1] -= 2 * h * h * h * rr, twice[2] += h * h * h * h * rr;
+                twice[0] += h * h * p1 * rr, twice[1] -= 2 * h * h * h * p1 * rr, twice[2] += h * h * h * h * p1 * rr;
+                steady += 0.5 * h * p1 * rr;
             }
+            if (p == q) string.steady[std::size_t(at + p)] = std::sqrt(steady);
         }
 }
 
@@ -70,7 +73,7 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
         one.first = int(t.ports.size()), one.n = 0, one.first_part = int(t.parts.size());
         for (const int i : one.components) one.n += components[i].n_ports;
         const bool modulated = one.kind == Potentials::tension;
-        one.once.assign(modulated ? std::size_t(one.n) * one.n : 0, {}), one.steady.clear();
+        one.once.assign(modulated ? std::size_t(one.n) * one.n : 0, {}), one.steady.assign(one.n, 0.0);
         one.twice.assign(one.once.size(), {});
         for (const int i : one.components) {
             const Component& c = components[i];
@@ -81,8 +84,6 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
             for (int p = 0; p < c.n_ports; ++p)
                 t.ports.push_back({int(s), l.row[i] + p, l.port[i] + p, place[i] + p, c.shares[p]});
         }
-        for (int p = 0; modulated && p < one.n; ++p)
-            one.steady.push_back(std::sqrt(0.5 * one.once[std::size_t(p) * one.n + p][0]));
     }
     const std::size_t n = t.ports.size(), width = padded(n);
     t.width = int(width);
@@ -99,11 +100,10 @@ inline void make_potentials(const std::vector<Component>& components, const Solv
         for (std::size_t q = 0; q < n; ++q) t.onto_ports[p * width + q] = forces[t.ports[q].force];
     }
     const std::size_t n_sums = (t.n_sums + kPadding - 1) / kPadding * kPadding, k = nl.k;
-    ws.scaled.assign(kScaledState * capacity, 0.0);
+    ws.scaled.assign(kScaledState * capacity, 0.0), ws.known.assign(capacity, 0.0);
     ws.lanes.assign(n_sums * 8, 0.0), ws.sums.assign(n_sums, 0.0);
     for (Array<double>* a :
-         {&ws.psi, &ws.mean, &ws.alone, &ws.own, &ws.spread, &ws.bound, &ws.past[0], &ws.past[1], &ws.past[2],
-          &ws.over})
+         {&ws.psi, &ws.mean, &ws.alone, &ws.own, &ws.shift, &ws.spread, &ws.bound, &ws.over})
         a->assign(lane, 0.0);
     for (Array<double>* a : {&ws.reach, &ws.driven, &ws.answering, &ws.pulled, &ws.answered, &ws.forces, &ws.moved}) a->assign(width, 0.0);
     ws.stiff.assign(count * width, 0.0);

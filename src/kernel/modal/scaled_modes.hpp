@@ -2,10 +2,10 @@
 //
 // A mode's first number x and its value u after a step without forces determine both of its numbers. The state is
 //     xi = x / sqrt(g),     v = (u - x) / sqrt(g),
-// g the mode's gain: a tension T then enters through one number, half = w a / 2. A modal force p moves the mode by
+// g the mode's gain. A modal force p moves the mode by
 //     xi+ = xi + v + p,     v+ = det v - kappa xi+ + kick p,
-// det and kappa = det(I - E) those of its matrix E. Sixteen modes lie side by side in two streams: half, det, kappa,
-// kick and a row for each port (derive_scaled in load/component.hpp); xi and v.
+// det and kappa = det(I - E) those of its matrix E. Sixteen modes lie side by side in two streams: h, det, kappa,
+// kick, p_0 and p_1 (tension_pass.hpp), and a row for each port (derive_scaled in load/component.hpp); xi and v.
 #pragma once
 
 #include "../data/state.hpp"

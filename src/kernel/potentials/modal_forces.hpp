@@ -15,7 +15,7 @@ protected:
         int n;                               // coordinates: the lowest modes
         // (n, padded as modes are): coordinate per xi of modal/scaled_modes.hpp
         Array<double> scale;
-        Array<double> here{}, free{};        // coordinates before the step, and free of potentials after it
+        Array<double> middle{};              // coordinates in the middle of the step, and in the state of the run
         Array<double> force{}, direction{};  // modal forces of the last step, and per psi_m; scaled as xi is
     };
 
@@ -33,24 +33,27 @@ protected:
         const PotentialPart& modes = run_.parts[index];
         parts_[index] = std::make_unique<Part>(Part{modes, n, Array<double>(wide, 0.0)});
         Part& part = *parts_[index];
-        for (Array<double>* a : {&part.here, &part.free, &part.force, &part.direction}) a->assign(wide, 0.0);
+        for (Array<double>* a : {&part.middle, &part.force, &part.direction}) a->assign(wide, 0.0);
         const Coordinates& c = modes.c->coordinates;
         for (int k = 0; k < n; ++k) part.scale[k] = c.reading[k] * std::sqrt(c.gain[k]);
         return part;
     }
 
-    // Coordinates of a part now and after a step under forces on its ports.
-    static void coordinates(Part& part, const double* forces) {
+    // Coordinates of a part in the middle of a step under forces on its ports, and modal forces (scaled as xi is).
+    static void find_middle(Part& part, const double* forces, const double* modal = nullptr) {
         const Component& c = *part.modes.c;
-        const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding;
+        const std::size_t step = std::size_t(kScaledNumbers + c.n_ports) * kPadding, n = c.n;
         const double *numbers = c.coordinates.numbers.data(), *state = part.modes.state;
-        for (std::size_t k = 0; k < part.here.size(); k += kPadding, numbers += step, state += kScaledState * kPadding)
+        const double* const m = c.coordinates.middle.data();
+        for (std::size_t k = 0; k < part.middle.size(); k += kPadding, numbers += step, state += kScaledState * kPadding)
             for (int j = 0; j < kPadding; j += S::width) {
-                const V xi = S::load(state + j), per = S::load(part.scale.data() + k + j);
-                V free = xi + S::load(state + kPadding + j);
+                const V xi = S::load(state + j);
+                V driven = modal ? S::load(modal + k + j) : V{};
                 for (int p = 0; p < c.n_ports; ++p)
-                    free += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * forces[p];
-                S::store(part.here.data() + k + j, per * xi), S::store(part.free.data() + k + j, per * free);
+                    driven += S::load(numbers + (kScaledNumbers + p) * kPadding + j) * forces[p];
+                V y = S::load(m + k + j) * (xi + xi + S::load(state + kPadding + j)) + S::load(m + n + k + j) * driven;
+                if (part.modes.known) y += S::load(part.modes.known + k + j) * 0.5;
+                S::store(part.middle.data() + k + j, S::load(part.scale.data() + k + j) * y);
             }
     }
 
@@ -62,7 +65,7 @@ protected:
         for (int p = 0; p < c.n_ports; ++p) {
             const double* numbers = c.coordinates.numbers.data() + (kScaledNumbers + p) * kPadding;
             V sum{};
-            for (std::size_t k = 0; k < part.here.size(); k += kPadding, numbers += step)
+            for (std::size_t k = 0; k < part.middle.size(); k += kPadding, numbers += step)
                 for (int j = 0; j < kPadding; j += S::width) sum += S::load(numbers + j) * S::load(modal + k + j);
             use(part.modes.part->first_port + p, S::sum(sum));
         }
@@ -103,11 +106,11 @@ protected:
     // Coordinates of a part in the state of the run.
     void read(Part& part) const {
         const double* const x = block_.x(part.modes.part->component);
-        for (int k = 0; k < part.n; ++k) part.here[k] = part.modes.c->coordinates.reading[k] * x[k];
+        for (int k = 0; k < part.n; ++k) part.middle[k] = part.modes.c->coordinates.reading[k] * x[k];
     }
 
     // Energy of a part's modes in the state of the run.
-    double energy(const Part& part) const {
+    double energy_of(const Part& part) const {
         const Component& c = *part.modes.c;
         const int i = part.modes.part->component;
         const double *const per = c.coordinates.velocity.data(), *const x = block_.x(i), *const y = block_.y(i);
@@ -119,7 +122,7 @@ protected:
         return sum;
     }
 
-    double pay(const std::vector<Part*>& parts, double cost) {
+    double pay_of(const std::vector<Part*>& parts, double cost) {
         return pay_from_motion(
             [&](const auto& use) {
                 for (const Part* part : parts) use(part->modes.part->component, std::size_t(part->n));

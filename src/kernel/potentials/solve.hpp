@@ -18,6 +18,7 @@ namespace tonewood {
 namespace {
 
 constexpr double kPaidAtOnce = 0.25;   // of the kinetic energy, at most, where psi is put back
+constexpr double kKept = 1e-3;         // of V + C: excess of psi^2 / 2 up to which it is not
 
 class PotentialGroup;
 
@@ -26,6 +27,7 @@ struct PotentialPart {
     const Potentials::Part* part;
     const Component* c;
     double* state;             // modal/scaled_modes.hpp
+    const double* known;       // what known forces add to the middle of the step (modal/tension_pass.hpp); null: nothing
     PotentialGroup* group;
     bool pending;              // its last step is made when the next one begins: its modes are in the cache once
     bool is_read, is_grouped;  // it has readouts; contacts on it are culled by its state
@@ -47,7 +49,7 @@ struct PotentialRun {
         for (const Potentials::Part& part : t.parts) {
             const Component& c = b.model.components[part.component];
             part_of[part.component] = int(parts.size());
-            parts.push_back({&part, &c, scaled.state(part.component), nullptr, false, c.n_rows > c.n_ports,
+            parts.push_back({&part, &c, scaled.state(part.component), nullptr, nullptr, false, c.n_rows > c.n_ports,
                              nl.k && nl.group_of[part.component] >= 0});
         }
     }
@@ -71,10 +73,34 @@ public:
     virtual void direct() = 0;
     // psi_m is final.
     virtual void end_step() = 0;
-    // Writes a potential's numbers to the state; its modes are there. Puts psi back where it `resets`.
-    virtual void keep(int s, bool resets) = 0;
-    void keep_all(bool resets) {
-        for (int s = first_; s < end_; ++s) keep(s, resets);
+    // V in the state of the run.
+    virtual double energy(int s) = 0;
+    // C, of which `kept` is that of the steps before, 0 to choose it, and V is stored as `stored`.
+    virtual double shift(int, double, double) { return 0.0; }
+    // Takes an energy from the kinetic energy of the modes; returns the part that was paid.
+    virtual double pay(int s, double cost) = 0;
+
+    // Reads C and psi of all potentials from the state, whose numbers are the excess of psi^2 / 2 - C over V, C, and
+    // the sign of psi.
+    void begin() {
+        for (int s = first_; s < end_; ++s) {
+            const double stored = energy(s) + row(s)[0];
+            ws_.shift[s] = shift(s, row(s)[1], stored);
+            ws_.psi[s] = std::copysign(std::sqrt(2 * std::max(stored + ws_.shift[s], 0.0)), row(s)[2]);
+        }
+    }
+    // Writes them; the modes are in the state. Puts psi back where it `resets`.
+    void keep(bool resets) {
+        for (int s = first_; s < end_; ++s) {
+            const double value = energy(s);
+            double excess = 0.5 * ws_.psi[s] * ws_.psi[s] - ws_.shift[s] - value;
+            if (resets) {
+                if (std::abs(excess) > kKept * (value + ws_.shift[s])) excess += pay(s, -excess);
+                ws_.shift[s] = shift(s, 0.0, value + excess);
+                ws_.psi[s] = std::sqrt(2 * std::max(value + excess + ws_.shift[s], 0.0));
+            }
+            row(s)[0] = excess, row(s)[1] = ws_.shift[s], row(s)[2] = std::copysign(1.0, ws_.psi[s]);
+        }
     }
     // Largest psi_m sqrt(sum g^2 / a) of component i in the sample, where contacts on it are culled.
     virtual double excursion(int) const { return 0.0; }
@@ -123,7 +149,9 @@ public:
     // `parts`: of the linear connections, where they are solved in parts.
     PotentialSolve(Block& block, ForcesInParts& parts)
         : run_(block), block_(block), components_(block.model.components), layout_(block.model.layout), t_(run_.t),
-          ws_(run_.ws), parts_(parts.on() ? &parts : nullptr), groups_(make_potential_groups(run_)) {}
+          ws_(run_.ws), parts_(parts.on() ? &parts : nullptr), groups_(make_potential_groups(run_)) {
+        for (const auto& group : groups_) group->begin();
+    }
 
     int count() const { return int(t_.two_way.size()); }
     bool in_parts() const { return parts_; }
@@ -253,7 +281,7 @@ public:
             rows(part, 0, block_.nb);
         }
         if (!last) return;
-        for (const auto& group : groups_) group->keep_all(resets);
+        for (const auto& group : groups_) group->keep(resets);
         from_state_ = resets;
     }
 
@@ -282,10 +310,16 @@ private:
         finish(part);
         if (part.is_read) run_.scaled.to_state(i), rows(part, part.c->n_ports, sample_);
         const double* const basis = part.c->coordinates.basis.data();
+        double* const known = ws_.known.data() + part.c->offset;
+        part.known = block_.inputs[i].empty() ? nullptr : known;
+        if (part.known) std::fill_n(known, part.c->n, 0.0);
         for (const Input& in : block_.inputs[i]) {
             const double value = in.values[sample_ * in.stride];
-            each_vector(part, [&](std::size_t k, V&, V& v, const double*) {
-                v += S::load(basis + k) * S::load(in.vector + k) * value;
+            each_vector(part, [&](std::size_t k, V&, V& v, const double* at) {
+                const V added = S::load(basis + k) * S::load(in.vector + k) * value;
+                v += added;
+                S::store(known + k, S::load(known + k) +
+                                        (S::load(at + 5 * kPadding) - S::load(at + 4 * kPadding)) * added);
             });
         }
         part.group->sum(part, ws_.lanes.data() + part.part->sums * Simd::width);

@@ -6,16 +6,9 @@
 namespace tonewood {
 namespace {
 
-constexpr double kLargestAlpha = 0.5;  // of the highest mode, up to which g counts on the motion that the tension makes
-
 class ModulatedTensions final : public PotentialGroup {
 public:
-    ModulatedTensions(PotentialRun& run, int first, int end) : PotentialGroup(run, first, end) {
-        for (int s = first_; s < end_; ++s) {
-            for (int j = 0; j < 3; ++j) ws_.past[j][s] = row(s)[j];
-            ws_.psi[s] = 0.5 * t_.two_way[s].root * stretch(s) + row(s)[3];
-        }
-    }
+    using PotentialGroup::PotentialGroup;
 
     double excursion(int i) const override {
         const int s = t_.parts[run_.part_of[i]].potential;
@@ -27,27 +20,31 @@ public:
         const PotentialPart& part = run_.parts[run_.part_of[i]];
         const int s = part.part->potential;
         TensionMade begun = now_[s];
-        begun.alone = ws_.driven.data() + part.part->first_port;
+        begun.alone = ws_.driven.data() + part.part->first_port, begun.known = part.known;
         ContactSums out = contact_sums(*part.c, part.state, port, begun);
         out.reach *= t_.two_way[s].root;
         return out;
     }
 
+    // The guard: T such that the highest mode's share of g is divided by T max alpha where that is above one.
     void begin_step() override {
         for (int s = first_; s < end_; ++s) {
             const Potentials::One& string = t_.two_way[s];
-            const double next = 3 * (ws_.past[0][s] - ws_.past[1][s]) + ws_.past[2][s];
-            const double most = string.highest > 0.0 ? kLargestAlpha / string.highest : 0.0;
-            now_[s].ahead = std::min(std::max(next, 0.0), most);
+            const double turns = string.root * std::max(ws_.psi[s], 0.0) * string.highest;
+            now_[s].guard = turns > 1.0 ? (1 - 1 / turns) / string.highest : 0.0;
         }
     }
     void sum(const PotentialPart& part, double* to) override {
-        sum_tension_step(*part.c, part.state, now_[part.part->potential].ahead, to);
+        const double guard = now_[part.part->potential].guard;
+        if (part.known) sum_tension_step<true>(*part.c, part.state, guard, part.known, to);
+        else sum_tension_step<false>(*part.c, part.state, guard, nullptr, to);
     }
     void make(const PotentialPart& part) override {
         TensionMade made = then_[part.part->potential];
         made.alone = ws_.driven.data() + part.part->first_port, made.found = ws_.forces.data() + part.part->first_port;
-        make_tension_step(*part.c, part.state, made);
+        made.known = part.known;
+        if (made.known) make_tension_step<true>(*part.c, part.state, made);
+        else make_tension_step<false>(*part.c, part.state, made);
     }
 
     void direct() override {
@@ -56,27 +53,22 @@ public:
 
     void end_step() override {
         for (int s = first_; s < end_; ++s) {
-            ws_.past[2][s] = ws_.past[1][s], ws_.past[1][s] = ws_.past[0][s];
-            now_[s].tension = ws_.past[0][s] = t_.two_way[s].root * ws_.mean[s];
+            now_[s].tension = t_.two_way[s].root * ws_.mean[s];
             ws_.psi[s] = 2 * ws_.mean[s] - ws_.psi[s];
         }
         then_ = now_;
     }
 
-    // Puts psi back to sqrt(kappa) S where it `resets`.
-    void keep(int s, bool resets) override {
-        const double root = 0.5 * t_.two_way[s].root * stretch(s);
-        if (resets) {
-            const double before = ws_.psi[s], cost = 0.5 * (root - before) * (root + before);
-            const double paid = pay_from_motion(
-                [&](const auto& use) {
-                    for (const int i : t_.two_way[s].components) use(i, std::size_t(components_[i].n));
-                },
-                cost);
-            if (paid != 0.0) ws_.psi[s] = paid == cost ? root : std::sqrt(before * before + 2 * paid);
-        }
-        for (int j = 0; j < 3; ++j) row(s)[j] = ws_.past[j][s];
-        row(s)[3] = ws_.psi[s] - root;
+    double energy(int s) override {
+        const double psi = 0.5 * t_.two_way[s].root * stretch(s);
+        return 0.5 * psi * psi;
+    }
+    double pay(int s, double cost) override {
+        return pay_from_motion(
+            [&](const auto& use) {
+                for (const int i : t_.two_way[s].components) use(i, std::size_t(components_[i].n));
+            },
+            cost);
     }
 
 private:
@@ -85,7 +77,7 @@ private:
         const Potentials::One& string = t_.two_way[s];
         const double* const f = ws_.driven.data() + string.first;
         const double* const answering = ws_.answering.data() + string.first;
-        const double T = now_[s].ahead, root = string.root;
+        const double T = now_[s].guard, root = string.root;
         double* const reach = ws_.reach.data() + string.first;
         double power = 0.0, own = 0.0, spread = 0.0, bound = 0.0, answered = 0.0;
         for (int i = string.first_part; i < string.first_part + int(string.components.size()); ++i) {

@@ -70,7 +70,7 @@ class Compiled:
     @cached_property
     def coordinates(self) -> ModalCoordinates:
         """Coordinates of its modes, which must be real."""
-        return ModalCoordinates.of(self.basis, self.dt, self.E, self.held)
+        return ModalCoordinates.of(self.basis, self.dt, self.held)
 
     def joined(self, name: str, shares: tuple[Any, ...], join: Callable[[tuple[Any, ...]], Any]) -> Any:
         """The potential of a name joined of all its components' shares; the last result is kept with the first one."""

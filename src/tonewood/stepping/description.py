@@ -116,7 +116,7 @@ def describe_component(compiled: Compiled, sets: PortSets, one_way: bool, loaded
     if compiled.potentials and not one_way:
         y, none = compiled.coordinates, np.zeros(compiled.basis.n_modes)
         weights = next((p.weights for p in compiled.potentials.values() if isinstance(p, TensionShare)), none)
-        names = ("a", weights), ("reading", y.reading), ("stiffness", y.stiffness), ("impulse", y.gain)
+        names = ("a", weights), ("reading", y.reading), ("stiffness", y.stiffness)
         out |= {name: packed(a[None, :, None])[0, 0] for name, a in names}
         out["kick"] = packed(y.kick[None])[0]
         out["velocity"], out["middle"] = packed(y.velocity.T[None])[0], packed(y.middle.T[None])[0]

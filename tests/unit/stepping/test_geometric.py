@@ -196,7 +196,7 @@ def test_phantom_partials_are_at_sums_and_differences_and_as_strong_as_theory_sa
 def test_without_longitudinal_modes_it_is_the_string_of_one_rising_tension() -> None:
     """Two schemes of second order: their difference falls with the square of the step."""
     apart = []
-    for fs in (48000.0, 96000.0):
+    for fs in (24000.0, 192000.0):
         basis = transverse(40)
         system = held_string(fs, ("y", "z"), basis=basis, motion=longitudinal(1), freq_coupled=1e6)
         ends = [Connection(f"{n}.bridge", (Term(n, "bridge"),), Rigid()) for n in ("y", "z")]
@@ -208,7 +208,7 @@ def test_without_longitudinal_modes_it_is_the_string_of_one_rising_tension() -> 
         out, _ = NumpyStepper(system).run(here, int(fs / 160))
         expected, _ = NumpyStepper(carrier).run(there, int(fs / 160))
         apart.append(np.abs(out[:, 0] - expected[:, 0]).max() / np.abs(expected).max())
-    assert apart[1] < 0.35 * apart[0]
+    assert apart[1] < 0.03 * apart[0]
     assert apart[0] < 5e-3
 
 

@@ -36,7 +36,7 @@ def test_the_direction_is_the_gradient_of_psi() -> None:
     system, state = moving(1.0, 40)
     active, x = PotentialSolve(system).active[0], states(system, state)
     y = active.y(x)
-    g, _ = active.joined.direction(Step(y, y, y, active.compliance, np.zeros(4), 0.0))
+    g = active.joined.direction(Step(y, y, active.compliance, 0.0, 0.0))
     step = 1e-4 * np.abs(y).max()
     for k in (0, 3, 11, active.n - 1):
         up, down = (np.sqrt(2 * active.joined.energy(y + sign * step * np.eye(active.n)[k])) for sign in (1, -1))
@@ -75,7 +75,7 @@ def test_psi_is_put_back_at_the_cost_of_motion(share: float, left: bool) -> None
     y, root = active.y(x), float(np.sqrt(2 * active.joined.energy(active.y(x))))
     psi, kinetic = (1 + share) * root, lambda: active.energy(x)
     before = kinetic() + 0.5 * psi * psi
-    row = active.joined.end(y, np.zeros(4), 0.0, psi, 0.0, kinetic, lambda cost: active.pay(x, cost))
+    row = active.joined.end(y, 0.0, psi, kinetic, lambda cost: active.pay(x, cost))
     stored = active.joined.stored(y, row)
     assert (stored == pytest.approx(0.5 * root * root, rel=1e-12)) == (not left)
     assert kinetic() + stored == pytest.approx(before, rel=1e-12)

@@ -11,7 +11,12 @@ psi = sqrt(2 (V + C)), over a step
     psi+ - psi = g . (y+ - y),      modal forces  -g psi_m,      psi_m = (psi+ + psi) / 2,
 
 whose work is -[psi+^2 - psi^2] / 2 for any direction g that is known beforehand: so energy cannot rise whatever the
-step and the amplitude, and a step is linear in one unknown for each potential (`potentials.solve`).
+step and the amplitude, and a step is linear in one unknown for each potential (`potentials.solve`). Here g is the
+gradient of psi in the middle of the step (`coordinates.middle_of_step`), under all forces but those of potentials and
+of nonlinear connections: a scheme of second order.
+
+psi and the root of its potential part by the error of the steps. Every 64 samples psi is put back where psi^2 / 2 has
+parted from V + C by more than a thousandth, and the kinetic energy of its modes pays for it.
 """
 
 from __future__ import annotations
@@ -30,6 +35,10 @@ from tonewood.modal.modes import ModalBasis
 Floats = NDArray[np.float64]
 
 
+#: of V + C: excess of psi^2 / 2 up to which psi is not put back; paying for less would be no nearer, and of first order
+TOLERANCE = 1e-3
+
+
 class Potential(ABC):
     """Declaration of a potential: immutable, without arrays.
 
@@ -38,7 +47,8 @@ class Potential(ABC):
     name : unique among the potentials of a system.
     components : names of those whose coordinates it acts on; a component belongs to one potential at most.
     one_way : whether it is driven by its components and acts on another one, without an action on themselves.
-    memory : numbers that it keeps in the state.
+    memory : numbers that it keeps in the state; of two-way ones the excess of psi^2 / 2 - C over V, J, C, J, and the
+        sign of psi.
     label : word for its stored energy in accounts, ``NAME.LABEL``.
     effect : name of the effect that may leave it out; empty: it is never left out.
     """
@@ -46,7 +56,7 @@ class Potential(ABC):
     name: str
     components: tuple[str, ...]
     one_way: ClassVar[bool] = False
-    memory: ClassVar[int]
+    memory: ClassVar[int] = 3
     label: ClassVar[str] = "potential"
     effect: str = ""
 
@@ -77,28 +87,22 @@ class Potential(ABC):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Coordinates (n,) of one potential over one step, before its own force is known.
+    """What the direction of one potential over one step may depend on.
 
     Attributes
     ----------
-    before : at the beginning.
-    after : at the end under all forces but those of potentials and nonlinear connections.
-    middle : after half the step under the same forces.
-    answered : as `after`, under the forces on fast coordinates too (`JoinedPotential.fast`).
-    compliance : displacement over the step per modal force held over it, s^2.
-    gain : x / sin x, x = omega h / 2, by which a force held over the step acts as an impulse in its middle.
-    row : numbers of the potential in the state.
-    shift : C, J.
+    middle : (n,) coordinates in the middle of the step (`ModalCoordinates.middle`), under all forces but those of
+        potentials and nonlinear connections.
+    answered : (n,) the same under the forces on fast coordinates too (`JoinedPotential.fast`).
+    compliance : (n,) displacement over the step per modal force held over it, s^2.
+    shift, psi : C, J, and psi, sqrt(J), before the step.
     """
 
-    before: Floats
-    after: Floats
     middle: Floats
     answered: Floats
     compliance: Floats
-    gain: Floats
-    row: Floats
     shift: float
+    psi: float
 
 
 class Kind(IntEnum):
@@ -130,39 +134,62 @@ class JoinedPotential(ABC):
         """V, J, at coordinates (n,), m sqrt(kg)."""
 
     @abstractmethod
-    def stored(self, y: Floats, row: Floats) -> float:
-        """Energy psi^2 / 2 - C that it stores in a state, J: V but for the error of the steps."""
+    def direction(self, step: Step) -> Floats:
+        """G (n,), sqrt(J) / (m sqrt(kg)): the gradient of psi in the middle of the step."""
 
     @abstractmethod
-    def begin(self, y: Floats, row: Floats, energy: Callable[[], float]) -> tuple[float, float]:
-        """C, J, and psi, sqrt(J), at coordinates; `energy` gives that of its modes, J."""
+    def describe(self) -> dict[str, Any]:
+        """Return what the kernel is loaded with: its ``kind``, and arrays by name."""
 
-    def fast(self, before: Floats, after: Floats) -> Floats | None:
+    def shift(self, kept: float, stored: float, modes: Callable[[], float]) -> float:
+        """C, J: such that V + C is not negative.
+
+        Parameters
+        ----------
+        kept : J, that of the steps before; 0 to choose it.
+        stored : J, V as it is stepped.
+        modes : returns the energy of its modes, J.
+        """
+        return 0.0
+
+    def fast(self, middle: Floats) -> Floats | None:
         """Modal forces (n,) on coordinates that follow at once over a step; None without any."""
         return None
 
-    @abstractmethod
-    def direction(self, step: Step) -> tuple[Floats, float]:
-        """G (n,), and the mean tension that psi_m stands for, N / sqrt(J)."""
+    def stored(self, y: Floats, row: Floats) -> float:
+        """Energy psi^2 / 2 - C that it stores in a state, J: V but for the error of the steps.
 
-    @abstractmethod
+        Parameters
+        ----------
+        y : (n,) coordinates.
+        row : (MEMORY,) its numbers in the state.
+        """
+        return self.energy(y) + float(row[0])
+
+    def begin(self, y: Floats, row: Floats, modes: Callable[[], float]) -> tuple[float, float]:
+        """C, J, and psi, sqrt(J), of a state."""
+        stored = self.stored(y, row)
+        shift = self.shift(float(row[1]), stored, modes)
+        psi = float(np.sqrt(2 * max(stored + shift, 0.0)))
+        return shift, -psi if row[2] < 0.0 else psi
+
     def end(
-        self, y: Floats, row: Floats, shift: float, psi: float, tension: float, energy: Callable[[], float],
-        pay: Callable[[float], float] | None,
-    ) -> Floats:  # fmt: skip
+        self, y: Floats, shift: float, psi: float, modes: Callable[[], float], pay: Callable[[float], float] | None
+    ) -> Floats:
         """Numbers of the state after a step.
 
         Parameters
         ----------
         y : (n,) coordinates.
-        row : numbers before the step.
         shift, psi : C and psi after the step.
-        tension : mean tension over the step, N.
-        energy : gives the energy of its modes, J.
+        modes : returns the energy of its modes, J.
         pay : takes an energy from the kinetic energy of its modes, and returns the part that was paid, J; given at
             steps where psi is put back.
         """
-
-    @abstractmethod
-    def describe(self) -> dict[str, Any]:
-        """Return what the kernel is loaded with: its ``kind``, and arrays by name."""
+        value = self.energy(y)
+        excess = 0.5 * psi * psi - shift - value
+        if pay is not None:
+            if abs(excess) > TOLERANCE * (value + shift):
+                excess += pay(-excess)
+            shift, psi = self.shift(0.0, value + excess, modes), 1.0
+        return np.array([excess, shift, np.copysign(1.0, psi)])

@@ -23,8 +23,8 @@ over the step divided by sqrt(2 (U + C)),
 
     grad U = EA L sum g_n [(s_n + l_n) H_n c_m  on the slopes,   s_n on the strain l_n],
 
-c_m the mean of the slopes before the step and of those free of this coupling after it, s_n the mean of both, and l_n
-the mean strain that the longitudinal modes have under s_n, the connections answering: without that answer the end of
+c_m the slopes and s_n their squares in the middle of the step (`ModalCoordinates.middle`), and l_n the strain of the
+longitudinal modes there under s_n, the connections answering: without that answer the end of
 the string would give way. C is 1e-8 EA L more than the energy of the string when C was chosen, so that modes never hold
 more than twice the energy that is there and 1e-8 EA L.
 
@@ -88,7 +88,6 @@ class GeometricStretch(Potential):
     longitudinal: str
     axial_stiffness: float
     freq_coupled: float = np.inf
-    memory: ClassVar[int] = 4
     label: ClassVar[str] = "stretch"
     effect: ClassVar[str] = "longitudinal"  # type: ignore[misc]  # of this kind always
 
@@ -179,9 +178,7 @@ def cosine_gradient(w: Floats, c: Floats) -> Floats:
 class GeometricShares(JoinedPotential):
     """The parts of one string together: its potential U and the direction of a step.
 
-    Coordinates of all parts stand one after another, the longitudinal ones last. Its numbers in the state are the mean
-    additional tension of the last step, N; the shift C, J, with the sign of psi; 0; and the excess of V = psi^2 / 2 - C
-    over U, J. All zero is a string whose C is still to be chosen.
+    Coordinates of all parts stand one after another, the longitudinal ones last.
     """
 
     parts: tuple[GeometricShare, ...]
@@ -231,51 +228,24 @@ class GeometricShares(JoinedPotential):
             out[at] += cosine_gradient(weights, part.slopes @ y[at]) @ part.slopes
         return np.asarray(out)
 
-    def stored(self, y: Floats, row: Floats) -> float:
-        """See `JoinedPotential`."""
-        return self.energy(y) + float(row[3])
+    def shift(self, kept: float, stored: float, modes: Callable[[], float]) -> float:
+        """C, J, held while it is enough: all energy of the string, or the shortfall of U if more, and a little."""
+        if kept > 0.0 and stored + kept > 0.0:
+            return kept
+        return float(max(modes() + stored, -stored, 0.0) + LEAST_SHIFT * self.parts[-1].scale)
 
-    def begin(self, y: Floats, row: Floats, energy: Callable[[], float]) -> tuple[float, float]:
-        """See `JoinedPotential`."""
-        stored, shift = self.stored(y, row), abs(row[1])
-        if not (shift > 0.0 and stored + shift > 0.0):
-            shift = self._shift(stored, energy())
-        return shift, float(np.copysign(np.sqrt(2 * (stored + shift)), row[1]))
+    def fast(self, middle: Floats) -> Floats:
+        """Forces on the longitudinal modes under s_n."""
+        return -(self.weights * self.squares(middle)) @ self.strains
 
-    def fast(self, before: Floats, after: Floats) -> Floats:
-        """Forces on the longitudinal modes under the mean s_n of the step."""
-        return -(self.weights * self._mean_squares(before, after)) @ self.strains
-
-    def direction(self, step: Step) -> tuple[Floats, float]:
+    def direction(self, step: Step) -> Floats:
         """See `JoinedPotential`."""
-        squares = self._mean_squares(step.before, step.after)
-        strain = np.asarray(0.5 * self.strains @ (step.before + step.answered))
+        squares, strain = self.squares(step.middle), np.asarray(self.strains @ step.answered)
         potential = self.potential(squares, strain)
         size = np.sqrt(max(2 * (potential + step.shift), abs(potential) + step.shift))
-        per = 1 / size if size > 0.0 else 0.0
-        g = per * self.gradient(0.5 * (step.before + step.after), squares, strain)
-        return g, per * (self.weights * (squares + strain))[0]
-
-    def end(
-        self, y: Floats, row: Floats, shift: float, psi: float, tension: float, energy: Callable[[], float],
-        pay: Callable[[float], float] | None,
-    ) -> Floats:  # fmt: skip
-        """See `JoinedPotential`."""
-        excess = 0.5 * psi * psi - shift - self.energy(y)
-        if pay is not None:
-            excess += pay(-excess)
-            shift = self._shift(self.energy(y) + excess, energy())
-            psi = 1.0  # above zero where it begins anew
-        return np.array([tension, np.copysign(shift, psi), 0.0, excess])
+        return self.gradient(step.middle, squares, strain) / size if size > 0.0 else np.zeros(self.n)
 
     def describe(self) -> dict[str, Any]:
         """See `JoinedPotential`."""
         parts = [{"slopes": part.slopes} for part in self.parts]
         return {"kind": Kind.LONGITUDINAL, "scale": self.parts[-1].scale, "parts": parts}
-
-    def _mean_squares(self, before: Floats, after: Floats) -> Floats:
-        return 0.5 * (self.squares(before) + self.squares(after))
-
-    def _shift(self, stored: float, modes: float) -> float:
-        """C for the next steps, J: all energy of the string, or the shortfall of U if that is more, and a little."""
-        return float(max(modes + stored, -stored, 0.0) + LEAST_SHIFT * self.parts[-1].scale)

@@ -23,6 +23,7 @@ from tonewood.coupling.potentials.base import JoinedPotential, Step
 from tonewood.coupling.potentials.coordinates import ModalCoordinates, pay_from_motion
 from tonewood.coupling.potentials.phantom import DrivenLongitudinal, PhantomShares
 from tonewood.coupling.system import System
+from tonewood.modal.propagator import apply
 
 Floats = NDArray[np.float64]
 
@@ -41,7 +42,6 @@ class PotentialsOverStep:
     start : (s,) psi + g . (y_free - y) / 2, sqrt(J).
     linear : (m, m) N/m, forces of the linear connections against gaps.
     modal : component slot -> place of its potential, its direction g (n_modes,), and (n_modes, 2) state per psi_m.
-    per_mean : (s,) mean tension per psi_m, N / sqrt(J).
     shift, psi : (s,) C, J, and psi, sqrt(J), before the step.
     """
 
@@ -50,7 +50,6 @@ class PotentialsOverStep:
     start: Floats
     linear: Floats
     modal: dict[int, tuple[int, Floats, Floats]]
-    per_mean: Floats
     shift: Floats
     psi: Floats
 
@@ -113,14 +112,14 @@ class ActivePotential:
         return np.concatenate([part.compliance[: at.stop - at.start] for _, part, at in self.places])
 
     @cached_property
-    def gain(self) -> Floats:
-        """(n,) x / sin x of `ModalCoordinates`."""
-        return np.concatenate([part.gain[: at.stop - at.start] for _, part, at in self.places])
-
-    @cached_property
-    def half(self) -> Floats:
-        """(3, n) ``middle`` of `ModalCoordinates`."""
+    def middle_weights(self) -> Floats:
+        """(2, n) ``middle`` of `ModalCoordinates`."""
         return np.hstack([part.middle[:, : at.stop - at.start] for _, part, at in self.places])
+
+    def middle(self, before: Floats, alone: Floats, after: Floats) -> Floats:
+        """(n,) coordinates in the middle of a step from those before it, after it without any forces, and after it."""
+        weights = self.middle_weights
+        return np.asarray(weights[0] * (before + alone) + weights[1] * (after - alone))
 
     def y(self, x: Sequence[Floats] | Mapping[int, Floats]) -> Floats:
         """(..., n) coordinates of states (..., n_modes, 2) by slot."""
@@ -171,34 +170,34 @@ class PotentialSolve:
         """
         s, count = self.system, len(self.active)
         driven = self._moved(free, forces)
-        ends = [(p.y(x), p.y(driven)) for p in self.active]
+        slots = [slot for p in self.active for slot in p.slots]
+        alone = {slot: apply(s.compiled[slot].E, x[slot]) for slot in slots}
+        ends = [(p.y(x), p.y(alone)) for p in self.active]
+        middles = [p.middle(*both, p.y(driven)) for p, both in zip(self.active, ends, strict=True)]
         added: dict[int, Floats] = {}
-        for p, (before, after) in zip(self.active, ends, strict=True):
-            if (fast := p.joined.fast(before, after)) is not None:
+        for p, middle in zip(self.active, middles, strict=True):
+            if (fast := p.joined.fast(middle)) is not None:
                 added |= p.added(fast)
         answered = driven
         if added:  # the connections answer to the fast coordinates
             answer = forces - s.solve.G @ self._gaps(added)
             answered = self._moved([f + added[i] if i in added else f for i, f in enumerate(free)], answer)
         reach = np.zeros((len(s.connections), count))
-        own, start, per_mean, shift, psi = np.zeros((5, count))
+        own, start, shift, psi = np.zeros((4, count))
         modal: dict[int, tuple[int, Floats, Floats]] = {}
-        for q, (p, (before, after)) in enumerate(zip(self.active, ends, strict=True)):
-            row = memory[p.memory]
-            shift[q], psi[q] = p.joined.begin(before, row, partial(p.energy, x))
-            free_y, answered_y = p.y(free), p.y(answered) if added else after
-            middle = p.half[0] * before + p.half[1] * free_y + p.half[2] * (after - free_y)
-            step = Step(before, after, middle, answered_y, p.compliance, p.gain, row, float(shift[q]))
-            g, per_mean[q] = p.joined.direction(step)
+        for q, (p, (before, alone_y), middle) in enumerate(zip(self.active, ends, middles, strict=True)):
+            shift[q], psi[q] = p.joined.begin(before, memory[p.memory], partial(p.energy, x))
+            answered_y = p.middle(before, alone_y, p.y(answered)) if added else middle
+            g = p.joined.direction(Step(middle, answered_y, p.compliance, float(shift[q]), float(psi[q])))
             own[q] = g @ (p.compliance * g)
-            start[q] = psi[q] + 0.5 * g @ (free_y - before)
+            start[q] = psi[q] + 0.5 * g @ (p.y(free) - before)
             action = p.added(-g)
             reach[:, q] = self._gaps(action)
             for slot, part, at in p.places:
                 direction = np.zeros(len(part.reading))
                 direction[: at.stop - at.start] = g[at]
                 modal[slot] = q, direction, action[slot]
-        return PotentialsOverStep(reach, own, start, s.solve.G, modal, per_mean, shift, psi)
+        return PotentialsOverStep(reach, own, start, s.solve.G, modal, shift, psi)
 
     def carried(
         self, after: Sequence[Floats], over: PotentialsOverStep, mean: Floats, memory: Floats, step: int
@@ -215,11 +214,9 @@ class PotentialSolve:
         out = memory.copy()
         for q, p in enumerate(self.active):
             pay: Callable[[float], float] | None = partial(p.pay, after) if step % RESET_STEPS == 0 else None
-            psi, tension = 2 * mean[q] - over.psi[q], over.per_mean[q] * mean[q]
-            out[p.memory] = p.joined.end(
-                p.y(after), memory[p.memory], float(over.shift[q]), float(psi), float(tension),
-                partial(p.energy, after), pay,
-            )  # fmt: skip
+            psi = float(2 * mean[q] - over.psi[q])
+            shift, modes = float(over.shift[q]), partial(p.energy, after)
+            out[p.memory] = p.joined.end(p.y(after), shift, psi, modes, pay)
         return out
 
     def energies(self, x: Sequence[Floats], memory: Floats) -> Floats:

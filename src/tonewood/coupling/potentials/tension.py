@@ -3,22 +3,18 @@
 A string of mass-normalised coordinates y and shape weights a (omega^2 = T0 a + EI b) stretches by S = sum a y^2, the
 integral of u_x^2, and stores V = kappa S^2 / 2 besides, kappa = EA/(4 L). All its polarizations share the tension. With
 psi = sqrt(kappa) S the potential is the square V = psi^2 / 2, and psi is stepped as a variable of its own
-(`potentials.base`) along
+(`potentials.base`) along its gradient in the middle of the step,
 
-    g = 2 sqrt(kappa) a (y_f + y) / 2 (1 - alpha),      alpha = w a T / 2,
+    g = 2 sqrt(kappa) a y*,
 
-y_f the coordinates after the step under all forces but the tension's and those of nonlinear connections, w the
-displacement over one step per modal force: the gradient of psi in the middle of the step, the motion by the tension
-itself included to first order by its value T extrapolated from the last three steps. T = 2 sqrt(kappa) psi_m is the
-mean over the step; its time is the middle of it.
-
-psi and sqrt(kappa) S part by the error of the steps. Every 64 samples psi is put back and the kinetic energy of the
-string pays for it.
+y* as `ModalCoordinates.middle` has it. T = 2 sqrt(kappa) psi is the rise of the tension. Where it is so large that the
+highest modes turn by more than a step allows, max alpha T > 1 with alpha = w a / 2, w the displacement over one step
+per modal force, g is multiplied by 1 - k alpha / max alpha, k = 1 - 1 / (T max alpha).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, cast
@@ -30,9 +26,6 @@ from tonewood.coupling.potentials.base import JoinedPotential, Kind, Potential, 
 from tonewood.modal.modes import ModalBasis
 
 Floats = NDArray[np.float64]
-
-#: largest alpha, of the highest mode, at which the direction is corrected for the motion by the tension
-LARGEST_ALPHA = 0.5
 
 
 def stretch_weights(basis: ModalBasis) -> ArrayLike | None:
@@ -66,7 +59,6 @@ class TensionModulation(Potential):
     length: float | None = None
     weights: Mapping[str, ArrayLike] | None = None
     correction: float = 0.0
-    memory: ClassVar[int] = 4
     label: ClassVar[str] = "tension"
     effect: ClassVar[str] = "tension_modulation"  # type: ignore[misc]  # of this kind always
 
@@ -123,11 +115,7 @@ class TensionShare:
 
 @dataclass(frozen=True, eq=False)
 class JoinedTension(JoinedPotential):
-    """A string under rising tension as it is stepped.
-
-    Its numbers in the state are the mean additional tension of the last three steps, latest first, N, and
-    psi - sqrt(kappa) S, sqrt(J).
-    """
+    """A string under rising tension as it is stepped."""
 
     shares: tuple[TensionShare, ...]
 
@@ -154,35 +142,13 @@ class JoinedTension(JoinedPotential):
         """See `JoinedPotential`."""
         return 0.5 * self.psi(y) ** 2
 
-    def stored(self, y: Floats, row: Floats) -> float:
+    def direction(self, step: Step) -> Floats:
         """See `JoinedPotential`."""
-        return 0.5 * (self.psi(y) + float(row[3])) ** 2
-
-    def begin(self, y: Floats, row: Floats, energy: Callable[[], float]) -> tuple[float, float]:
-        """See `JoinedPotential`."""
-        return 0.0, self.psi(y) + float(row[3])
-
-    def direction(self, step: Step) -> tuple[Floats, float]:
-        """See `JoinedPotential`."""
-        half, row = 0.5 * step.compliance * self.weights, step.row
-        highest = float(half.max(initial=0.0))
-        ahead = 3 * (row[0] - row[1]) + row[2]
-        ahead = min(max(ahead, 0.0), LARGEST_ALPHA / highest if highest > 0.0 else np.inf)
-        g = self.root * self.weights * (step.before + step.after) * (1 - half * ahead)
-        return g, 2 * self.root
-
-    def end(
-        self, y: Floats, row: Floats, shift: float, psi: float, tension: float, energy: Callable[[], float],
-        pay: Callable[[float], float] | None,
-    ) -> Floats:  # fmt: skip
-        """See `JoinedPotential`."""
-        root = self.psi(y)
-        if pay is not None:
-            cost = 0.5 * (root - psi) * (root + psi)
-            paid = pay(cost)
-            if paid:
-                psi = root if paid == cost else float(np.sqrt(psi * psi + 2 * paid))
-        return np.array([tension, row[0], row[1], psi - root])
+        g, alpha = 2 * self.root * self.weights * step.middle, 0.5 * step.compliance * self.weights
+        highest, tension = float(alpha.max(initial=0.0)), 2 * self.root * max(step.psi, 0.0)
+        if tension * highest > 1.0:
+            g *= 1 - (1 - 1 / (tension * highest)) * alpha / highest
+        return np.asarray(g)
 
     def describe(self) -> dict[str, Any]:
         """See `JoinedPotential`; the weights are described with the components."""

@@ -3,12 +3,11 @@
 A `PotentialEnergy` gives V and dV/dy of the coordinates y of some components' lowest modes; `ModalPotential` names
 these components. It is stepped by psi = sqrt(2 (V + C)) (`potentials.base`) with
 
-    g_k = (x_k / sin x_k) [dV/dy_k / sqrt(2 (V + C))] at y_m,       x_k = omega_k h / 2,
+    g = dV/dy / sqrt(2 (V + C)) at y*,
 
-y_m the coordinates after half the step under all forces but those of potentials and nonlinear connections. A force that
-is held over the step, times x / sin x, moves a mode as an impulse in the middle of the step does: without losses this
-is Strang's splitting of the modes' own motion and the kick of V, of second order. Every 64 steps psi is put back to
-sqrt(2 (V + C)), and the kinetic energy of the modes pays for it.
+y* the coordinates in the middle of the step (`ModalCoordinates.middle`) under all forces but those of potentials and
+nonlinear connections. The scheme is of second order. Every 64 steps psi is put back to sqrt(2 (V + C)), and the kinetic
+energy of the modes pays for it.
 
 The energy of the modes and psi^2 / 2 - C together do not rise, whatever V is. What else V has to fulfil:
 
@@ -33,7 +32,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,36 +101,15 @@ class PotentialEnergy(JoinedPotential):
         """The same as a C function, at whose speed the kernel steps it; None: the kernel calls `gradient`, slowly."""
         return None
 
-    @property
-    def shift(self) -> float:
+    def shift(self, kept: float, stored: float, modes: Callable[[], float]) -> float:
         """C, J."""
         return self.scale - self.least
 
-    def stored(self, y: Floats, row: Floats) -> float:
-        """See `JoinedPotential`."""
-        return self.energy(y) + float(row[0])
-
-    def begin(self, y: Floats, row: Floats, energy: Callable[[], float]) -> tuple[float, float]:
-        """See `JoinedPotential`."""
-        psi = np.sqrt(2 * max(self.stored(y, row) + self.shift, 0.0))
-        return self.shift, float(-psi if row[1] < 0.0 else psi)
-
-    def direction(self, step: Step) -> tuple[Floats, float]:
+    def direction(self, step: Step) -> Floats:
         """See `JoinedPotential`."""
         value, gradient = self.gradient(step.middle)
-        size = np.sqrt(2 * max(value + self.shift, 0.0))
-        return step.gain * gradient / size if size > 0.0 else np.zeros(len(gradient)), 0.0
-
-    def end(
-        self, y: Floats, row: Floats, shift: float, psi: float, tension: float, energy: Callable[[], float],
-        pay: Callable[[float], float] | None,
-    ) -> Floats:  # fmt: skip
-        """See `JoinedPotential`."""
-        excess = 0.5 * psi * psi - shift - self.energy(y)
-        if pay is not None:
-            excess += pay(-excess)
-            psi = 1.0  # the root's own sign where it begins anew
-        return np.array([excess, np.copysign(1.0, psi)])
+        size = np.sqrt(2 * max(value + step.shift, 0.0))
+        return gradient / size if size > 0.0 else np.zeros(len(gradient))
 
     @cached_property
     def c_function(self) -> PotentialFunction:
@@ -150,7 +128,7 @@ class PotentialEnergy(JoinedPotential):
         """See `JoinedPotential`."""
         f = self.c_function
         calls = {"function": f.address, "data": f.data, "scratch": f.scratch}
-        return {"kind": Kind.USER, "scale": self.shift, "sizes": list(self.sizes), **calls}
+        return {"kind": Kind.USER, "scale": self.scale - self.least, "sizes": list(self.sizes), **calls}
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +147,6 @@ class ModalPotential(Potential):
     components: tuple[str, ...]
     energy: Callable[[Sequence[ModalBasis]], PotentialEnergy]
     effect: str = ""
-    memory: ClassVar[int] = 2
 
     def share(self, component: str, basis: ModalBasis, dt: float) -> ModalBasis:
         """Return the modes themselves."""

@@ -19,6 +19,7 @@ from tonewood.coupling.system import System
 from tonewood.energy.account import EnergyAccount
 from tonewood.energy.stored import stored_energy
 from tonewood.engine.effects.base import Moment, SwitchedEffect, Watched, switch
+from tonewood.engine.effects.tension import potential
 from tonewood.instrument.bundle import Instrument
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.systems.harp_body import harp_body
@@ -167,7 +168,7 @@ def stop_at_the_peak(fs: int) -> Attack:
     engine, best, at = plain.engine, 0.0, 0.0
     while engine.state.sample < 0.05 * fs:
         engine.advance(1)
-        stretch = float(engine.state.potentials[:1].sum())
+        stretch = potential(engine.system, engine.state, "G2")
         if engine.state.sample > 0 and stretch > best:
             best, at = stretch, engine.state.sample / fs
     notes = [Note(0.0, at, string="G2", stop=0, force=14.0), Note(at, 0.1, string="G2", stop=5, technique="hammer_on")]
