@@ -167,7 +167,7 @@ class LargeDeflection(ta.SwitchedEffect):
         for component in (c for c in system.names if system.owners.get(c) == name):
             basis = system.compiled[system.slot(component)].basis
             if basis.is_real:
-                q, v = ta.motion(system, moment.state, component)
+                q, v = _motion(system, moment.state, component)
                 energy += 0.5 * float(v @ v + basis.stiffness @ (q * q))
                 factor = max(factor, cast(float, basis.metadata.get("stiffening", 0.0)))
         rise = factor * energy
@@ -178,8 +178,12 @@ class LargeDeflection(ta.SwitchedEffect):
         return system.with_potentials([name for name in self.components if name in on], self.components)
 
     def cost(self, moment: ta.Moment, component: str, on: bool) -> float:
-        """Return V, J, with the sign of the switch."""
-        return (1.0 if on else -1.0) * ta.stored(moment.system, moment.state, component)
+        """Return the energy that psi holds, or V where it is off, J, with the sign of the switch."""
+        system, index = moment.system, moment.system.potential(component)
+        energy, memory = system.joined(index), moment.state.potentials
+        q, _ = _motion(system, moment.state, self._planes[component][0])
+        row = memory[system.memory[index]] if memory.size else np.zeros(2)
+        return (1.0 if on else -1.0) * float(energy.stored(q[: energy.n], row))
 
     def payers(self, component: str) -> Sequence[str]:
         """Return the gong's modes."""
@@ -187,13 +191,22 @@ class LargeDeflection(ta.SwitchedEffect):
 
     def reset(self, system: Any, state: Any, changed: Collection[str]) -> None:
         """Forget psi of gongs that are switched."""
-        ta.clear_memory(system, state, changed)
+        for name in changed:
+            if state.potentials.size:
+                state.potentials[system.memory[system.potential(name)]] = 0.0
 
     def load(self, component: str) -> float:
         """Return the number of modes that share the potential."""
         system = self.model.system
         metadata = system.compiled[system.slot(self._planes[component][0])].basis.metadata
         return float(cast(int, metadata["coupled"]))
+
+
+def _motion(system: Any, state: Any, component: str) -> tuple[Floats, Floats]:
+    """(n_modes,) coordinates and their rates of a component of real modes, m sqrt(kg) and m sqrt(kg)/s."""
+    per_q, first, second, *_ = system.compiled[system.slot(component)].basis.motion
+    x = np.asarray(system.modes_of(state, component), dtype=np.float64)
+    return per_q * x[0], first * x[0] + second * x[1]
 
 
 LARGE_DEFLECTION = ta.Effect(
