@@ -1,22 +1,23 @@
-"""A gong: a rectangular plate of large deflection, whose pitch falls and whose spectrum fills after a hard blow.
+"""A gong: a rectangular plate of large deflection. After a hard blow its pitch falls and its spectrum fills.
 
 It is played as a string is, struck by the plugin `hammer`: its places lie on a straight line across the plate, from an
-edge (`bridge`, which does not move) to another, counted in metres along the line. All motion is across the plate. The
-modes are those of a simply supported plate,
+edge (`bridge`, which does not move) to another, in metres along the line. All motion is across the plate. The modes are
+those of a simply supported plate,
 
-    omega = sqrt(D / rho h) pi^2 (m^2 / a^2 + n^2 / b^2),    damping rate sigma0 + sigma2 omega^2,
+    omega = sqrt(D / rho h) pi^2 (m^2 / a^2 + n^2 / b^2),    damping rate sigma0 + sigma2 omega^2.
 
-and those below `freq_coupled` share the energy V of the stretched middle surface (`gong_plate`: von Karman's equations),
-a potential that the engine steps with them; higher ones are stepped without it. `edges` says what holds the plate in its
-plane. With Numba installed (``pip install "tonewood[plates]"``) V is compiled; without it, NumPy computes it at every
-step, ten to twenty times slower.
+Those below `freq_coupled` share the energy V of the stretched middle surface (`_gong_plate`: von Karman's equations), a
+potential that the engine steps with them; higher ones are stepped without it. `edges` is the support of the plate in
+its plane. With Numba (``pip install "tonewood[plates]"``) V is compiled; without it, NumPy computes V at every step,
+five to ten times slower.
 
-V <= K E^2, E the energy of the modes. K is the largest of V / E^2 that an ascent from several motions reaches
-(`stiffening`): an estimate from below, not a bound, though all starts end at the same value to four digits. Modes at
-energy E are raised by up to 1.5 K E of their frequency (a strong mode itself by 3/4 of K E, a weak one beside it by
-twice that), which decides when `large_deflection` may be left out.
+V <= K E^2, E the energy of the modes. K is the largest V / E^2 that an ascent from several motions reaches
+(`stiffening`): an estimate, not a proven bound; random motions stay below it. At an energy E the pitch of a strong mode
+rises by 3/4 K E, that of a weak one beside it by up to twice as much: 1.5 K E decides when `large_deflection` may be
+left out.
 
-Left out: shear, rotation and curvature of the plate, radiation but as loss. Valid up to deflections of some thicknesses.
+Left out: shear, rotation and curvature of the plate; radiation is a loss alone. Valid up to deflections of some
+thicknesses.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from tonewood.plugins.gong_plate import Plate, PlateGrid
 from pydantic import model_validator
+from tonewood.plugins._gong_plate import GongPlate, PlateGrid
 
 import tonewood.authoring as ta
 
@@ -61,7 +62,9 @@ class GongParameters(ta.Parameters):
     edges: Literal["sliding", "movable"] = ta.described(
         "in the plane of the plate: sliding along the edge, not across it; or movable", default="sliding"
     )
-    freq_coupled: float = ta.quantity("Hz", low=20.0, high=2e4, default=3000.0, doc="modes below it share the potential")
+    freq_coupled: float = ta.quantity(
+        "Hz", low=20.0, high=2e4, default=3000.0, doc="modes below it share the potential"
+    )
     line: tuple[tuple[ta.Number, ta.Number], tuple[ta.Number, ta.Number]] = ta.described(
         "[[x, y], [x, y]] of the ends of the line of places, parts of the sides", default=((0.0, 0.1), (1.0, 0.8))
     )
@@ -93,19 +96,20 @@ class PlateEnergy(ta.PotentialEnergy):
 
     def gradient(self, y: Floats) -> tuple[float, Floats]:
         """V, J, and dV/dy, N / sqrt(kg), at coordinates y, m sqrt(kg)."""
-        return self.grid.gradient(y)
+        value, slope = self.grid.gradient(y)
+        return value, slope
 
     def energy(self, y: Floats) -> float:
         """V, J, at coordinates y, m sqrt(kg)."""
-        return self.grid.energy(y)
+        return float(self.grid.energy(y))
 
     def function(self) -> ta.PotentialFunction | None:
         """Return V compiled by Numba; None where it is not installed."""
         if find_spec("numba") is None:
             return None
-        from tonewood.plugins import gong_compiled
+        from tonewood.plugins._gong_compiled import compiled
 
-        return ta.PotentialFunction(gong_compiled.compiled.ctypes, data=self.grid.packed, scratch=self.grid.scratch)
+        return ta.PotentialFunction(compiled.ctypes, data=self.grid.packed, scratch=self.grid.scratch)
 
 
 def stiffening(grid: PlateGrid, omega: Floats) -> float:
@@ -133,9 +137,9 @@ def stiffening(grid: PlateGrid, omega: Floats) -> float:
 class LargeDeflection(ta.SwitchedEffect):
     """Switches the potential of each gong with its energy.
 
-    A gong is on from any gesture on. At looks every 1,024 samples it is left out if its energy, and that of the mallets at
-    it, raises no mode by more than the budget of cents, and while the force of the potential, as a part of that of the modes at the same
-    energy (4 K E at most), is within the budget of level.
+    A gong is on from any gesture on. At looks every 1,024 samples it is left out if its energy, and that of the mallets
+    at it, raises no mode by more than the budget of cents, and if the force of the potential, as a part of that of the
+    modes at the same energy (4 K E at most), is within the budget of level.
     """
 
     def __init__(self, model: ta.Model, effect: ta.Effect, plugins: Mapping[str, ta.Plugin[Any]]):
@@ -224,10 +228,10 @@ class Gong(ta.Resonator[GongParameters]):
     Parameters = GongParameters
 
     @cached_property
-    def plate(self) -> Plate:
+    def plate(self) -> GongPlate:
         """The plate."""
         p = self.parameters
-        return Plate(p.sides[0], p.sides[1], p.thickness, p.young, p.poisson, p.density)
+        return GongPlate(p.sides[0], p.sides[1], p.thickness, p.young, p.poisson, p.density)
 
     @property
     def length(self) -> float:
@@ -282,7 +286,9 @@ class Gong(ta.Resonator[GongParameters]):
         """Number of modes below a frequency (Hz) that share the potential."""
         count = len(self.plate.modes(min(freq_upper, self.parameters.freq_coupled))[1])
         if count > MOST_COUPLED:
-            raise self.fault(f"lets {count} modes share the potential; at most {MOST_COUPLED} are allowed", "freq_coupled")
+            raise self.fault(
+                f"lets {count} modes share the potential; at most {MOST_COUPLED} are allowed", "freq_coupled"
+            )
         return count
 
     def _shape(self, numbers: NDArray[np.intp], place: float) -> Floats:
@@ -319,7 +325,7 @@ class Gong(ta.Resonator[GongParameters]):
         return basis
 
     def transfer(self, old: ta.ModalBasis, new: ta.ModalBasis) -> tuple[Floats, Floats]:
-        """Modes stay what they are."""
+        """Nothing changes."""
         same = np.eye(new.n_modes, old.n_modes)
         return same, same
 

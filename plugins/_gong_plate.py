@@ -1,34 +1,36 @@
 """The potential of a plate of large deflection: von Karman's, of a simply supported rectangle.
 
-A plate of sides a and b, thickness h, and density rho that moves by w stretches its middle surface. With a stress
+A plate of sides a and b, thickness h and density rho that moves by w stretches its middle surface. With a stress
 function F (von Karman; in modes Thomas & Bilbao, J. Sound Vib. 315 (2008) 569; Ducceschi, Touze, Bilbao & Webb, Acta
 Mech. 225 (2014) 213),
 
-    rho h w'' + D LapLap w = L(w, F),    LapLap F = -(E h / 2) L(w, w),    L(f, g) = f_xx g_yy + f_yy g_xx - 2 f_xy g_xy.
+    rho h w'' + D LapLap w = L(w, F),            LapLap F = -(E h / 2) L(w, w),
+    L(f, g) = f_xx g_yy + f_yy g_xx - 2 f_xy g_xy.
 
-With w = sum Phi_k y_k / sqrt(rho h), Phi_mn = 2 / sqrt(a b) sin(m pi x / a) sin(n pi y / b), and y mass-normalised, the
-middle surface stores, beside the bending energy sum omega_k^2 y_k^2 / 2,
+With w = sum Phi_k y_k / sqrt(rho h), Phi_mn = 2 / sqrt(a b) sin(m pi x / a) sin(n pi y / b), and y mass-normalised,
+the middle surface stores, beside the bending energy sum omega_k^2 y_k^2 / 2,
 
-    V = (E h / 8) sum_j b_j^2 / zeta_j^4,    b_j = int Psi_j L(w, w) dx dy,    dV/dy_k = -int F L(Phi_k, w) dx dy / sqrt(rho h),
+    V = (E h / 8) sum_j b_j^2 / zeta_j^4,    b_j = int Psi_j L(w, w),    dV/dy_k = -int F L(Phi_k, w) / sqrt(rho h),
 
-a sum of squares of quadratic forms: V >= 0, V(s y) = s^4 V(y). Psi_j are shapes of the stress function and zeta_j^4
-what LapLap makes of them. They follow from what holds the edges in the plane of the plate:
+a sum of squares of quadratic forms: V >= 0, V(s y) = s^4 V(y). The Psi_j are shapes of the stress function, with
+LapLap Psi_j = zeta_j^4 Psi_j. They depend on the support of the edges in the plane of the plate:
 
 =========  ============================================================================================================
-sliding    points of an edge move along it, not across it (no shear there): Psi = cos cos, in closed form, zeta^4 =
-           (kx^2 + ky^2)^2; and beside them two mean tensions, which store (E h a b / 2 (1 - nu^2)) (ex^2 + ey^2 +
-           2 nu ex ey), ex and ey the means of w_x^2 / 2 and w_y^2 / 2
-movable    nothing holds the edges in the plane: F = F_n = 0 there, the shapes of a clamped plate. No closed form: F is
-           sought among products of polynomials that fulfil both conditions (J. Shen, SIAM J. Sci. Comput. 15 (1994)
+sliding    a point of an edge moves along the edge without shear, not across it: Psi = cos cos, in closed form, zeta^4 =
+           (kx^2 + ky^2)^2; and two mean tensions, which store (E h a b / 2 (1 - nu^2)) (ex^2 + ey^2 + 2 nu ex ey), ex
+           and ey the means of w_x^2 / 2 and w_y^2 / 2
+movable    the edges are free in the plane: F = F_n = 0 there, the shapes of a clamped plate. They have no closed form:
+           F is a sum of products of polynomials that fulfil both conditions (J. Shen, SIAM J. Sci. Comput. 15 (1994)
            1489); the inverse of their biharmonic matrix, four blocks by parity, has all stress shapes at once
 =========  ============================================================================================================
 
-The integrals are sums over a grid. All functions are products of one of x and one of y, so that sums over modes and grid
-points go through one direction at a time. The table of coefficients int Psi_j L(Phi_p, Phi_q) has modes^2 x shapes
-numbers, which no cache holds above 100 modes; the matrices here have some thousand. All functions are even or odd about
-the middle of the plate, which halves the sums again in the compiled form (`gong_compiled`). On a grid of 2 M + 2 cells
-(M the highest m or n) all products of sliding edges are integrated exactly; for movable edges the polynomials are cut
-off: on a grid twice as fine (`PlateGrid.refined`) V changes by 3e-7 and its gradient by 5e-6 (random motion of 81 modes).
+The integrals are sums over a grid. Every function is a product of one of x and one of y, and sums over modes and grid
+points are done in one direction at a time. The table of coefficients int Psi_j L(Phi_p, Phi_q) has modes^2 x shapes
+numbers, too many for a cache above 100 modes; the matrices here have some thousand. Every function is even or odd about
+the middle of the plate, which halves the sums again in the compiled form (`_gong_compiled`). On a grid of 2 M + 2 cells
+(M the highest m or n) all products of sliding edges are integrated exactly; for movable edges the polynomials are
+truncated: on a grid twice as fine (`PlateGrid.refined`) V changes by 3e-7 and its gradient by 5e-6 (random motion of 81
+modes).
 
 Valid while w_x is small against 1 and strains are elastic, up to some thicknesses of deflection.
 """
@@ -51,7 +53,7 @@ _MORE_SHAPES = 10
 
 
 @dataclass(frozen=True)
-class Plate:
+class GongPlate:
     """A rectangular plate, simply supported.
 
     Attributes
@@ -95,7 +97,7 @@ class Plate:
         squared = ((numbers * np.pi / [self.a, self.b]) ** 2).sum(axis=1)
         order = np.argsort(squared, kind="stable")
         order = order[squared[order] < k2]
-        return numbers[order], scale * squared[order]
+        return numbers[order], np.asarray(scale * squared[order], dtype=np.float64)
 
     def shapes(self, numbers: NDArray[np.intp], x: float, y: float) -> Floats:
         """(n_modes,) displacement per coordinate, 1/sqrt(kg), of modes at a point (m)."""
@@ -106,7 +108,7 @@ class Plate:
 def clamped_polynomials(count: int, x: Floats) -> Floats:
     """Shen's basis of functions that vanish with their slope at -1 and 1, and its derivatives.
 
-    phi_j = c_j [L_j - 2 (2j + 5) / (2j + 7) L_j+2 + (2j + 3) / (2j + 7) L_j+4], c_j so that int phi_i'' phi_j'' = delta_ij.
+    phi_j = c_j [L_j - 2 (2j + 5) / (2j + 7) L_j+2 + (2j + 3) / (2j + 7) L_j+4] with int phi_i'' phi_j'' = delta_ij.
 
     Returns
     -------
@@ -147,7 +149,7 @@ class PlateGrid:
     finer : times as many shapes of the stress function (movable edges) and points of the grid.
     """
 
-    plate: Plate
+    plate: GongPlate
     numbers: NDArray[np.intp]
     edges: Edges = "sliding"
     finer: float = 1.0
@@ -174,15 +176,16 @@ class PlateGrid:
     def points(self) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
         """Places and weights of the grid along x and y, both in -1 .. 1."""
 
-        def along(m: int, j: int) -> tuple[Floats, Floats]:
+        def points_of(m: int, j: int) -> tuple[Floats, Floats]:
             if self.edges == "sliding":
                 n = 2 * int(np.ceil(self.finer * (m + 1)))
                 return 2 * (np.arange(n) + 0.5) / n - 1, np.full(n, 2 / n)
-            n = int(np.ceil(self.finer * (np.pi * m / 2 + 16) + j / 2))
-            return legendre.leggauss(n + n % 2)
+            n = int(np.ceil(self.finer * (np.pi * m / 2 + 6) + j / 2))
+            places, weights = legendre.leggauss(n + n % 2)
+            return np.asarray(places, dtype=np.float64), np.asarray(weights, dtype=np.float64)
 
         (mx, my), (jx, jy) = self._highest, self.stress_shapes
-        return along(mx, jx), along(my, jy)
+        return points_of(mx, jx), points_of(my, jy)
 
     @cached_property
     def stress(self) -> tuple[Floats, Floats]:
@@ -201,7 +204,7 @@ class PlateGrid:
     def compliance(self) -> Floats:
         """Inverse of the biharmonic operator on the stress shapes.
 
-        Sliding edges: (jx, jy), 1 / zeta^4, and 0 for the constant; movable ones: (4, r, r) blocks of functions of equal
+        Sliding edges: (jx, jy), 1 / zeta^4, and 0 for the constant; movable ones: (4, r, r) blocks of functions of the
         parities (even, even), (even, odd), (odd, even), (odd, odd), r the largest number of them, the rest 0.
         """
         (jx, jy), p = self.stress_shapes, self.plate
@@ -236,7 +239,8 @@ class PlateGrid:
     def means(self) -> tuple[Floats, Floats, float]:
         """(n_modes,) ex and ey per y^2 / 2, 1/(kg m^2), and E h a b / (1 - nu^2), N m; 0 for movable edges."""
         p = self.plate
-        per = (self.numbers * np.pi / [p.a, p.b]) ** 2 / (p.a * p.b * p.surface_density)
+        k = self.numbers * np.array([np.pi / p.a, np.pi / p.b])
+        per: Floats = k**2 / (p.a * p.b * p.surface_density)
         held = p.young * p.thickness * p.a * p.b / (1 - p.poisson**2) if self.edges == "sliding" else 0.0
         return per[:, 0], per[:, 1], held
 
@@ -262,7 +266,7 @@ class PlateGrid:
         return out.reshape(b.shape)
 
     def _means(self, y: Floats) -> tuple[float, float, float]:
-        """Mean strains ex and ey, and what they store, J."""
+        """Mean strains ex and ey, and their energy, J."""
         ax, ay, held = self.means
         ex, ey = 0.5 * float(ax @ y**2), 0.5 * float(ay @ y**2)
         return ex, ey, 0.5 * held * (ex * ex + ey * ey + 2 * self.plate.poisson * ex * ey)
@@ -293,7 +297,7 @@ class PlateGrid:
 
     @property
     def packed(self) -> Floats:
-        """The arrays of `gong_compiled.potential`, one after another.
+        """The arrays of `_gong_compiled.potential`, one after another.
 
         Points stand in two halves, the second the mirror images of the first, of which the functions have their values;
         functions of x or y stand in two groups: those of odd number of half waves first (even about the middle if they
@@ -304,8 +308,8 @@ class PlateGrid:
         sx, sxx, cx, sy, syy, cy = self.waves
         px, py = self.stress
         wx, wy, fx, fy = _grouped(mx), _grouped(my), _grouped(jx), _grouped(jy)
-        along_x = [f[:hx, wx] for f in (sx, sxx, cx)]
-        along_y = [f[wy, :hy] for f in (sy, syy, cy)]
+        of_x = [f[:hx, wx] for f in (sx, sxx, cx)]
+        of_y = [f[wy, :hy] for f in (sy, syy, cy)]
         stress = px[fx, :hx], py[fy, :hy]
         place_x, place_y = np.argsort(wx), np.argsort(wy)
         places = place_x[self.numbers[:, 0] - 1] * my + place_y[self.numbers[:, 1] - 1]
@@ -317,7 +321,7 @@ class PlateGrid:
             compliance, r = self.compliance, self.compliance.shape[1]
         head = [mx, my, hx, hy, jx, jy, r, modulus, self.plate.poisson, held]
         arrays = (
-            head, *along_x, *(f.T for f in along_x), *along_y, *(f.T for f in along_y), stress[0], stress[0].T,
+            head, *of_x, *(f.T for f in of_x), *of_y, *(f.T for f in of_y), stress[0], stress[0].T,
             stress[1], stress[1].T, compliance, places, ax, ay,
         )  # fmt: skip
         data = np.concatenate([np.ravel(np.asarray(a, dtype=np.float64)) for a in arrays])
@@ -325,7 +329,7 @@ class PlateGrid:
 
     @property
     def scratch(self) -> int:
-        """Numbers that `gong_compiled.potential` works in."""
+        """Numbers that `_gong_compiled.potential` works in."""
         (mx, my), (jx, jy), ((gx, _), (gy, _)) = self._highest, self.stress_shapes, self.points
         hx, hy = len(gx) // 2, len(gy) // 2
         kept = 2 * mx * my + 2 * mx * hy + 16 * hx * hy + 2 * jx * hy + 2 * jx * jy

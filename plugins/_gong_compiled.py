@@ -1,9 +1,9 @@
-"""The potential of `gong_plate` as a C function, made by Numba.
+"""The potential of `_gong_plate` as a C function, compiled by Numba.
 
-Sums over modes, points and shapes go through one direction at a time, as there. All functions of x are even or odd about
-the middle, and those of y, so that half of the points is enough: a sum of the even ones, E, and one of the odd ones, O,
-give E + O there and E - O at the mirror images; and of what is summed over points, the sum of both halves meets the even
-functions, the difference the odd ones. No sum is reordered: the numbers do not depend on the processor.
+Sums over modes, points and shapes are done in one direction at a time, as there. Every function of x, and of y, is even
+or odd about the middle, and half of the points is enough: a sum E of the even ones and a sum O of the odd ones give
+E + O at a point and E - O at its mirror image; in sums over points, the sum of both halves meets the even functions and
+their difference the odd ones. No sum is reordered by the compiler: the numbers do not depend on the processor.
 """
 
 from __future__ import annotations
