@@ -134,7 +134,8 @@ def clamped_products(count: int, length: float) -> list[Floats]:
 def biharmonic(counts: tuple[int, int], a: float, b: float) -> tuple[Floats, Floats]:
     """Matrices of int LapF LapG and int F G over a rectangle in products of `clamped_polynomials`, flattened."""
     (m0, m1, m2), (n0, n1, n2) = clamped_products(counts[0], a), clamped_products(counts[1], b)
-    return np.kron(m2, n0) + 2 * np.kron(m1, n1) + np.kron(m0, n2), np.kron(m0, n0)
+    stiffness = np.kron(m2, n0) + 2 * np.kron(m1, n1) + np.kron(m0, n2)
+    return np.asarray(stiffness, dtype=np.float64), np.asarray(np.kron(m0, n0), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
