@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.integrate import solve_ivp
 from scipy.signal import spectrogram
+from tonewood.plugins._gong_plate import GongPlate, PlateGrid
+from tonewood.plugins.gong import PlateEnergy, stiffening
 
 import tonewood as tw
 from tonewood.coupling.potentials.user import ModalPotential
 from tonewood.coupling.system import System
 from tonewood.instrument.assembly import assemble
 from tonewood.modal.modes import ModalBasis
-from tonewood.plugins._gong_plate import GongPlate, PlateGrid
-from tonewood.plugins.gong import PlateEnergy, stiffening
 from tonewood.stepping.kernel import KernelStepper
 from tonewood.stepping.motion import from_motion, to_motion
 
@@ -93,7 +93,8 @@ def errors(freq_upper: float = 1950.0, pieces: int = 20) -> None:
     """Errors of 20 ms, sums of squares over modes and milliseconds."""
     numbers, omega = PLATE.modes(freq_upper)
     n, times = len(omega), np.arange(1, pieces + 1) / 1000
-    print(f"error of 20 ms, {n} modes\n| edges | thicknesses | largest V / E | 48 kHz | 96 kHz |\n|---|---:|---:|---:|---:|")
+    print(f"error of 20 ms, {n} modes\n| edges | thicknesses | largest V / E | 48 kHz | 96 kHz |")
+    print("|---|---:|---:|---:|---:|")
     for edges in EDGES:
         grid = PlateGrid(PLATE, numbers, edges)
         for thicknesses in (0.1, 1.0, 3.0):
@@ -103,17 +104,18 @@ def errors(freq_upper: float = 1950.0, pieces: int = 20) -> None:
                 return np.concatenate([z[n:], -(omega**2) * z[:n] - grid.gradient(z[:n])[1]])
 
             start = np.concatenate([np.zeros(n), v])
-            exact = solve_ivp(motion, (0, times[-1]), start, method="DOP853", rtol=1e-10, atol=1e-14, t_eval=times).y[:n]
+            path = solve_ivp(motion, (0, times[-1]), start, method="DOP853", rtol=1e-10, atol=1e-14, t_eval=times)
+            exact = path.y[:n]
             share = max(grid.energy(y) for y in exact.T) / (0.5 * v @ v)
             row = []
             for fs in (48e3, 96e3):
                 system, basis = system_of(grid, omega, fs, np.zeros(n))
-                state, stepper, path = system.start(), KernelStepper(system), []
+                state, stepper, found = system.start(), KernelStepper(system), []
                 system.modes_of(state, "plate")[:] = from_motion(basis, np.zeros(n), v)
                 for _ in range(pieces):
                     stepper.run(state, round(fs / 1000))
-                    path.append(to_motion(basis, system.modes_of(state, "plate"))[0])
-                row.append(f"{np.linalg.norm(np.array(path).T - exact) / np.linalg.norm(exact):.1e}")
+                    found.append(to_motion(basis, system.modes_of(state, "plate"))[0])
+                row.append(f"{np.linalg.norm(np.array(found).T - exact) / np.linalg.norm(exact):.1e}")
             print(f"| {edges} | {thicknesses:g} | {share:.2g} | {' | '.join(row)} |", flush=True)
 
 
@@ -147,9 +149,13 @@ def deflections() -> None:
     model = assemble(gong, FS)
     for name, velocity in BLOWS.items():
         changed = gong.replace(
-            {"outputs.0.quantity": "displacement", "outputs.0.full_scale": 1.0, "outputs.0.channels": {"here": "gong.here"},
-             "strings.gong.points": {"here": {"from_bridge": {"fraction": 0.55}}}}
-        )  # fmt: skip
+            {
+                "strings.gong.points": {"here": {"from_bridge": {"fraction": 0.55}}},
+                "outputs.0.quantity": "displacement",
+                "outputs.0.full_scale": 1.0,
+                "outputs.0.channels": {"here": "gong.here"},
+            }
+        )
         score = tw.Score([tw.Note(0.1, 4.0, 33.0, velocity_midi=velocity)])
         began = time.process_time()
         x = tw.render(score, changed, max_duration=1.0).samples[:, 0]
@@ -159,10 +165,12 @@ def deflections() -> None:
         freq = np.fft.rfftfreq(1 << 17, 1 / FS)
         lowest = freq[spectrum.argmax()]
         speed = model.instrument.spec.playing.velocity.value(velocity)
-        print(f"| {name} | {speed:.2g} | {np.abs(x).max() / PLATE.thickness:.2g} | {lowest:.0f} | {spent:.2g} |", flush=True)
+        peak = np.abs(x).max() / PLATE.thickness
+        print(f"| {name} | {speed:.2g} | {peak:.2g} | {lowest:.0f} | {spent:.2g} |", flush=True)
 
 
 def main() -> None:
+    """Draw the picture and print the tables."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "docs" / "images"
     pictures(folder)
     deflections()

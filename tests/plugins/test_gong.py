@@ -351,6 +351,14 @@ def test_the_edge_does_not_move_and_places_lie_on_the_line() -> None:
     assert at == pytest.approx(gong.plate.shapes(numbers, 0.11, 0.15), abs=1e-12 * np.abs(at).max())
 
 
+def test_a_tension_changes_nothing() -> None:
+    gong = Gong.from_values(VALUES)
+    basis = gong.basis(1000.0)
+    assert np.array_equal(gong.basis(1000.0, tension=2 * gong.tension).poles, basis.poles)
+    assert gong.detuned(basis, 2 * gong.tension) is basis
+    assert all(np.array_equal(matrix, np.eye(basis.n_modes)) for matrix in gong.transfer(basis, basis))
+
+
 def test_finer_grids_are_seen() -> None:
     grid, _ = grid_of(BRONZE, 400.0, "movable")
     assert replace(grid, finer=2.0).stress_shapes[0] > grid.stress_shapes[0]
