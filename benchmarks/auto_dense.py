@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import tonewood as tw
-from tonewood.engine.effects.base import SwitchedEffect
+from tonewood.performance.effects.base import SwitchedEffect
 
 SCORES = Path(__file__).resolve().parents[1] / "examples" / "scores"
 FS = 48000

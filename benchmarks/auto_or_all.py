@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tonewood as tw
-from tonewood.instrument.registry import list_instruments
+from tonewood.instrument.contract.registry import list_instruments
 
 SCORES = Path(__file__).resolve().parents[1] / "examples" / "scores"
 MODES = ("auto", "all")

@@ -23,9 +23,9 @@ from pathlib import Path
 
 import psutil
 
-from tonewood.batch.rendering import EngineRenderer
-from tonewood.batch.runner import run_batch
-from tonewood.batch.workers import Workers
+from tonewood.workshop.batch.rendering import EngineRenderer
+from tonewood.workshop.batch.runner import run_batch
+from tonewood.workshop.batch.workers import Workers
 
 
 def manifest(notes: int, formats: list[str]) -> dict:

@@ -17,11 +17,11 @@ os.environ["TONEWOOD_CACHE"] = "off"
 import numpy as np
 
 import tonewood as tw
-from tonewood.blas import one_blas_thread
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.inspection import mobility_bands
-from tonewood.plate import body_modes
-from tonewood.plate.tracking import followed
+from tonewood.instrument.inspection.frequencies import mobility_bands
+from tonewood.instrument.model.assembly import assemble
+from tonewood.physics.plate import body_modes
+from tonewood.physics.plate.tracking import followed
+from tonewood.support.blas import one_blas_thread
 
 #: m, cells of the refinement, and Hz
 SIZES, FMAX = (0.010, 0.0075, 0.0055), 5000.0

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tonewood as tw
-from tonewood.blas import one_blas_thread
-from tonewood.engine.playing import perform
+from tonewood.performance.player.playing import perform
+from tonewood.support.blas import one_blas_thread
 
 BLOCK = 4096
 

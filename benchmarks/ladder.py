@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 import tonewood as tw
 import tonewood.authoring as ta
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.stepping.forcing import compile_force
-from tonewood.stepping.kernel import KernelStepper, instruction_set
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.physics.stepping.forcing import compile_force
+from tonewood.physics.stepping.kernel import KernelStepper, instruction_set
 
 BLOCK = 256
 #: clearances at which no fret is reached by this pluck, and at which the strings buzz

@@ -30,10 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tonewood as tw
-from tonewood.coupling.connections import SpringDashpot
-from tonewood.coupling.system import System
-from tonewood.instrument.strings import StringModel
-from tonewood.modal.modes import ModalBasis
+from tonewood.instrument.model.strings import StringModel
+from tonewood.physics.coupling.connections import SpringDashpot
+from tonewood.physics.coupling.system import System
+from tonewood.physics.modal.modes import ModalBasis
 
 FS = 48000.0
 SPARSE = [(0.1 + 0.3 * i, note) for i, note in enumerate((48, 55, 60, 64, 67, 72, 60, 64))]

@@ -14,12 +14,12 @@ from scipy.linalg import norm
 
 import tonewood as tw
 import tonewood.authoring as ta
-from tonewood.coupling.potentials.longitudinal import GeometricStretch
-from tonewood.coupling.system import System
-from tonewood.instrument.assembly import assemble
-from tonewood.stepping.forcing import compile_force
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion
+from tonewood.instrument.model.assembly import assemble
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.physics.coupling.system import System
+from tonewood.physics.stepping.forcing import compile_force
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion
 
 RATE, FINER, MODES = 48000, 8, 40
 SECONDS = 0.1

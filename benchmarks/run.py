@@ -25,13 +25,13 @@ import numpy as np
 import tonewood as tw
 import tonewood.authoring as ta
 from tonewood import _kernel
-from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.energy.account import EnergyAccount
-from tonewood.engine.engine import GRID, Engine
-from tonewood.stepping.forcing import Segment, compile_force
-from tonewood.stepping.kernel import KernelStepper, instruction_set
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.performance.engine.engine import GRID, Engine
+from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.energy.account import EnergyAccount
+from tonewood.physics.stepping.forcing import Segment, compile_force
+from tonewood.physics.stepping.kernel import KernelStepper, instruction_set
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 ROOT = Path(__file__).parents[1]
 FS = 48000
@@ -258,6 +258,28 @@ def cold_start(repeats: int) -> Iterator[Row]:
         yield "cold start: `tonewood render` of one second", f"{wall:.2f} s", spread
 
 
+def short_sounds(repeats: int) -> Iterator[Row]:
+    """Stimuli of a listening test: notes of two seconds, one by one, most of them ringing."""
+    guitar = tw.load_instrument("classical_guitar")
+    score = tw.Score([tw.Note(0.0, 1.5, string="G3", stop=0, velocity_midi=80)])
+    many = 10
+
+    def per_second() -> float:
+        began = time.process_time()
+        for _ in range(many):
+            tw.render(score, guitar, FS, max_duration=2.0)
+        return many / (time.process_time() - began)
+
+    value, spread = repeated(per_second, repeats)
+    yield "sounds of 2 s, `tw.render` with a loaded instrument", f"{value:.1f} a second", spread
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "one.mid"
+        tw.write_midi(tw.Score([tw.Note(0.0, 1.5, note=64, velocity_midi=80)]), path)
+        _child(path, folder)
+        value, spread = repeated(lambda: 1 / _child(path, folder, "--max-duration", "2")[1], repeats)
+        yield "  one command `tonewood render` each", f"{value:.2f} a second", spread
+
+
 def memory(minutes: float) -> Iterator[Row]:
     """Peak memory does not follow the length of the piece."""
     with tempfile.TemporaryDirectory() as folder:
@@ -330,6 +352,7 @@ def main() -> None:
         lambda: kernel_against_twin(3),
         lambda: undamped_energy(1_000_000),
         lambda: cold_start(repeats),
+        lambda: short_sounds(repeats),
         lambda: pieces(1 if quick else 3),
         lambda: memory(2.0 if quick else 20.0),
     ]

@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tonewood as tw
-from tonewood.coupling import elimination
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.plotting import COLOURS, DASHES, LINE, figure, legend, log_axis
-from tonewood.stepping.kernel import KernelStepper, instruction_set
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.physics.coupling import elimination
+from tonewood.physics.stepping.kernel import KernelStepper, instruction_set
+from tonewood.support.plotting import COLOURS, DASHES, LINE, figure, legend, log_axis
 
 Floats = NDArray[np.float64]
 FS, BLOCK = 48000.0, 256

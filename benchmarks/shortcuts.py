@@ -14,7 +14,7 @@ from dataclasses import fields, replace
 import ladder
 import numpy as np
 
-from tonewood.stepping.kernel import KernelStepper, Shortcuts, instruction_set
+from tonewood.physics.stepping.kernel import KernelStepper, Shortcuts, instruction_set
 
 PLANES = ["z", "y"]
 SCENES = {

@@ -17,7 +17,7 @@ import time
 from dataclasses import dataclass
 
 import tonewood as tw
-from tonewood.stepping.kernel import instruction_set
+from tonewood.physics.stepping.kernel import instruction_set
 
 FS, SECONDS = 48000, 2.5
 LINEAR = ["second_polarization", "dampers"]

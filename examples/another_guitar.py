@@ -9,7 +9,7 @@ from pathlib import Path
 
 import tonewood as tw
 import tonewood.authoring as ta
-from tonewood.instrument.assembly import assemble
+from tonewood.instrument.model.assembly import assemble
 
 
 def main(folder: Path = Path()) -> dict[str, float]:

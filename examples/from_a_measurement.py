@@ -14,14 +14,14 @@ import soundfile as sf
 
 import tonewood as tw
 from tonewood.authoring import assemble
-from tonewood.fit.files import Reading, read_responses
-from tonewood.fit.fit import fit_responses
-from tonewood.fit.folder import FitFolder, MeasuredPoint, Origin
-from tonewood.fit.radiation import fit_radiation
-from tonewood.instrument.inspection import mobility_peaks
-from tonewood.instrument.new_bundle import new_bundle
-from tonewood.report.comparison import Candidate, compare
-from tonewood.report.page import page
+from tonewood.instrument.bundle.new_bundle import new_bundle
+from tonewood.instrument.inspection.frequencies import mobility_peaks
+from tonewood.workshop.fit.files import Reading, read_responses
+from tonewood.workshop.fit.fit import fit_responses
+from tonewood.workshop.fit.folder import FitFolder, MeasuredPoint, Origin
+from tonewood.workshop.fit.radiation import fit_radiation
+from tonewood.workshop.report.comparison import Candidate, compare
+from tonewood.workshop.report.page import page
 
 FS = 6400
 POINTS = {"middle": "bridge_middle", "bass": "bridge_E2", "treble": "bridge_E4"}

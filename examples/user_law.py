@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 import tonewood.authoring as ta
-from tonewood.coupling.connections import Rigid
-from tonewood.coupling.system import System
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion, to_motion
+from tonewood.physics.coupling.connections import Rigid
+from tonewood.physics.coupling.system import System
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion, to_motion
 
 FORCE, LENGTH = 0.5, 1.0e-4  # N, m
 MASS, SPEED = 2.0e-3, 1.5  # kg, m/s

@@ -2,9 +2,9 @@
 
 The pressure is the Rayleigh sum over the whole surface and the soundhole, near field and delays included. For each
 driven point of the body the bank has residues on the body's own poles, fitted by least squares to that sum
-(`tonewood.plate.microphones`). Nothing acts back on the body; the power radiated is part of the body's own damping.
-Time counts from when the microphone that is nearest hears the nearest point of the body; delays between microphones,
-up to 5 ms, are kept.
+(`tonewood.physics.plate.microphones`). Nothing acts back on the body; the power radiated is part of the body's own
+damping. Time counts from when the microphone that is nearest hears the nearest point of the body; delays between
+microphones, up to 5 ms, are kept.
 
 In free air (`baffle: none` of the body) a first-order shelf of 1/2 at low frequencies stands for diffraction about the
 box. There is no room, no player, no neck and no sound of the strings themselves.

@@ -8,7 +8,7 @@ hyperbola of Smith & Woodhouse (2000, J. Mech. Phys. Solids 48, 1633). Between S
 
 the string moves as Helmholtz saw it: one slip in each period. Z = sqrt(T mu), beta the bow's place as a share of the
 length, r the resistance of the bridge. In each step the bow's work is f v_b h, and |f v| h becomes heat
-(`tonewood.coupling.laws.Friction`). The hair itself is stiff and light here.
+(`tonewood.physics.coupling.laws.Friction`). The hair itself is stiff and light here.
 
 The hair pushes on the string's surface, and the string rolls under it (McIntyre, Schumacher & Woodhouse 1983, J.
 Acoust. Soc. Am. 74, 1325): besides its centre the surface moves by y with

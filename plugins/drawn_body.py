@@ -1,7 +1,7 @@
 """A body from its drawing: outline, wood, braces, bridge, soundhole and cavity give modes; nothing is measured.
 
 The top is an orthotropic Kirchhoff plate with eccentric braces, solved by the Rayleigh-Ritz method with B-splines; air
-in cavity and hole is coupled to it, and radiation damps it (`tonewood.plate`). All modes are real, and so the
+in cavity and hole is coupled to it, and radiation damps it (`tonewood.physics.plate`). All modes are real, and so the
 body is passive. Coordinates of the drawing: x (m) from the neck joint to the tail, y from bass to treble, z out of the
 top. A point at height H above the top's middle surface moves by w along z, -H dw/dx along x and -H dw/dy
 along y: strings across the bridge feel it rock.
@@ -47,13 +47,23 @@ MOST_SVG = 4_000_000
 MOST_BRACES = 100
 
 
+#: Pa, elastic moduli of woods
+_USUAL = (5e7, 5e10)
+
+
 class WoodParameters(Parameters):
     """A wood by its species, or by its constants; a constant that is given goes before that of the species."""
 
     species: str | None = described("name in the table of woods", default=None)
-    E_L: float | None = quantity("Pa", low=1e6, high=1e12, default=None, doc="Young's modulus along the grain")
-    E_R: float | None = quantity("Pa", low=1e6, high=1e12, default=None, doc="Young's modulus across the grain")
-    G_LR: float | None = quantity("Pa", low=1e6, high=1e12, default=None, doc="shear modulus in the plate's plane")
+    E_L: float | None = quantity(
+        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="Young's modulus along the grain"
+    )
+    E_R: float | None = quantity(
+        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="Young's modulus across the grain"
+    )
+    G_LR: float | None = quantity(
+        "Pa", low=1e6, high=1e12, usual=_USUAL, default=None, doc="shear modulus in the plate's plane"
+    )
     nu_LR: float | None = quantity("1", low=0.0, high=0.99, default=None, doc="Poisson's ratio, pulled along the grain")
     density: float | None = quantity("kg/m^3", low=10.0, high=2e4, default=None, doc="mass per volume")
     loss_L: float | None = quantity("1", low=0.0, high=0.5, default=None, doc="loss factor of E_L")

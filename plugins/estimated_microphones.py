@@ -3,8 +3,8 @@
 Guitars are often measured with microphones 10 cm away, which is not the sound at a listener, and their shapes are known
 at the bridge alone. Here A0 and T1 are the two coupled oscillators of top and hole, which radiate as sources in free
 air; modes above T1 have a radiation loss factor in common and signs by chance, others for each channel
-(`tonewood.plate.two_oscillators`). It estimates levels in bands; nothing of it is measured. Nothing acts back on the
-body, and there is no delay.
+(`tonewood.physics.plate.two_oscillators`). It estimates levels in bands; nothing of it is measured. Nothing acts back
+on the body, and there is no delay.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ F / (2 Z), Z = sqrt(T mu), and the waves that this sends out are the note. ``pul
 lower stop, and drags the string along for `time` as the finger leaves: a small pluck where the stop was.
 
 The stop changes on the engine's control grid: displacement and velocity of the string are projected to its new length,
-which cannot raise their energy (`tonewood.modal.string_transfer`), or with ``stops: {model: finger}`` a soft finger
-moves along the string. All work of the hand is that of the pushes.
+which cannot raise their energy (`tonewood.physics.modal.string_transfer`), or with ``stops: {model: finger}`` a soft
+finger moves along the string. All work of the hand is that of the pushes.
 """
 
 from __future__ import annotations

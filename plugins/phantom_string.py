@@ -7,8 +7,8 @@ modes, n / (2 L) sqrt(EA / mu), and the bridge hears them (Conklin 1999; Bank & 
 motion does not feel it, nor does the tension rise (`geometric_string` steps both ways at tens of times the cost). The
 force acts on the body's point by the projection on the inclined string, and by `bridge_leverage` times more.
 
-Equations, terms left out, energy: `tonewood.coupling.potentials.phantom`. Good where the rise of the tension is not
-heard: a piano's strings, below a cent.
+Equations, terms left out, energy: `tonewood.physics.coupling.potentials.phantom`. Good where the rise of the tension is
+not heard: a piano's strings, below a cent.
 """
 
 from __future__ import annotations

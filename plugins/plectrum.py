@@ -1,7 +1,8 @@
 """A plectrum: a tip on a spring, drawn across the string until the string slips off.
 
 The driver moves at `speed`; between it and the tip is a spring of `stiffness`, and the tip, of `mass`, drags the string
-along by dry friction (`tonewood.coupling.laws.Friction`). While they stick, the force on the string follows from
+along by dry friction (`tonewood.physics.coupling.laws.Friction`). While they stick, the force on the string follows
+from
 
     F = (X(t) - u) k,    u = C F,      so that F = X(t) / (1 / k + C),
 

@@ -2,10 +2,10 @@
 
     T = T0 + EA/(2 L) int_0^L u_x^2 dx,    both polarizations together,
 
-so that a hard pluck begins sharp and glides down, and its plane of motion turns. The root of the potential
-EA/(8 L) S^2 is stepped as a variable of its own (`tonewood.coupling.potentials.tension`): energy cannot rise. Valid
-while longitudinal waves are quick against the partials of interest: the tension is one number for the whole speaking
-length. The part of the string behind a stop or the nut, which would share the stretch, is left out.
+so that a hard pluck begins sharp and glides down, and its plane of motion turns. The root of the potential EA/(8 L) S^2
+is stepped as a variable of its own (`tonewood.physics.coupling.potentials.tension`): energy cannot rise. Valid while
+longitudinal waves are quick against the partials of interest: the tension is one number for the whole speaking length.
+The part of the string behind a stop or the nut, which would share the stretch, is left out.
 
 S = int u_x^2 is a sum of squares of modal coordinates, sum a y^2, but for a coupling that bending stiffness makes. The
 weights a are scaled so that S of the string's fundamental between fixed ends is exact; unscaled it would be too small

@@ -2,8 +2,8 @@
 
 Mobility and microphones of the measured guitars were fitted apart, and their poles differ. The measurement itself is
 not at hand, so the frequency responses are made from the two tables, and one set of poles is fitted to all of them:
-mobility with real residues, pressure with complex ones (`tonewood.fit.projection`). Printed are the main modes in both
-tables and in the common fit, and the misfit, re the r.m.s. of each band.
+mobility with real residues, pressure with complex ones (`tonewood.workshop.fit.projection`). Printed are the main
+modes in both tables and in the common fit, and the misfit, re the r.m.s. of each band.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from tonewood.fit.projection import Line, Poles, Projection, Shape
-from tonewood.instrument.files import Files
-from tonewood.instrument.registry import list_instruments
+from tonewood.instrument.contract.files import Files
+from tonewood.instrument.contract.registry import list_instruments
+from tonewood.workshop.fit.projection import Line, Poles, Projection, Shape
 
 Complexes = NDArray[np.complex128]
 

@@ -76,7 +76,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, page, content=text))
     files.append(File.generated(config, "reference/commands.md", content=_commands()))
     files.append(File.generated(config, "reference/schema.md", content=_schema()))
-    from tonewood.instrument.json_schema import bundle_schema
+    from tonewood.instrument.bundle.json_schema import bundle_schema
 
     schema = json.dumps(bundle_schema(), indent=2)
     files.append(File.generated(config, "reference/tonewood-instrument.schema.json", content=schema))
@@ -234,7 +234,7 @@ def _commands() -> str:
 
 def _schema() -> str:
     """Keys of a bundle and of the built-in plugins, each table under a heading that can be linked."""
-    from tonewood.instrument.schema_table import bundle_tables, plugin_tables
+    from tonewood.instrument.bundle.schema_table import bundle_tables, plugin_tables
 
     def headed(tables: str) -> str:
         tables = re.sub(r"^\*\*(.+)\*\*(?::? (.*))?$", r"### \1\n\n\2", tables, flags=re.MULTILINE)

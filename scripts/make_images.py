@@ -12,10 +12,10 @@ from PIL import Image
 
 import tonewood as tw
 from tonewood.cli.app import application
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.inspection import bridge_mobility
-from tonewood.output.spectrum import spectrogram
-from tonewood.plotting import colour_bar, draw_mobility, draw_spectrogram, figure, legend, title
+from tonewood.instrument.inspection.frequencies import bridge_mobility
+from tonewood.instrument.model.assembly import assemble
+from tonewood.sound.level.spectrum import spectrogram
+from tonewood.support.plotting import colour_bar, draw_mobility, draw_spectrogram, figure, legend, title
 
 ROOT = Path(__file__).parents[1]
 

@@ -12,8 +12,8 @@ export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PIP_DISABLE_PIP_VERSION_CHECK=1 
 
 tests=("$@")
 if [ ${#tests[@]} -eq 0 ]; then
-    tests=(tests/unit/stepping/test_kernel.py tests/unit/modal/test_synthesis.py tests/unit/test_blas.py
-        tests/unit/test_yaml_io.py tests/unit/score tests/unit/batch/test_batch_engine.py tests/cli)
+    tests=(tests/unit/physics/stepping/test_kernel.py tests/unit/physics/modal/test_synthesis.py tests/unit/test_blas.py
+        tests/unit/test_yaml_io.py tests/unit/performance/score tests/unit/workshop/batch/test_batch_engine.py tests/cli)
 fi
 echo "== building"
 "$python" -m venv "$work/venv"

@@ -13,13 +13,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import tonewood as tw
-from tonewood.engine.engine import Engine
-from tonewood.engine.playing import perform
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.inspection import pitches
-from tonewood.instrument.stretch import inharmonicity
-from tonewood.instrument.string_assembly import stretch_cents
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.instrument.inspection.frequencies import pitches
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.instrument.model.stretch import inharmonicity
+from tonewood.instrument.model.string_assembly import stretch_cents
+from tonewood.performance.engine.engine import Engine
+from tonewood.performance.player.playing import perform
+from tonewood.physics.stepping.kernel import KernelStepper
 
 FS = 48000
 #: keys of the tables

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tonewood as tw
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.gestures import Event
-from tonewood.stepping.forcing import course
+from tonewood.instrument.contract.gestures import Event
+from tonewood.instrument.model.assembly import assemble
+from tonewood.physics.stepping.forcing import course
 
 Floats = NDArray[np.float64]
 

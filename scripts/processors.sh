@@ -27,7 +27,7 @@ under() { # the settings VARIABLE=VALUE or -u VARIABLE
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
 
-here=$("$python" -c "from tonewood.blas import blas_libraries; print(*blas_libraries(), sep=', ')")
+here=$("$python" -c "from tonewood.support.blas import blas_libraries; print(*blas_libraries(), sep=', ')")
 sets=$("$python" -c "from tonewood import _kernel; print(*_kernel.instruction_sets())")
 echo "here: BLAS $here; instruction sets $sets"
 lacking=()

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
-from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.coupling.system import Injection, Probe, Readout
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.propagator import real_form
+from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.physics.coupling.system import Injection, Probe, Readout
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.propagator import real_form
 
 
 @dataclass(frozen=True)

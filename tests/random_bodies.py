@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from tonewood.modal.conjugates import full_state
+from tonewood.physics.modal.conjugates import full_state
 
 #: mean damping ratios of the three kinds of test body
 DAMPING = {"light": 0.003, "medium": 0.015, "heavy": 0.06}

@@ -21,9 +21,9 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, Rigid, SpringDashpot
-from tonewood.modal.modes import BLOCK, PAIR, ModalBasis
-from tonewood.modal.propagator import real_form
+from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot
+from tonewood.physics.modal.modes import BLOCK, PAIR, ModalBasis
+from tonewood.physics.modal.propagator import real_form
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -13,23 +13,30 @@ from tonewood import authoring
 ROOT = Path(__file__).parents[1]
 SOURCES = ROOT / "src" / "tonewood"
 
-#: bottom to top; modules of one set may not import each other
+#: bottom to top; rooms, and below them their packages; those of one set may not import each other
 LAYERS = (
-    {"errors", "garbage", "validation_messages", "_kernel", "_methods"},
-    {"cache_folder", "whole_files", "yaml_parser"},
-    {"units", "params", "yaml_io", "blas"},
-    {"yaml_edit", "plotting", "tables", "scipy_linalg"},
-    {"modal", "plate"},
-    {"coupling", "passivity"},
-    {"stepping"},
-    {"energy"},
-    {"score"},
-    {"instrument"},
-    {"engine"},
+    {"errors", "_kernel", "_methods"},
+    {"support"},
+    {"instrument/scales"},
+    {"physics/modal", "physics/plate"},
+    {"physics/coupling", "physics/passivity"},
+    {"physics/stepping"},
+    {"physics/energy"},
+    {"performance/score"},
+    {"instrument/contract"},
+    {"instrument/bundle"},
+    {"instrument/model"},
+    {"instrument/inspection"},
+    {"performance/player"},
+    {"performance/effects"},
+    {"performance/engine"},
     {"authoring"},
-    {"output"},
-    {"lab", "batch", "fit", "live", "report"},
-    {"listening"},
+    {"sound/level", "sound/room"},
+    {"sound/files"},
+    {"sound/render"},
+    {"sound/live", "sound/ensemble"},
+    {"workshop/batch", "workshop/fit", "workshop/report", "lab"},
+    {"workshop/listening"},
     {"cli"},
     {"__init__", "__main__"},
 )
@@ -37,6 +44,8 @@ RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 
 #: packages that compute: arrays, no files, no formats
 COMPUTING = ("modal", "plate", "coupling", "stepping", "energy", "passivity")
+#: rooms that are divided into packages
+ROOMS = ("physics", "instrument", "performance", "sound", "workshop")
 #: and the packages that they may import
 ARRAYS_ONLY = {"numpy", "scipy", "matplotlib", "threadpoolctl", "tonewood"}
 STANDARD_FORBIDDEN = {"json", "csv", "io", "tempfile", "shutil", "subprocess"}
@@ -53,27 +62,37 @@ def imports(path):
 
 
 def layer_of(module, name=None):
-    """Name of the layer that ``from module import name`` reaches into."""
-    parts = module.split(".")
-    if len(parts) > 1:
-        return parts[1]
+    """Name of the layer that ``from module import name`` reaches into; None for a room as a whole."""
+    parts = module.split(".")[1:]
+    if parts and parts[0] in ROOMS:
+        inner = parts[1:2] or ([name] if name else [])
+        return "/".join([parts[0], *inner]) if inner else None
+    if parts:
+        return parts[0]
     return name if name in RANK else "__init__"  # from tonewood import errors, or a public name
 
 
 FILES = sorted(SOURCES.rglob("*.py"))
+#: rooms' own files: a line about the room
+HOMES = {Path(room) / "__init__.py" for room in ROOMS}
 
 
 @pytest.mark.parametrize("path", FILES, ids=[str(p.relative_to(SOURCES)) for p in FILES])
 def test_imports_point_down(path):
-    own = path.relative_to(SOURCES).parts[0].removesuffix(".py")
+    relative = path.relative_to(SOURCES)
+    if relative in HOMES:
+        return
+    own = layer_of(".".join(("tonewood", *relative.with_suffix("").parts)))
     for module, name, line in imports(path):
         if module.split(".")[0] != "tonewood":
             continue
         other = layer_of(module, name)
         assert other in RANK, f"{path}:{line}: {other} is in no layer"
-        if other == own or (module, name) == ("tonewood", "__version__"):
+        if other == own or (module, name) in {("tonewood", "__version__"), ("tonewood", "support")}:
             continue
-        assert RANK[other] < RANK[own], f"{path.relative_to(ROOT)}:{line}: {own} must not import {other}"
+        if relative.name == "__init__.py" and module == "tonewood.support.moved":
+            continue
+        assert RANK[other] < RANK[own], f"{relative}:{line}: {own} must not import {other}"
 
 
 def test_no_modules_import_each_other_in_a_circle():
@@ -114,7 +133,7 @@ def test_the_architecture_names_files_where_they_are():
     for line in block.splitlines():
         indent = len(line) - len(line.lstrip())
         if entered := re.match(r" *((?:src/)?\w+)/ ", line):
-            above = {0: [], 4: [SOURCES, ROOT / "src" / "kernel"], 8: [SOURCES / "engine"]}[indent]
+            above = {0: [], 4: [SOURCES, ROOT / "src" / "kernel"], 8: [SOURCES / room for room in ROOMS]}[indent]
             found = [path for base in [ROOT, *above] if (path := base / entered[1]).is_dir()]
             assert found, f"{line}: no such folder"
             folders = found
@@ -130,15 +149,17 @@ def test_the_architecture_names_files_where_they_are():
 
 
 def test_every_layer_is_there():
-    present = {p.name.removesuffix(".py").removesuffix(".pyi") for p in SOURCES.iterdir() if p.name != "__pycache__"}
-    wanted = set(RANK)
-    assert {name for name in wanted if not name.startswith("_")} - present == set()
-    extra = {name for name in present - wanted if (SOURCES / name).is_dir() or (SOURCES / f"{name}.py").exists()}
-    assert extra == set()
+    present = {p.relative_to(SOURCES).as_posix().removesuffix(".py") for p in SOURCES.glob("*") if p.suffix != ".pyi"}
+    present |= {
+        p.relative_to(SOURCES).as_posix().removesuffix(".py") for room in ROOMS for p in SOURCES.glob(f"{room}/*")
+    }
+    present -= {*ROOMS, "py.typed"} | {name for name in present if "__pycache__" in name or name.endswith("/__init__")}
+    present = {name for name in present if not name.startswith("_k") and not name.startswith("_m")}
+    assert present == {name for name in RANK if not name.startswith(("_k", "_m"))}
 
 
 def test_what_computes_knows_arrays_only():
-    for path in (path for package in COMPUTING for path in (SOURCES / package).glob("*.py")):
+    for path in (SOURCES / "physics").rglob("*.py"):
         for module, _, line in imports(path):
             root = module.split(".")[0]
             where = f"{path.relative_to(ROOT)}:{line}"
@@ -162,9 +183,9 @@ def test_what_computes_knows_arrays_only():
 
 def test_score_is_plain_data():
     """It knows no instrument classes: nothing above it (which the layers say), and no arrays of modes below it."""
-    for path in (SOURCES / "score").glob("*.py"):
+    for path in (SOURCES / "performance" / "score").glob("*.py"):
         for module, _, line in imports(path):
-            package = module.split(".")[1:2]
+            package = module.split(".")[2:3]
             assert not set(package) & set(COMPUTING), f"{path.relative_to(ROOT)}:{line}"
 
 

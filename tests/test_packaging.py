@@ -56,6 +56,36 @@ def test_names_that_have_moved_still_work_and_say_where_they_are() -> None:
     assert len(tw.__all__) <= 21
 
 
+OLD_MODULES = """
+blas errors params plotting tables units yaml_io coupling.connections coupling.laws coupling.system energy.account
+engine.effects.base engine.engine engine.gestures engine.playing engine.timeline fit.fit instrument.added
+instrument.assembly instrument.effects instrument.gestures instrument.registry instrument.schema instrument.strings
+instrument.tuning instrument.wolf listening.models live.receiver modal.modes modal.string_modes output.audio
+output.live output.options output.render output.stream passivity.basis plate.body score.midi score.note score.scales
+stepping.kernel stepping.stepper batch.manifest report.facts
+"""
+
+
+def test_modules_that_have_moved_still_answer_and_say_where_they_are() -> None:
+    """Modules of version 0.2, under the names that they had; the very same objects."""
+    program = (
+        "import importlib, sys, warnings\nwarnings.simplefilter('always')\n"
+        "for name in sys.argv[1:]:\n"
+        "    with warnings.catch_warnings(record=True) as seen:\n"
+        "        module = importlib.import_module(f'tonewood.{name}')\n"
+        "    text = [str(w.message) for w in seen if issubclass(w.category, DeprecationWarning)]\n"
+        "    new = text[-1].rpartition(' ')[2] if text else f'tonewood.{name}'\n"
+        "    assert module is importlib.import_module(new) and module.__spec__.name == new, (name, new)\n"
+        "    assert (name == 'errors') == (not text), (name, text)\n"
+        "    assert not text or seen[-1].filename.endswith('importlib/__init__.py'), seen[-1].filename\n"
+        "from tonewood.instrument.contract import Resonator\n"
+        "from tonewood.instrument.bundle import load_instrument\n"
+        "from tonewood.instrument.inspection import pitch\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program, *OLD_MODULES.split()], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize("module", [tw, authoring], ids=lambda m: m.__name__)
 def test_examples_in_docstrings_of_public_modules_run(module: ModuleType) -> None:
     assert doctest.testmod(module).attempted > 0

@@ -30,14 +30,14 @@ from pathlib import Path
 import numpy as np
 
 import tonewood as tw
-from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.potentials.tension import TensionModulation
-from tonewood.coupling.system import Probe, Readout, System
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.accuracy.timing import machine
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.coupling.potentials.tension import TensionModulation
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
+from tonewood.physics.stepping.kernel import KernelStepper
 
 HERE, FS, N_MODES = Path(__file__).parent, 48000, 64
 NUMBERS = np.arange(1, N_MODES + 1)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import tonewood as tw
-from tonewood.instrument.assembly import assemble
+from tonewood.instrument.model.assembly import assemble
 
 SCORES = Path(__file__).parents[2] / "examples" / "scores"
 INSTRUMENTS = ("monochord", "classical_guitar", "steel_guitar")

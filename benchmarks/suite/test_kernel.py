@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from tonewood import _kernel
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
 
 FS, BODY_MODES = 48000.0, 64
 

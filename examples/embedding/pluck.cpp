@@ -1,6 +1,6 @@
 // Loads a saved instrument, plucks its strings one after the other, and writes the sound to a WAV file.
 //     pluck MODEL.tonewood OUT.wav [SECONDS]
-// The model is that of tonewood.output.model_file.save_model; no Python takes part. Build: CMakeLists.txt beside this.
+// The model is that of tonewood.sound.render.model_file.save_model; no Python takes part. Build: CMakeLists.txt beside this.
 #include <chrono>
 #include <cstdint>
 #include <cstdio>

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import tonewood as tw
-from tonewood.score.scales import note_number
+from tonewood.instrument.scales import note_number
 
 #: (beat, length in beats, note name, velocity)
 Event = tuple[float, float, str, int]

@@ -1,4 +1,4 @@
-// Reads files of named arrays, as tonewood.output.model_file writes them: for each array a line "name type n0 n1 ..." (type f8 or i8, sizes
+// Reads files of named arrays, as tonewood.sound.render.model_file writes them: for each array a line "name type n0 n1 ..." (type f8 or i8, sizes
 // in decimal, none for one number) and, after its newline, the numbers: little-endian, 8 bytes each, the last index fastest.
 #pragma once
 

@@ -1,4 +1,4 @@
-// A model that Python has assembled and saved (tonewood.output.model_file), stepped by the kernel without Python.
+// A model that Python has assembled and saved (tonewood.sound.render.model_file), stepped by the kernel without Python.
 #pragma once
 
 #include <algorithm>

@@ -12,58 +12,58 @@ error. Each name is imported when it is first used, so that ``import tonewood`` 
 
 from __future__ import annotations
 
-import warnings
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from tonewood.support import moved
 
-from tonewood.garbage import without_collecting
-
+# no imports that take time: until the command line has begun, Ctrl-C is Python's
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from tonewood.errors import DroppedNotesWarning as DroppedNotesWarning
     from tonewood.errors import TonewoodError as TonewoodError
-    from tonewood.instrument.bundle import Instrument as Instrument
-    from tonewood.instrument.bundle import load_instrument as load_instrument
-    from tonewood.instrument.registry import list_instruments as list_instruments
-    from tonewood.instrument.registry import list_plugins as list_plugins
-    from tonewood.output.audio import Audio as Audio
-    from tonewood.output.live import Live as Live
-    from tonewood.output.options import RenderOptions as RenderOptions
-    from tonewood.output.plan import plan as plan
-    from tonewood.output.play import play as play
-    from tonewood.output.render import Renderer as Renderer
-    from tonewood.output.render import render as render
-    from tonewood.output.stream import AudioStream as AudioStream
-    from tonewood.score.midi import read_midi as read_midi
-    from tonewood.score.midi import write_midi as write_midi
-    from tonewood.score.note import Control as Control
-    from tonewood.score.note import Note as Note
-    from tonewood.score.note import Score as Score
-    from tonewood.score.reading import read_score as read_score
+    from tonewood.instrument.bundle.loading import Instrument as Instrument
+    from tonewood.instrument.bundle.loading import load_instrument as load_instrument
+    from tonewood.instrument.contract.registry import list_instruments as list_instruments
+    from tonewood.instrument.contract.registry import list_plugins as list_plugins
+    from tonewood.performance.score.midi import read_midi as read_midi
+    from tonewood.performance.score.midi import write_midi as write_midi
+    from tonewood.performance.score.note import Control as Control
+    from tonewood.performance.score.note import Note as Note
+    from tonewood.performance.score.note import Score as Score
+    from tonewood.performance.score.reading import read_score as read_score
+    from tonewood.sound.files.audio import Audio as Audio
+    from tonewood.sound.live.instrument import Live as Live
+    from tonewood.sound.live.play import play as play
+    from tonewood.sound.live.stream import AudioStream as AudioStream
+    from tonewood.sound.render.options import RenderOptions as RenderOptions
+    from tonewood.sound.render.plan import plan as plan
+    from tonewood.sound.render.renderer import Renderer as Renderer
+    from tonewood.sound.render.renderer import render as render
 
     #: version of the installed package
     __version__: str
 
 _HOME = {
-    "Audio": "output.audio",
-    "AudioStream": "output.stream",
-    "Control": "score.note",
+    "Audio": "sound.files.audio",
+    "AudioStream": "sound.live.stream",
+    "Control": "performance.score.note",
     "DroppedNotesWarning": "errors",
-    "Instrument": "instrument.bundle",
-    "Live": "output.live",
-    "Note": "score.note",
-    "RenderOptions": "output.options",
-    "Renderer": "output.render",
-    "Score": "score.note",
+    "Instrument": "instrument.bundle.loading",
+    "Live": "sound.live.instrument",
+    "Note": "performance.score.note",
+    "RenderOptions": "sound.render.options",
+    "Renderer": "sound.render.renderer",
+    "Score": "performance.score.note",
     "TonewoodError": "errors",
-    "list_instruments": "instrument.registry",
-    "list_plugins": "instrument.registry",
-    "load_instrument": "instrument.bundle",
-    "plan": "output.plan",
-    "play": "output.play",
-    "read_midi": "score.midi",
-    "read_score": "score.reading",
-    "render": "output.render",
-    "write_midi": "score.midi",
+    "list_instruments": "instrument.contract.registry",
+    "list_plugins": "instrument.contract.registry",
+    "load_instrument": "instrument.bundle.loading",
+    "plan": "sound.render.plan",
+    "play": "sound.live.play",
+    "read_midi": "performance.score.midi",
+    "read_score": "performance.score.reading",
+    "render": "sound.render.renderer",
+    "write_midi": "performance.score.midi",
 }
 #: names of version 0.1 that have moved: they still work, with a warning that says where they are; until version 0.4
 _MOVED = {
@@ -81,19 +81,26 @@ _MOVED = {
         "BundleError", "NothingPlayedError", "NumericalError", "OutputError", "PassivityError", "PluginError",
         "ScoreError",
     ),
-    "tonewood.engine.effects.base": ("EffectReport",),
-    "tonewood.output.options": ("Tail",),
-    "tonewood.output.plan": ("Plan",),
-    "tonewood.output.stream": ("Playback",),
-    "tonewood.output.render": ("Summary",),
-    "tonewood.score.note": ("Dropped",),
+    "tonewood.performance.effects.base": ("EffectReport",),
+    "tonewood.sound.render.options": ("Tail",),
+    "tonewood.sound.render.plan": ("Plan",),
+    "tonewood.sound.live.stream": ("Playback",),
+    "tonewood.sound.render.renderer": ("Summary",),
+    "tonewood.performance.score.note": ("Dropped",),
 }  # fmt: skip
 _NEW_HOME = {name: module for module, names in _MOVED.items() for name in names}
 
 __all__ = [*_HOME, "__version__"]  # strings, though computed
 
+moved.install()
+
 
 def __getattr__(name: str) -> Any:
+    import warnings
+    from importlib import import_module
+
+    from tonewood.support.garbage import without_collecting
+
     if name in _NEW_HOME:
         place = _NEW_HOME[name]
         text = f"tonewood.{name} is deprecated since 0.2 and will be removed in 0.4: it is {place}.{name}"

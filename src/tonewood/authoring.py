@@ -16,27 +16,10 @@ Kinds of plugins and the types that they return, declared parameters, modal base
 errors; and functions that show the part at work in an instrument: `assemble`, `partials`, `pitches`.
 """
 
-from tonewood import plate as plate
-from tonewood.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
-from tonewood.coupling.layout import Drive, Probe, Readout
-from tonewood.coupling.potentials.base import Potential
-from tonewood.coupling.potentials.longitudinal import GeometricStretch
-from tonewood.coupling.potentials.phantom import DrivenLongitudinal
-from tonewood.coupling.potentials.tension import TensionModulation
-from tonewood.coupling.potentials.user import ModalPotential, PotentialEnergy, PotentialFunction
-from tonewood.engine.effect_usage import Bound
-from tonewood.engine.effects.base import Moment, RuntimeEffect, SwitchedEffect, Switching, Watched, next_multiple
-from tonewood.engine.effects.connections import SwitchedConnections
-from tonewood.engine.effects.longitudinal import LONGITUDINAL
-from tonewood.engine.effects.phantom_partials import PHANTOM_PARTIALS
-from tonewood.engine.effects.tension import TENSION_MODULATION
-from tonewood.engine.effects.unswitched import DAMPERS, FRETTING_NOISE, SQUEAK, TOUCH_NOISE
 from tonewood.errors import BundleError, PassivityError, PluginError, TonewoodError
-from tonewood.instrument.array_cache import cached_arrays
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.attached import Attached, Motion, Site, loose_mass
-from tonewood.instrument.contract import (
+from tonewood.instrument.contract.array_cache import cached_arrays
+from tonewood.instrument.contract.attached import Attached, Motion, Site, loose_mass
+from tonewood.instrument.contract.base import (
     Attachment,
     Body,
     BodyPoint,
@@ -51,24 +34,51 @@ from tonewood.instrument.contract import (
     StringMotion,
     dot,
 )
-from tonewood.instrument.directions import Direction, unit_vector
-from tonewood.instrument.effects import (
+from tonewood.instrument.contract.directions import Direction, unit_vector
+from tonewood.instrument.contract.effects import (
     Effect,
     Norms,
     contact_effect,
 )
-from tonewood.instrument.gestures import Event, Fraction, Gesture, Hold, Place, StringPlace, metres, smooth_step
-from tonewood.instrument.inspection import partials, pitch, pitches
-from tonewood.instrument.losses import LossLaw
-from tonewood.instrument.microphones import Microphones
-from tonewood.instrument.svg_path import svg_ring
-from tonewood.modal.damping import with_damping_case
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis, wavenumber
-from tonewood.modal.string_transfer import retuned, string_carry, string_transfer
-from tonewood.params import Number, Parameters, Vector, described, quantity
-from tonewood.passivity.basis import check_basis, repair_basis
-from tonewood.stepping.forcing import SampledForce, Segment
+from tonewood.instrument.contract.gestures import (
+    Event,
+    Fraction,
+    Gesture,
+    Hold,
+    Place,
+    StringPlace,
+    metres,
+    smooth_step,
+)
+from tonewood.instrument.contract.losses import LossLaw
+from tonewood.instrument.contract.microphones import Microphones
+from tonewood.instrument.contract.svg_path import svg_ring
+from tonewood.instrument.inspection.frequencies import partials, pitch, pitches
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.performance.effects.base import Moment, RuntimeEffect, SwitchedEffect, Switching, Watched, next_multiple
+from tonewood.performance.effects.connections import SwitchedConnections
+from tonewood.performance.effects.longitudinal import LONGITUDINAL
+from tonewood.performance.effects.phantom_partials import PHANTOM_PARTIALS
+from tonewood.performance.effects.tension import TENSION_MODULATION
+from tonewood.performance.effects.unswitched import DAMPERS, FRETTING_NOISE, SQUEAK, TOUCH_NOISE
+from tonewood.performance.effects.usage import Bound
+from tonewood.physics import plate as plate
+from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
+from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
+from tonewood.physics.coupling.layout import Drive, Probe, Readout
+from tonewood.physics.coupling.potentials.base import Potential
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.physics.coupling.potentials.phantom import DrivenLongitudinal
+from tonewood.physics.coupling.potentials.tension import TensionModulation
+from tonewood.physics.coupling.potentials.user import ModalPotential, PotentialEnergy, PotentialFunction
+from tonewood.physics.modal.damping import with_damping_case
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_losses import string_detuned, with_partial_decays
+from tonewood.physics.modal.string_modes import string_basis, wavenumber
+from tonewood.physics.modal.string_transfer import retuned, string_carry, string_transfer
+from tonewood.physics.passivity.basis import check_basis, repair_basis
+from tonewood.physics.stepping.forcing import SampledForce, Segment
+from tonewood.support.params import Number, Parameters, Vector, described, quantity
 
 __all__ = [
     "DAMPERS",
@@ -159,9 +169,11 @@ __all__ = [
     "smooth_step",
     "string_basis",
     "string_carry",
+    "string_detuned",
     "string_transfer",
     "svg_ring",
     "unit_vector",
     "wavenumber",
     "with_damping_case",
+    "with_partial_decays",
 ]

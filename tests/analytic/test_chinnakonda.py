@@ -32,8 +32,8 @@ from tonewood.lab.systems.chinnakonda_problems import (
     two_step,
 )
 from tonewood.lab.transition import Transition, taylor_exponential
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.synthesis import basis_from_matrices, initial_state
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.synthesis import basis_from_matrices, initial_state
 
 
 def _one_pole(pole: complex) -> ModalBasis:

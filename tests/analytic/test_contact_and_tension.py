@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.special import ellipk, gamma
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.laws import Contact, Friction
-from tonewood.coupling.potentials.tension import TensionModulation
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.energy.stored import stored_energy
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.coupling.laws import Contact, Friction
+from tonewood.physics.coupling.potentials.tension import TensionModulation
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
 
 BOTH = [Readout("u", "displacement", (Probe("part", "p"),)), Readout("v", "velocity", (Probe("part", "p"),))]
 
@@ -167,10 +167,10 @@ def test_pitch_of_a_plucked_tension_modulated_string_glides_down():
     a = 2 * 4e-3 / (n * math.pi) ** 2 * np.sin(n * math.pi * 0.13) / (0.13 * 0.87)
     state.modes[0, :30] = 0.5 * a * math.sqrt(STEEL["density"] / 2)
     stepper, linear = KernelStepper(system), steel_string(1, rate).compiled[0].basis.poles.imag[0] / (2 * math.pi)
-    tensions = []
+    tensions, kappa = [], system.joined(0).shares[0].kappa
     for _ in range(30):
         stepper.run(state, 1600)
-        tensions.append(float(np.mean(state.potentials)))
+        tensions.append(2 * math.sqrt(2 * kappa * stored_energy(system, state).potentials))
     cents = 600 * np.log2(1 + np.array(tensions) / STEEL["tension"])
     assert cents[0] > 5
     assert np.polyfit(np.arange(30), cents, 1)[0] < 0

@@ -21,12 +21,12 @@ from assembled import (
     step_map,
     uneven,
 )
-from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
-from tonewood.stepping.forcing import Segment, compile_force
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
+from tonewood.physics.stepping.forcing import Segment, compile_force
+from tonewood.physics.stepping.kernel import KernelStepper
 
 PARTS = {"a": chain(3, seed=1), "b": chain(4, seed=2), "c": uneven(3, seed=5)}
 GAPS = np.zeros((3, 10))

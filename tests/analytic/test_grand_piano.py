@@ -12,16 +12,16 @@ import tonewood as tw
 import tonewood.authoring as ta
 from pianos import piano
 from system_modes import coupled_modes
-from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.engine.engine import Engine
-from tonewood.engine.playing import perform
-from tonewood.instrument.assembly import Model
-from tonewood.instrument.inspection import held_partials
-from tonewood.instrument.mounted import mounted_pitches
-from tonewood.instrument.string_assembly import stretch_cents
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import to_motion
-from tonewood.units import cents, decibel, ratio_of_cents
+from tonewood.instrument.inspection.frequencies import held_partials
+from tonewood.instrument.inspection.mounted import mounted_pitches
+from tonewood.instrument.model.assembly import Model
+from tonewood.instrument.model.string_assembly import stretch_cents
+from tonewood.performance.engine.engine import Engine
+from tonewood.performance.player.playing import perform
+from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import to_motion
+from tonewood.support.units import cents, decibel, ratio_of_cents
 
 #: B of a recorded Yamaha C5 (Salamander samples), by partials 1 to 8: tuning report of kasper0406/piano-emulator
 MEASURED_B = {"C3": 1.20e-4, "C4": 2.93e-4, "C5": 8.05e-4, "C6": 2.70e-3}

@@ -9,9 +9,9 @@ import pytest
 
 import tonewood as tw
 from pianos import piano
-from tonewood.coupling import elimination
-from tonewood.coupling.inverse import InverseInParts
-from tonewood.output.render import Renderer
+from tonewood.physics.coupling import elimination
+from tonewood.physics.coupling.inverse import InverseInParts
+from tonewood.sound.render.renderer import Renderer
 
 #: kind of string -> cells of the table of keys; its own leverage is that of `phantom_string`
 KINDS = {

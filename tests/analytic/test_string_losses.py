@@ -11,9 +11,9 @@ import pytest
 import scipy.linalg as sla
 
 import tonewood as tw
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.losses import Valette
-from tonewood.modal.string_modes import loss_rates, string_basis
+from tonewood.instrument.contract.losses import Valette
+from tonewood.instrument.model.assembly import assemble
+from tonewood.physics.modal.string_modes import loss_rates, string_basis
 
 STRINGS = {
     "without stiffness": (0.65, 73.9, 3.61e-3, 0.0),

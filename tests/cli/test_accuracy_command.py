@@ -14,8 +14,8 @@ import pytest
 from pydantic import ValidationError
 
 from midi_bytes import note, write
-from tonewood.batch.manifest import RenderSettings
 from tonewood.cli.main import run
+from tonewood.workshop.batch.manifest import RenderSettings
 
 
 def call(*arguments: object) -> object:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tonewood.cli.main import run
-from tonewood.yaml_io import load_yaml
+from tonewood.support.yaml_io import load_yaml
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "listening_test" / "harp_damping.yaml"
 

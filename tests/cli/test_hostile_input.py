@@ -14,9 +14,9 @@ import soundfile as sf
 from midi_bytes import midi_file, note, write
 from tonewood.cli.results import _facts
 from tonewood.errors import TonewoodError
-from tonewood.instrument.registry import instrument_folder
-from tonewood.listening import answer_file
-from tonewood.listening.definition import load_test
+from tonewood.instrument.contract.registry import instrument_folder
+from tonewood.workshop.listening import answer_file
+from tonewood.workshop.listening.definition import load_test
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -252,7 +252,7 @@ def test_stems_where_no_folder_can_be_made_are_one_line_before_any_work(
         raise AssertionError("a sound was computed")
         yield np.zeros((1, 1))
 
-    monkeypatch.setattr("tonewood.output.render.Renderer.blocks", made)
+    monkeypatch.setattr("tonewood.sound.render.renderer.Renderer.blocks", made)
     taken = tmp_path / "taken"
     taken.write_text("kept")
     before = sorted(tmp_path.iterdir())

@@ -14,9 +14,9 @@ import soundfile as sf
 
 import tonewood as tw
 from tonewood.cli.main import run
-from tonewood.live.take import Take
+from tonewood.sound.live.take import Take
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "unit" / "score"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "unit" / "performance" / "score"))
 from tablatures import guitar_pro, musicxml, note
 
 Run = Callable[..., tuple[int, str, str]]

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 import tonewood as tw
-from tonewood.batch.manifest import ManifestError, load_manifest
 from tonewood.cli.main import run
 from tonewood.errors import BundleError, OldFormatWarning
-from tonewood.instrument.schema import SCHEMA
+from tonewood.instrument.bundle.schema import SCHEMA
+from tonewood.workshop.batch.manifest import ManifestError, load_manifest
 
 ROOT = Path(__file__).parents[2]
 OLD = "tonewood-instrument/1"
@@ -155,7 +155,7 @@ def test_a_file_that_cannot_be_replaced_stays_whole(tmp_path: Path, migrate: Run
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tonewood.whole_files.os.replace", full)
+    monkeypatch.setattr("tonewood.support.whole_files.os.replace", full)
     code, _, err = migrate(folder)
     assert (code, err.count("\n")) == (2, 1)
     assert "No space left on device" in err

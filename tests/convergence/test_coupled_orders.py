@@ -19,10 +19,10 @@ from assembled import (
     step_map,
     uneven,
 )
-from tonewood.coupling.connections import SpringDashpot
-from tonewood.coupling.system import System
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import SpringDashpot
+from tonewood.physics.coupling.system import System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
 
 PARTS = {"a": chain(3, seed=1), "b": uneven(4, seed=2)}
 WHOLE = merged(*PARTS.values())

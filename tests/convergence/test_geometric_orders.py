@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from tonewood.coupling.potentials.longitudinal import GeometricStretch
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.modal.string_modes import string_basis
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.modal.string_modes import string_basis
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion
 
 Floats = NDArray[np.float64]
 

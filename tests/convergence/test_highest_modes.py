@@ -16,11 +16,11 @@ import pytest
 from scipy.optimize import brentq
 
 from assembled import poles_of, step_map
-from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.system import System
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.coupling.system import System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
+from tonewood.physics.stepping.kernel import KernelStepper
 
 FS, COUNT = 48000.0, 20
 BODY = ModalBasis.real(np.array([2 * np.pi * 180.0]), np.array([0.0]), {"bridge": np.array([1 / np.sqrt(0.1)])})

@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
-from tonewood.coupling.potentials.tension import TensionModulation
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.coupling.laws import CompiledPotential, Contact, Friction, HardeningSpring, SampledPotential
+from tonewood.physics.coupling.potentials.tension import TensionModulation
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
 
 LENGTH, TENSION, DENSITY = 0.65, 70.0, 3.6e-3
 N_MODES, DURATION, COARSE = 12, 0.01, 24000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tonewood.engine.effects import tension
+from tonewood.performance.effects import tension
 
 
 @pytest.fixture(autouse=True)

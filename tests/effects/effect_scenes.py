@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tonewood as tw
-from tonewood.coupling.system import State, System
-from tonewood.engine.effects import runtime_effects
-from tonewood.engine.effects.base import Moment
-from tonewood.engine.effects.tension import TensionEffect
-from tonewood.instrument.assembly import Model
+from tonewood.instrument.model.assembly import Model
+from tonewood.performance.effects import runtime_effects
+from tonewood.performance.effects.base import Moment
+from tonewood.performance.effects.tension import TensionEffect
+from tonewood.physics.coupling.system import State, System
 
 Floats = NDArray[np.float64]
 FS = 24000

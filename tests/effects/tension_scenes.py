@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 import tonewood as tw
-from tonewood.engine.effects.base import EffectReport
-from tonewood.engine.engine import Engine
-from tonewood.score.note import Control
+from tonewood.performance.effects.base import EffectReport
+from tonewood.performance.engine.engine import Engine
+from tonewood.performance.score.note import Control
 
 Floats = NDArray[np.float64]
 #: open notes of the strings taken, of a steel-string guitar and of a classical one with rising tensions

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import tonewood as tw
-from tonewood.coupling.system import Compiled
-from tonewood.engine.effects import bridge_response
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.registry import instrument_folder
+from tonewood.instrument.contract.registry import instrument_folder
+from tonewood.instrument.model.assembly import assemble
+from tonewood.performance.effects import bridge_response
+from tonewood.physics.coupling.system import Compiled
 
 
 @pytest.fixture(scope="module")

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 import tonewood as tw
-from tonewood.coupling.system import System
-from tonewood.engine import engine as engine_module
-from tonewood.engine.costs import Costs, not_negative
-from tonewood.engine.effects.tension import TENSION_MODULATION
-from tonewood.output import plan as plan_module
-from tonewood.output import render as render_module
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.performance.effects.costs import Costs, not_negative
+from tonewood.performance.effects.tension import TENSION_MODULATION
+from tonewood.performance.engine import engine as engine_module
+from tonewood.physics.coupling.system import System
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.sound.render import plan as plan_module
+from tonewood.sound.render import renderer as render_module
 
 NOTE = tw.Note
 MODE, RISING, RISING_MODE = 5e-10, 7e-7, 4e-9

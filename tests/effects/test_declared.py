@@ -9,10 +9,10 @@ import pytest
 from effect_scenes import duet, renderer, sound
 
 import tonewood as tw
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.choice import declared
-from tonewood.instrument.effects import Norms, rise_of_tension
-from tonewood.instrument.registry import list_instruments, list_plugins
+from tonewood.instrument.contract.effects import Norms, rise_of_tension
+from tonewood.instrument.contract.registry import list_instruments, list_plugins
+from tonewood.instrument.model.assembly import assemble
+from tonewood.instrument.model.choice import declared
 
 
 @pytest.mark.parametrize("name", sorted(list_plugins()))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import tonewood as tw
-from tonewood.engine.effects.base import Moment, Switching, Watched
-from tonewood.engine.effects.tension import TensionEffect
-from tonewood.output.audio import decibels
+from tonewood.performance.effects.base import Moment, Switching, Watched
+from tonewood.performance.effects.tension import TensionEffect
+from tonewood.sound.files.audio import decibels
 
 FS = 48000
 #: a rest before the note: the pull is kept, in place of a step that fades

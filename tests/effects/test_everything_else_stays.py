@@ -10,10 +10,10 @@ import pytest
 from effect_scenes import compared, detuned, sound
 
 import tonewood as tw
-from tonewood.coupling.system import State, System
 from tonewood.errors import NothingPlayedError
-from tonewood.score.midi import read_midi
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.performance.score.midi import read_midi
+from tonewood.physics.coupling.system import State, System
+from tonewood.physics.stepping.kernel import KernelStepper
 
 SCORES = sorted((Path(__file__).parents[2] / "examples" / "scores").glob("*.mid"))
 #: of the package. One of a third party may be chaotic: the thread of `plate_zither`, switched at another place of

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import piano_scenes
 import pytest
 from phantom_scenes import excess
 
 import tonewood as tw
 from pianos import piano
-from tonewood.engine.effects.base import SwitchedEffect
+from tonewood.performance.effects.base import SwitchedEffect
 
 FS = 24000.0
 
@@ -54,6 +55,19 @@ LONG = [pytest.param(s, marks=pytest.mark.validate) for s in range(300) if s not
 def test_in_random_scenes_it_is_within_the_budget(seed: int, tmp_path: Path) -> None:
     """Strings that others set in motion through a light body among them."""
     assert excess(seed, tmp_path) <= 0.0
+
+
+#: scenes of keys that others set in motion, 10 to 14 dB beyond the budget if strings with little energy are not looked
+#: at, or not until 2,048 samples after a gesture
+SPREADING = (4, 8, 11)
+
+
+@pytest.mark.parametrize(
+    "seed", [*SPREADING, *(pytest.param(s, marks=pytest.mark.validate) for s in range(200) if s not in SPREADING)]
+)
+def test_on_a_piano_it_is_within_the_budget(seed: int, tmp_path: Path) -> None:
+    """An estimate, since bounds of several keys are added up in power; over these scenes it keeps a margin of 3 dB."""
+    assert piano_scenes.excess(seed, tmp_path) <= -3.0
 
 
 def test_left_out_by_choice_the_string_is_stiff(bass: tw.Instrument, tmp_path: Path) -> None:

@@ -7,18 +7,18 @@ import pytest
 from effect_scenes import FS, TENSION, compared, duet, moment, renderer, sound, tension_effect
 
 import tonewood as tw
-from tonewood.coupling.system import State
-from tonewood.energy.stored import stored_energy
-from tonewood.engine.effect_usage import Bound
-from tonewood.engine.effects.base import pay
-from tonewood.engine.effects.bridge_response import BridgeResponse
-from tonewood.engine.effects.phantoms import Phantoms
-from tonewood.engine.effects.tension import SELDOM, potential
-from tonewood.engine.engine import GRID
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.modal.held_modes import HeldModes
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion, share_velocities, to_motion
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.performance.effects.base import pay
+from tonewood.performance.effects.bridge_response import BridgeResponse
+from tonewood.performance.effects.phantoms import Phantoms
+from tonewood.performance.effects.tension import SELDOM, potential
+from tonewood.performance.effects.usage import Bound
+from tonewood.performance.engine.engine import GRID
+from tonewood.physics.coupling.system import State
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.modal.held_modes import HeldModes
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion, share_velocities, to_motion
 
 NOTES = [tw.Note(0.0, 3, note=59, force=2.0), tw.Note(0.3, 3, note=64, force=4.0)]
 
@@ -96,7 +96,7 @@ def test_switches_lose_no_more_than_the_budget_and_gain_no_energy() -> None:
     engine, other = (renderer(NOTES, 3.0, longitudinal(**options)).engine for _ in range(2))
     other._switch = lambda moved, fresh: None  # type: ignore[method-assign]  # never switches
     peak, left, energies, ways = 0.0, [], [], set()
-    while engine.state.sample < 2.0 * FS:
+    while engine.state.sample < 2.9 * FS:
         before, modulated = engine.snapshot(), engine.running(TENSION)
         out = engine.advance(SELDOM // 8)
         peak = max(peak, abs(out).max())

@@ -9,13 +9,13 @@ import pytest
 from effect_scenes import FS, TENSION, compared, duet, moment, renderer, sound, tension_effect
 
 import tonewood as tw
-from tonewood.energy.stored import stored_energy
-from tonewood.engine.effect_usage import Bound
-from tonewood.engine.effects.base import Switching, Watched, pay, switch
-from tonewood.engine.effects.tension import SELDOM
-from tonewood.engine.engine import GRID
-from tonewood.instrument.assembly import assemble
-from tonewood.stepping.motion import from_motion, share_velocities, to_motion
+from tonewood.instrument.model.assembly import assemble
+from tonewood.performance.effects.base import Switching, Watched, pay, switch
+from tonewood.performance.effects.tension import SELDOM
+from tonewood.performance.effects.usage import Bound
+from tonewood.performance.engine.engine import GRID
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.stepping.motion import from_motion, share_velocities, to_motion
 
 BUDGET = 0.5
 NOTE = tw.Note

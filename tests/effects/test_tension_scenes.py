@@ -8,8 +8,8 @@ from effect_scenes import FS, TENSION
 from tension_scenes import SECONDS, deviations, followed, forces, guitar
 
 import tonewood as tw
-from tonewood.engine.effects.tension import TensionEffect
-from tonewood.score.note import Control
+from tonewood.performance.effects.tension import TensionEffect
+from tonewood.performance.score.note import Control
 
 BUDGET = 0.5
 #: cents that the reading of pitch itself is off in these scenes, where `auto` never left anything out

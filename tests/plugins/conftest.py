@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tonewood.instrument import registry
+from tonewood.instrument.contract import registry
 
 ROOT = Path(__file__).parents[2]
 

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.system import Injection, PrescribedMotion, System
-from tonewood.energy.account import EnergyAccount, KnownForce
-from tonewood.energy.trace import EnergyTrace
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.gestures import Event
-from tonewood.stepping.forcing import compile_force
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.contract.gestures import Event
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.physics.coupling.system import Injection, PrescribedMotion, System
+from tonewood.physics.energy.account import EnergyAccount, KnownForce
+from tonewood.physics.energy.trace import EnergyTrace
+from tonewood.physics.stepping.forcing import compile_force
+from tonewood.physics.stepping.kernel import KernelStepper
 
 Floats = NDArray[np.float64]
 

@@ -19,15 +19,15 @@ from scipy import linalg
 import tonewood as tw
 from random_bodies import DAMPING, body, static_compliance
 from tonewood.cli.main import run
-from tonewood.coupling.system import System
 from tonewood.errors import BundleError, PassivityError
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.contract import Body, BodyPoint
-from tonewood.modal.modes import ModalBasis
-from tonewood.params import Parameters
-from tonewood.passivity.basis import check_basis
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.contract.base import Body, BodyPoint
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.physics.coupling.system import System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.passivity.basis import check_basis
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.support.params import Parameters
 
 FS = 48000
 PORTS = ("low", "middle", "high")

@@ -13,12 +13,12 @@ import pytest
 import yaml
 
 import tonewood as tw
-from tonewood.batch.manifest import ManifestError
-from tonewood.batch.rendering import EngineRenderer
-from tonewood.batch.runner import run_batch
-from tonewood.batch.workers import Workers
 from tonewood.cli.main import run
 from tonewood.errors import PluginError
+from tonewood.workshop.batch.manifest import ManifestError
+from tonewood.workshop.batch.rendering import EngineRenderer
+from tonewood.workshop.batch.runner import run_batch
+from tonewood.workshop.batch.workers import Workers
 
 ROOT = Path(__file__).parents[2]
 SOURCE = (ROOT / "plugins" / "pluck_ramp.py").read_text(encoding="utf-8")
@@ -78,9 +78,9 @@ def test_every_command_that_loads_an_instrument_asks(
         "batch": [str(_manifest(tmp_path)), "-o", str(tmp_path / "out"), "--dry-run"],
     }[command]
     if command == "list":
-        monkeypatch.setattr("tonewood.instrument.registry.instrument_folder", lambda name: bundle)
+        monkeypatch.setattr("tonewood.instrument.contract.registry.instrument_folder", lambda name: bundle)
     if command == "play":
-        monkeypatch.setattr("tonewood.output.play.play", lambda *a, **k: tw_playback())
+        monkeypatch.setattr("tonewood.sound.live.play.play", lambda *a, **k: tw_playback())
 
     def ended(*more: str) -> tuple[int, str]:
         with pytest.raises(SystemExit) as end:
@@ -100,7 +100,7 @@ def test_every_command_that_loads_an_instrument_asks(
 
 
 def tw_playback() -> Any:
-    from tonewood.output.play import Playback
+    from tonewood.sound.live.play import Playback
 
     return Playback(160, 0)
 
@@ -187,10 +187,10 @@ def test_a_batch_passes_it_to_its_workers_and_keeps_the_hash(bundle: Path, tmp_p
 
 def test_another_file_is_another_render(bundle: Path, tmp_path: Path) -> None:
     """In a process of its own kind: an instrument once loaded is kept while a batch runs."""
-    from tonewood.batch import rendering
-    from tonewood.batch.conditions import expand
-    from tonewood.batch.manifest import load_manifest
-    from tonewood.batch.store import content_key
+    from tonewood.workshop.batch import rendering
+    from tonewood.workshop.batch.conditions import expand
+    from tonewood.workshop.batch.manifest import load_manifest
+    from tonewood.workshop.batch.store import content_key
 
     keys = []
     for more in ("", "# louder\n"):

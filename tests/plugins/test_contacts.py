@@ -11,8 +11,8 @@ import pytest
 from scene import PLUCK, Played, band_energy, instrument, play
 
 from tonewood.errors import BundleError
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model.assembly import assemble
 
 FREQ = np.sqrt(73.9 / 3.61e-3) / 2 / 0.65
 IDEAL = {"bending_stiffness": 0.0, "loss": {"law": "sigma", "sigma0": 0.0, "sigma1": 0.0}, "freq_upper": 20000.0}

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from tonewood.errors import PluginError
-from tonewood.instrument.attached import Site
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.contract import KINDS, Attachment, Exciter, Plugin, Resonator
-from tonewood.instrument.gestures import Event
-from tonewood.instrument.registry import check_plugin, list_instruments, list_plugins
-from tonewood.params import Parameters, quantity
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.contract.attached import Site
+from tonewood.instrument.contract.base import KINDS, Attachment, Exciter, Plugin, Resonator
+from tonewood.instrument.contract.gestures import Event
+from tonewood.instrument.contract.registry import check_plugin, list_instruments, list_plugins
+from tonewood.support.params import Parameters, quantity
 
 PLUGINS = list_plugins()
 INSTRUMENTS = list_instruments()
@@ -91,7 +91,7 @@ def test_strings(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
 
 @pytest.mark.parametrize("name", [n for n, p in PLUGINS.items() if issubclass(p, Exciter)])
 def test_gestures(name: str, used: dict[str, list[Plugin[Any]]]) -> None:
-    from tonewood.instrument.gestures import Place
+    from tonewood.instrument.contract.gestures import Place
 
     for exciter in used[name]:
         assert isinstance(exciter, Exciter)

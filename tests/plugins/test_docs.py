@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from tonewood.instrument import registry
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.registry import check_plugin, list_instruments
-from tonewood.instrument.schema_table import inserted
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.bundle.schema_table import inserted
+from tonewood.instrument.contract import registry
+from tonewood.instrument.contract.registry import check_plugin, list_instruments
+from tonewood.instrument.model.assembly import assemble
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "make_an_instrument.md").read_text(encoding="utf-8")
@@ -30,7 +30,7 @@ def test_the_monochord_shown_is_the_one_that_ships() -> None:
 
 
 def test_tables_are_up_to_date() -> None:
-    """Mended by ``python -m tonewood.instrument.schema_table docs/make_an_instrument.md``."""
+    """Mended by ``python -m tonewood.instrument.bundle.schema_table docs/make_an_instrument.md``."""
     assert inserted(PAGE) == PAGE
 
 

@@ -12,20 +12,20 @@ import pytest
 import scipy.linalg as sla
 
 import tonewood as tw
-from tonewood.coupling.system import System
-from tonewood.energy.account import EnergyAccount
 from tonewood.errors import BundleError
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.files import Files
-from tonewood.instrument.inspection import mobility_bands
-from tonewood.instrument.registry import plugin
-from tonewood.passivity.basis import check_basis
-from tonewood.plate import body_modes
-from tonewood.plate.microphones import pressure
-from tonewood.plate.plate import cell_size
-from tonewood.plate.tracking import followed
-from tonewood.stepping.motion import from_motion
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.instrument.contract.files import Files
+from tonewood.instrument.contract.registry import plugin
+from tonewood.instrument.inspection.frequencies import mobility_bands
+from tonewood.instrument.model.assembly import assemble
+from tonewood.physics.coupling.system import System
+from tonewood.physics.energy.account import EnergyAccount
+from tonewood.physics.passivity.basis import check_basis
+from tonewood.physics.plate import body_modes
+from tonewood.physics.plate.microphones import pressure
+from tonewood.physics.plate.plate import cell_size
+from tonewood.physics.plate.tracking import followed
+from tonewood.physics.stepping.motion import from_motion
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 SMALL: dict[str, Any] = {
     "outline": {"points": [[0, 0], [0.3, 0], [0.3, 0.2], [0, 0.2]]},
@@ -202,7 +202,7 @@ def test_bad_drawings_are_refused_with_the_place(values: dict[str, Any], reason:
 
 
 def test_the_cache_is_safe_to_delete_and_to_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from tonewood.instrument import array_cache
+    from tonewood.instrument.contract import array_cache
 
     monkeypatch.setenv("TONEWOOD_CACHE", str(tmp_path / "kept"))
     calls = []
@@ -229,7 +229,7 @@ def test_the_cache_is_safe_to_delete_and_to_damage(tmp_path: Path, monkeypatch: 
 
 def test_the_cache_has_arrays_of_each_blas_library_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another processor kernel rounds otherwise: arrays computed with it would change a render's last bits."""
-    from tonewood.instrument import array_cache
+    from tonewood.instrument.contract import array_cache
 
     monkeypatch.setenv("TONEWOOD_CACHE", str(tmp_path))
     for number, kernel in enumerate(("Haswell", "SkylakeX", "Haswell")):
@@ -354,8 +354,8 @@ def test_a_measured_body_with_shapes_on_a_grid_is_heard(tmp_path: Path) -> None:
 
 def test_its_modes_can_be_written_as_a_table(tmp_path: Path) -> None:
     """`modal_table` makes the same body of the table and of the keys in its first lines."""
-    from tonewood.instrument.modal_export import modal_table_text
-    from tonewood.yaml_io import parse_yaml
+    from tonewood.instrument.inspection.modal_export import modal_table_text
+    from tonewood.support.yaml_io import parse_yaml
 
     body = guitar().body
     text = modal_table_text(body, "body.csv", 2e4)

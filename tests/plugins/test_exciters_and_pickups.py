@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tonewood.coupling.system import Probe
 from tonewood.errors import BundleError
-from tonewood.instrument.contract import BodyPoint, Exciter, Scene
-from tonewood.instrument.gestures import Event, Gesture, Place
-from tonewood.instrument.registry import plugin
+from tonewood.instrument.contract.base import BodyPoint, Exciter, Scene
+from tonewood.instrument.contract.gestures import Event, Gesture, Place
+from tonewood.instrument.contract.registry import plugin
+from tonewood.physics.coupling.system import Probe
 
 STRING = Place("G3", 0.65)
 NOTE = Event(freq=196.0)

@@ -12,12 +12,12 @@ from scipy.integrate import solve_ivp
 from tests.plugins.scene import STRING, instrument
 
 import tonewood as tw
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.contract import Exciter
-from tonewood.instrument.gestures import Event, Gesture, Place
-from tonewood.instrument.registry import plugin
-from tonewood.modal.points import spread
-from tonewood.stepping.forcing import SampledForce, course
+from tonewood.instrument.contract.base import Exciter
+from tonewood.instrument.contract.gestures import Event, Gesture, Place
+from tonewood.instrument.contract.registry import plugin
+from tonewood.instrument.model.assembly import assemble
+from tonewood.physics.modal.points import spread
+from tonewood.physics.stepping.forcing import SampledForce, course
 
 LENGTH, TENSION, FREQ = 0.65, 70.0, 220.0
 IMPEDANCE = TENSION / (2 * LENGTH * FREQ)

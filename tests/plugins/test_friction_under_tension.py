@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scene import instrument, play
 
-from tonewood.coupling import law_solve
-from tonewood.coupling.law_solve import FrictionBranch, solve_branches
-from tonewood.coupling.laws import Friction
+from tonewood.physics.coupling import law_solve
+from tonewood.physics.coupling.law_solve import FrictionBranch, solve_branches
+from tonewood.physics.coupling.laws import Friction
 
 STATIC = {"plectrum": 1.0, "bow": 0.8}
 STRING: dict[str, Any] = {

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scene import PLUCK, instrument, play
 
 import tonewood as tw
-from tonewood.coupling.potentials.longitudinal import GeometricStretch
-from tonewood.coupling.potentials.tension import TensionModulation
 from tonewood.errors import BundleError
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model.assembly import assemble
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.physics.coupling.potentials.tension import TensionModulation
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 Floats = NDArray[np.float64]
 

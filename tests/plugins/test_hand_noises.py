@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import tonewood as tw
-from tonewood.energy.trace import EnergyTrace
-from tonewood.engine.playing import perform
-from tonewood.engine.timeline import Play
 from tonewood.errors import BundleError
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.contract import Exciter
-from tonewood.instrument.gestures import Event, Gesture, Place
-from tonewood.instrument.registry import plugin
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.contract.base import Exciter
+from tonewood.instrument.contract.gestures import Event, Gesture, Place
+from tonewood.instrument.contract.registry import plugin
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.performance.player.playing import perform
+from tonewood.performance.player.timeline import Play
+from tonewood.physics.energy.trace import EnergyTrace
 
 TENSION, DENSITY, OPEN = 71.6, 6.24e-3, 0.65
 #: wave impedance, sqrt(T mu), N s/m

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from scene import band_energy, instrument, play
 
 import tonewood as tw
-from tonewood.energy.stored import stored_energy
-from tonewood.engine.engine import Engine
-from tonewood.engine.playing import perform
 from tonewood.errors import BundleError
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.score.note import Control
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model.assembly import assemble
+from tonewood.performance.engine.engine import Engine
+from tonewood.performance.player.playing import perform
+from tonewood.performance.score.note import Control
+from tonewood.physics.energy.stored import stored_energy
 
 Floats = NDArray[np.float64]
 FS = 48000

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tonewood.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.coupling.system import System
 from tonewood.errors import BundleError
-from tonewood.instrument.contract import BodyPoint, BridgeForce, Scene
-from tonewood.instrument.files import Files
-from tonewood.instrument.registry import plugin
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.instrument.contract.base import BodyPoint, BridgeForce, Scene
+from tonewood.instrument.contract.files import Files
+from tonewood.instrument.contract.registry import plugin
+from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
+from tonewood.physics.coupling.system import System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 ROWS = [
     # f_Hz, Q, a, a_moment, b, b_moment

@@ -10,8 +10,8 @@ import pytest
 import scipy.linalg as sla
 
 from tonewood.errors import PassivityError, TonewoodError
-from tonewood.instrument.files import Files
-from tonewood.instrument.registry import plugin
+from tonewood.instrument.contract.files import Files
+from tonewood.instrument.contract.registry import plugin
 
 FREQ = np.array([60.0, 101.0, 140.0, 300.0, 777.0])
 S = 2j * np.pi * FREQ

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scene import instrument, play
 from test_bow import BOW, DYNAMIC, FREQ, SPEED, STATIC, Z, slips
 
-from tonewood.instrument.assembly import Model, assemble
+from tonewood.instrument.model.assembly import Model, assemble
 
 SIGMA = 8.0
 STRING = {"loss": {"law": "sigma", "sigma0": SIGMA, "sigma1": 3e-4}, "bending_stiffness": 0.0}

@@ -15,21 +15,21 @@ from scene import instrument
 from test_geometric_string import STEEL
 
 import tonewood as tw
-from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.laws import Contact
-from tonewood.coupling.potentials.longitudinal import GeometricStretch
-from tonewood.coupling.potentials.tension import TensionModulation
-from tonewood.coupling.system import State, System
-from tonewood.energy.stored import stored_energy
-from tonewood.engine.engine import Engine
-from tonewood.engine.playing import perform
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion, to_motion
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model.assembly import assemble
+from tonewood.performance.engine.engine import Engine
+from tonewood.performance.player.playing import perform
+from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.coupling.laws import Contact
+from tonewood.physics.coupling.potentials.longitudinal import GeometricStretch
+from tonewood.physics.coupling.potentials.tension import TensionModulation
+from tonewood.physics.coupling.system import State, System
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion, to_motion
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 Floats = NDArray[np.float64]
 

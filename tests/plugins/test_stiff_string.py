@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tonewood.errors import BundleError
-from tonewood.instrument.registry import plugin
+from tonewood.instrument.contract.registry import plugin
 
 LOSSLESS = {"law": "sigma", "sigma0": 0.0}
 G3: dict[str, Any] = {"length": 0.65, "tension": 58.3, "linear_density": 0.9e-3, "bending_stiffness": 310e-6}
@@ -20,7 +20,7 @@ def make(**changes: Any) -> Any:
 
 def held_frequencies(basis: Any, count: int) -> np.ndarray:
     """Partials of the string held at its bridge: where the compliance of the free end vanishes."""
-    from tonewood.modal.receptance import Joint, Ports
+    from tonewood.physics.modal.receptance import Joint, Ports
 
     joint, freqs, last = Joint([Ports.of(basis, np.ones((1, 1)))]), [], 0.0
     f0 = np.sqrt(58.3 / 0.9e-3) / 1.3
@@ -60,7 +60,7 @@ def test_static_deflection_by_the_end() -> None:
 )
 def test_losses(loss: dict[str, Any], sigma: Any) -> None:
     """Partials on a rigid end decay by the law: zeros of the end's compliance, with their real part."""
-    from tonewood.modal.receptance import Joint, Ports
+    from tonewood.physics.modal.receptance import Joint, Ports
 
     joint = Joint([Ports.of(make(loss=loss).basis(12000.0), np.ones((1, 1)))])
     for k in np.arange(1, 11) * np.pi / 0.65:

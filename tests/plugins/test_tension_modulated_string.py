@@ -15,11 +15,11 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 from scene import instrument, play
 
-from tonewood.coupling.system import State
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion, to_motion
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.physics.coupling.system import State
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion, to_motion
 
 Floats = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 import tonewood as tw
 import tonewood.authoring as ta
 from tonewood.cli.main import run
-from tonewood.energy.stored import gaps, stored_energy
-from tonewood.engine.effects.base import SwitchedEffect, pay
-from tonewood.engine.engine import Engine
+from tonewood.performance.effects.base import SwitchedEffect, pay
+from tonewood.performance.engine.engine import Engine
+from tonewood.physics.energy.stored import gaps, stored_energy
 
 pytestmark = pytest.mark.usefixtures("plate")
 

@@ -17,7 +17,7 @@ from scene import instrument
 
 import tonewood as tw
 import tonewood.authoring as ta
-from tonewood.instrument import registry
+from tonewood.instrument.contract import registry
 
 STIFFNESS, EXPONENT, ROOM = 2e9, 2.0, 2e-4
 SOURCE = """

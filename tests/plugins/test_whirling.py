@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scene import instrument, play
 from test_tension_modulated_string import STEEL
 
-from tonewood.energy.stored import stored_energy
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion, to_motion
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion, to_motion
 
 Floats = NDArray[np.float64]
 P, DENSITY = np.pi / STEEL["length"], STEEL["linear_density"]

@@ -1,5 +1,6 @@
-"""Assembled systems in files, with the samples that they should give: beside the arrays of `tonewood.output.model_file`
-stand known forces as ``injections/i/0`` to ``3`` (slot, first step, vectors, values) and ``samples`` (n, channels).
+"""Assembled systems in files, with the samples that they should give: beside the arrays of
+`tonewood.sound.render.model_file` stand known forces as ``injections/i/0`` to ``3`` (slot, first step, vectors,
+values) and ``samples`` (n, channels).
 """
 
 from __future__ import annotations
@@ -9,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tonewood.coupling.system import Injection, System
-from tonewood.output.model_file import MAGIC, Arrays, flat, recorded
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.system import Injection, System
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.sound.render.model_file import MAGIC, Arrays, flat, recorded
 
 
 def read(path: Path) -> Arrays:

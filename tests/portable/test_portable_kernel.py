@@ -13,14 +13,14 @@ import pytest
 import saved
 
 import tonewood as tw
-from tonewood.coupling import elimination
-from tonewood.coupling.inverse import InverseInParts
-from tonewood.coupling.system import Injection, System
 from tonewood.errors import OutputError, TonewoodError
-from tonewood.instrument.assembly import assemble
-from tonewood.output.model_file import save_model, write_arrays
-from tonewood.stepping.forcing import compile_force
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.instrument.model.assembly import assemble
+from tonewood.physics.coupling import elimination
+from tonewood.physics.coupling.inverse import InverseInParts
+from tonewood.physics.coupling.system import Injection, System
+from tonewood.physics.stepping.forcing import compile_force
+from tonewood.physics.stepping.stepper import NumpyStepper
+from tonewood.sound.render.model_file import save_model, write_arrays
 
 ROOT = Path(__file__).parents[2]
 HERE, KERNEL, EMBED = Path(__file__).parent, ROOT / "src" / "kernel", ROOT / "src" / "embed"

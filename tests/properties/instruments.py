@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from assembled import Part, chain, connect, motion_readouts, uneven
-from tonewood.coupling.connections import Rigid, SpringDashpot
-from tonewood.coupling.system import Readout, System
+from tonewood.physics.coupling.connections import Rigid, SpringDashpot
+from tonewood.physics.coupling.system import Readout, System
 
 
 @dataclass(frozen=True)

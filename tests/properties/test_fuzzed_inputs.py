@@ -19,8 +19,8 @@ import tonewood as tw
 from midi_bytes import bend, bend_range, control, midi_file
 from midi_bytes import note as pressed
 from tonewood.errors import TonewoodError
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.registry import instrument_folder
+from tonewood.instrument.contract.registry import instrument_folder
+from tonewood.instrument.model.assembly import assemble
 
 FS = 8000
 FOLDER = instrument_folder("monochord")

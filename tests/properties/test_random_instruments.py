@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from instruments import build, instruments
 
 from assembled import held_force, joined, merged, run_exact, run_held
-from tonewood.coupling.connections import Rigid
-from tonewood.coupling.inverse import scaled_pinv
-from tonewood.coupling.system import BLOCK_SIZE, Injection
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import Rigid
+from tonewood.physics.coupling.inverse import scaled_pinv
+from tonewood.physics.coupling.system import BLOCK_SIZE, Injection
+from tonewood.physics.stepping.kernel import KernelStepper
 
 STEPS = 80
 FEW = settings(max_examples=12)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import tonewood as tw
-from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.bundle.loading import Instrument
 
 Rng = np.random.Generator
 #: by the checkout's folders: a scene must not depend on other packages installed

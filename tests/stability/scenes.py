@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.energy.account import EnergyAccount
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion, share_velocities
+from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.energy.account import EnergyAccount
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion, share_velocities
 
 FS = 48000
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from scipy import linalg
 
 from random_bodies import DAMPING, STRINGS, body, coupled_map, energy_form, growth, static_compliance, string_end
-from tonewood.passivity.conditions import check
-from tonewood.passivity.repair import repair
-from tonewood.passivity.storage import storage_matrix
+from tonewood.physics.passivity.conditions import check
+from tonewood.physics.passivity.repair import repair
+from tonewood.physics.passivity.storage import storage_matrix
 
 DT = 1 / 48000
 

@@ -11,12 +11,12 @@ import scipy.linalg as sla
 from scenes import energies, guitar
 
 from assembled import Part, chain, connect, held_force, joined, merged, motion_readouts, poles_of, run_held, step_map
-from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.energy.account import EnergyAccount
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion, share_velocities
+from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.energy.account import EnergyAccount
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion, share_velocities
 
 DT = 1e-4
 UNDAMPED = {"mass_damping": 0.0, "stiffness_damping": 0.0}

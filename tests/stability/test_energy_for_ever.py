@@ -11,11 +11,11 @@ import scipy.linalg as sla
 from scenes import displaced, energies, guitar
 
 from assembled import Part, held_force, poles_of, step_map
-from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.energy.account import EnergyAccount
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.energy.account import EnergyAccount
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
 
 DT = 1 / 48000
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.law_solve import newton
-from tonewood.coupling.laws import Contact
-from tonewood.coupling.potentials.tension import TensionModulation
-from tonewood.coupling.system import System
-from tonewood.energy.stored import stored_energy
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.coupling.law_solve import newton
+from tonewood.physics.coupling.laws import Contact
+from tonewood.physics.coupling.potentials.tension import TensionModulation
+from tonewood.physics.coupling.system import System
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
 
 LENGTH, TENSION, DENSITY, DT = 0.65, 70.0, 3.6e-3, 1 / 48000
 

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tonewood import _kernel
-from tonewood.coupling.potentials.base import Kind
-from tonewood.coupling.potentials.phantom import MEMORY
+from tonewood.physics.coupling.potentials.base import Kind
+from tonewood.physics.coupling.potentials.phantom import MEMORY
 
 PAD, BLOCK, CHANNELS, CAPACITY = _kernel.PADDING, _kernel.BLOCK_SIZE, 2, 4 * _kernel.PADDING
 CONNECTIONS = 2

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 import tonewood as tw
 from sounds import cents, partial
-from tonewood.energy.stored import stored_energy
-from tonewood.engine.engine import GRID, Engine
-from tonewood.engine.timeline import Change, Play, Timeline
 from tonewood.errors import NumericalError
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.gestures import Gesture
-from tonewood.output.audio import SoundWriter
-from tonewood.stepping.forcing import Segment
+from tonewood.instrument.contract.gestures import Gesture
+from tonewood.instrument.model.assembly import assemble
+from tonewood.performance.engine.engine import GRID, Engine
+from tonewood.performance.player.timeline import Change, Play, Timeline
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.stepping.forcing import Segment
+from tonewood.sound.files.audio import SoundWriter
 
 Floats = NDArray[np.float64]
 FS = 16000

@@ -8,9 +8,9 @@ import scipy.linalg as sla
 from scenes import body, guitar, string
 
 from assembled import held_force, poles_of, step_map
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.stepping.kernel import KernelStepper
 
 RATES = [8000, 11025, 16000, 22050, 32000, 44100, 48000, 96000, 192000]
 

@@ -8,12 +8,12 @@ from scenes import displaced, guitar
 
 from assembled import held_force
 from tonewood import _kernel
-from tonewood.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.coupling.system import BLOCK_SIZE, Injection, Probe, Readout, System
 from tonewood.errors import NumericalError
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
+from tonewood.physics.coupling.system import BLOCK_SIZE, Injection, Probe, Readout, System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 DT = 1 / 48000
 ISAS = _kernel.instruction_sets()

@@ -11,7 +11,7 @@ import threading
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from tonewood.blas import blas_libraries, one_blas_thread
+from tonewood.support.blas import blas_libraries, one_blas_thread
 
 RENDER = """
 import hashlib, json
@@ -96,7 +96,7 @@ def test_samples_do_not_depend_on_the_number_of_blas_threads() -> None:
 
 LATE = """
 from threadpoolctl import threadpool_info
-from tonewood.blas import one_blas_thread
+from tonewood.support.blas import one_blas_thread
 
 def threads():
     return {i["num_threads"] for i in threadpool_info() if i["user_api"] == "blas"}
@@ -104,7 +104,7 @@ def threads():
 @one_blas_thread
 def inside():
     few = len(threadpool_info())
-    from tonewood.scipy_linalg import sla
+    from tonewood.support.scipy_linalg import sla
     return few, len(threadpool_info()), threads()
 
 few, more, limited = inside()

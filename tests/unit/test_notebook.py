@@ -16,10 +16,10 @@ import soundfile as sf
 
 import tonewood as tw
 from tonewood.errors import BundleError, ScoreError, TonewoodError
-from tonewood.modal.modes import ModalBasis
-from tonewood.plotting import COLOURS, SMALL, TEXT, frequency_axis
-from tonewood.plotting import figure as new_figure
-from tonewood.tables import Table, properties_html
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.support.plotting import COLOURS, SMALL, TEXT, frequency_axis
+from tonewood.support.plotting import figure as new_figure
+from tonewood.support.tables import Table, properties_html
 
 OMEGA, SIGMA, MASS = 2 * np.pi * np.array([100.0, 300.0]), np.array([5.0, 20.0]), np.array([0.5, 0.25])
 

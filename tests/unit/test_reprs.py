@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import tonewood as tw
-from tonewood.instrument.assembly import Model, assemble
+from tonewood.instrument.model.assembly import Model, assemble
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ import pytest
 import scipy.linalg as sla
 
 import tonewood as tw
-from tonewood.coupling.compiled import _pivots
 from tonewood.errors import DamagedCacheWarning
-from tonewood.garbage import without_collecting
-from tonewood.instrument.assembly import assemble
+from tonewood.instrument.model.assembly import assemble
+from tonewood.physics.coupling.compiled import _pivots
+from tonewood.support.garbage import without_collecting
 
 FIRST_BLOCK = """
 import gc, hashlib, json, sys

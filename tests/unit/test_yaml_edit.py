@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tonewood.errors import TonewoodError
-from tonewood.yaml_edit import Edit, apply_edits, edit_text
-from tonewood.yaml_io import parse_yaml
+from tonewood.support.yaml_edit import Edit, apply_edits, edit_text
+from tonewood.support.yaml_io import parse_yaml
 
 OUT = Edit("render.precision", None, "remove render.precision")
 

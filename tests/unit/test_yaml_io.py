@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from tonewood.errors import BundleError, TonewoodError
-from tonewood.yaml_io import load_yaml, located, parse_yaml
-from tonewood.yaml_parser import MAX_DEPTH
+from tonewood.support.yaml_io import load_yaml, located, parse_yaml
+from tonewood.support.yaml_parser import MAX_DEPTH
 
 
 def test_yaml_1_2_scalars() -> None:

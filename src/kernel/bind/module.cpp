@@ -266,7 +266,7 @@ std::pair<int, std::int64_t> run(Kernel& kernel, Out modes, Out out, Out forces,
 }  // namespace
 
 NB_MODULE(_kernel, m) {
-    m.doc() = "Steps modal systems; see tonewood.stepping.kernel.";
+    m.doc() = "Steps modal systems; see tonewood.physics.stepping.kernel.";
     m.attr("BLOCK_SIZE") = kBlock;
     m.attr("PADDING") = kPadding;
 #ifdef __clang__

@@ -1,4 +1,4 @@
-// Nonlinear laws over one step; the formulas and their reasons are in tonewood.coupling.laws.
+// Nonlinear laws over one step; the formulas and their reasons are in tonewood.physics.coupling.laws.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Forces of the active nonlinear connections over one step; see tonewood.coupling.law_solve.
+// Forces of the active nonlinear connections over one step; see tonewood.physics.coupling.law_solve.
 #pragma once
 
 #include <cmath>

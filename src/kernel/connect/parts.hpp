@@ -1,4 +1,4 @@
-// Forces of linear connections whose inverse is given in parts (coupling/inverse.py):
+// Forces of linear connections whose inverse is given in parts (physics/coupling/inverse.py):
 //
 //     f = c - B (e + U u) + B U K q,      q = U^T B (e + U u),      e: gaps without the hub, u: its r motions,
 //

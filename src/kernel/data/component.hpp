@@ -78,7 +78,7 @@ struct Shapes {
     Array<double> drive;              // (2, n), as its `w`
 };
 
-// Mass-normalised coordinates y of real modes on which a potential acts (coupling/potentials/coordinates.py).
+// Mass-normalised coordinates y of real modes on which a potential acts (physics/coupling/potentials/coordinates.py).
 constexpr int kMaxScaledPorts = 32;
 // numbers per mode in `numbers` (one more per port) and in the state
 constexpr int kScaledNumbers = 6, kScaledState = 2;

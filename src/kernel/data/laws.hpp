@@ -5,7 +5,7 @@
 
 namespace tonewood {
 
-// One nonlinear law; its numbers are those of tonewood.coupling.laws.
+// One nonlinear law; its numbers are those of tonewood.physics.coupling.laws.
 struct Law {
     enum Kind { contact, spring, sampled, compiled, friction };
     Kind kind = contact;

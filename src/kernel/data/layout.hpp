@@ -54,7 +54,7 @@ struct Solve {
     Array<double> gamma;     // (m)
     Array<double> constant;  // (m)
     Array<double> weights;   // (n_channels, m) of forces in the readouts
-    // G in parts (coupling/inverse.py): B - B U K U^T B, B block-diagonal, U = Q P the motions of a hub at its points
+    // G in parts (physics/coupling/inverse.py): B - B U K U^T B, B block-diagonal, U = Q P the motions of a hub at its points
     struct Hub {
         int slot = -1;               // component
         std::vector<int> ports;      // (r) its ports whose displacements are the motions

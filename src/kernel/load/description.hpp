@@ -1,6 +1,6 @@
 // A compiled system as it is loaded: plain arrays by name. No Python, no ownership: `load` copies the arrays it keeps.
 //
-// The arrays are those of tonewood.stepping.kernel.describe, which saves and documents them.
+// The arrays are those of tonewood.physics.stepping.kernel.describe, which saves and documents them.
 #pragma once
 
 #include <array>

@@ -2,10 +2,10 @@
 //
 // In the coordinates xi, v of scaled_modes.hpp, r the rows of the ports: with f the forces of the linear connections
 // without potentials, k what known forces add to v, h = w a / 2, and p_0, p_1 twice the weights of the middle of a step
-// (ModalCoordinates in coupling/potentials),
+// (ModalCoordinates in physics/coupling/potentials),
 //     b = p_0 (2 xi + v) + p_1 r f + (p_1 - p_0) k,      g = 2 sqrt(kappa) q b,      q = h (1 - T h),
 // and the modal force is r f+ - psi_m g, f+ the forces found. T is 0 but under extreme tensions (the guard of
-// tonewood.coupling.potentials.tension). g is a sum of a part without f and one for each force, so that all sums are
+// tonewood.physics.coupling.potentials.tension). g is a sum of a part without f and one for each force, so that all sums are
 // known before the forces are.
 #pragma once
 

@@ -1,5 +1,5 @@
 // Strings with longitudinal motion: their direction is the gradient of U; the equations are in
-// tonewood.coupling.potentials.longitudinal.
+// tonewood.physics.coupling.potentials.longitudinal.
 #pragma once
 
 #include "modal_forces.hpp"

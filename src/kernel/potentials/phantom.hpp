@@ -1,4 +1,4 @@
-// Longitudinal motion of strings, driven one way by their transverse motion (tonewood.coupling.potentials.phantom
+// Longitudinal motion of strings, driven one way by their transverse motion (tonewood.physics.coupling.potentials.phantom
 // has the equations).
 //
 // A block's forces follow from the transverse motion of the block before: the modes that take part are stepped once

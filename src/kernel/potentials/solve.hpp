@@ -1,4 +1,4 @@
-// Potentials over one step, of any kinds side by side; the equations are in tonewood.coupling.potentials.solve.
+// Potentials over one step, of any kinds side by side; the equations are in tonewood.physics.coupling.potentials.solve.
 //
 // A potential acts along a direction g that is known before the forces are, by -psi_m g, and psi_m answers to the
 // motion along g as a linear connection does. So every sample is linear in psi_m, one unknown for each potential:
@@ -18,6 +18,7 @@ namespace tonewood {
 namespace {
 
 constexpr double kPaidAtOnce = 0.25;   // of the kinetic energy, at most, where psi is put back
+constexpr double kSame = 1e-13;        // of an energy, by which two sums of it may differ
 constexpr double kKept = 1e-3;         // of V + C: excess of psi^2 / 2 up to which it is not
 
 class PotentialGroup;
@@ -81,12 +82,16 @@ public:
     virtual double pay(int s, double cost) = 0;
 
     // Reads C and psi of all potentials from the state, whose numbers are the excess of psi^2 / 2 - C over V, C, and
-    // the sign of psi.
+    // psi.
     void begin() {
         for (int s = first_; s < end_; ++s) {
-            const double stored = energy(s) + row(s)[0];
-            ws_.shift[s] = shift(s, row(s)[1], stored);
-            ws_.psi[s] = std::copysign(std::sqrt(2 * std::max(stored + ws_.shift[s], 0.0)), row(s)[2]);
+            const double *const kept = row(s), stored = energy(s) + kept[0], C = shift(s, kept[1], stored);
+            const double apart = std::abs(0.5 * kept[2] * kept[2] - C - stored);
+            const bool same = C == kept[1] && apart <= kSame * (std::abs(stored) + std::abs(kept[0]) + C);
+            ws_.shift[s] = C;
+            // near zero the root would not be as exact
+            ws_.psi[s] =
+                same ? kept[2] : std::copysign(std::sqrt(2 * std::max(stored + C, 0.0)), kept[2]);
         }
     }
     // Writes them; the modes are in the state. Puts psi back where it `resets`.
@@ -99,7 +104,7 @@ public:
                 ws_.shift[s] = shift(s, 0.0, value + excess);
                 ws_.psi[s] = std::sqrt(2 * std::max(value + excess + ws_.shift[s], 0.0));
             }
-            row(s)[0] = excess, row(s)[1] = ws_.shift[s], row(s)[2] = std::copysign(1.0, ws_.psi[s]);
+            row(s)[0] = excess, row(s)[1] = ws_.shift[s], row(s)[2] = ws_.psi[s];
         }
     }
     // Largest psi_m sqrt(sum g^2 / a) of component i in the sample, where contacts on it are culled.

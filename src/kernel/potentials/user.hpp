@@ -1,4 +1,4 @@
-// Potentials of plugins: C functions of the coordinates; the equations are in tonewood.coupling.potentials.user.
+// Potentials of plugins: C functions of the coordinates; the equations are in tonewood.physics.coupling.potentials.user.
 #pragma once
 
 #include "modal_forces.hpp"

@@ -12,7 +12,7 @@ from tonewood.cli.common import AllowCode, Json, Overrides, allow, load, need, p
 from tonewood.errors import OutputError, TonewoodError
 
 if TYPE_CHECKING:
-    from tonewood.instrument.bundle import Instrument
+    from tonewood.instrument.bundle.loading import Instrument
 
 
 def accuracy(
@@ -81,7 +81,7 @@ def accuracy(
 
     from tonewood.lab.accuracy import dial, tables, timing
     from tonewood.lab.accuracy.report import HEADLINE, SHORT, Study
-    from tonewood.whole_files import write_whole
+    from tonewood.support.whole_files import write_whole
 
     more: dict[str, tuple[str, object]] = {}
     with progress("comparing", 1.05) as advance:
@@ -129,8 +129,8 @@ def _target(
     plot: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     from tonewood.lab.accuracy.target import Target, search
-    from tonewood.output.options import RenderOptions, limits
-    from tonewood.whole_files import write_whole
+    from tonewood.sound.render.options import RenderOptions, limits
+    from tonewood.support.whole_files import write_whole
 
     if target is None:
         raise TonewoodError(
@@ -164,7 +164,7 @@ def _target(
 
 def _stability(system: str | None, quick: bool, plot: Path | None, report: Path | None, as_json: bool) -> None:
     from tonewood.lab.accuracy import attacks, stability
-    from tonewood.whole_files import write_whole
+    from tonewood.support.whole_files import write_whole
 
     if system is not None or plot is not None:
         raise TonewoodError(

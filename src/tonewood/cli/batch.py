@@ -15,8 +15,8 @@ from tonewood.errors import TonewoodError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tonewood.batch.runner import BatchPlan, Report
-    from tonewood.listening.power import PowerRow
+    from tonewood.workshop.batch.runner import BatchPlan, Report
+    from tonewood.workshop.listening.power import PowerRow
 
 
 def batch(
@@ -35,10 +35,10 @@ def batch(
     need("batch", "joblib", "pyloudnorm", "matplotlib")
     if cluster is not None:
         need("cluster", "dask", "distributed")
-    from tonewood.batch.rendering import EngineRenderer
-    from tonewood.batch.runner import plan_batch, run_batch
-    from tonewood.batch.workers import Workers
-    from tonewood.listening.power import power_of
+    from tonewood.workshop.batch.rendering import EngineRenderer
+    from tonewood.workshop.batch.runner import plan_batch, run_batch
+    from tonewood.workshop.batch.workers import Workers
+    from tonewood.workshop.listening.power import power_of
 
     if jobs == 0 or jobs < -1:
         raise TonewoodError(f"is {jobs}; 1 or more are allowed, or -1", key="--jobs")

@@ -24,11 +24,11 @@ from tonewood.cli.common import (
 )
 from tonewood.cli.options import render_options
 from tonewood.errors import OutputError, TonewoodError
-from tonewood.instrument.overrides import parse_assignment
-from tonewood.units import cents
+from tonewood.instrument.bundle.overrides import parse_assignment
+from tonewood.support.units import cents
 
 if TYPE_CHECKING:
-    from tonewood.report.comparison import Candidate, Comparison
+    from tonewood.workshop.report.comparison import Candidate, Comparison
 
 Notes = Annotated[
     str | None,
@@ -74,7 +74,7 @@ def compare(
 
     Without --notes the lowest and the highest open string and the worst wolf note of each are played.
     """
-    from tonewood.report.comparison import Candidate
+    from tonewood.workshop.report.comparison import Candidate
 
     changes = _changes(strings, settings)
     candidates = [Candidate(load(name, settings, allow_code, strings), changes) for name in instruments]
@@ -103,7 +103,7 @@ def report(
 
     Without --notes the open strings and the worst wolf note are played.
     """
-    from tonewood.report.comparison import Candidate
+    from tonewood.workshop.report.comparison import Candidate
 
     candidate = Candidate(load(instrument, settings, allow_code, strings), _changes(strings, settings))
     _run([candidate], notes, output, duration, velocity, fs, as_json)
@@ -137,7 +137,7 @@ def _run(
             raise TonewoodError(f"is {output.name!r}; a name ending in .html is allowed", key="--output")
         if not output.parent.is_dir():
             raise OutputError(f"there is no folder {str(output.parent)!r}", file=output)
-    from tonewood.report.comparison import compare as compared
+    from tonewood.workshop.report.comparison import compare as compared
 
     with progress("computing", 1.0) as advance:
         found = compared(
@@ -149,12 +149,12 @@ def _run(
             tell=lambda share: advance(share),
         )
         if output is not None:
-            from tonewood.report.page import page
-            from tonewood.whole_files import write_whole
+            from tonewood.support.whole_files import write_whole
+            from tonewood.workshop.report.page import page
 
             write_whole(output, page(found))
     if as_json:
-        from tonewood.report.as_json import to_json
+        from tonewood.workshop.report.as_json import to_json
 
         command = "compare" if len(candidates) > 1 else "report"
         print_json(command, {**to_json(found), "page": None if output is None else str(output)})
@@ -166,7 +166,7 @@ def _run(
 
 def _print(found: Comparison) -> None:
     """The largest differences, and the worst wolf notes."""
-    from tonewood.report.comparison import alike
+    from tonewood.workshop.report.comparison import alike
 
     first, *others = found.instruments
     for facts in found.instruments:

@@ -9,17 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import typer
 
-from tonewood.cli.common import dropped_notes_listed, print_json, progress, warn
+from tonewood.cli.common import dropped_notes_listed, print_json, progress, warn, warn_of_dropped, warn_of_kinds
 from tonewood.cli.stems import make_stem_folder, stem_files
-from tonewood.units import counted, decibel
+from tonewood.support.units import counted, decibel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from tonewood.output.ensemble import EnsemblePart
-    from tonewood.output.level import LevelName
-    from tonewood.output.options import RenderOptions
+    from tonewood.sound.ensemble import EnsemblePart
+    from tonewood.sound.render.level import LevelName
+    from tonewood.sound.render.options import RenderOptions
 
 
 def render_parts(
@@ -36,10 +37,11 @@ def render_parts(
     as_json: bool,
 ) -> None:
     """Render and mix; the mix is brought to its level by its true peak."""
-    from tonewood.output.audio import Audio
-    from tonewood.output.ensemble import render_ensemble
-    from tonewood.output.level import LOUDNESS
-    from tonewood.output.loudness import loudness, matching_gain_db, true_peak
+    from tonewood.sound.ensemble import render_ensemble
+    from tonewood.sound.files.audio import Audio
+    from tonewood.sound.level.loudness import loudness, matching_gain_db, true_peak
+    from tonewood.sound.render.level import LOUDNESS
+    from tonewood.sound.render.renderer import SILENT
 
     began = time.perf_counter()
     names = [f"{part.part:02d}_" + re.sub(r"\W+", "_", Path(part.instrument).name) for part in parts]
@@ -62,6 +64,7 @@ def render_parts(
         if level == "LUFS":
             gain = min(gain, matching_gain_db(mix, fs, LOUDNESS))
     factor = 10 ** (gain / 20)
+    silent = peak <= SILENT
     clipped = Audio(mix * factor, fs, ("left", "right")).save(output, subtype)
     if stems is not None:
         make_stem_folder(stems, parents=True)
@@ -88,12 +91,14 @@ def render_parts(
         ],
     }  # fmt: skip
     if as_json:
-        print_json("render-parts", said)
+        print_json("render-parts", said, ok=not silent)
+        if silent:
+            raise typer.Exit(1)
         return
     for stem in rendered:
         where = f"part {stem.part.part}: "
-        warn([where + line for line in stem.summary.warnings])
-        warn([f"{where}not played at {d.time:.2f} s: {d.reason}" for d in stem.summary.notes_dropped])
+        warn_of_kinds([where + line for line in stem.summary.warnings])
+        warn_of_dropped(stem.summary.notes_dropped, where)
     if clipped:
         warn([f"{counted(clipped, 'sample')} clipped; lower --gain, or use --level peak"])
     peak_text = f"true peak {decibel(peak) + gain:.1f} dBTP" if peak > 0 else "silent"
@@ -109,3 +114,5 @@ def render_parts(
         )
     for file in files:
         print(f"  {file}")
+    if silent:
+        raise typer.Exit(1)

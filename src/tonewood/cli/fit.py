@@ -14,12 +14,12 @@ import typer
 from tonewood.cli.commands import InterruptError
 from tonewood.cli.common import Json, allow, print_json, warn
 from tonewood.errors import TonewoodError
-from tonewood.units import number_in
+from tonewood.support.units import number_in
 
 if TYPE_CHECKING:
-    from tonewood.fit.folder import FitFolder, MeasuredPoint
-    from tonewood.fit.responses import Responses
-    from tonewood.fit.search import Iteration
+    from tonewood.workshop.fit.folder import FitFolder, MeasuredPoint
+    from tonewood.workshop.fit.responses import Responses
+    from tonewood.workshop.fit.search import Iteration
 
 #: names of points and microphones: words of paths and columns; these are other columns of the table
 _NAME, _COLUMNS = re.compile(r"[A-Za-z][A-Za-z0-9_]*"), ("f_Hz", "Q", "zeta", "modal_mass", "measured")
@@ -77,10 +77,10 @@ def fit(
 
     Writes body.csv, body.yaml, fit.json, fit.png and, with microphones, radiation.csv; `tonewood new` reads the folder.
     """
-    from tonewood.fit.files import Reading, read_responses
-    from tonewood.fit.fit import fit_responses
-    from tonewood.fit.folder import UNKNOWN, FitFolder, Origin
-    from tonewood.fit.radiation import fit_radiation
+    from tonewood.workshop.fit.files import Reading, read_responses
+    from tonewood.workshop.fit.fit import fit_responses
+    from tonewood.workshop.fit.folder import UNKNOWN, FitFolder, Origin
+    from tonewood.workshop.fit.radiation import fit_radiation
 
     _check_options(form, estimator, scale, window_tau, hits, band)
     _check_folder(output)
@@ -125,7 +125,7 @@ def _check_options(
     hits: int | None,
     band: tuple[float, float] | None,
 ) -> None:
-    from tonewood.fit.responses import FORMS
+    from tonewood.workshop.fit.responses import FORMS
 
     if form is not None and form not in FORMS:
         raise TonewoodError(f"is {form!r}; {', '.join(FORMS)} are allowed", key="--form")
@@ -174,7 +174,7 @@ def _references(given: list[str] | None) -> tuple[tuple[str, str], ...]:
 
 def _named(responses: Responses, given: list[str]) -> tuple[Responses, dict[str, MeasuredPoint]]:
     """Responses with the names that are wanted, and where the points are."""
-    from tonewood.fit.folder import MeasuredPoint
+    from tonewood.workshop.fit.folder import MeasuredPoint
 
     names, places = {}, {}
     for old in (*responses.points, *responses.microphones):
@@ -224,7 +224,7 @@ def _figure() -> Any:
 
     if find_spec("matplotlib") is None:
         return None
-    from tonewood.fit.figure import draw_fit
+    from tonewood.workshop.fit.figure import draw_fit
 
     return draw_fit
 

@@ -9,15 +9,15 @@ from tonewood.cli.common import AllowCode, Json, print_json
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
-    from tonewood.instrument.registry import Entry
+    from tonewood.instrument.contract.registry import Entry
 
 
 def list_installed(allow_code: AllowCode = False, as_json: Json = False) -> None:
     """List installed instruments and plugins with the packages they come from, and the string sets that are known."""
     from tonewood import __version__
-    from tonewood.instrument import registry
-    from tonewood.instrument.bundle import Instrument
-    from tonewood.instrument.string_sets import string_sets
+    from tonewood.instrument.bundle.loading import Instrument
+    from tonewood.instrument.bundle.string_sets import string_sets
+    from tonewood.instrument.contract import registry
 
     instruments: list[dict[str, str]] = []
     for name, entry in registry.entries(registry.INSTRUMENTS).items():

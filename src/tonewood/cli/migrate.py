@@ -11,7 +11,7 @@ from tonewood.cli.common import Json, print_json
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
-    from tonewood.yaml_edit import Edit
+    from tonewood.support.yaml_edit import Edit
 
 
 def migrate(
@@ -26,8 +26,8 @@ def migrate(
     Comments, order and number formats stay. Each file is replaced in one step; one that is up to date is not touched.
     Nothing is written if one of the PATHs cannot be read. Exit code 1 if --check found something to rewrite.
     """
-    from tonewood.whole_files import write_whole
-    from tonewood.yaml_edit import edit_text
+    from tonewood.support.whole_files import write_whole
+    from tonewood.support.yaml_edit import edit_text
 
     found = []
     for path in paths:
@@ -50,9 +50,9 @@ def migrate(
 
 def _edits(file: Path) -> tuple[list[Edit], str]:
     """Return the edits that a file needs, by the kind of its schema, and its present text."""
-    from tonewood.batch.migration import manifest_edits
-    from tonewood.instrument.migration import bundle_edits
-    from tonewood.yaml_io import load_yaml
+    from tonewood.instrument.bundle.migration import bundle_edits
+    from tonewood.support.yaml_io import load_yaml
+    from tonewood.workshop.batch.migration import manifest_edits
 
     values: dict[str, Any] = load_yaml(file)
     kind = str(values.get("schema")).partition("/")[0]

@@ -24,7 +24,7 @@ def new(
 
     Copied figures are of unknown origin until the maker says more.
     """
-    from tonewood.instrument.new_bundle import new_bundle
+    from tonewood.instrument.bundle.new_bundle import new_bundle
 
     try:
         made = new_bundle(folder, source, strings=strings, allow_code=allow_code)

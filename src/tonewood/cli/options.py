@@ -13,9 +13,9 @@ import typer
 from pydantic.fields import FieldInfo
 
 from tonewood.errors import TonewoodError
-from tonewood.output.options import RenderOptions, choices, limits
-from tonewood.units import number_in
-from tonewood.validation_messages import unit_of
+from tonewood.sound.render.options import RenderOptions, choices, limits
+from tonewood.support.units import number_in
+from tonewood.support.validation_messages import unit_of
 
 #: options whose names leave out the unit; their help texts state it
 _NAMES = {"gain_db": "--gain", "tail_level_db": "--tail-level"}

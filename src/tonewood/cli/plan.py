@@ -31,11 +31,11 @@ from tonewood.cli.common import (
 )
 from tonewood.cli.options import takes_render_options
 from tonewood.errors import OutputError
-from tonewood.output.options import RenderOptions
+from tonewood.sound.render.options import RenderOptions
 
 if TYPE_CHECKING:
-    from tonewood.engine.effects.base import PlannedEffect
-    from tonewood.output.plan import Plan
+    from tonewood.performance.effects.base import PlannedEffect
+    from tonewood.sound.render.plan import Plan
 
 #: least share of the computing time that is reported
 _LEAST_SHARE = 0.02
@@ -67,9 +67,9 @@ def plan(
     ] = False,
 ) -> None:
     """Predict the render of SCORE: effects that will run, when and why, and the time of computing."""
-    from tonewood.output.audio import file_format
-    from tonewood.output.plan import plan as foresee
-    from tonewood.score.reading import read_score
+    from tonewood.performance.score.reading import read_score
+    from tonewood.sound.files.audio import file_format
+    from tonewood.sound.render.plan import plan as foresee
 
     if output is not None:
         file_format(output, subtype)
@@ -84,7 +84,7 @@ def plan(
     if as_json:
         print_json("plan", {"score": str(score), "instrument": bundle.name, "fs": options.fs, **asdict(found)})
         return
-    warn_of_dropped(found.notes_dropped)
+    warn_of_dropped([drop for drop in found.notes_dropped if drop.time < found.duration_s])
     print(f"{found.duration_s:.2f} s of sound in about {found.predicted_s:.1f} s of computing")
     if verbose:
         for effect in found.effects:

@@ -25,13 +25,13 @@ from tonewood.cli.common import (
     load,
     print_json,
     reading,
-    warn,
     warn_of_dropped,
+    warn_of_kinds,
 )
 from tonewood.cli.options import takes_render_options
 from tonewood.errors import TonewoodError
-from tonewood.output.options import RenderOptions
-from tonewood.units import counted
+from tonewood.sound.render.options import RenderOptions
+from tonewood.support.units import counted
 
 
 @takes_render_options(without=["energy"])
@@ -68,11 +68,11 @@ def play(
     as_json: Json = False,
 ) -> None:
     """Play SCORE on an instrument, or the instrument live from a MIDI input or the computer's keys."""
-    from tonewood.output.level import level_name, meaning, preview_gain
-    from tonewood.output.limiter import Limiter
-    from tonewood.output.play import play as play_renderer
-    from tonewood.output.render import Renderer
-    from tonewood.score.reading import read_score
+    from tonewood.performance.score.reading import read_score
+    from tonewood.sound.level.limiter import Limiter
+    from tonewood.sound.live.play import play as play_renderer
+    from tonewood.sound.render.level import level_name, meaning, preview_gain
+    from tonewood.sound.render.renderer import Renderer
 
     if block is not None:
         allow("--block", block, 16, 1 << 16, "frames")
@@ -129,7 +129,7 @@ def play(
         dropped = [asdict(drop) for drop in summary.notes_dropped]
         print_json("play", {**report, **level_of, "fs": options.fs, "notes_dropped": dropped, "warnings": warnings})
         return
-    warn(warnings)
+    warn_of_kinds(warnings)
     warn_of_dropped(summary.notes_dropped)
     print(f"played {seconds:.2f} s, {played.underruns} underruns; {summary.realtime_factor:.1f} x real time")
     print(f"  level {wanted}: {meaning(renderer.model.outputs, options.gain_db)}")

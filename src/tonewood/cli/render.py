@@ -32,24 +32,24 @@ from tonewood.cli.common import (
     print_json,
     progress,
     reading,
-    warn,
     warn_of_dropped,
+    warn_of_kinds,
 )
 from tonewood.cli.options import takes_render_options
 from tonewood.errors import OutputError, TonewoodError
-from tonewood.output.options import RenderOptions
-from tonewood.units import counted, decibel
+from tonewood.sound.render.options import RenderOptions
+from tonewood.support.units import counted, decibel
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from tonewood.engine.effects.base import EffectReport
-    from tonewood.live.take import Replay
-    from tonewood.output.ensemble import EnsemblePart
-    from tonewood.output.level import LevelName
-    from tonewood.output.limiter import Limiter
-    from tonewood.output.render import Renderer, Summary
-    from tonewood.output.room import Room
+    from tonewood.performance.effects.base import EffectReport
+    from tonewood.sound.ensemble import EnsemblePart
+    from tonewood.sound.level.limiter import Limiter
+    from tonewood.sound.live.take import Replay
+    from tonewood.sound.render.level import LevelName
+    from tonewood.sound.render.renderer import Renderer, Summary
+    from tonewood.sound.room import Room
 
 
 @takes_render_options(without=["energy"])
@@ -108,13 +108,13 @@ def render(
     """Render SCORE on an instrument to a sound file."""
     began = time.perf_counter()
     from tonewood.cli.stems import check_stem_folder, stem_files, write_output_stems, write_string_stems
-    from tonewood.live.take import Replay
-    from tonewood.output.audio import file_format
-    from tonewood.output.energy import check_energy_file, save_energy
-    from tonewood.output.level import PEAK, level_name, meaning
-    from tonewood.output.limiter import Limiter
-    from tonewood.output.render import Renderer, assembled
-    from tonewood.score.reading import read_score
+    from tonewood.performance.score.reading import read_score
+    from tonewood.sound.files.audio import file_format
+    from tonewood.sound.level.limiter import Limiter
+    from tonewood.sound.live.take import Replay
+    from tonewood.sound.render.energy import check_energy_file, save_energy
+    from tonewood.sound.render.level import PEAK, level_name, meaning
+    from tonewood.sound.render.renderer import SILENT, Renderer, assembled
 
     fs = options.fs
     file_format(output, subtype)
@@ -145,7 +145,7 @@ def render(
                 raise TonewoodError("is for one instrument; with --part or --ensemble it is not allowed", key=option)
         del given["tracks"]
         from tonewood.cli.ensemble import render_parts
-        from tonewood.whole_files import AtomicFile
+        from tonewood.support.whole_files import AtomicFile
 
         AtomicFile(output).discard()  # parts are mixed before the file is begun: to know now that it can be
         if stems is not None:
@@ -181,7 +181,7 @@ def render(
     files = [] if stems is None else stem_files(stems, [g.name for g in (by_string or renderer.model).outputs], output)
     about = None
     if room is not None:
-        from tonewood.output.room import Room, room_response
+        from tonewood.sound.room import Room, room_response
 
         about = Room(room_response(room, fs, len(renderer.channels)))
     loaded = time.perf_counter()
@@ -208,11 +208,16 @@ def render(
         warnings.append(f"{clipped} {were} {fate}; lower --gain, or use --level peak or --limiter")
     if hold is not None and hold.reduction_db > 0:
         warnings.append(f"the limiter took away up to {hold.reduction_db:.1f} dB")
+    silent = summary.peak_dbfs <= decibel(SILENT) or peak < 0.5 * _STEPS.get(subtype.upper(), 0.0)
+    if silent and summary.peak_dbfs > decibel(SILENT):
+        warnings.append(f"{output} is silent: its peak of {decibel(peak):.0f} dBFS is below its smallest step")
     if as_json:
         report = _report(renderer, output, clipped, peak, loaded - began, warnings)
-        print_json("render", report | {"level": wanted, "gain_db": gain, "room": room})
+        print_json("render", report | {"level": wanted, "gain_db": gain, "room": room}, ok=not silent)
+        if silent:
+            raise typer.Exit(1)
         return
-    warn(warnings)
+    warn_of_kinds(warnings)
     warn_of_dropped(summary.notes_dropped)
     played, lost = summary.notes, len(summary.notes_dropped)
     print(
@@ -241,11 +246,13 @@ def render(
             f"  energy: peak {account.peak:.3g} J, balance open by {account.worst_residual:.1e} of it in an interval, "
             f"{account.worst_cumulative_residual:.1e} summed up: {', '.join(str(path) for path in energy or ())}"
         )
+    if silent:
+        raise typer.Exit(1)
 
 
 def _players(parts: Sequence[str], ensemble: Path | None) -> list[EnsemblePart]:
     """Parts and their instruments, from the command line or a file."""
-    from tonewood.output.ensemble import parse_part, read_ensemble
+    from tonewood.sound.ensemble import parse_part, read_ensemble
 
     if parts and ensemble is not None:
         raise TonewoodError("one of --part and --ensemble is allowed", key="--ensemble")
@@ -269,14 +276,15 @@ def _write(
     clipped, peak : samples beyond full scale, and the largest one, of the file.
     gain : dB, of the level.
     """
-    from tonewood.output.audio import SoundWriter
-    from tonewood.whole_files import AtomicFile
+    from tonewood.sound.files.audio import SoundWriter
+    from tonewood.support.whole_files import AtomicFile, remove_leftovers
 
     channels, fs = len(renderer.channels), renderer.fs
     frames = math.ceil(renderer.expected_duration * fs)
     sound = renderer.blocks(block) if room is None else room.process(renderer.blocks(block))
     with progress("rendering", renderer.expected_duration) as advance:
         if level == "calibrated":
+            remove_leftovers(output.with_suffix(".rf64"))  # of a scratch file
             with SoundWriter(output, fs, channels, subtype, frames=frames) as writer:
                 for samples in sound if limiter is None else limiter.process(sound):
                     writer.write(samples)
@@ -289,7 +297,7 @@ def _write(
         except OutputError as error:
             raise OutputError(error.reason, file=output) from None
         try:
-            with SoundWriter(scratch.path, fs, channels, "DOUBLE", frames=frames) as writer:
+            with SoundWriter(scratch, fs, channels, "DOUBLE", frames=frames) as writer:
                 for samples in sound:
                     writer.write(samples)
                     advance(renderer.time)
@@ -314,13 +322,15 @@ def _loudness_gain(path: Path) -> float:
     """Gain (dB) that brings a sound file to `LOUDNESS`."""
     import soundfile as sf
 
-    from tonewood.batch.stimuli import matching_gain_db
-    from tonewood.output.level import LOUDNESS
+    from tonewood.sound.render.level import LOUDNESS
+    from tonewood.workshop.batch.stimuli import matching_gain_db
 
     samples, fs = sf.read(str(path), always_2d=True)
     return matching_gain_db(samples, fs, LOUDNESS)
 
 
+#: smallest step of integers in a file
+_STEPS = {"PCM_16": 2.0**-15, "PCM_24": 2.0**-23, "PCM_32": 2.0**-31}
 #: strings that are named one by one; least share of the computing time that is reported
 _NAMED, _LEAST_SHARE = 2, 0.02
 

@@ -12,7 +12,7 @@ from tonewood.cli.common import Json, need, print_json, warn
 from tonewood.errors import TonewoodError
 
 if TYPE_CHECKING:
-    from tonewood.listening.results import PageResults, PanelResults
+    from tonewood.workshop.listening.results import PageResults, PanelResults
 
 
 def results(
@@ -25,8 +25,8 @@ def results(
 ) -> None:
     """Write the table of answers of DIR, means, models, sensitivities and thresholds, and a report with figures."""
     need("results", "statsmodels", "pandas", "jinja2", "matplotlib")
-    from tonewood.listening.report import write_report
-    from tonewood.listening.results import FOLDER, analyse, write_tables
+    from tonewood.workshop.listening.report import write_report
+    from tonewood.workshop.listening.results import FOLDER, analyse, write_tables
 
     found = analyse(folder, key=key, confidence=confidence, screening=screening)
     place = output or folder / FOLDER
@@ -76,6 +76,10 @@ def _print(found: PanelResults) -> None:
     for page in found.pages:
         warn([f"{s.listener} is left out: {s.reason}" for s in page.screened])
     warn([f"{who} did not finish" for who in found.unfinished])
+    warn([f"left out: {one.reason}" for one in found.left_out])
+    if found.left_out:
+        count = sum(one.answers for one in found.left_out)
+        warn([f"{count} {'answer is' if count == 1 else 'answers are'} left out"])
     print(f"{found.test.manifest.name}: {found.who}, {100 * found.confidence:g} % intervals")
     for page in found.pages:
         print(f"{page.page}. {page.heading} ({page.kind}, {page.listeners} listeners)")

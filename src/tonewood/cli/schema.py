@@ -7,6 +7,6 @@ import json
 
 def schema() -> None:
     """Print the JSON schema of instrument.yaml, keys of every installed plugin included."""
-    from tonewood.instrument.json_schema import bundle_schema
+    from tonewood.instrument.bundle.json_schema import bundle_schema
 
     print(json.dumps(bundle_schema(), indent=2))

@@ -18,36 +18,48 @@ def serve(
         str, typer.Option(help="address to listen at; 0.0.0.0 lets all computers of the network take part")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="0 for any that is free")] = 8000,
+    name: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="another name by which browsers reach this computer; repeatable"),
+    ] = None,
     allow_code: AllowCode = False,
 ) -> None:
     """Serve the test of DIR to listeners, until Ctrl-C; answers go to DIR/answers, one file a listener.
 
     Every answer is on the disk before its page goes on. After a crash run the same command again: listeners go on
-    where they were.
+    where they were. One server at a time serves a folder.
     """
     need("serve", "starlette", "uvicorn", "soundfile")
     import uvicorn
 
-    from tonewood.batch.rendering import EngineRenderer
-    from tonewood.listening.definition import load_test
-    from tonewood.listening.on_demand import RenderedPairs
-    from tonewood.listening.server import ListeningServer, has_staircase
+    from tonewood.support.folder_lock import locked
+    from tonewood.workshop.batch.rendering import EngineRenderer
+    from tonewood.workshop.listening.answer_file import clear_parts
+    from tonewood.workshop.listening.definition import load_test
+    from tonewood.workshop.listening.http_guard import BoundedConnection
+    from tonewood.workshop.listening.on_demand import RenderedPairs
+    from tonewood.workshop.listening.server import ListeningServer, has_staircase
 
     allow("--port", port, 0, 65535, "")
-    test = load_test(folder)
-    pairs = RenderedPairs(test, EngineRenderer(allow_code)) if has_staircase(test) else None
-    application = ListeningServer(test, pairs).application()
+    load_test(folder)  # its fault comes first
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as listening:
+    with locked(folder, "tonewood serve"), socket.socket(family, socket.SOCK_STREAM) as listening:
+        test = load_test(folder)
+        clear_parts(test)
+        pairs = RenderedPairs(test, EngineRenderer(allow_code)) if has_staircase(test) else None
+        application = ListeningServer(test, pairs).application(host, name or ())
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listening.bind((host, port))
             listening.listen(128)  # who comes before the server is ready waits
         except OSError as fault:
             raise TonewoodError(f"{host}:{port} cannot be used: {fault.strerror}", key="--host, --port") from None
-        for name in _names(host):
-            print(f"http://{name}:{listening.getsockname()[1]}/", flush=True)
-        config = uvicorn.Config(application, log_level="warning", lifespan="off", timeout_graceful_shutdown=2)
+        for address in _names(host):
+            print(f"http://{address}:{listening.getsockname()[1]}/", flush=True)
+        config = uvicorn.Config(
+            application, log_level="warning", lifespan="off", ws="none", http=BoundedConnection,
+            server_header=False, timeout_graceful_shutdown=2,
+        )  # fmt: skip
         try:
             uvicorn.Server(config).run(sockets=[listening])
         finally:

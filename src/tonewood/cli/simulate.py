@@ -17,8 +17,8 @@ def simulate(
     seed: Annotated[int, typer.Option(help="of their answers")] = 1,
 ) -> None:
     """Let simulated listeners take the test of DIR; their answers are marked as simulated wherever they are shown."""
-    from tonewood.listening.definition import load_test
-    from tonewood.listening.panel import read_panel, simulate
+    from tonewood.workshop.listening.definition import load_test
+    from tonewood.workshop.listening.panel import read_panel, simulate
 
     allow("--listeners", listeners, 1, 10_000, "")
     made = simulate(load_test(folder), read_panel(panel), listeners, seed)

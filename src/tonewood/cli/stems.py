@@ -14,8 +14,8 @@ from tonewood.errors import OutputError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from tonewood.live.take import Replay
-    from tonewood.output.render import Renderer
+    from tonewood.sound.live.take import Replay
+    from tonewood.sound.render.renderer import Renderer
 
 
 def check_stem_folder(folder: Path, *, parents: bool = False) -> None:
@@ -25,7 +25,7 @@ def check_stem_folder(folder: Path, *, parents: bool = False) -> None:
     ------
     OutputError : it is a file, cannot be made, or cannot be written to.
     """
-    from tonewood.whole_files import AtomicFile
+    from tonewood.support.whole_files import AtomicFile
 
     missing = []
     try:
@@ -77,7 +77,7 @@ def write_output_stems(output: Path, files: Sequence[Path], subtype: str, render
     """Cut the channels of a written file into one file per output group."""
     import soundfile as sf
 
-    from tonewood.output.audio import SoundWriter
+    from tonewood.sound.files.audio import SoundWriter
 
     make_stem_folder(files[0].parent)
     first = 0
@@ -103,7 +103,7 @@ def write_string_stems(renderer: Renderer, files: Sequence[Path], subtype: str, 
     """
     from contextlib import ExitStack
 
-    from tonewood.output.audio import SoundWriter
+    from tonewood.sound.files.audio import SoundWriter
 
     make_stem_folder(files[0].parent)
     groups = renderer.model.outputs

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.synthesis import basis_from_matrices, real_modes
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.synthesis import basis_from_matrices, real_modes
 
 Floats = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
 from tonewood.lab.assembled import Matrices, state_matrix
-from tonewood.stepping.forcing import Segment
+from tonewood.physics.stepping.forcing import Segment
 
 Floats = NDArray[np.float64]
 

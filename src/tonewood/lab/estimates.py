@@ -29,8 +29,8 @@ from numpy.polynomial import polynomial as poly
 from numpy.typing import NDArray
 
 from tonewood.lab.interpolatory import Update
-from tonewood.modal.modes import BLOCK, PAIR, ModalBasis
-from tonewood.modal.propagator import phi
+from tonewood.physics.modal.modes import BLOCK, PAIR, ModalBasis
+from tonewood.physics.modal.propagator import phi
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

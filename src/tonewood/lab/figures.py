@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tonewood.errors import TonewoodError
-from tonewood.plotting import COLOURS
-from tonewood.whole_files import whole_file
+from tonewood.support.plotting import COLOURS
+from tonewood.support.whole_files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

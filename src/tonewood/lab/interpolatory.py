@@ -26,8 +26,8 @@ from math import factorial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.propagator import apply, flow, real_form
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.propagator import apply, flow, real_form
 
 Floats = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import SpringDashpot, linear_solve
-from tonewood.coupling.system import Injection, State, System
 from tonewood.errors import NumericalError
-from tonewood.modal.propagator import apply
+from tonewood.physics.coupling.connections import SpringDashpot, linear_solve
+from tonewood.physics.coupling.system import Injection, State, System
+from tonewood.physics.modal.propagator import apply
 
 Floats = NDArray[np.float64]
 

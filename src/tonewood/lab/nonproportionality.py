@@ -17,8 +17,8 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices
-from tonewood.modal.modes import PAIR, ModalBasis
-from tonewood.modal.synthesis import basis_from_matrices, real_modes
+from tonewood.physics.modal.modes import PAIR, ModalBasis
+from tonewood.physics.modal.synthesis import basis_from_matrices, real_modes
 
 Floats = NDArray[np.float64]
 

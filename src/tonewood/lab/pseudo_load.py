@@ -24,9 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 from tonewood.errors import NumericalError
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.interpolatory import P1
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.propagator import flow, real_form
-from tonewood.modal.synthesis import real_modes
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.propagator import flow, real_form
+from tonewood.physics.modal.synthesis import real_modes
 
 Floats = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """Exact end of a stiff string, and the poles of string and body together, without modes.
 
-The string of `modal.string_modes` at complex frequency s, u = U(x) exp(s t):
+The string of `physics.modal.string_modes` at complex frequency s, u = U(x) exp(s t):
 
     EI u'''' - T u'' + mu (s^2 + 2 sigma0 s) u = 0,   u''(0) = u(L) = u''(L) = 0,
 

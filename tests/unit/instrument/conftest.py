@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.bundle.loading import Instrument
 
 BODY = "f_Hz,Q,modal_mass,bridge,wing\n182,25,0.60,1,0.4\n315,30,0.40,1,-0.7\n640,35,0.30,1,0.2\n"
 LOSS = {"law": "sigma", "sigma0": 0.6, "sigma1": 2e-4}

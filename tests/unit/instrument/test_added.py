@@ -7,9 +7,9 @@ import pytest
 
 import tonewood as tw
 from tonewood.authoring import assemble
-from tonewood.engine.effects.bridge_response import BridgeResponse
 from tonewood.errors import TonewoodError
-from tonewood.instrument.inspection import bridge_mobility
+from tonewood.instrument.inspection.frequencies import bridge_mobility
+from tonewood.performance.effects.bridge_response import BridgeResponse
 
 GRAMS = {"at": "bridge_middle", "mass": 0.010}
 #: no string sounds a note of its own, and the whole is linear

@@ -11,12 +11,12 @@ import pytest
 import scipy.linalg as sla
 
 import tonewood as tw
-from tonewood.coupling.connections import Rigid, SpringDashpot, Term
 from tonewood.errors import BundleError
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.physics.coupling.connections import Rigid, SpringDashpot, Term
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 Make = Callable[..., Instrument]
 FS = 16000.0

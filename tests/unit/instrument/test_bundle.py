@@ -14,9 +14,9 @@ import pytest
 
 import tonewood as tw
 from tonewood.errors import BundleError, PluginError, TonewoodError
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.overrides import apply_overrides, parse_assignment
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.bundle.overrides import apply_overrides, parse_assignment
+from tonewood.instrument.model.assembly import assemble
 
 Make = Callable[..., Instrument]
 

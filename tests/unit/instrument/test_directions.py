@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tonewood.instrument.directions import polarization_vectors, unit_vector
+from tonewood.instrument.contract.directions import polarization_vectors, unit_vector
 
 ANGLE = math.radians(23.6)
 INCLINED = (math.cos(ANGLE), 0.0, -math.sin(ANGLE))

@@ -10,8 +10,7 @@ import pytest
 
 import tonewood as tw
 from system_modes import coupled_modes
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.inspection import (
+from tonewood.instrument.inspection.frequencies import (
     bridge_mobility,
     check_transfers,
     microphone_responses,
@@ -20,6 +19,7 @@ from tonewood.instrument.inspection import (
     pitch,
     pitches,
 )
+from tonewood.instrument.model.assembly import Model, assemble
 
 
 @pytest.fixture(scope="module")

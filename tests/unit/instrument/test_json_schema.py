@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from tonewood.instrument.json_schema import bundle_schema
-from tonewood.instrument.registry import list_instruments
-from tonewood.yaml_io import load_yaml
+from tonewood.instrument.bundle.json_schema import bundle_schema
+from tonewood.instrument.contract.registry import list_instruments
+from tonewood.support.yaml_io import load_yaml
 
 jsonschema = pytest.importorskip("jsonschema")
 

@@ -11,7 +11,7 @@ import tonewood as tw
 import tonewood.authoring as ta
 from pianos import piano, some_keys
 from tonewood.errors import BundleError
-from tonewood.instrument.stretch import octave_stretch
+from tonewood.instrument.model.stretch import octave_stretch
 
 ALL = ["A0", "F1", "C4", "C5", "C8"]
 
@@ -205,7 +205,7 @@ def test_a_table_may_not_make_any_number_of_strings(tmp_path: Path) -> None:
 
 
 def test_the_group_sounds_its_note_together(tmp_path: Path) -> None:
-    from tonewood.instrument.mounted import Mounted
+    from tonewood.instrument.inspection.mounted import Mounted
 
     # without mistuning, three strings in phase sound the note: 3 ends on one place of the board
     alike = piano(tmp_path / "alike", ["C3", "C4", "C5"], {"cents_2": "0", "cents_3": "0"})
@@ -241,7 +241,7 @@ def test_strings_without_stiffness_are_not_stretched() -> None:
 
 
 def test_the_piano_is_stretched_as_railsback_measured() -> None:
-    from tonewood.instrument.string_assembly import stretch_cents
+    from tonewood.instrument.model.string_assembly import stretch_cents
 
     found = stretch_cents(tw.load_instrument("grand_piano"))
     assert found["A4_1"] == 0.0

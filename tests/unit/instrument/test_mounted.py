@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from system_modes import CoupledModes, coupled_modes
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.inspection import pitch
-from tonewood.instrument.mounted import Mounted
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.receptance import Ports, Star
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.inspection.frequencies import pitch
+from tonewood.instrument.inspection.mounted import Mounted
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.receptance import Ports, Star
 
 Make = Callable[..., Instrument]
 

@@ -12,7 +12,7 @@ import pytest
 import tonewood as tw
 from tonewood.cli.main import run
 from tonewood.errors import BundleError, PluginError
-from tonewood.instrument import registry
+from tonewood.instrument.contract import registry
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_a_foreign_plugin_is_found(foreign: Path) -> None:
     announce(foreign, "[tonewood.plugins]\nknock = foreign_plugin:Knock\n")
     (foreign / "foreign_plugin.py").write_text(
         "from tonewood.authoring import Exciter, Gesture, Segment\n"
-        "from tonewood.params import Parameters, quantity\n"
+        "from tonewood.support.params import Parameters, quantity\n"
         "class P(Parameters):\n    force: float = quantity('N', default=1.0, doc='peak')\n"
         "class Knock(Exciter):\n    'A knock.'\n    Parameters = P\n"
         "    def gesture(self, event, place):\n        return Gesture((Segment(0.0, 1e-3, 1.0),))\n"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.schema import Scatter
-from tonewood.units import cents
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.bundle.schema import Scatter
+from tonewood.instrument.model.assembly import assemble
+from tonewood.support.units import cents
 
 
 def test_draws_are_normal_and_of_a_seed() -> None:

@@ -11,7 +11,7 @@ import tonewood as tw
 from tonewood.authoring import assemble
 from tonewood.cli.main import run
 from tonewood.errors import TonewoodError
-from tonewood.instrument.string_sets import figures, string_sets
+from tonewood.instrument.bundle.string_sets import figures, string_sets
 
 
 def of(name, note, length=0.65, freq=None):

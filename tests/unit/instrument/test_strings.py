@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tonewood.instrument.assembly import assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.strings import StringModel, held_freq
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model.assembly import assemble
+from tonewood.instrument.model.strings import StringModel, held_freq
 
 Make = Callable[..., Instrument]
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.wolf import LEAST_SHARE, intervals, share_curve, wolf_notes
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.inspection.wolf import LEAST_SHARE, intervals, share_curve, wolf_notes
+from tonewood.instrument.model.assembly import Model, assemble
 
 DENSITY, LENGTH = 1.95e-3, 0.65
 #: D3 of 12 stops: stop 6 is in the middle

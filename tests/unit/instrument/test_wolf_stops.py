@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from system_modes import coupled_modes
-from tonewood.instrument.assembly import Model, assemble
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.inspection import pitches
-from tonewood.instrument.tuning import StringOnBody
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.inspection.frequencies import pitches
+from tonewood.instrument.model.assembly import Model, assemble
+from tonewood.instrument.model.tuning import StringOnBody
 
 FS = 16000.0
 OFF = {

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from tonewood.lab.assembled import Matrices, free_motion
 from tonewood.lab.beam import Beam
 from tonewood.lab.driven import driven_motion, force_at, triangle
-from tonewood.stepping.forcing import Segment
+from tonewood.physics.stepping.forcing import Segment
 
 SYSTEM = Matrices(
     np.diag([1.0, 0.5]), np.array([[0.3, -0.1], [-0.1, 0.2]]), np.array([[30.0, -12.0], [-12.0, 20.0]])

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
 from tonewood.lab import assembled
 from tonewood.lab.methods import METHODS, Problem, exact, forms, stability_limit
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.synthesis import basis_from_matrices
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.synthesis import basis_from_matrices
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 LEFT = assembled.chain([1.0, 0.8, 1.2], [0.5, 0.1, 0.4], [900.0, 500.0, 700.0], wall="left")
 RIGHT = assembled.chain([0.5, 1.1], [0.2, 0.9], [600.0, 800.0], wall="right")

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 
-from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.coupling.system import Probe, Readout, System
 from tonewood.errors import NumericalError
 from tonewood.lab.nonlinear_port import GeneralLaw, Mounting, PortStepper, solve_ports
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 MOUNTING = Mounting(40.0, 300.0, 0.15, 0.4)
 GENERAL = GeneralLaw(MOUNTING.continuous, MOUNTING.energy, reach=1.0, speed=20.0)

@@ -7,7 +7,7 @@ import pytest
 
 from tonewood.lab.accuracy import attacks
 from tonewood.lab.accuracy.attacks import Attack
-from tonewood.stepping.stepper import Statistics
+from tonewood.physics.stepping.stepper import Statistics
 
 
 def hold(attack: Attack) -> None:

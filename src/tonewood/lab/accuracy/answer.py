@@ -12,7 +12,7 @@ from tonewood.lab.accuracy.catalogue import SLOW_ONLY, Outcome
 from tonewood.lab.accuracy.pareto import DIAL, OURS, PITCH, WAVEFORM, Measure, front, line, seconds_at, usual
 from tonewood.lab.accuracy.study import Point
 from tonewood.lab.accuracy.tables import markdown, number
-from tonewood.plotting import COLOURS, LINE, figure, legend_above, png, title
+from tonewood.support.plotting import COLOURS, LINE, figure, legend_above, png, title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

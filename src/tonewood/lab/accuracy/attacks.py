@@ -1,7 +1,7 @@
 """Attacks on stability: scenes that are meant to make energy, and the energy that they make.
 
-Undamped where a loss could hide a gain. The energy is read from the states, by `energy.account` and by the energy
-budget of a render, which know nothing of how a step is made.
+Undamped where a loss could hide a gain. The energy is read from the states, by `physics.energy.account` and by the
+energy budget of a render, which know nothing of how a step is made.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.laws import Contact
-from tonewood.coupling.system import System
-from tonewood.energy.account import EnergyAccount
-from tonewood.energy.stored import stored_energy
-from tonewood.engine.effects.base import Moment, SwitchedEffect, Watched, switch
-from tonewood.engine.effects.tension import potential
-from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.bundle.loading import Instrument
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.systems.harp_body import harp_body
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
-from tonewood.output.render import Renderer
-from tonewood.passivity.basis import repair_basis
-from tonewood.score.note import Note, Score
-from tonewood.stepping.kernel import KernelStepper
-from tonewood.stepping.motion import from_motion, share_velocities
-from tonewood.stepping.stepper import Statistics
+from tonewood.performance.effects.base import Moment, SwitchedEffect, Watched, switch
+from tonewood.performance.effects.tension import potential
+from tonewood.performance.score.note import Note, Score
+from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.coupling.laws import Contact
+from tonewood.physics.coupling.system import System
+from tonewood.physics.energy.account import EnergyAccount
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
+from tonewood.physics.passivity.basis import repair_basis
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import from_motion, share_velocities
+from tonewood.physics.stepping.stepper import Statistics
+from tonewood.sound.render.renderer import Renderer
 
 Floats = NDArray[np.float64]
 

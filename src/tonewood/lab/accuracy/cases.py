@@ -14,17 +14,17 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, Rigid, Term
 from tonewood.lab.accuracy.flat import Flat
 from tonewood.lab.accuracy.pole_search import continuous_matrix, nearest_zero
 from tonewood.lab.methods.problem import Problem
 from tonewood.lab.string_end import ExactString, coupled_pole
 from tonewood.lab.systems import fabre_guitar, harp, string_and_body
 from tonewood.lab.systems.harp_body import harp_body, harp_body_matrices
-from tonewood.modal.damping import with_damping_case
-from tonewood.modal.modes import PAIR, ModalBasis
-from tonewood.modal.receptance import Joint, Ports
-from tonewood.modal.string_modes import held_string_compliance, string_basis
+from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.modal.damping import with_damping_case
+from tonewood.physics.modal.modes import PAIR, ModalBasis
+from tonewood.physics.modal.receptance import Joint, Ports
+from tonewood.physics.modal.string_modes import held_string_compliance, string_basis
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -244,8 +244,8 @@ def guitar_case(n_partials: int = PARTIALS, strings: Sequence[str] | None = None
 
     @lru_cache(maxsize=4)
     def build(freq_upper: float) -> Problem:
-        from tonewood.instrument.assembly import assemble
-        from tonewood.instrument.bundle import Instrument
+        from tonewood.instrument.bundle.loading import Instrument
+        from tonewood.instrument.model.assembly import assemble
 
         instrument = Instrument.load("classical_guitar").replace(
             {"strings.*.end_compliance": 0.0, "strings.*.freq_upper": freq_upper}

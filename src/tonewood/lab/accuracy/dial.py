@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from tonewood.instrument.bundle import Instrument
-from tonewood.instrument.registry import INSTRUMENTS, entries
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.contract.registry import INSTRUMENTS, entries
 from tonewood.lab.accuracy.partials import PartialErrors
 from tonewood.lab.accuracy.strokes import STEADY, VELOCITY_MIDI, NoteCase, Strokes
 from tonewood.lab.accuracy.study import Tell, silent
 from tonewood.lab.accuracy.tables import markdown, number
-from tonewood.output.accuracy import LEVELS
+from tonewood.sound.render.accuracy import LEVELS
 
 #: Hz and s of the sound
 FS, DURATION = 48000, 4.0

@@ -15,12 +15,12 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Term
-from tonewood.coupling.inverse import scaled_pinv
-from tonewood.coupling.system import System
 from tonewood.lab.methods.problem import Problem
-from tonewood.modal.modes import PAIR
-from tonewood.modal.propagator import apply, flow, real_form
+from tonewood.physics.coupling.connections import Term
+from tonewood.physics.coupling.inverse import scaled_pinv
+from tonewood.physics.coupling.system import System
+from tonewood.physics.modal.modes import PAIR
+from tonewood.physics.modal.propagator import apply, flow, real_form
 
 Floats = NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from tonewood.lab.accuracy.study import (
     timed,
 )
 from tonewood.lab.systems import fabre_guitar
-from tonewood.modal.modes import ModalBasis
+from tonewood.physics.modal.modes import ModalBasis
 
 #: largest stable |s| h of Adams-Bashforth 3 on the imaginary axis, and of velocity Verlet
 AB3_LIMIT, VERLET_LIMIT = float((5 + np.sqrt(5)) / 10), 2.0

@@ -16,12 +16,6 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood import _methods
-from tonewood.coupling.connections import Connection
-from tonewood.coupling.inverse import scaled_pinv
-from tonewood.coupling.laws import Contact, HardeningSpring
-from tonewood.coupling.potentials.tension import TensionModulation
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.energy.stored import stored_energy
 from tonewood.errors import NumericalError
 from tonewood.lab.accuracy.flat import Flat, RealModes
 from tonewood.lab.accuracy.measures import energy_drift, wave_errors
@@ -29,8 +23,14 @@ from tonewood.lab.accuracy.scheme import padded
 from tonewood.lab.accuracy.study import Attempt, Point, Tell, silent, timed
 from tonewood.lab.accuracy.timing import Task
 from tonewood.lab.methods.problem import Problem
-from tonewood.modal.propagator import apply
-from tonewood.stepping.kernel import KernelStepper, instruction_set
+from tonewood.physics.coupling.connections import Connection
+from tonewood.physics.coupling.inverse import scaled_pinv
+from tonewood.physics.coupling.laws import Contact, HardeningSpring
+from tonewood.physics.coupling.potentials.tension import TensionModulation
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.energy.stored import stored_energy
+from tonewood.physics.modal.propagator import apply
+from tonewood.physics.stepping.kernel import KernelStepper, instruction_set
 
 Floats = NDArray[np.float64]
 

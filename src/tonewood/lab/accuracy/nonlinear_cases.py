@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, Term
-from tonewood.coupling.laws import Contact, HardeningSpring
-from tonewood.coupling.potentials.tension import TensionModulation
 from tonewood.lab.accuracy.flat import Flat, RealModes, inverses
 from tonewood.lab.accuracy.nonlinear import NonlinearCase
 from tonewood.lab.methods.problem import Problem
 from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems import klosner_problems, string_and_body
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.propagator import apply
-from tonewood.modal.string_modes import string_basis
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.coupling.laws import Contact, HardeningSpring
+from tonewood.physics.coupling.potentials.tension import TensionModulation
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.propagator import apply
+from tonewood.physics.modal.string_modes import string_basis
 
 Floats = NDArray[np.float64]
 

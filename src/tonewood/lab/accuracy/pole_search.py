@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from tonewood.lab.accuracy.flat import Flat
-from tonewood.modal.propagator import apply
+from tonewood.physics.modal.propagator import apply
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

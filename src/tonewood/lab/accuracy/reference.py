@@ -16,8 +16,8 @@ import scipy.linalg as sla
 from numpy.typing import NDArray
 
 from tonewood.lab.accuracy.flat import Flat
-from tonewood.modal.modes import ModalBasis
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.stepping.kernel import KernelStepper
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

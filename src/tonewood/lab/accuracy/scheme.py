@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from tonewood import _methods
 from tonewood.lab.accuracy.flat import Flat, product, through
 from tonewood.lab.accuracy.pole_search import Products, Transfer, nearest_zero
-from tonewood.modal.propagator import apply
-from tonewood.stepping.kernel import instruction_set
+from tonewood.physics.modal.propagator import apply
+from tonewood.physics.stepping.kernel import instruction_set
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

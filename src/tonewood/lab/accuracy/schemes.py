@@ -19,11 +19,11 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.inverse import scaled_pinv
 from tonewood.lab.accuracy.flat import Flat, RealModes, inverses, product, through
 from tonewood.lab.accuracy.scheme import Scheme
 from tonewood.lab.newmark import AVERAGE_ACCELERATION, HHT, Newmark
-from tonewood.modal.propagator import apply
+from tonewood.physics.coupling.inverse import scaled_pinv
+from tonewood.physics.modal.propagator import apply
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -26,7 +26,7 @@ from tonewood.lab.accuracy.scheme import Runner
 from tonewood.lab.accuracy.schemes import build
 from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems import string_and_body
-from tonewood.modal.string_modes import string_basis
+from tonewood.physics.modal.string_modes import string_basis
 
 HEAD = """\
 # Can it become unstable?

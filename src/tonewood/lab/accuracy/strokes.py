@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.bundle.loading import Instrument
 from tonewood.lab.accuracy.partials import PartialErrors, compare
 from tonewood.lab.accuracy.study import Tell, silent
 from tonewood.lab.accuracy.timing import Task, measure
-from tonewood.output.render import Renderer
-from tonewood.score.note import Note, Score
+from tonewood.performance.score.note import Note, Score
+from tonewood.sound.render.renderer import Renderer
 
 Floats = NDArray[np.float64]
 

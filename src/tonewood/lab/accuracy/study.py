@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.system import Probe, Readout, System
 from tonewood.errors import NumericalError
 from tonewood.lab.accuracy.cases import (
     FREQ_UPPER,
@@ -26,7 +25,8 @@ from tonewood.lab.accuracy.scheme import Runner
 from tonewood.lab.accuracy.schemes import build
 from tonewood.lab.accuracy.timing import Task, Timing, measure
 from tonewood.lab.methods.problem import Problem
-from tonewood.stepping.kernel import KernelStepper
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.stepping.kernel import KernelStepper
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from tonewood.engine.effects.base import SwitchedEffect
 from tonewood.errors import TonewoodError
-from tonewood.instrument.assembly import FREQ_LIMIT
-from tonewood.instrument.bundle import Instrument
+from tonewood.instrument.bundle.loading import Instrument
+from tonewood.instrument.model.assembly import FREQ_LIMIT
 from tonewood.lab.accuracy.partials import PartialErrors
 from tonewood.lab.accuracy.strokes import NoteCase, Strokes
 from tonewood.lab.accuracy.study import Tell, silent
+from tonewood.performance.effects.base import SwitchedEffect
 
 #: s of every note
 DURATION = 2.0

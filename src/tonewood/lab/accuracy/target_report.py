@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tonewood.lab.accuracy.tables import markdown, number
 from tonewood.lab.accuracy.target import NAMES, Frontier, Tried, Worst
-from tonewood.plotting import COLOURS, LINE, SMALL, figure, png, title
+from tonewood.support.plotting import COLOURS, LINE, SMALL, figure, png, title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from tonewood import _kernel
-from tonewood.stepping.kernel import instruction_set
+from tonewood.physics.stepping.kernel import instruction_set
 
 
 @dataclass(frozen=True, slots=True)

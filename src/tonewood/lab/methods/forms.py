@@ -20,11 +20,11 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.coupling.connections import Term
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.methods.problem import Array, Problem
-from tonewood.modal.damping import hermitian_mass_inverse, reciprocal_shapes
-from tonewood.modal.modes import PAIR, ModalBasis
+from tonewood.physics.coupling.connections import Term
+from tonewood.physics.modal.damping import hermitian_mass_inverse, reciprocal_shapes
+from tonewood.physics.modal.modes import PAIR, ModalBasis
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -14,8 +14,8 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.coupling.connections import Term
 from tonewood.lab.methods.problem import Problem
+from tonewood.physics.coupling.connections import Term
 
 Complexes = NDArray[np.complex128]
 

@@ -14,10 +14,10 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.inverse import scaled_pinv
 from tonewood.lab.methods import forms
 from tonewood.lab.methods.problem import Problem, StepMap, system_map
-from tonewood.modal.propagator import flow
+from tonewood.physics.coupling.inverse import scaled_pinv
+from tonewood.physics.modal.propagator import flow
 
 Floats = NDArray[np.float64]
 

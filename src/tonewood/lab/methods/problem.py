@@ -9,11 +9,11 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike, NDArray
 
-from tonewood.coupling.connections import Connection, Rigid, Term
-from tonewood.coupling.inverse import scaled_pinv
-from tonewood.coupling.system import Probe, Readout, System
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.propagator import RealForm, real_form
+from tonewood.physics.coupling.connections import Connection, Rigid, Term
+from tonewood.physics.coupling.inverse import scaled_pinv
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.propagator import RealForm, real_form
 
 Floats = NDArray[np.float64]
 Array = NDArray[np.float64] | NDArray[np.complex128]

@@ -45,7 +45,7 @@ from tonewood.lab.systems.chinnakonda_problems import (
     two_step,
 )
 from tonewood.lab.transition import Transition
-from tonewood.modal.synthesis import basis_from_matrices, initial_state
+from tonewood.physics.modal.synthesis import basis_from_matrices, initial_state
 
 Floats = NDArray[np.float64]
 

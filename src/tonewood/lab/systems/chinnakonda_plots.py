@@ -27,7 +27,7 @@ from tonewood.lab.systems.chinnakonda_problems import (
     two_masses,
     two_step,
 )
-from tonewood.modal.synthesis import initial_state
+from tonewood.physics.modal.synthesis import initial_state
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

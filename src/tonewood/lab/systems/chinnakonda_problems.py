@@ -22,9 +22,9 @@ from tonewood.lab.assembled import Matrices, state_matrix
 from tonewood.lab.driven import driven_motion
 from tonewood.lab.interpolatory import P1, Response, Update, respond
 from tonewood.lab.nonproportionality import reduced, reduction_shapes
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.synthesis import basis_from_matrices, initial_state
-from tonewood.stepping.forcing import Segment
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.synthesis import basis_from_matrices, initial_state
+from tonewood.physics.stepping.forcing import Segment
 
 Floats = NDArray[np.float64]
 

@@ -13,16 +13,16 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, Term
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.figures import figure, save
 from tonewood.lab.methods import METHODS, Problem, coupled_receptance
 from tonewood.lab.row import Row
-from tonewood.modal.damping import damping_groups, phase_collinearity, with_damping_case
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.synthesis import basis_from_matrices
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.modal.damping import damping_groups, phase_collinearity, with_damping_case
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.synthesis import basis_from_matrices
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -12,17 +12,17 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.coupling.system import Probe, Readout, System
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.methods import METHODS, Problem, StepMap, exact, forms, system_map
 from tonewood.lab.row import Row
 from tonewood.lab.systems.fabre_academic import FS, JUNCTION, bases, problem, subsystems, whole
 from tonewood.lab.systems.fabre_guitar import BODY
-from tonewood.modal.damping import hermitian_mass_inverse
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.synthesis import basis_from_matrices
+from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
+from tonewood.physics.coupling.system import Probe, Readout, System
+from tonewood.physics.modal.damping import hermitian_mass_inverse
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.synthesis import basis_from_matrices
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -14,17 +14,17 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, Term
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.figures import figure, save
 from tonewood.lab.methods import METHODS, Problem, coupled_receptance, forms
 from tonewood.lab.row import Row
 from tonewood.lab.string_end import ExactString, coupled_pole
-from tonewood.modal.damping import phase_collinearity, with_damping_case
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
-from tonewood.modal.synthesis import basis_from_matrices
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.modal.damping import phase_collinearity, with_damping_case
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
+from tonewood.physics.modal.synthesis import basis_from_matrices
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -81,7 +81,7 @@ def body_receptance(s: complex) -> complex:
 def whole(n_sines: int) -> tuple[Matrices, Floats]:
     """String and body put together in (sines, plate = ramp, air), and the direction of a force at the pluck.
 
-    Written out from the string's kinetic and potential energy, apart from `modal.string_modes`.
+    Written out from the string's kinetic and potential energy, apart from `physics.modal.string_modes`.
     """
     s = exact_string()
     k = np.arange(1, n_sines + 1) * np.pi / s.length

@@ -14,7 +14,6 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, Term
 from tonewood.lab import assembled
 from tonewood.lab.figures import figure, save
 from tonewood.lab.methods import METHODS, Method, Problem, forms, stability_limit
@@ -23,7 +22,8 @@ from tonewood.lab.string_end import coupled_pole
 from tonewood.lab.systems import fabre_guitar
 from tonewood.lab.systems.fabre_academic import problem, subsystems, whole
 from tonewood.lab.systems.fabre_forms import proportional_problem
-from tonewood.modal.modes import ModalBasis
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.modal.modes import ModalBasis
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

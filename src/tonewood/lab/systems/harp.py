@@ -14,7 +14,6 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, Term
 from tonewood.lab import assembled
 from tonewood.lab.assembled import Matrices
 from tonewood.lab.figures import figure, save
@@ -24,9 +23,10 @@ from tonewood.lab.string_end import ExactString
 from tonewood.lab.systems.fabre_academic import falsely_complex
 from tonewood.lab.systems.fabre_guitar import FORCE, PLUCK, RAMP, cents, nearest, pluck
 from tonewood.lab.systems.harp_body import FREQS, harp_body, harp_body_matrices
-from tonewood.modal.damping import damping_groups, phase_collinearity, separation, with_damping_case
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
+from tonewood.physics.coupling.connections import Connection, Term
+from tonewood.physics.modal.damping import damping_groups, phase_collinearity, separation, with_damping_case
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -69,7 +69,7 @@ def problem(n_modes: int, case: str = "complex") -> Problem:
 def whole(n_sines: int, body: Matrices) -> tuple[Matrices, Floats, Floats]:
     """String and body in (sines, body dofs), the direction of a force at the pluck, the row of the tie.
 
-    The end of the string is the body's own dofs; apart from `modal.string_modes`.
+    The end of the string is the body's own dofs; apart from `physics.modal.string_modes`.
     """
     s, tie = exact_string(), harp_body_matrices()[1]["s4"]
     k = np.arange(1, n_sines + 1) * np.pi / s.length

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tonewood.lab.assembled import Matrices
-from tonewood.modal.damping import reciprocal_shapes
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.synthesis import basis_from_matrices
+from tonewood.physics.modal.damping import reciprocal_shapes
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.synthesis import basis_from_matrices
 
 Floats = NDArray[np.float64]
 

@@ -21,8 +21,6 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, Rigid, SpringDashpot, Term
-from tonewood.coupling.system import Injection, Probe, Readout, System
 from tonewood.lab.assembled import Matrices, joined, state_matrix
 from tonewood.lab.beam import Beam
 from tonewood.lab.component_modes import fixed_base_modes, free_free_modes
@@ -35,10 +33,12 @@ from tonewood.lab.klosner_forms import (
     free_free_nonlinear,
 )
 from tonewood.lab.nonlinear_port import Mounting, PortStepper
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.synthesis import real_modes
-from tonewood.stepping.forcing import Segment, compile_force
-from tonewood.stepping.stepper import NumpyStepper
+from tonewood.physics.coupling.connections import Connection, Rigid, SpringDashpot, Term
+from tonewood.physics.coupling.system import Injection, Probe, Readout, System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.synthesis import real_modes
+from tonewood.physics.stepping.forcing import Segment, compile_force
+from tonewood.physics.stepping.stepper import NumpyStepper
 
 Floats = NDArray[np.float64]
 

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tonewood.coupling.connections import Connection, SpringDashpot, Term
-from tonewood.coupling.system import System
 from tonewood.lab.figures import figure, save
 from tonewood.lab.methods import METHODS, Problem, StepMap, system_map
 from tonewood.lab.row import Row
 from tonewood.lab.string_end import ExactString, coupled_pole
-from tonewood.modal.modes import ModalBasis
-from tonewood.modal.string_modes import string_basis
-from tonewood.modal.synthesis import basis_from_matrices
+from tonewood.physics.coupling.connections import Connection, SpringDashpot, Term
+from tonewood.physics.coupling.system import System
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.string_modes import string_basis
+from tonewood.physics.modal.synthesis import basis_from_matrices
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

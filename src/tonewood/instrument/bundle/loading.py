@@ -1,0 +1,489 @@
+"""An instrument as its bundle describes it: YAML and tables, checked and resolved, nothing computed yet."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from tonewood.errors import BundleError, OldFormatWarning, PluginError, ScoreError, TonewoodError, kind_of
+from tonewood.instrument.bundle.added import body_parts
+from tonewood.instrument.bundle.bundle_code import code_hash, code_plugin, is_code
+from tonewood.instrument.bundle.keys import check_keys, groups, key_exciters, merged, with_keys
+from tonewood.instrument.bundle.migration import bundle_edits
+from tonewood.instrument.bundle.overrides import apply_overrides
+from tonewood.instrument.bundle.schema import Bundle, OutputPart, PluginPart, Provenance
+from tonewood.instrument.bundle.string_sets import with_set
+from tonewood.instrument.contract import registry
+from tonewood.instrument.contract.base import Attachment, Body, Exciter, Pickup, Plugin, Resonator
+from tonewood.instrument.contract.directions import polarization_vectors
+from tonewood.instrument.contract.files import Files
+from tonewood.instrument.scales import Tuning, note_number, read_tuning
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.views import SHOWN_TO, ModalViews
+from tonewood.support.garbage import without_collecting
+from tonewood.support.params import Vector, validated
+from tonewood.support.tables import properties_html
+from tonewood.support.validation_messages import did_you_mean
+from tonewood.support.yaml_edit import apply_edits
+from tonewood.support.yaml_io import load_yaml, located
+
+
+@dataclass(frozen=True, eq=False)
+class Instrument(ModalViews):
+    """A checked bundle with its plugins; immutable, `replace` makes another one.
+
+    Attributes
+    ----------
+    folder : of the bundle.
+    spec : every key of the bundle, defaults filled in.
+    body : plugin of the body, to which the strings are joined.
+    resonators : string -> its plugin.
+    exciters : name -> plugin.
+    attachments : name -> plugin of frets, a curved bridge, loose parts.
+    pickups : output group -> plugin.
+    key_exciters : key -> the exciter that `keys` names, with the parameters of that key.
+    resolved : all keys as plain values (JSON), plugins' defaults included; `replace` changes these.
+    granted : files outside the folder that overrides have named.
+    allow_code : whether plugins in the bundle's folder may run.
+    """
+
+    folder: Path
+    spec: Bundle
+    body: Body[Any]
+    resonators: Mapping[str, Resonator[Any]]
+    exciters: Mapping[str, Exciter[Any]]
+    attachments: Mapping[str, Attachment[Any]]
+    pickups: Mapping[str, Pickup[Any]]
+    resolved: Mapping[str, Any]
+    granted: frozenset[Path] = frozenset()
+    allow_code: bool = False
+    key_exciters: Mapping[str, Exciter[Any]] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        strings = ", ".join(self.resonators)
+        return f"Instrument({self.name!r}, body {self.spec.body.plugin}, strings {strings})"
+
+    def _repr_html_(self) -> str:
+        spec = self.spec
+        strings = ", ".join(f"{name} ({part.note or part.freq})" for name, part in spec.strings.items())
+        rows = {
+            "name": self.name,
+            "body": spec.body.plugin,
+            "strings": strings,
+            "stops": f"{spec.stops.kind}, {spec.stops.count}" if spec.stops.count else "none",
+            "exciters": ", ".join(spec.exciters),
+            "outputs": ", ".join(part.name for part in spec.outputs),
+            "licence": spec.licence,
+            "stand-ins": ", ".join(self.stand_ins()) or "none",
+        }
+        return properties_html(spec.title, rows)
+
+    def _viewed(self) -> tuple[ModalBasis, Mapping[str, str]]:
+        """Modes of the body with the parts added to it, and the point that each string ends on."""
+        body, manifest = self.body.basis(SHOWN_TO), self._files.manifest
+        whole = body_parts(self.spec.body.added, body, self.body.points(), manifest).body
+        return whole, {name: part.body_points[0] for name, part in self.spec.strings.items()}
+
+    def _view_title(self) -> str:
+        return self.spec.title
+
+    @classmethod
+    def load(cls, name_or_path: str | os.PathLike[str], *, allow_code: bool = False) -> Instrument:
+        """Load an installed instrument by name, or a folder with an ``instrument.yaml``.
+
+        Parameters
+        ----------
+        name_or_path : name as `tonewood list` prints it, or path of the folder.
+        allow_code : run plugins that lie as Python files in the bundle's folder; without it such a bundle is refused.
+
+        Raises
+        ------
+        BundleError, PluginError : one line with file, key and reason.
+
+        Warns
+        -----
+        OldFormatWarning : the bundle is of an earlier schema; it is read as `tonewood migrate` would rewrite it.
+        """
+        if not isinstance(name_or_path, str | os.PathLike):
+            raise BundleError(f"is {kind_of(name_or_path)}; a name or a folder is allowed", key="instrument")
+        folder = registry.instrument_folder(name_or_path)
+        manifest = folder / registry.MANIFEST
+        try:
+            return cls.from_values(load_yaml(manifest, error=BundleError), folder, allow_code=allow_code)
+        except TonewoodError as fault:
+            raise located(fault) from None
+
+    @classmethod
+    def from_values(
+        cls,
+        values: Mapping[str, Any],
+        folder: str | os.PathLike[str],
+        granted: frozenset[Path] = frozenset(),
+        *,
+        allow_code: bool = False,
+    ) -> Instrument:
+        """Make one from nested plain values, as they stand in an ``instrument.yaml``.
+
+        Parameters
+        ----------
+        values : key -> value.
+        folder : from which tables are read.
+        granted : other files that may be read.
+        allow_code : as for `load`.
+
+        Raises
+        ------
+        BundleError, PluginError : one line with file, key and reason.
+        """
+        root = Path(folder)
+        files = Files(root, root / registry.MANIFEST, granted)
+        if edits := bundle_edits(values, files.manifest):
+            what = f"{files.manifest}: schema: {values['schema']} is deprecated; run: tonewood migrate {root}"
+            warnings.warn(what, OldFormatWarning, stacklevel=3)
+            values = apply_edits(values, edits)
+        rows = with_keys(values, files)
+        try:
+            return cls._made_of(rows.values, files, granted, allow_code)
+        except (BundleError, PluginError) as fault:
+            raise rows.located(fault) from None
+
+    @classmethod
+    def _made_of(
+        cls, values: Mapping[str, Any], files: Files, granted: frozenset[Path], allow_code: bool
+    ) -> Instrument:
+        """Make one from the values of a bundle whose table of keys is expanded."""
+        spec = validated(Bundle, _with_strings(_merged(values, files), files), key="", file=files.manifest)
+
+        def make(part: PluginPart, kind: str, key: str) -> Plugin[Any]:
+            try:
+                if is_code(part.plugin):
+                    plugin = code_plugin(part.plugin, kind, files, allowed=allow_code)
+                else:
+                    plugin = registry.plugin(part.plugin, kind)
+            except PluginError as fault:
+                raise PluginError(fault.reason, file=files.manifest, key=f"{key}.plugin") from None
+            return plugin.from_values(part.values, files, key)
+
+        body = make(spec.body, "body", "body")
+        strings = {name: make(part, "resonator", f"strings.{name}") for name, part in spec.strings.items()}
+        exciters = {name: make(part, "exciter", f"exciters.{name}") for name, part in spec.exciters.items()}
+        by_key: dict[str, Any] = {
+            name: make(part, "exciter", f"keys.{name}.{played}")
+            for name, played, part in key_exciters(spec, files.manifest)
+        }
+        attachments = {n: make(part, "connection", f"connections.{n}") for n, part in spec.connections.items()}
+        pickups = {part.name: make(part, "pickup", f"outputs.{part.name}") for part in spec.outputs}
+        resolved = spec.model_dump(mode="json", by_alias=True)
+        resolved["body"] = _flat(spec.body, body)
+        resolved["strings"] = {name: _flat(spec.strings[name], made) for name, made in strings.items()}
+        resolved["exciters"] = {name: _flat(spec.exciters[name], made) for name, made in exciters.items()}
+        resolved["connections"] = {name: _flat(spec.connections[name], made) for name, made in attachments.items()}
+        resolved["outputs"] = [_flat(part, pickups[part.name]) for part in spec.outputs]
+        made: dict[str, Any] = {  # kinds were checked by the registry
+            "body": body, "resonators": strings, "exciters": exciters, "attachments": attachments, "pickups": pickups
+        }  # fmt: skip
+        instrument = cls(
+            folder=files.root or Path(),
+            spec=spec,
+            **made,
+            key_exciters=by_key,
+            resolved=resolved,
+            granted=granted,
+            allow_code=allow_code,
+        )
+        instrument._check()
+        return instrument
+
+    def replace(self, overrides: Mapping[str, Any]) -> Instrument:
+        """Return the instrument with some values changed.
+
+        Parameters
+        ----------
+        overrides : path -> value, ``{"scale": x}`` or ``{"fraction": x}``; see `overrides`. ``strings_from`` puts
+            another string set on, before anything else is changed. A scale or keymap may be
+            any file that the caller may read, while a bundle is confined to its folder.
+
+        Raises
+        ------
+        BundleError : a path is unknown, or a value is not allowed; one line.
+
+        Examples
+        --------
+        >>> guitar = Instrument.load("classical_guitar")
+        >>> lower = guitar.replace({"strings.E2.note": "D2", "strings.*.loss.eta_a": {"scale": 1.5}})
+        >>> lower.resolved["strings"]["E2"]["note"]
+        'D2'
+        """
+        if not isinstance(overrides, Mapping):
+            raise BundleError(f"is {kind_of(overrides)}; a mapping of path to value is allowed", key="overrides")
+        if not overrides:
+            return self
+        if "keys.table" in overrides:
+            raise BundleError("cannot be changed; `tonewood new` makes a bundle of your own", key="keys.table")
+        given, granted = dict(overrides), set(self.granted)
+        for key in ("tuning.scale", "tuning.keymap"):
+            value = given.get(key)
+            if not isinstance(value, str) or (not Path(value).is_absolute() and (self.folder / value).is_file()):
+                continue
+            if Path(value).is_file():
+                given[key] = str(Path(value).resolve())
+                granted.add(Path(value).resolve())
+        values = dict(self.resolved)
+        if (strings := given.get("strings_from")) is not None:
+            values = with_set(values, str(strings), over=True, file=self._files.manifest)
+        values = apply_overrides(values, given, file=self._files.manifest)
+        return Instrument.from_values(values, self.folder, frozenset(granted), allow_code=self.allow_code)
+
+    @property
+    def name(self) -> str:
+        """Name of the instrument, as on the command line."""
+        return self.spec.name
+
+    @property
+    def string_names(self) -> tuple[str, ...]:
+        """Strings from bass to treble."""
+        return tuple(self.spec.strings)
+
+    @cached_property
+    def groups(self) -> Mapping[str, tuple[str, ...]]:
+        """String that gives the pitch -> the strings that a note on it plays: those of its key, or itself alone."""
+        return groups(self.spec)
+
+    @cached_property
+    def key_of(self) -> Mapping[str, str]:
+        """String -> its key, of those that have one."""
+        entries = self.spec.keys.entries if self.spec.keys else {}
+        return {string: name for name, key in entries.items() for string in key.strings}
+
+    def exciter(self, name: str, string: str) -> Exciter[Any]:
+        """Return the exciter of a name as it plays a string: with the parameters of the string's key."""
+        if self.spec.keys is not None and name == self.spec.keys.exciter:
+            return self.key_exciters.get(self.key_of.get(string, ""), self.exciters[name])
+        return self.exciters[name]
+
+    @property
+    def plugins(self) -> tuple[Plugin[Any], ...]:
+        """Plugins of all parts."""
+        parts = (self.resonators, self.exciters, self.attachments, self.pickups)
+        return (self.body, *(plugin for group in parts for plugin in group.values()))
+
+    @cached_property
+    def tuning(self) -> Tuning:
+        """Frequencies of notes."""
+        part = self.spec.tuning
+        scale = None if part.scale == "equal_12" else self._files.path(part.scale, "tuning.scale")
+        keymap = None if part.keymap is None else self._files.path(part.keymap, "tuning.keymap")
+        return read_tuning(scale, keymap, reference_freq=part.reference_freq)
+
+    def open_note(self, string: str) -> float:
+        """Return the note number of an open string, fractional where it is given by its frequency."""
+        part = self.spec.strings[string]
+        try:
+            if part.freq is not None:
+                return self.tuning.note(part.freq)
+            note = float(note_number(part.note)) if isinstance(part.note, str) else float(part.note or 0.0)
+            self.tuning.freq(note)
+            return note
+        except ScoreError as fault:
+            raise self._fault(fault.reason, f"strings.{string}.note") from None
+
+    def polarizations(self, string: str) -> tuple[Vector, ...]:
+        """Return the directions in which a string moves, tilt included."""
+        part = self.spec.strings[string]
+        size = sum(x * x for x in part.axis) ** 0.5
+        if abs(size - 1.0) > 1e-2:
+            raise self._fault(f"has length {size:.4g}; a vector of length 1 is wanted", f"strings.{string}.axis")
+        try:
+            return polarization_vectors(part.axis, tuple(part.polarizations), part.tilt_deg + part.scatter.tilt(string))
+        except ValueError as fault:
+            raise self._fault(str(fault), f"strings.{string}.polarizations") from None
+
+    def provenance(self, path: str) -> Provenance | None:
+        """Return the provenance of the value at a dotted path: the most specific entry that matches."""
+        best: tuple[tuple[int, int], Provenance] | None = None
+        parts = path.split(".")
+        for pattern, entry in self.spec.provenance.items():
+            wanted = pattern.split(".")
+            if len(wanted) <= len(parts) and all(w in ("*", p) for w, p in zip(wanted, parts, strict=False)):
+                rank = (len(wanted), -wanted.count("*"))
+                if best is None or rank > best[0]:
+                    best = (rank, entry)
+        return best[1] if best else None
+
+    def stand_ins(self) -> list[str]:
+        """Return the paths of values that the bundle declares to be stand-ins."""
+        return [path for path, entry in self.spec.provenance.items() if entry.kind == "stand_in"]
+
+    def of_unknown_origin(self) -> list[str]:
+        """Return the paths of values of which nobody has said yet where they come from."""
+        return [path for path, entry in self.spec.provenance.items() if entry.kind == "unknown"]
+
+    def table_doubts(self) -> list[str]:
+        """List tables whose provenance may be that of another table, one line each.
+
+        A table is a file of the bundle that a part's key ``table`` names. Its entry of `provenance` may carry the
+        SHA-256 of the file's bytes; one that says `measured` should.
+        """
+        doubts = []
+        parts = {
+            "body": self.resolved["body"],
+            **{f"outputs.{part['name']}": part for part in self.resolved["outputs"]},
+        }
+        for kind in ("strings", "exciters", "connections"):
+            parts |= {f"{kind}.{name}": part for name, part in self.resolved[kind].items()}
+        for path, part in parts.items():
+            entry, name = self.provenance(f"{path}.table"), part.get("table")
+            if not isinstance(name, str) or entry is None:
+                continue
+            found = hashlib.sha256(self._files.path(name, f"{path}.table").read_bytes()).hexdigest()
+            says = f"{entry.kind}{f' ({entry.source})' if entry.source else ''}"
+            if entry.sha256 is not None and entry.sha256 != found:
+                doubts.append(
+                    f"{path}: {name} is not the table that its provenance calls {says}: its SHA-256 is {found}, not "
+                    f"{entry.sha256}; say where this one comes from"
+                )
+            elif entry.sha256 is None and entry.kind == "measured":
+                doubts.append(
+                    f"{path}: its provenance says {says} without the SHA-256 of {name}, so that nothing tells this "
+                    f"table from another one; if it is the one, add sha256: {found}"
+                )
+        return doubts
+
+    @cached_property
+    def content_hash(self) -> str:
+        """SHA-256 over the resolved values, the bundle's other files, and the plugins' sources."""
+        digest = hashlib.sha256(json.dumps(self.resolved, sort_keys=True, ensure_ascii=True).encode())
+        files = (p for p in self.folder.rglob("*") if p.is_file() and "__pycache__" not in p.parts)
+        tables = (p for p in files if p.name != registry.MANIFEST)
+        for path in [*sorted(tables), *sorted(self.granted)]:
+            digest.update(path.name.encode())
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+        for name, sha256 in sorted(self.plugin_hashes.items()):
+            digest.update(f"{name}:{sha256}".encode())
+        return digest.hexdigest()
+
+    @property
+    def plugin_hashes(self) -> dict[str, str]:
+        """Plugin -> SHA-256 of its source file, as it is run; of an installed one with its distribution's version."""
+        code = {name: code_hash(type(made)) for name, made in self._made() if is_code(name)}
+        return {name: code.get(name) or registry.plugin_hash(name) for name in self.plugin_names}
+
+    def _made(self) -> Iterator[tuple[str, Plugin[Any]]]:
+        """Name and plugin of every part."""
+        spec = self.spec
+        yield spec.body.plugin, self.body
+        yield from ((spec.strings[name].plugin, made) for name, made in self.resonators.items())
+        yield from ((spec.connections[name].plugin, made) for name, made in self.attachments.items())
+        yield from ((spec.exciters[name].plugin, made) for name, made in self.exciters.items())
+        yield from ((part.plugin, self.pickups[part.name]) for part in spec.outputs)
+
+    @property
+    def plugin_names(self) -> tuple[str, ...]:
+        """Plugins the bundle uses, each once."""
+        return tuple(dict.fromkeys(name for name, _ in self._made()))
+
+    @property
+    def _files(self) -> Files:
+        return Files(self.folder, self.folder / registry.MANIFEST, self.granted)
+
+    def _fault(self, reason: str, key: str) -> BundleError:
+        return BundleError(reason, file=self._files.manifest, key=key)
+
+    def _none(self, kind: str, name: str, known: Iterable[str], key: str) -> BundleError:
+        """Error for a name that none of the `known` things of a kind has."""
+        words = list(known)
+        hint = did_you_mean(name, words)
+        return self._fault(f"there is no {kind} {name!r}; {hint}there are {', '.join(words) or 'none'}", key)
+
+    def _check(self) -> None:
+        """Check references between parts."""
+        points = {name: point for name, point in self.body.points().items() if point.driven}
+        for name, part in self.spec.strings.items():
+            for end in part.ends:
+                component, _, point = end.partition(".")
+                if component != "body" or point not in points:
+                    raise self._none("point", end, [f"body.{p}" for p in points], f"strings.{name}.end")
+            self.polarizations(name)
+            self.open_note(name)
+        for name, attached in self.spec.connections.items():
+            for string in attached.strings or ():
+                if string not in self.spec.strings:
+                    raise self._none("string", string, self.spec.strings, f"connections.{name}.strings")
+        check_keys(self.spec, self._files.manifest, self.open_note)
+        playing = self.spec.playing
+        self._parameter(playing.velocity.parameter, "playing.velocity.parameter")
+        for control, entry in playing.controls.items():
+            self._parameter(entry.parameter, f"playing.controls.{control}.parameter")
+        if playing.exciter is not None and playing.exciter not in self.exciters:
+            raise self._none("exciter", playing.exciter, self.exciters, "playing.exciter")
+        switched = [("switches", k, v) for k, v in playing.switches.items()]
+        switched += [("noises", k, v) for k, v in playing.noises.named.items()]
+        switched += [("slurs", k, v) for k, v in playing.slurs.named.items()]
+        for kind, key, wanted in [*switched, *(("keyswitches", k, v) for k, v in playing.keyswitches.items())]:
+            if wanted not in self.exciters:
+                raise self._none("exciter", wanted, self.exciters, f"playing.{kind}.{key}")
+            if kind == "keyswitches":
+                try:
+                    note_number(key)
+                except ScoreError as fault:
+                    raise self._fault(fault.reason, f"playing.{kind}.{key}") from None
+        for name, exciter in self.exciters.items():
+            if exciter.at is not None and exciter.at not in {f"body.{p}" for p in points}:
+                raise self._none("point", exciter.at, [f"body.{p}" for p in points], f"exciters.{name}.at")
+        for path, found in self.spec.provenance.items():
+            if found.source is not None and found.source not in self.spec.sources:
+                raise self._none("source", found.source, self.spec.sources, f"provenance.{path}.source")
+            if found.source is None and found.kind in ("measured", "published", "computed"):
+                raise self._fault(f"{found.kind} figures need a source", f"provenance.{path}.source")
+
+    def _parameter(self, path: str, key: str) -> None:
+        exciter, _, parameter = path.partition(".")
+        if exciter not in self.exciters:
+            raise self._none("exciter", exciter, self.exciters, key)
+        fields = self.exciters[exciter].Parameters.model_fields
+        if parameter not in fields:
+            raise self._none(f"parameter of {exciter}", parameter, fields, key)
+
+
+def _flat(part: PluginPart, plugin: Plugin[Any]) -> dict[str, Any]:
+    """Keys of a part with every default written out: the common ones and the plugin's own."""
+    common = part.model_dump(mode="json", by_alias=True, include=set(type(part).model_fields))
+    return {**common, **plugin.parameters.model_dump(mode="json", by_alias=True)}
+
+
+def _merged(values: Mapping[str, Any], files: Files) -> dict[str, Any]:
+    """Merge `strings.defaults` into every string, whose own keys go first."""
+    out = dict(values)
+    strings = out.get("strings")
+    if not isinstance(strings, Mapping) or "defaults" not in strings:
+        return out
+    defaults = strings["defaults"]
+    if not isinstance(defaults, Mapping):
+        raise BundleError("holds keys that are merged under every string", file=files.manifest, key="strings.defaults")
+    rest = {name: part for name, part in strings.items() if name != "defaults"}
+    out["strings"] = {
+        name: merged(defaults, part) if isinstance(part, Mapping) else part for name, part in rest.items()
+    }
+    return out
+
+
+def _with_strings(values: dict[str, Any], files: Files) -> dict[str, Any]:
+    """Put the string set that a bundle names under its strings."""
+    name = values.get("strings_from")
+    return values if not isinstance(name, str) else with_set(values, name, over=False, file=files.manifest)
+
+
+@without_collecting
+def load_instrument(name_or_path: str | os.PathLike[str], *, allow_code: bool = False) -> Instrument:
+    """Load an instrument; `name_or_path`, `allow_code` and errors are those of `Instrument.load`."""
+    return Instrument.load(name_or_path, allow_code=allow_code)
+
+
+__all__ = ["Instrument", "OutputPart", "load_instrument"]

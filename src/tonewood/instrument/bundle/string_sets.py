@@ -1,0 +1,149 @@
+"""Named string sets: values that a set of strings gives those of an instrument.
+
+    mu = rho pi d^2 / 4  or  T / (2 L f)^2,    EI = E pi d_c^4 / 64,    EA = E pi d_c^2 / 4,    d_c = core d,
+
+and on a length L' tuned to f' the tension T (L' f' / (L f))^2, or mu (2 L' f')^2 where the set has none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from tonewood.errors import BundleError, PluginError, ScoreError
+from tonewood.instrument.bundle.schema import StringSet, StringSetEntry
+from tonewood.instrument.contract import registry
+from tonewood.instrument.scales import note_number
+from tonewood.support.params import validated
+from tonewood.support.validation_messages import did_you_mean
+from tonewood.support.yaml_io import load_yaml
+
+_FILE = Path(__file__).with_name("string_sets.yaml")
+#: key of a bundle that names a set
+_KEY = "strings_from"
+#: keys of a string that a set may give
+_KEYS = ("tension", "linear_density", "bending_stiffness", "axial_stiffness", "loss")
+
+
+@cache
+def string_sets() -> Mapping[str, StringSet]:
+    """Known sets, by name."""
+    values = load_yaml(_FILE, error=BundleError)
+    return {name: validated(StringSet, entry, key=name, file=_FILE) for name, entry in values.items()}
+
+
+def string_set(name: str, *, file: Any = None) -> StringSet:
+    """Find a set by its name.
+
+    Raises
+    ------
+    BundleError : there is none; names those there are.
+    """
+    known = string_sets()
+    if name not in known:
+        reason = f"there is no string set {name!r}; {did_you_mean(name, known)}there are {', '.join(known)}"
+        raise BundleError(reason, file=file, key=_KEY)
+    return known[name]
+
+
+def with_set(values: Mapping[str, Any], name: str, *, over: bool, file: Any = None) -> dict[str, Any]:
+    """Return values of a bundle with its strings from a set: the first of the bundle is the first of the set.
+
+    Parameters
+    ----------
+    values : of the bundle, `strings.defaults` merged.
+    over : whether the set's values replace those of the bundle, or only fill in those that it leaves out.
+
+    Raises
+    ------
+    BundleError : the set has another number of strings, a string does not say its length or note, or its plugin takes
+        no such values or needs one that the set does not have.
+    """
+    chosen, strings = string_set(name, file=file), values.get("strings")
+    if not isinstance(strings, Mapping) or not all(isinstance(part, Mapping) for part in strings.values()):
+        return dict(values)  # the check of the schema says what is wrong
+    if len(strings) != len(chosen.strings):
+        notes = ", ".join(entry.note for entry in chosen.strings)
+        raise BundleError(
+            f"{name} has {len(chosen.strings)} strings ({notes}); this instrument has {len(strings)}",
+            file=file,
+            key=_KEY,
+        )
+    made: dict[str, Any] = {}
+    given: set[str] = set()
+    for (key, part), entry in zip(strings.items(), chosen.strings, strict=True):
+        own = _of_string(part, entry, chosen, f"strings.{key}", file)
+        made[key] = {**part, **own} if over else {**own, **part}
+        given |= {k for k in own if over or k not in part}
+    out = {**values, "strings": made, _KEY: name}
+    if given:
+        source = f"strings_{name}"
+        out["sources"] = {**values.get("sources", {}), source: chosen.source.model_dump(exclude_none=True)}
+        note = f"{chosen.maker} {chosen.product}"
+        entries = {f"strings.*.{k}": {"kind": "published", "source": source, "note": note} for k in sorted(given)}
+        before = values.get("provenance", {})
+        out["provenance"] = {**before, **entries} if over else {**entries, **before}
+    return out
+
+
+def _of_string(
+    part: Mapping[str, Any], entry: StringSetEntry, chosen: StringSet, key: str, file: Any
+) -> dict[str, Any]:
+    """Values of one string of the bundle, as its plugin takes them."""
+    try:
+        known = registry.plugin(str(part.get("plugin")), "resonator").Parameters.model_fields
+    except PluginError as fault:
+        raise BundleError(f"no string set can be put on it: {fault.reason}", file=file, key=f"{key}.plugin") from None
+    length = part.get("length")
+    if isinstance(length, bool) or not isinstance(length, int | float) or length <= 0:
+        raise BundleError("is needed for a string set", file=file, key=f"{key}.length")
+    found = figures(entry, chosen, float(length), _freq(part, entry, key, file))
+    for name in _KEYS:
+        # that of another set's strings does not hold
+        kept = () if name == "axial_stiffness" else part
+        if name in known and known[name].is_required() and name not in found and name not in kept:
+            reason = f"the string set does not say it, and {part['plugin']} needs it"
+            raise BundleError(reason, file=file, key=f"{key}.{name}")
+    return {name: value for name, value in found.items() if name in known}
+
+
+def figures(entry: StringSetEntry, chosen: StringSet, length: float, freq: float) -> dict[str, Any]:
+    """Tension (N), linear density (kg/m), stiffnesses (N m^2, N) and loss of a string on a length (m) tuned to Hz."""
+    own_freq = 440.0 * 2 ** ((note_number(entry.note) - 69) / 12)
+    own_length = entry.length or chosen.length
+    if entry.linear_density is not None:
+        density = entry.linear_density
+    elif entry.density is not None and entry.diameter is not None:
+        density = entry.density * math.pi * entry.diameter**2 / 4
+    else:
+        assert entry.tension is not None
+        density = entry.tension / (2 * own_length * own_freq) ** 2
+    if entry.tension is not None:
+        tension = entry.tension * (length * freq / (own_length * own_freq)) ** 2
+    else:
+        tension = density * (2 * length * freq) ** 2
+    out: dict[str, Any] = {"tension": tension, "linear_density": density}
+    if entry.bending_stiffness is not None:
+        out["bending_stiffness"] = entry.bending_stiffness
+    if entry.young is not None and entry.diameter is not None:
+        core = entry.core * entry.diameter
+        out["bending_stiffness"] = entry.young * math.pi * core**4 / 64
+        out["axial_stiffness"] = entry.young * math.pi * core**2 / 4
+    if entry.loss is not None:
+        out["loss"] = dict(entry.loss)
+    return out
+
+
+def _freq(part: Mapping[str, Any], entry: StringSetEntry, key: str, file: Any) -> float:
+    """Pitch of a string of the bundle, Hz, at 440 Hz and equal temperament: the tuner finds the tension exactly."""
+    if isinstance(part.get("freq"), int | float):
+        return float(part["freq"])
+    note = part.get("note") if part.get("note") is not None else entry.note
+    try:
+        number = float(note_number(note)) if isinstance(note, str) else float(note or 0.0)
+    except ScoreError as fault:
+        raise BundleError(fault.reason, file=file, key=f"{key}.note") from None
+    return float(440.0 * 2 ** ((number - 69) / 12))

@@ -1,0 +1,11 @@
+"""Partials, pitches and wolf notes of an assembled instrument."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tonewood.support.moved import attribute
+
+
+def __getattr__(name: str) -> Any:
+    return attribute(__name__, name, "tonewood.instrument.inspection.frequencies")

@@ -1,0 +1,1 @@
+"""An instrument assembled for one sampling rate: strings, tuning, outputs."""

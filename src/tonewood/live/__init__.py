@@ -1,1 +1,0 @@
-"""Playing live: MIDI messages, keyboards, sound cards and takes around `tonewood.output.live.Live`."""

@@ -1,1 +1,0 @@
-"""Sound files, rendering and live playing."""

@@ -1,0 +1,399 @@
+"""Model, state and timeline to samples, on a control grid that does not depend on output blocks.
+
+Every change (a stop, a bend, a damper, an effect switched) takes effect at a multiple of 64 samples counted from sample
+0; a finger tightens its hold at whole samples, and known forces act at any fraction of a sample. The points at which
+the engine stops depend only on the timeline, so its samples do not depend on the blocks in which they are asked for.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.instrument.model.assembly import Model
+from tonewood.performance.effects import runtime_effects
+from tonewood.performance.effects.base import Moment, Run, SwitchedEffect, Switching, switch
+from tonewood.performance.effects.gesture_connections import GestureConnections, holds_at
+from tonewood.performance.effects.usage import EffectUsage
+from tonewood.performance.engine.schedule import Schedule
+from tonewood.performance.player.fretting import FrettedBases, Fretting, at_rest, bridge_forces
+from tonewood.performance.player.gestures import Active, courses, cut, forces, hold_steps, quasi_static, samples
+from tonewood.performance.player.timeline import GRID, Play, Timeline
+from tonewood.physics.coupling.connections import Connection
+from tonewood.physics.coupling.system import Compiled, Injection, PrescribedMotion, State, System
+from tonewood.physics.stepping.kernel import KernelStepper
+from tonewood.physics.stepping.motion import share_velocities
+from tonewood.support.blas import one_blas_thread
+from tonewood.support.units import decibel
+
+__all__ = ["GRID", "Counters", "Engine", "Snapshot"]
+
+if TYPE_CHECKING:
+    from tonewood.performance.engine.energy_budget import EnergyBudget
+
+Floats = NDArray[np.float64]
+
+#: points of the control grid after which the engine stops at the latest
+_LONGEST = 64
+#: steps that an energy budget makes again at most where a potential acts
+_PIECE = 16
+
+
+@dataclass(eq=False)
+class Snapshot:
+    """All that moves in an engine; restoring it continues bit for bit."""
+
+    state: State
+    frettings: dict[str, Fretting]
+    active: list[Active]
+    injections: list[Injection]
+    controls: list[PrescribedMotion]
+    holds: dict[str, float]
+    switchings: dict[str, Switching]
+    peak: Floats
+    recent: Floats
+    schedule: Schedule
+
+
+@dataclass(eq=False)
+class Counters:
+    """Counts of the work that an engine did.
+
+    Attributes
+    ----------
+    exchanges : bases of strings that were exchanged.
+    strings_played : names.
+    stepping_s, control_s : seconds of the processor in steps and between them.
+    """
+
+    exchanges: int = 0
+    strings_played: set[str] = field(default_factory=set)
+    stepping_s: float = 0.0
+    control_s: float = 0.0
+
+
+class Engine:
+    """Steps one model through one timeline.
+
+    Parameters
+    ----------
+    model : assembled instrument.
+    timeline : changes and gestures.
+    energy : keep an `energy_budget`; many times slower, with the same samples.
+
+    Attributes
+    ----------
+    system, state : system that is stepped, and its motion.
+    effects : of the model.
+    switchings : switched effect -> components on which it runs: all that moves of it.
+    usage : of the effects: when they ran and were left out.
+    peak : (n_readouts,) largest sample of each readout so far, where any effect is watched.
+    recent : (n_readouts,) that of the last run.
+    tail_level : dB re the peak at which the sound counts as decayed after the last event.
+    only_watch : do not switch effects, but count them in `usage` as if they were.
+    """
+
+    def __init__(self, model: Model, timeline: Timeline, *, energy: bool = False):
+        self.model, self.timeline = model, timeline
+        self.effects = runtime_effects(model)
+        switched = [effect for effect in self.effects if isinstance(effect, SwitchedEffect)]
+        for effect in switched:
+            effect.prepare(timeline)
+        self.switchings = {effect.name: effect.start() for effect in switched}
+        self._switched = [effect for effect in switched if effect.chosen]
+        self._watched = [effect for effect in switched if effect.watched]
+        self.only_watch = False
+        self.frettings = {name: at_rest(string) for name, string in model.strings.items()}
+        self.fingerboard, self.connections = FrettedBases(model), GestureConnections(model)
+        self.system: System = self._with_effects(
+            self._fretted(model.system, {n: f for n, f in self.frettings.items() if f != Fretting()}, {})
+        )
+        self.dt = self.system.dt
+        self.stepper = KernelStepper(self.system)
+        self.state = self.stepper.start()
+        self.peak = np.zeros(len(model.system.readouts))
+        self.recent, self.tail_level = self.peak.copy(), -math.inf
+        self._owner_of = {connection.name: connection.owner for connection in model.system.connections}
+        self.active: list[Active] = []
+        self.injections: list[Injection] = []
+        self.controls: list[PrescribedMotion] = []
+        self.holds: dict[str, float] = {}
+        self.counters = Counters()
+        self.usage = EffectUsage(
+            model.fs,
+            {effect.name: {c: effect.load(c) for c in effect.components} for effect in self._switched},
+            {effect.name: effect.effect.cost(1) for effect in self._switched},
+        )
+        self._compiled: tuple[Compiled, ...] = ()
+        self._modes = 0
+        self.schedule = Schedule(self.dt, model.strings)
+        self.schedule.add(timeline.changes, timeline.plays)
+        self._dampers = all(model.choice.keeps(e, "dampers") for e in model.exciters.values())
+        self.state.sample = int(np.floor(timeline.start / self.dt / GRID)) * GRID
+        self.energy_budget: EnergyBudget | None = self._new_budget() if energy else None
+
+    def _new_budget(self) -> EnergyBudget:
+        from tonewood.performance.engine.energy_budget import EnergyBudget  # few renders keep one
+
+        return EnergyBudget(self.system, self.state, self.model)
+
+    @property
+    def done(self) -> bool:
+        """Whether every change and gesture is over: the instrument only rings."""
+        return self.schedule.done and not self.active
+
+    def running(self, effect: str) -> frozenset[str]:
+        """Components on which a switched effect runs now."""
+        return self.switchings[effect].on
+
+    def snapshot(self) -> Snapshot:
+        """Copy all that moves; an energy budget begins anew where the copy is restored."""
+        return Snapshot(
+            self.state.copy(), dict(self.frettings), list(self.active), list(self.injections), list(self.controls),
+            dict(self.holds), dict(self.switchings), self.peak.copy(), self.recent.copy(), self.schedule.copy(),
+        )  # fmt: skip
+
+    @one_blas_thread
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to a snapshot of this engine, or of one with the same model and timeline."""
+        s = snapshot
+        self.state, self.frettings, self.holds = s.state.copy(), dict(s.frettings), dict(s.holds)
+        self.active, self.injections, self.controls = list(s.active), list(s.injections), list(s.controls)
+        self.switchings, self.peak, self.recent = dict(s.switchings), s.peak.copy(), s.recent.copy()
+        self.schedule = s.schedule.copy()
+        system = self._with_effects(self._fretted(self.system, self.frettings, self.frettings))
+        self.system = self.connections.with_holds(self.connections.with_moved(system, self.active), self.holds)
+        if self.energy_budget:
+            self.energy_budget = self._new_budget()
+
+    @one_blas_thread
+    def advance(self, n_ticks: int) -> Floats:
+        """Step n_ticks intervals of the control grid; returns (n_ticks * GRID, n_channels)."""
+        out, end = [], self.state.sample + n_ticks * GRID
+        while self.state.sample < end:
+            began = time.thread_time()
+            self._control()
+            start = self.state.sample
+            steps = min(self._next_event(), end) - start
+            if self.energy_budget:  # it makes the motion again from the forces: rounding must not grow long
+                steps = min(steps, GRID)
+            before = self.state.copy() if self.energy_budget else None
+            if self.system is not self.stepper.system:
+                self.stepper.exchange(self.system)
+            ready = time.thread_time()
+            forces: Floats | None = None
+            if self.energy_budget:
+                sound, forces = self.stepper.run(self.state, steps, self.injections, self.controls)
+                acted = np.flatnonzero(np.any(forces, axis=0))
+            else:
+                sound, acted = self.stepper.advance(self.state, steps, self.injections, self.controls)
+            stepped = time.thread_time()
+            if before and forces is not None:
+                self._book(before, forces)
+            added = quasi_static(self.active, self.model, self.system, start, steps)
+            if added is not None:
+                sound = sound + added
+            out.append(sound)
+            if self._watched:
+                # the rows of channels in one piece: several times quicker
+                self.recent = np.abs(np.ascontiguousarray(sound.T)).max(axis=1)
+                np.maximum(self.peak, self.recent, out=self.peak)
+            self._count(start, steps, acted, stepped - ready)
+            self.injections = [i for i in self.injections if i.stop > self.state.sample]
+            self.controls = [c for c in self.controls if c.stop > self.state.sample]
+            self.counters.stepping_s += stepped - ready
+            self.counters.control_s += ready - began + time.thread_time() - stepped
+        return np.concatenate(out) if out else np.zeros((0, len(self.system.readouts)))
+
+    def _book(self, before: State, forces: Floats) -> None:
+        """Enter a run into the energy budget.
+
+        Where potentials act rounding grows faster: the run is stepped again from a copy, in pieces short enough.
+        """
+        if (budget := self.energy_budget) is None:
+            return
+        while self.system.resets and before.sample + _PIECE < self.state.sample:
+            after = before.copy()
+            _, piece = self.stepper.run(after, _PIECE, self.injections, self.controls)
+            budget.follow(before, after, piece, self.injections, self.controls, self.active)
+            before, forces = after, forces[_PIECE:]
+        budget.follow(before, self.state, forces, self.injections, self.controls, self.active)
+
+    def _count(self, start: int, n: int, acted: NDArray[np.intp], seconds: float) -> None:
+        """Enter a run into the usage of effects."""
+        plays = [active.play for active in self.active]
+        run = Run(start, n, self.system, acted, self.holds.keys(), self.switchings, plays)
+        running = {effect.name: effect.running(run) for effect in self.effects}
+        if self.system.compiled is not self._compiled:
+            self._compiled = self.system.compiled
+            self._modes = sum(compiled.basis.n_modes for compiled in self._compiled)
+        self.usage.count(start, n, running, self._modes, seconds)
+
+    def _next_event(self) -> int:
+        """First sample after now at which the engine has to stop: a grid point, or the next step of a finger's hold."""
+        now = self.state.sample
+        grid = now // GRID * GRID + GRID
+        times = [grid + (_LONGEST - 1) * GRID, *(active.stop for active in self.active)]
+        if (due := self.schedule.next_due) < math.inf:
+            # a change is made at the last grid point before its time, which need not be a whole sample
+            times.append(due // GRID * GRID)
+        times += [effect.next_watch(now, self.switchings[effect.name]) for effect in self._watched]
+        until = math.ceil(min(times) / GRID) * GRID
+        steps = [sample for active in self.active for sample, _ in active.holds if sample > now]
+        # back to the grid first: the kernel counts from where a run begins
+        return min([max(until, grid) if now % GRID == 0 else grid, *steps])
+
+    def _control(self) -> None:
+        """Make the changes that are due: at a grid point bases, injections and effects, else fingers' dashpots only."""
+        now = self.state.sample
+        if now % GRID == 0:
+            moved, fresh = self._take(now)
+            self._exchange(self.connections.with_moved(self.system, self.active), "partners that come and go")
+            if self._watched:
+                self._switch(moved, fresh)
+        wanted = holds_at(self.active, now)
+        if wanted != self.holds:
+            self.holds = wanted
+            self._exchange(self.connections.with_holds(self.system, wanted), "holds")
+
+    def _switch(self, moved: Collection[str], fresh: Sequence[Play]) -> None:
+        """Switch effects on where they are wanted, and off where the bound on the error is within the budget."""
+        busy = {active.play.string or "" for active in self.active}
+        for effect in self._watched:
+            before = self.switchings[effect.name]
+            moment = Moment(self.system, self.state, self.frettings, self.peak, moved, fresh, busy, self._until)
+            found = effect.watch(moment, before)
+            if found is None:
+                continue
+            self.usage.enter(effect.name, found.bounds)
+            if self.only_watch:
+                self.switchings[effect.name] = Switching(found.wanted, until=found.until)
+                continue
+            after = switch(effect, moment, before, found)
+            self.switchings[effect.name] = after
+            if after.on != before.on:
+                effect.reset(self.system, self.state, after.on ^ before.on)
+                self._exchange(effect.apply(self.system, after.on, self.frettings), f"{effect.name} switched")
+
+    def _until(self, string: str) -> float:
+        """Seconds until the next change of a string or gesture on it, or until the sound has decayed to `tail_level`.
+
+        After the last event the sound is taken to have fallen from its peak by so many dB per second, and to go on so.
+        """
+        now = self.state.sample
+        if (following := self.schedule.next_of(string, now + GRID)) < math.inf:
+            return (following - now) * self.dt
+        since = now * self.dt - self.schedule.stop
+        heard = self.peak > 0.0
+        level = decibel(float((self.recent[heard] / self.peak[heard]).max(initial=0.0)))
+        if since <= 0.0 or level >= 0.0 or self.tail_level == -math.inf:
+            return math.inf
+        return since * max(level - self.tail_level, 0.0) / -level if level > -math.inf else 0.0
+
+    def _with_effects(self, system: System) -> System:
+        """A system with every switched effect as it is; switches that are only watched stay as they began."""
+        for effect in self._switched:
+            switching = effect.start() if self.only_watch else self.switchings[effect.name]
+            system = effect.apply(system, switching.on, self.frettings)
+        return system
+
+    def _take(self, now: int) -> tuple[Collection[str], list[Play]]:
+        """Do the changes and begin the gestures that are due; returns the strings that changed, and the gestures."""
+        moved, fresh = self._due(now)
+        if moved or fresh:
+            self._touch(moved, fresh, now)
+        self.active = [a for a in self.active if a.stop > now]
+        return moved.keys(), fresh
+
+    def _touch(self, moved: Mapping[str, Fretting], fresh: Sequence[Play], now: int) -> None:
+        """Change how strings are held, and begin gestures."""
+        taken = {play.string for play in fresh if play.string is not None}
+        called = taken | moved.keys()
+        if moved:
+            self._refret(moved)
+        # a string is held by one finger at a time: a new gesture ends the one before it. The rest of a gesture whose
+        # string changes meanwhile is compiled anew
+        again = [a.play for a in self.active if a.play.string in moved.keys() - taken]
+        self.active = [a for a in self.active if a.play.string not in taken]
+        self.injections = [cut(i, now) if self.system.owners.get(i.component) in called else i for i in self.injections]
+        self.injections = [i for i in self.injections if i.stop > max(now, i.start)]
+        self.controls = [c for c in self.controls if self._owner_of[c.connection] not in called]
+        for play in (*again, *fresh):
+            self.injections += forces(play, self.model, self.system, now)
+            self.controls += courses(play, self.dt, now)
+        for play in fresh:
+            holds = hold_steps(play, self.dt) if self._dampers else ()
+            self.active.append(Active(play, samples(play.stop, self.dt), holds))
+
+    def _due(self, now: int) -> tuple[dict[str, Fretting], list[Play]]:
+        """Changes of strings and gestures that are due before the next point of the grid."""
+        wanted: dict[str, Fretting] = {}
+        changes, fresh = self.schedule.take(now + GRID)
+        for change in changes:
+            before = wanted.get(change.string, self.frettings[change.string])
+            wanted[change.string] = before.changed(change)
+        for play in fresh:
+            if play.string is not None:
+                before = wanted.get(play.string, self.frettings[play.string])
+                if (place := play.gesture.from_bridge) is not None:
+                    before = replace(before, place=place, width=play.gesture.width)
+                wanted[play.string] = before
+                self.counters.strings_played.add(play.string)
+        frettings = {name: self.fingerboard.playable(name, fretting) for name, fretting in wanted.items()}
+        return {name: fretting for name, fretting in frettings.items() if fretting != self.frettings[name]}, fresh
+
+    def _refret(self, wanted: Mapping[str, Fretting]) -> None:
+        """Exchange the bases of strings, and project their motion to the new ones."""
+        carried: dict[str, Floats] = {}
+        restopped = {}
+        bridge_force = bridge_forces(self.system, self.state)
+        for name, fretting in wanted.items():
+            before = self.frettings[name]
+            components = self.model.strings[name].components
+            modes = {c: np.array(self.system.modes_of(self.state, c), dtype=np.float64) for c in components}
+            carried |= self.fingerboard.carried(name, before, fretting, modes, bridge_force)
+            if fretting.stop != before.stop:
+                restopped[name] = fretting
+        self.frettings |= wanted
+        self.system = self._fretted(self.system, wanted, restopped)
+        if restopped:
+            self.system = self._with_effects(self.system)
+        self._put(carried)
+        if restopped:
+            share_velocities(self.system, self.state)
+        self.counters.exchanges += len(wanted)
+        if self.energy_budget:
+            self.energy_budget.changed("stops, bends and dampers", self.system, self.state)
+
+    def _put(self, carried: Mapping[str, Floats]) -> None:
+        """Write the motion of components whose bases were exchanged into the state."""
+        for component, modes in carried.items():
+            slot = self.system.slot(component)
+            start = self.system.offsets[slot]
+            self.state.modes[:, start : start + self.system.capacities[slot]] = 0.0
+            self.system.modes_of(self.state, component)[:] = modes
+
+    def _fretted(self, system: System, frettings: Mapping[str, Fretting], restopped: Mapping[str, Fretting]) -> System:
+        """Return a system with strings held like this; `restopped` ones get the laws of their stop, too."""
+        if not frettings:
+            return system
+        changes: dict[str, Compiled] = {}
+        laws: dict[str, Connection] = {}
+        for name, fretting in frettings.items():
+            changes |= self.fingerboard.bases(name, fretting)
+        for name, fretting in restopped.items():
+            laws |= self.fingerboard.laws(name, fretting)
+        changed = system.with_compiled(changes)
+        return changed.with_laws(laws) if laws else changed
+
+    def _exchange(self, system: System, why: str) -> None:
+        if system is not self.system:
+            self.system = system
+            if self.energy_budget:
+                self.energy_budget.changed(why, system, self.state)

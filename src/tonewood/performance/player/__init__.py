@@ -1,0 +1,1 @@
+"""Notes and controllers become changes of strings and gestures on a timeline."""

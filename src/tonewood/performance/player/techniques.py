@@ -1,0 +1,136 @@
+"""Techniques that a score asks for, and the courses of the stop and of touching points that they give."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tonewood.instrument.bundle.schema import Playing
+from tonewood.instrument.contract.attached import Motion
+from tonewood.instrument.scales import note_number
+from tonewood.performance.player.timeline import Play
+from tonewood.performance.score.assignment import PlayableString
+from tonewood.performance.score.controllers import Controllers
+from tonewood.performance.score.note import Score
+
+#: stops of a slide are rounded to this fraction of a step
+_FINEST = 1000
+
+
+def with_techniques(score: Score, playing: Playing) -> Score:
+    """The score without its keyswitches, and with the techniques they and controllers ask for.
+
+    A keyswitch holds for its channel until the next one; a controller while it is at a half or more, and before any
+    keyswitch. A technique that a note names itself stands.
+    """
+    if not (playing.keyswitches or playing.switches):
+        return score
+    keys = {float(note_number(key)): technique for key, technique in playing.keyswitches.items()}
+    controllers = Controllers(score.controls)
+    notes, latest = [], dict[int | None, str]()
+    # a key pressed together with a note is meant for it
+    for note in sorted(score.notes, key=lambda n: (n.time, n.note not in keys)):
+        if note.note in keys and note.string is None:
+            latest[note.channel] = keys[note.note]
+            continue
+        technique = note.technique or latest.get(note.channel)
+        for kind, name in playing.switches.items():
+            if note.technique is None and (controllers.at(kind, note.channel, note.time) or 0.0) >= 0.5:
+                technique = name
+        notes.append(replace(note, technique=technique))
+    return replace(score, notes=notes)
+
+
+#: sign -> techniques that play it, the first that the instrument has
+_SIGNS = {
+    "palm_mute": ("palm",),
+    "hammer_on": ("hammer_on",),
+    "pull_off": ("pull_off",),
+    "slide": ("slide",),
+    "harmonic": ("harmonic",),
+    "slap": ("slap",),
+    "pop": ("pop",),
+    "tapping": ("hammer_on",),
+    "dead_note": ("palm",),
+    "rest_stroke": ("rest",),
+}
+
+
+def with_marks(score: Score, names: Collection[str], strings: Sequence[PlayableString]) -> Score:
+    """Give notes the techniques that their signs ask for, and let go of frets that no string has.
+
+    Parameters
+    ----------
+    names : techniques of the instrument.
+    strings : of the instrument.
+
+    Returns
+    -------
+    The score; `Score.ignored` counts signs that the instrument has no technique for, and notes of a tablature that are
+    fingered elsewhere.
+    """
+    if not any(note.marks for note in score.notes):
+        return score
+    lacking: Counter[str] = Counter()
+    places = {(string.pitch_at(stop), stop) for string in strings for stop in map(float, range(len(string.pitches)))}
+    notes = []
+    for note in score.notes:
+        technique = note.technique
+        for mark in note.marks:
+            found = next((name for name in _SIGNS.get(mark, ()) if name in names), None)
+            if mark == "tablature":
+                if (note.note, note.stop) not in places and not any(string.continuous for string in strings):
+                    lacking["note of the tablature, fingered elsewhere"] += 1
+                    note = replace(note, stop=None)
+            elif found is None:
+                lacking[f"{mark.replace('_', ' ')}, plucked as any note"] += 1
+            else:
+                technique = technique or found
+        notes.append(replace(note, technique=technique))
+    return replace(score, notes=notes, ignored=dict(Counter(score.ignored) + lacking))
+
+
+def stop_course(play: Play, stop: float, continuous: bool, tick: float) -> list[tuple[float, float]]:
+    """Times (s) and stops of a gesture's finger, one per `tick` (s) at most; ends with the note's own stop.
+
+    A fretted string sounds the last fret that the finger has reached, from below or from above.
+    """
+    segments = play.gesture.stops
+    if not segments:
+        return []
+    begin, end = segments[0].start, segments[-1].stop
+    times = np.append(np.arange(begin, end - 1e-9, tick), end - 1e-9)
+    values = Motion("", "offset", segments).course(times)
+    out: list[tuple[float, float]] = []
+    for time, value in [*zip(times.tolist(), values.tolist(), strict=True), (end, stop)]:
+        if time == end:
+            reached = stop
+        elif continuous:
+            reached = round(value * _FINEST) / _FINEST
+        else:
+            reached = float(math.floor(value + 1e-9) if stop >= values[0] else math.ceil(value - 1e-9))
+        if not out or reached != out[-1][1]:
+            out.append((play.time + time, reached))
+    return out
+
+
+def touch_course(play: Play, tick: float) -> list[tuple[float, tuple[tuple[str, float], ...]]]:
+    """Times (s), one per `tick` (s) at most, and where the gesture's fingers then touch: (point, m from the bridge)."""
+    courses = play.gesture.touches
+    if not courses:
+        return []
+    begin = min(segments[0].start for segments in courses.values())
+    end = max(segments[-1].stop for segments in courses.values())
+    out: list[tuple[float, tuple[tuple[str, float], ...]]] = []
+    for time in np.append(np.arange(begin, end - 1e-9, tick), end).tolist():
+        touches = tuple(
+            (point, float(Motion("", "offset", c).course(min(max(time, c[0].start), c[-1].stop - 1e-9))))
+            for point, c in courses.items()
+        )
+        if not out or touches != out[-1][1]:
+            out.append((play.time + time, touches))
+    return out

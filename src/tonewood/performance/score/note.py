@@ -1,0 +1,248 @@
+"""Notes, controls and scores: every score format is read into these."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from numbers import Real
+from typing import TYPE_CHECKING
+
+from tonewood.errors import ScoreError, kind_of
+from tonewood.instrument.scales import note_number
+
+# (low, high) of every number a note may carry; both ends are allowed
+_RANGES: dict[str, tuple[float, float]] = {
+    "time": (0.0, math.inf),
+    "duration": (0.0, math.inf),
+    "held": (0.0, math.inf),
+    "note": (-128.0, 256.0),
+    "freq": (1e-3, 1e6),
+    "force": (0.0, math.inf),
+    "velocity_midi": (0.0, 127.0),
+    "stop": (0.0, math.inf),
+    "from_bridge": (0.0, math.inf),
+    "angle_deg": (-math.inf, math.inf),
+    "channel": (0, 15),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """One note of a score; the instrument decides on attributes that are None.
+
+    Attributes
+    ----------
+    time : s, when the pluck releases (the ramp runs before it).
+    duration : s, from `time` to the note's end.
+    held : s, from `time` on, for which its key is down, where a pedal makes `duration` longer; None if none does.
+    note : MIDI note number, fractions are cents / 100, or a name such as ``E2``; or give `freq`, or `string` with
+        `stop`.
+    freq : Hz, instead of `note`.
+    force : N, peak of the gesture; or give `velocity_midi`.
+    velocity_midi : 1..127, mapped to a force by the instrument's documented curve.
+    string : name of the string; None lets the assignment choose.
+    stop : number of the fret, 0 is open, a fraction on a string without frets; None is decided from the pitch.
+    from_bridge : m, where the string is played.
+    angle_deg : degrees, between the first polarization and the force.
+    technique : name of a playing technique the instrument declares, e.g. ``palm``.
+    channel : MIDI channel 0..15 the note came from, or None.
+    marks : signs written at it, e.g. ``palm_mute``; an instrument that has a technique for one plays it so, and
+        ``tablature`` lets the assignment choose where no string has the note at its `stop`.
+
+    Raises
+    ------
+    ScoreError : a number is not finite or out of its range.
+    """
+
+    time: float
+    duration: float = 1.0
+    note: float | None = None
+    freq: float | None = None
+    force: float | None = None
+    velocity_midi: float | None = None
+    string: str | None = None
+    stop: float | None = None
+    from_bridge: float | None = None
+    angle_deg: float | None = None
+    technique: str | None = None
+    channel: int | None = None
+    marks: tuple[str, ...] = ()
+    held: float | None = None
+
+    if TYPE_CHECKING:  # names are numbers once it is made
+
+        def __init__(
+            self,
+            time: float,
+            duration: float = 1.0,
+            note: float | str | None = None,
+            freq: float | None = None,
+            force: float | None = None,
+            velocity_midi: float | None = None,
+            string: str | None = None,
+            stop: float | None = None,
+            from_bridge: float | None = None,
+            angle_deg: float | None = None,
+            technique: str | None = None,
+            channel: int | None = None,
+            marks: tuple[str, ...] = (),
+            held: float | None = None,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        if isinstance(self.note, str):
+            object.__setattr__(self, "note", float(note_number(self.note)))
+        for name in ("string", "technique"):
+            if not isinstance(getattr(self, name), str | None):
+                raise ScoreError(f"{name} of a note is {kind_of(getattr(self, name))}: a name is allowed")
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            number = float(value) if isinstance(value, Real) else math.nan
+            if not (low <= number <= high and math.isfinite(number)):
+                allowed = (
+                    "finite numbers"
+                    if low == -math.inf
+                    else f"numbers from {low:g}" + (f" to {high:g}" if high < math.inf else "")
+                )
+                raise ScoreError(f"{name} of a note is {value!r}: {allowed} are allowed")
+
+    @property
+    def key_up(self) -> float:
+        """When its key is released, s."""
+        return self.time + (self.duration if self.held is None else self.held)
+
+
+def ignored_name(kind: str) -> str:
+    """Name of a controller's kind among those that are counted as ignored: ``controller 1``, ``channel pressure``."""
+    return f"controller {kind[2:]}" if kind.startswith("cc") else kind.replace("_", " ")
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """A controller's value from a time on.
+
+    Attributes
+    ----------
+    time : s.
+    kind : ``bend`` (cents), ``ccN`` or ``channel_pressure`` (0..1).
+    value : in that unit.
+    channel : MIDI channel 0..15, or None for all notes.
+
+    Raises
+    ------
+    ScoreError : a number is not finite or out of its range.
+    """
+
+    time: float
+    kind: str
+    value: float
+    channel: int | None = None
+
+    def __post_init__(self) -> None:
+        low, high = (-math.inf, math.inf) if self.kind == "bend" else (0.0, 1.0)
+        if not (low <= self.value <= high and math.isfinite(self.value)):
+            allowed = "finite cents" if self.kind == "bend" else "0 to 1"
+            raise ScoreError(f"{self.kind} of {self.value!r} at {self.time!r} s: {allowed} are allowed")
+        if not 0.0 <= self.time < math.inf:
+            raise ScoreError(f"{self.kind} at {self.time!r} s: times from 0 are allowed")
+
+
+@dataclass(frozen=True, slots=True)
+class Dropped:
+    """A note that cannot be played, and why.
+
+    Attributes
+    ----------
+    time : s.
+    note : MIDI number, if it has one.
+    channel : MIDI channel 0..15, if it has one.
+    reason : one line.
+    """
+
+    time: float
+    note: float | None
+    channel: int | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class Score:
+    """Notes and controls in time order.
+
+    Attributes
+    ----------
+    notes, controls : of the score.
+    dropped : notes that could not be read.
+    warnings : lines about the file.
+    name : of the score, or of its file.
+    metadata : texts of the file, such as its title.
+    ignored : kind of a message or mark -> how many of them were ignored while reading.
+    file : path that it was read from, as it was given; None of a score that was made otherwise.
+
+    Raises
+    ------
+    ScoreError : `notes` is no list of notes.
+    """
+
+    notes: Sequence[Note]
+    controls: Sequence[Control] = ()
+    dropped: Sequence[Dropped] = ()
+    warnings: Sequence[str] = ()
+    name: str = "score"
+    metadata: dict[str, str] = field(default_factory=dict)
+    ignored: Mapping[str, int] = field(default_factory=dict)
+    file: str | None = None
+
+    @property
+    def place(self) -> str:
+        """File, or else name, that errors name."""
+        return self.file or self.name
+
+    def __post_init__(self) -> None:
+        if isinstance(self.notes, str | bytes) or not isinstance(self.notes, Sequence):
+            raise ScoreError(f"notes of a score are {kind_of(self.notes)}: a list of notes is allowed")
+        wrong = next((note for note in self.notes if not isinstance(note, Note)), None)
+        if wrong is not None:
+            raise ScoreError(f"a note of a score is {kind_of(wrong)}: a Note is allowed")
+
+    def __repr__(self) -> str:
+        return (
+            f"Score({self.name!r}, {len(self.notes)} notes, {len(self.controls)} controls, {self.duration:.6g} s, "
+            f"{len(self.dropped)} dropped)"
+        )
+
+    @property
+    def duration(self) -> float:
+        """End of the last note, s (0 for an empty score)."""
+        return max((n.time + n.duration for n in self.notes), default=0.0)
+
+
+def volume_factors(score: Score) -> list[float]:
+    """Factor on each note's force from its channel's volume (cc7) and expression (cc11) when it begins.
+
+        factor = (cc7 · cc11)²,   controllers from 0 to 1, 1 before the first
+
+    which is the gain of 40 lg(value/127) dB each that General MIDI asks for. A plucked string cannot follow them
+    afterwards, and a factor never exceeds 1: the instrument's range of forces holds.
+
+    Returns
+    -------
+    factors : one per note of the score, in its order.
+
+    Source: General MIDI 2 (MIDI Manufacturers Association 1999), page 8: "Gain in dB = 40 log10(cc7/127) +
+    40 log10(cc11/127)".
+    """
+    value: dict[tuple[int | None, str], float] = {}
+    controls = [c for c in score.controls if c.kind in ("cc7", "cc11")]
+    factors = [1.0] * len(score.notes)
+    due = 0
+    for i in sorted(range(len(score.notes)), key=lambda i: score.notes[i].time):
+        note = score.notes[i]
+        while due < len(controls) and controls[due].time <= note.time:
+            value[controls[due].channel, controls[due].kind] = controls[due].value
+            due += 1
+        factors[i] = (value.get((note.channel, "cc7"), 1.0) * value.get((note.channel, "cc11"), 1.0)) ** 2
+    return factors

@@ -1,0 +1,189 @@
+"""MIDI messages in time order, on sixteen channels, to notes with an end, and controls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from tonewood.errors import ScoreError
+from tonewood.performance.score.channels import STEERING, TUNING, MidiChannels
+from tonewood.performance.score.note import Control
+from tonewood.performance.score.smf import Findings
+
+MAX_CONTROLS = 1_000_000
+_PERCUSSION = 9
+#: upper four bits of the status byte
+_IGNORED = {0xA0: "polyphonic pressure", 0xC0: "program change", 0xF0: "system exclusive"}
+
+
+@dataclass
+class _Channel:
+    """State of a MIDI channel between messages; notes are indices into the performance's list."""
+
+    held: dict[int, list[int]] = field(default_factory=dict)
+    pedalled: dict[int, int] = field(default_factory=dict)
+    pedal: bool = False
+
+
+class ChannelReader:
+    """Plays timed messages on sixteen channels and keeps the notes and controls they make.
+
+    Attributes
+    ----------
+    notes : (time in s, channel, key, velocity) in time order.
+    ends, releases : s, one per note: when it ends, and when its key is released.
+    controls : ``bend`` in cents, ``ccN`` from 0 to 1; only changes.
+    ignored : (time in s, kind) of messages without effect.
+    """
+
+    def __init__(self, findings: Findings):
+        self.notes: list[tuple[float, int, int, int]] = []
+        self.ends: list[float] = []
+        self.releases: list[float] = []
+        self.controls: list[Control] = []
+        self.ignored: list[tuple[float, str]] = []
+        self._findings = findings
+        self._latest: dict[tuple[int, str], float] = {}
+        self._channels = [_Channel() for _ in range(16)]
+        self._midi = MidiChannels()
+
+    def play(self, messages: Iterable[tuple[float, int, int, int]]) -> None:
+        """Take messages (time in s, status, data 1, data 2) in time order.
+
+        Raises
+        ------
+        ScoreError : more than `MAX_CONTROLS` changes.
+        """
+        for time, status, a, b in messages:
+            number = status & 0x0F
+            channel = self._channels[number]
+            match status & 0xF0:
+                case 0x90 if b:
+                    self._note_on(time, number, channel, a, b)
+                case 0x80 | 0x90:
+                    self._note_off(time, number, channel, a)
+                case 0xB0 if a in STEERING:
+                    self._steer(time, number, a, b)
+                case 0xB0:
+                    for at in self._midi.reached(number):
+                        self._controller(time, at, a, b)
+                    self._bend(time)
+                case 0xE0:
+                    self._midi.wheel(number, a, b)
+                    self._bend(time)
+                case 0xD0:
+                    for at in self._midi.reached(number):
+                        self._control(time, at, "channel_pressure", a / 127)
+                case kind:
+                    self.ignored.append((time, _IGNORED[kind]))
+
+    def finish(self, time: float) -> None:
+        """End notes that still sound at the end of a pattern; controllers and bends keep their values."""
+        for number, channel in enumerate(self._channels):
+            for key, notes in channel.held.items():
+                for _ in notes:
+                    self._findings.add("note never ended, ended with the track", where(number, key, time))
+            if channel.pedal:
+                self._control(time, number, "cc64", 0.0)
+            if channel.pedalled:
+                self._findings.add("pedal never released, released with the track", f"channel {number + 1}")
+            self._silence(time, channel)
+            channel.pedal = False
+
+    def _note_on(self, time: float, number: int, channel: _Channel, key: int, velocity: int) -> None:
+        if key in channel.pedalled:
+            self.ends[channel.pedalled.pop(key)] = time
+        held = channel.held.setdefault(key, [])
+        if held:
+            self._findings.add("key struck again before its note-off", where(number, key, time))
+        if number == _PERCUSSION and not self._midi.is_member(number):
+            self._findings.add("channel 10, percussion by General MIDI, is read as pitches")
+        held.append(len(self.notes))
+        self.notes.append((time, number, key, velocity))
+        self.ends.append(time)
+        self.releases.append(time)
+
+    def _note_off(self, time: float, number: int, channel: _Channel, key: int) -> None:
+        held = channel.held.get(key)
+        if not held:
+            self._findings.add("note-off without a note, ignored", where(number, key, time))
+            return
+        self._release(time, channel, key, held.pop(0))
+
+    def _release(self, time: float, channel: _Channel, key: int, note: int) -> None:
+        """Release a key: its note ends, or is left to the pedal, which holds one note per key."""
+        self.ends[note] = self.releases[note] = time
+        if channel.pedal:
+            if key in channel.pedalled:
+                self.ends[channel.pedalled[key]] = time
+            channel.pedalled[key] = note
+
+    def _lift_pedal(self, time: float, channel: _Channel) -> None:
+        self._end_pedalled(time, channel)
+        channel.pedal = False
+
+    def _end_pedalled(self, time: float, channel: _Channel) -> None:
+        for note in channel.pedalled.values():
+            self.ends[note] = time
+        channel.pedalled.clear()
+
+    def _all_notes_off(self, time: float, channel: _Channel) -> None:
+        for key, notes in channel.held.items():
+            for note in notes:
+                self._release(time, channel, key, note)
+        channel.held.clear()
+
+    def _silence(self, time: float, channel: _Channel) -> None:
+        """End every note, held by key or pedal; the pedal keeps its position."""
+        self._all_notes_off(time, channel)
+        self._end_pedalled(time, channel)
+
+    def _steer(self, time: float, number: int, a: int, b: int) -> None:
+        kind = self._midi.steer(number, a, b)
+        if kind == TUNING:
+            self._findings.add("channel tuning (registered parameters 1 and 2) is not read", f"channel {number + 1}")
+        elif kind:
+            self.ignored.append((time, kind))
+        self._bend(time)
+
+    def _controller(self, time: float, number: int, a: int, b: int) -> None:
+        channel = self._channels[number]
+        if a >= 120:
+            self._mode_message(time, number, channel, a)
+            return
+        if a == 64 and b >= 64:
+            channel.pedal = True
+        elif a == 64:
+            self._lift_pedal(time, channel)
+        self._control(time, number, f"cc{a}", b / 127)
+
+    def _mode_message(self, time: float, number: int, channel: _Channel, a: int) -> None:
+        if a == 120:
+            self._silence(time, channel)
+        elif a == 121:
+            self._lift_pedal(time, channel)
+            self._midi.reset(number)
+            for kind, value in (("cc1", 0.0), ("cc11", 1.0), ("cc64", 0.0)):
+                if (number, kind) in self._latest:
+                    self._control(time, number, kind, value)
+        elif a == 122:
+            self.ignored.append((time, "local control"))
+        else:
+            self._all_notes_off(time, channel)
+
+    def _bend(self, time: float) -> None:
+        """Keep the bends that a message has changed."""
+        for number, cents in self._midi.bends():
+            self._control(time, number, "bend", cents)
+
+    def _control(self, time: float, number: int, kind: str, value: float) -> None:
+        if self._latest.get((number, kind), 0.0 if kind == "bend" else None) != value:
+            self._latest[number, kind] = value
+            self.controls.append(Control(time, kind, value, number))
+            if len(self.controls) > MAX_CONTROLS:  # one message of a master channel makes sixteen
+                raise ScoreError(f"more than {MAX_CONTROLS} changes of controllers and bends")
+
+
+def where(channel: int, key: int, time: float) -> str:
+    """Name a note for a person, who counts channels from 1."""
+    return f"channel {channel + 1}, note {key} at {time:.3f} s"

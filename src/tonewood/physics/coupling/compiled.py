@@ -1,0 +1,247 @@
+"""Data of a stepper: compiled components, known forces, prescribed motion of partners, and the state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.physics.coupling.potentials.coordinates import ModalCoordinates
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.propagator import RealForm, apply, impulse_series
+
+Floats = NDArray[np.float64]
+
+#: samples that the kernel steps at a time: the reach of `Compiled.history`
+BLOCK_SIZE = 16
+#: modes of a component are padded to a multiple of this in the state
+PADDING = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """One component ready to be stepped by dt.
+
+    Attributes
+    ----------
+    basis : the modes.
+    dt : s, step.
+    form : their real 2 x 2 blocks.
+    ports : (n_ports,) rows of `basis.points` that connections act on, in order of their names.
+    E : (n_modes, 2, 2) propagator of one step.
+    held : (n_modes, 2, 2) dt phi_1(A dt): state added by a force that is held over one step, per its B.
+    W : (n_ports, n_modes, 2) state added by a unit force held over one step.
+    rows : (n_rows, n_modes, 2) displacement rows of the ports, then the readouts' rows.
+    history : (BLOCK_SIZE, n_ports, n_rows) response of every row k steps after a unit force held over one step;
+        history[0, :, :n_ports] is the port compliance Z.
+    readouts : (n_rows - n_ports,) channel that each further row adds to.
+    difference : (n_rows - n_ports,) whether the row is read as (y(t + h) - y(t)) / h.
+    gaps : (g,) connections that its ports have a share in; none for a driven component.
+    shares : (g, n_ports) these shares.
+    compliance, residual : (g, g) m/N, its share of these gaps' compliance over one step, and of their residual
+        compliance.
+    potentials : name of a potential that acts on it -> its share, what `Potential.share` returned.
+    """
+
+    basis: ModalBasis
+    dt: float
+    form: RealForm
+    ports: NDArray[np.intp]
+    E: Floats
+    held: Floats
+    W: Floats
+    rows: Floats
+    history: Floats
+    readouts: NDArray[np.intp]
+    difference: NDArray[np.bool_]
+    gaps: NDArray[np.intp]
+    shares: Floats
+    compliance: Floats
+    residual: Floats
+    potentials: Mapping[str, Any] = field(default_factory=dict)
+    _joined: dict[str, tuple[tuple[Any, ...], Any]] = field(init=False, repr=False, default_factory=dict)
+    _impulses: dict[str, Floats] = field(init=False, repr=False, default_factory=dict)
+    _motions: dict[bytes, tuple[NDArray[np.intp], Floats]] = field(init=False, repr=False, default_factory=dict)
+
+    @cached_property
+    def coordinates(self) -> ModalCoordinates:
+        """Coordinates of its modes, which must be real."""
+        return ModalCoordinates.of(self.basis, self.dt, self.held)
+
+    def joined(self, name: str, shares: tuple[Any, ...], join: Callable[[tuple[Any, ...]], Any]) -> Any:
+        """The potential of a name joined of all its components' shares; the last result is kept with the first one."""
+        known = self._joined.get(name)
+        if known is None or any(a is not b for a, b in zip(known[0], shares, strict=True)):
+            self._joined[name] = known = shares, join(shares)
+        return known[1]
+
+    def impulses(self, point: str) -> Floats:
+        """`propagator.impulse_series` of a named point, kept for use again."""
+        if point not in self._impulses:
+            self._impulses[point] = impulse_series(self.basis, self.form, self.basis.index(point), self.dt)
+        return self._impulses[point]
+
+    def held_force(self, point: str) -> Floats:
+        """(n_modes, 2) state added by a unit force at a named point held over one step."""
+        return apply(self.held, self.form.B[self.basis.index(point)])
+
+    def motions(self, ports: NDArray[np.intp]) -> tuple[NDArray[np.intp], Floats]:
+        """(r,) as few of some ports (p,) as move the others with them, and (p, r) how, u = span u_r.
+
+        Where p ports of a body move by r < p independent motions (a rigid bridge that heaves and rocks has two), r of
+        them span the rest, in displacements and in forces; a force on one is span^T f on those.
+        """
+        if (key := ports.tobytes()) not in self._motions:
+            self._motions[key] = _independent(self, ports)
+        return self._motions[key]
+
+    @cached_property
+    def gap_velocity(self) -> Floats:
+        """(g, 2 n_modes) velocities of its gaps per number of its modes, (2, n_modes)."""
+        rows = self.form.rows("velocity", self.ports).swapaxes(1, 2)
+        return np.asarray(self.shares @ rows.reshape(len(self.ports), 2 * self.basis.n_modes))
+
+    @cached_property
+    def gap_scatter(self) -> Floats:
+        """(g, 2 n_modes) change of these numbers by an impulse of 1 N s across each gap."""
+        B = self.form.B[self.ports].swapaxes(1, 2)
+        return np.asarray(self.shares @ B.reshape(len(self.ports), 2 * self.basis.n_modes))
+
+    @cached_property
+    def gap_mobility(self) -> Floats:
+        """(g, g) m/s of each gap (first index) per impulse of 1 N s across another."""
+        return np.asarray(self.gap_velocity @ self.gap_scatter.T)
+
+
+def _independent(compiled: Compiled, ports: NDArray[np.intp]) -> tuple[NDArray[np.intp], Floats]:
+    all_of_them = ports, np.eye(len(ports))
+    if len(ports) < 3:
+        return all_of_them
+    parts = [part[ports].reshape(len(ports), -1) for part in (compiled.rows, compiled.W)]
+    motion = np.hstack([part / (np.max(np.abs(part), initial=0.0) or 1.0) for part in parts])
+    chosen = _pivots(motion, 1e-13)
+    if len(chosen) in (0, len(ports)):
+        return all_of_them
+    span = np.linalg.lstsq(motion[chosen].T, motion.T, rcond=None)[0].T
+    if np.max(np.abs(motion - span @ motion[chosen])) > 1e-14 * len(chosen):
+        return all_of_them
+    return ports[chosen], np.ascontiguousarray(span)
+
+
+def _pivots(rows: Floats, least: float) -> NDArray[np.intp]:
+    """Rows that span all of them, sorted: Gram-Schmidt with the largest rest first, down to `least` of the largest."""
+    rest, chosen, first = rows.copy(), list[int](), 0.0
+    for _ in range(min(rows.shape)):
+        sizes = np.sqrt(np.einsum("ij,ij->i", rest, rest))
+        sizes[chosen] = 0.0
+        k = int(np.argmax(sizes))
+        first = first or float(sizes[k])
+        if sizes[k] <= least * first:
+            break
+        chosen.append(k)
+        unit = rest[k] / sizes[k]
+        rest -= np.outer(rest @ unit, unit)
+    return np.sort(np.array(chosen, dtype=np.intp))
+
+
+@dataclass(eq=False)
+class State:
+    """State of a system: plain arrays, owned by the caller of the stepper.
+
+    Attributes
+    ----------
+    modes : (2, capacity) the two numbers of every mode, component after component, padded.
+    forces : (m,) N, connection forces of the step before.
+    sample : steps taken since time 0.
+    series : (m,) m, displacement of the residual compliance in series with nonlinear connections; empty is rest.
+    slip : (m,) m/s, relative velocity of friction connections over the step before, 0 when sticking; empty is rest.
+    potentials : numbers of the potentials, one after another (`System.memory`); empty is rest.
+    """
+
+    modes: Floats
+    forces: Floats
+    sample: int = 0
+    series: Floats = field(default_factory=lambda: np.zeros(0))
+    slip: Floats = field(default_factory=lambda: np.zeros(0))
+    potentials: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def copy(self) -> State:
+        """Return an independent copy."""
+        return State(
+            self.modes.copy(),
+            self.forces.copy(),
+            self.sample,
+            self.series.copy(),
+            self.slip.copy(),
+            self.potentials.copy(),
+        )
+
+    def restore(self, other: State) -> None:
+        """Take over all of another state."""
+        self.modes[:], self.forces[:], self.sample = other.modes, other.forces, other.sample
+        self.series, self.slip, self.potentials = other.series.copy(), other.slip.copy(), other.potentials.copy()
+
+
+@dataclass(frozen=True, eq=False)
+class Injection:
+    """A known force, compiled: x_u(n) += sum_k vectors[k] values[k, n - start] for the modes of one component.
+
+    Attributes
+    ----------
+    component : its name.
+    start : absolute sample of the first step it acts in.
+    vectors : (n_vectors, n_modes, 2).
+    values : (n_vectors, n_steps).
+    """
+
+    component: str
+    start: int
+    vectors: Floats
+    values: Floats
+
+    @cached_property
+    def stop(self) -> int:
+        """Absolute sample after the last step it acts in."""
+        return self.start + int(self.values.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class PrescribedMotion:
+    """Moves or scales a nonlinear connection's partner sample by sample, in place of its law's constants.
+
+    Its work on the partner comes from outside: only f (g+ - g) is balanced by the law.
+
+    Attributes
+    ----------
+    connection : its name.
+    start : absolute sample of the first step it acts in.
+    offset : (n_steps + 1,) m, gap of zero compression at the beginning of each step and the end of the last.
+    velocity : (n_steps,) m/s, of the partner in a `Friction`, mean over each step.
+    scale : (n_steps,) factor, not negative, on the force of the law: a bow's pressure, a finger's weight.
+    """
+
+    connection: str
+    start: int
+    offset: Floats | None = None
+    velocity: Floats | None = None
+    scale: Floats | None = None
+
+    def __post_init__(self) -> None:
+        lengths = {len(a) for a in (self.velocity, self.scale) if a is not None}
+        lengths |= {len(self.offset) - 1} if self.offset is not None else set()
+        if len(lengths) != 1 or min(lengths) < 0:
+            raise ValueError(f"a control of {self.connection!r} needs arrays of one number of steps")
+        if self.scale is not None and not np.all(self.scale >= 0.0):
+            raise ValueError(f"a control of {self.connection!r} has a negative scale")
+
+    @property
+    def stop(self) -> int:
+        """Absolute sample after the last step it acts in."""
+        for array, extra in ((self.velocity, 0), (self.scale, 0), (self.offset, 1)):
+            if array is not None:
+                return self.start + len(array) - extra
+        return self.start

@@ -1,0 +1,164 @@
+"""Braces and bridges: beams on a strip of the plate, whose energies are integrals of the plate's displacement.
+
+With s along the line, n across it, (u, w) the motion of the plate's middle surface along s and out of its plane, H the
+plate's thickness, h the beam's height (below the plate), b its width and theta(s) the rotation of its section,
+
+    2 U = int EA eps^2 + EI theta_s^2 + k GA (mean w_s - theta)^2 + GJ w_sn^2 ds,   eps = u_s + H/2 w_ss + h/2 theta_s
+    2 T = int m w'^2 + m (h^2/12 + e^2) (w_s'^2 + w_n'^2) ds,                       e = (H + h) / 2
+
+Plane sections stay plane but not normal (S. P. Timoshenko, Phil. Mag. 41 (1921) 744; k = 5/6 of a rectangle): wood is
+soft in shear, E/G is about 15, so that a brace 15 mm high loses a quarter of its bending stiffness at half a wavelength
+of 100 mm. theta is sought among splines of its own and carries no mass.
+
+The integrands are averaged over the beam's width b, as a beam on a line would kink the plate in its plane; that adds
+the moment of inertia m b^2/12, too. Saint-Venant torsion, J = l^3 L (1/3 - 0.21 l/L (1 - l^4 / 12 L^4)) of a rectangle
+of sides l <= L (W. C. Young, Roark's Formulas, 7th ed. (2002), table 10.1). Crossing beams are not cut through one
+another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.physics.plate.splines import SplineGrid, line_functions
+from tonewood.physics.plate.wood import Wood
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
+Floats = NDArray[np.float64]
+
+#: Timoshenko's shear coefficient of a rectangle
+_SHEAR = 5 / 6
+
+
+@dataclass(frozen=True, eq=False)
+class Beam:
+    """A brace or a bridge of rectangular section.
+
+    Attributes
+    ----------
+    start, stop : (2,) m, ends of its axis.
+    width : m.
+    heights : (n,) m, at n places spread evenly from start to stop, linear between them; one for a constant height.
+    wood : of which it is made, its grain along it.
+    above : whether it stands on the plate (a bridge) instead of hanging below it (a brace).
+    """
+
+    start: Floats
+    stop: Floats
+    width: float
+    heights: Floats
+    wood: Wood
+    above: bool = False
+
+    @property
+    def length(self) -> float:
+        """Length of its axis, m."""
+        return float(np.hypot(*(self.stop - self.start)))
+
+    def height(self, place: Floats) -> Floats:
+        """(n,) m, at places from 0 (start) to 1 (stop)."""
+        return np.interp(place, np.linspace(0.0, 1.0, len(self.heights)), self.heights)
+
+    @property
+    def mass(self) -> float:
+        """Mass, kg."""
+        mean = self.heights[0] if len(self.heights) == 1 else (self.heights[1:] + self.heights[:-1]).mean() / 2
+        return float(self.wood.density * self.width * mean * self.length)
+
+
+def torsion_constant(width: Floats | float, height: Floats) -> Floats:
+    """(n,) m^4, Saint-Venant's J of a rectangle."""
+    short, long = np.minimum(width, height), np.maximum(width, height)
+    ratio = short / long
+    return np.asarray(long * short**3 * (1 / 3 - 0.21 * ratio * (1 - ratio**4 / 12)))
+
+
+def line(start: Floats, stop: Floats, parts: int, order: int = 3) -> tuple[Floats, Floats, Floats]:
+    """Gauss points (n, 2), weights (n,) in m and places (n,) from 0 to 1 on a straight line in `parts` parts."""
+    g, w = np.polynomial.legendre.leggauss(order)
+    place = ((np.arange(parts)[:, None] + (g + 1) / 2) / parts).ravel()
+    length = float(np.hypot(*(stop - start)))
+    return start + place[:, None] * (stop - start), np.tile(w * length / (2 * parts), parts), place
+
+
+def beam_matrices(grid: SplineGrid, beam: Beam, thickness: Floats | float) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
+    """Stiffness and losses of one beam in the fields (theta, u, v, w), and mass (N, N) of w.
+
+    Parameters
+    ----------
+    thickness : m, of the plate, or at the points of `beam_line`.
+
+    Returns
+    -------
+    two (r + 3N, r + 3N) matrices, r = `rotations`, and one (N, N).
+    """
+    from scipy.sparse import csr_matrix, diags, eye, hstack, kron
+
+    points, weights, place = beam_line(grid, beam)
+    c, s = (beam.stop - beam.start) / beam.length
+    height, wood, b = beam.height(place), beam.wood, beam.width
+    below = 1.0 if not beam.above else -1.0
+    w_x, w_y, w_xx, w_xy, w_yy = (grid.at(points, d) for d in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2)))
+    w_s, w_n = c * w_x + s * w_y, c * w_y - s * w_x
+    w_ss = c * c * w_xx + 2 * c * s * w_xy + s * s * w_yy
+    w_sn = c * s * (w_yy - w_xx) + (c * c - s * s) * w_xy
+    theta, theta_s = (line_functions(place, _parts(grid, beam), grid.degree, order) for order in (0, 1))
+    theta_s = csr_matrix(theta_s / beam.length)
+    half = np.broadcast_to(below * thickness / 2, place.shape)
+    strain = hstack([diags(below * height / 2) @ theta_s, c * w_s, s * w_s, diags(half) @ w_ss])
+    none, still = 0.0 * w_s, 0.0 * theta
+    bend, twist = hstack([theta_s, none, none, none]), hstack([still, none, none, w_sn])
+    # mean over the width, in which the section stays plane
+    lines = _across(grid, beam)[1]
+    mean = kron(np.outer(np.ones(len(lines)), lines), eye(len(place) // len(lines)))
+    shear = hstack([-theta, none, none, csr_matrix(mean @ w_s)])
+
+    def integral(weight: Floats, operator: csr_matrix) -> csr_matrix:
+        product: csr_matrix = (operator.T @ diags(weights * weight) @ operator).tocsr()
+        return product
+
+    stretched = integral(wood.E_L * b * height, strain) + integral(wood.E_L * b * height**3 / 12, bend)
+    turned = integral(wood.G_LR * torsion_constant(b, height), twist)
+    sheared: csr_matrix = turned + integral(_SHEAR * wood.G_LR * b * height, shear)
+    m, offset = wood.density * b * height, (height + thickness) / 2
+    mass = (
+        integral(m, grid.at(points))
+        + integral(m * (height**2 / 12 + offset**2), w_s)
+        + integral(m * (height**2 / 12 + offset**2), w_n)
+    )
+    return stretched + sheared, wood.loss_L * stretched + wood.loss_shear * sheared, mass
+
+
+def rotations(grid: SplineGrid, beam: Beam) -> int:
+    """Number of functions in which the rotation of a beam's section is sought."""
+    return _parts(grid, beam) + grid.degree
+
+
+def _parts(grid: SplineGrid, beam: Beam) -> int:
+    return max(2, int(np.ceil(beam.length / grid.size.min())))
+
+
+def beam_line(grid: SplineGrid, beam: Beam) -> tuple[Floats, Floats, Floats]:
+    """Points (n, 2), weights (n,) in m and places (n,) of a beam's integrals, spread evenly over its width.
+
+    Parts along it are at most half a cell long; the same lines of points run through all of them, see `_across`.
+    """
+    middle, weights, place = line(beam.start, beam.stop, max(2, int(np.ceil(2 * beam.length / grid.size.min()))))
+    g, w = _across(grid, beam)
+    c, s = (beam.stop - beam.start) / beam.length
+    points = middle + g[:, None, None] * np.array([-s, c])
+    return points.reshape(-1, 2), np.outer(w, weights).ravel(), np.tile(place, len(g))
+
+
+def _across(grid: SplineGrid, beam: Beam) -> tuple[Floats, Floats]:
+    """Places from the axis (m) and weights, 1 in all, of lines on a beam: Gauss points of parts up to a cell wide."""
+    parts = int(np.ceil(beam.width / grid.size.min()))
+    g, w = np.polynomial.legendre.leggauss(3)
+    places = (np.arange(parts)[:, None] + (g + 1) / 2) / parts - 0.5
+    return beam.width * places.ravel(), np.tile(w / (2 * parts), parts)

@@ -1,0 +1,228 @@
+"""Known forces in time, compiled to injections into modes: exact for any piecewise quadratic force."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tonewood.physics.coupling.system import Injection
+from tonewood.physics.modal.modes import ModalBasis
+from tonewood.physics.modal.propagator import SERIES_TERMS, impulse_series, moments, real_form
+
+Floats = NDArray[np.float64]
+
+#: steps with breakpoints that lie so far apart are injected one by one, others together
+_APART = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A known force F(t) = c0 + c1 (t - start) + c2 (t - start)^2 for start <= t < stop; s, N, N/s, N/s^2."""
+
+    start: float
+    stop: float
+    c0: float
+    c1: float = 0.0
+    c2: float = 0.0
+
+    def shifted(self, by: float) -> tuple[float, float, float]:
+        """Return the coefficients about start + by."""
+        return self.c0 + by * (self.c1 + by * self.c2), self.c1 + 2 * by * self.c2, self.c2
+
+
+def course(pieces: Sequence[Segment], times: ArrayLike, *, derivative: bool = False) -> Floats:
+    """Values (or first derivatives) at times (n,) s; 0 outside the pieces, from the right at their ends."""
+    t = np.asarray(times, dtype=np.float64)
+    out = np.zeros_like(t)
+    for s in pieces:
+        here = (t >= s.start) & (t < s.stop)
+        u = t[here] - s.start
+        out[here] = s.c1 + 2 * u * s.c2 if derivative else s.c0 + u * (s.c1 + u * s.c2)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class SampledForce:
+    """A known force by its values at equal intervals, straight lines between them, 0 outside; for noise.
+
+    Where it is stepped, each step has a constant force, the value in its middle.
+
+    Attributes
+    ----------
+    start : s, time of the first value.
+    interval : s, between two values.
+    values : (n,) N; the first and the last should be 0.
+    """
+
+    start: float
+    interval: float
+    values: Floats
+
+    @property
+    def stop(self) -> float:
+        """Time of the last value, s."""
+        return self.start + self.interval * (len(self.values) - 1)
+
+    def at(self, times: ArrayLike) -> Floats:
+        """Return the values at times (n,) s."""
+        grid = self.start + self.interval * np.arange(len(self.values))
+        return np.asarray(np.interp(np.asarray(times, dtype=np.float64), grid, self.values, left=0.0, right=0.0))
+
+    def rate(self, times: ArrayLike) -> Floats:
+        """Return the first derivative at times (n,) s, N/s; from the right where two lines meet."""
+        place = np.floor((np.asarray(times, dtype=np.float64) - self.start) / self.interval).astype(np.intp)
+        slopes = np.concatenate([[0.0], np.diff(self.values) / self.interval, [0.0]])
+        return np.asarray(slopes[np.clip(place + 1, 0, len(self.values))])
+
+    def by_step(self, sample: int, n: int, dt: float, time: float = 0.0) -> Floats:
+        """Return (n,) N, the force over the steps from `sample` on.
+
+        Parameters
+        ----------
+        dt : s, step; step k is [k dt, (k + 1) dt].
+        time : s, absolute time of the force's origin.
+        """
+        return self.at((sample + 0.5 + np.arange(n)) * dt - time)
+
+    def course(self, dt: float, *, time: float = 0.0, first: int) -> Course:
+        """Return it from step to step of `dt` s, from the step `first` on; `time` (s) is that of its event."""
+        begin = max(first, math.floor((time + self.start) / dt))
+        n = max(math.ceil((time + self.stop) / dt) - begin, 0)
+        return Course(dt, (), begin, np.stack([self.by_step(begin, n, dt, time), np.zeros(n), np.zeros(n)]))
+
+    def after(self, time: float) -> SampledForce:
+        """Return the part from a time (s) on."""
+        skipped = min(max(math.ceil((time - self.start) / self.interval), 0), len(self.values) - 2)
+        return SampledForce(self.start + skipped * self.interval, self.interval, self.values[skipped:])
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A known force from step to step, whatever it acts on.
+
+    Attributes
+    ----------
+    dt : s, step; step n is [n dt, (n + 1) dt].
+    parts : step, and the part of it that the force fills: begin and end (s from its beginning), coefficients there; of
+        steps with breakpoints.
+    start, values : (3, n) constant, linear and quadratic part at the beginning of each step from `start` on, that lies
+        inside one piece; 0 in other steps.
+    """
+
+    dt: float
+    parts: tuple[tuple[int, float, float, tuple[float, float, float]], ...]
+    start: int
+    values: Floats
+
+    @classmethod
+    def of(cls, pieces: Sequence[Segment], dt: float, *, time: float = 0.0, first: int | None = None) -> Course:
+        """Cut a force into steps; parameters as of `compile_force`."""
+        earliest = -math.inf if first is None else first
+        parts: list[tuple[int, float, float, tuple[float, float, float]]] = []
+        whole: list[tuple[int, int, float, Segment]] = []
+        for piece in pieces:
+            begin, end = (time + piece.start) / dt, (time + piece.stop) / dt
+            if not end > begin:
+                continue
+            n0, n1, full0, full1 = math.floor(begin), math.ceil(end), math.ceil(begin), math.floor(end)
+            for n in sorted({n0, n1 - 1}):
+                if n >= earliest and not full0 <= n < full1:
+                    a, b = max(begin - n, 0.0), min(end - n, 1.0)
+                    parts.append((n, a * dt, b * dt, piece.shifted((n + a - begin) * dt)))
+            full0 = full0 if first is None else max(full0, first)
+            if full1 > full0:
+                whole.append((full0, full1, begin, piece))
+        start, stop = min((w[0] for w in whole), default=0), max((w[1] for w in whole), default=0)
+        total = np.zeros((3, stop - start))
+        if whole:
+            counts = [full1 - full0 for full0, full1, *_ in whole]
+            steps = np.concatenate([np.arange(full0, full1) for full0, full1, *_ in whole])
+            numbers = np.array([(begin, piece.c0, piece.c1, piece.c2) for *_, begin, piece in whole])
+            begins, c0, c1, c2 = np.repeat(numbers, counts, axis=0).T
+            at = (steps - begins) * dt
+            for row, values in zip(total, (c0 + at * (c1 + c2 * at), c1 + 2 * c2 * at, c2), strict=True):
+                np.add.at(row, steps - start, values)
+        return cls(dt, tuple(parts), start, total)
+
+    @cached_property
+    def steps(self) -> tuple[int, ...]:
+        """Steps with breakpoints, in order."""
+        return tuple(sorted({n for n, *_ in self.parts}))
+
+    @cached_property
+    def used(self) -> NDArray[np.intp]:
+        """Which of constant, linear and quadratic part there are in `values`."""
+        return np.flatnonzero(np.any(self.values != 0.0, axis=1))
+
+    def injections(self, component: str, impulses: Floats, factor: float = 1.0) -> list[Injection]:
+        """Injection of the force into a component, from the `impulse_series` of the point it acts on."""
+        n_cells, n_terms, n_modes, _ = impulses.shape
+        added = factor * (self._moments(n_cells) @ impulses.reshape(n_cells * n_terms, 2 * n_modes))
+        added = added.reshape(len(added), n_modes, 2)
+        out, steps = [], np.array(self.steps, dtype=np.intp)
+        for group in np.split(np.arange(len(steps)), np.flatnonzero(np.diff(steps) >= _APART) + 1):
+            if group.size:
+                at = steps[group] - steps[group[0]]
+                values = np.zeros((len(group), int(at[-1]) + 1))
+                values[np.arange(len(group)), at] = 1.0
+                out.append(Injection(component, int(steps[group[0]]), added[group[0] : group[-1] + 1], values))
+        if self.used.size:
+            vectors = added[len(self.steps) + self.used]
+            out.append(Injection(component, self.start, vectors, self.values[self.used]))
+        return out
+
+    def _moments(self, n_cells: int) -> Floats:
+        """(n_steps + 3, n_cells SERIES_TERMS) of the steps with breakpoints, then of 1, t and t^2 over a whole step."""
+        if n_cells not in self._known:
+            n = len(self.steps)
+            out = np.zeros((n + 3, n_cells * SERIES_TERMS))
+            out[n:] = _unit_step(n_cells) * self.dt ** np.array([[1], [2], [3]])
+            if self.parts:
+                steps, begin, end, coefficients = zip(*self.parts, strict=True)
+                each = moments(np.array(begin), np.array(end), np.array(coefficients).T, self.dt, n_cells)
+                np.add.at(out, np.searchsorted(self.steps, steps), each)
+            self._known[n_cells] = out
+        return self._known[n_cells]
+
+    @cached_property
+    def _known(self) -> dict[int, Floats]:
+        return {}
+
+
+@cache
+def _unit_step(n_cells: int) -> Floats:
+    """(3, n_cells SERIES_TERMS) moments of 1, t and t^2 over a step of 1 s."""
+    return moments(np.zeros(3), np.ones(3), np.eye(3), 1.0, n_cells)
+
+
+def compile_force(
+    component: str,
+    basis: ModalBasis,
+    point: str,
+    pieces: Sequence[Segment],
+    dt: float,
+    *,
+    time: float = 0.0,
+    first: int | None = None,
+    factor: float = 1.0,
+) -> list[Injection]:
+    """Injections of a force on one point.
+
+    Steps that lie inside one piece share three vectors (constant, linear and quadratic part); a step with a
+    breakpoint gets a vector of its own, to which each part of the step adds exactly.
+
+    Parameters
+    ----------
+    pieces : in time order, not overlapping, times relative to `time`.
+    dt : s, step.
+    time : s, absolute time of the pieces' origin; step n is [n dt, (n + 1) dt].
+    first : earliest step to compile (absolute); earlier ones are left out.
+    factor : multiplies the force.
+    """
+    impulses = impulse_series(basis, real_form(basis), basis.index(point), dt)
+    return Course.of(pieces, dt, time=time, first=first).injections(component, impulses, factor)

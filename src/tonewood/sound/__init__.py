@@ -1,0 +1,1 @@
+"""Rendered and live sound: blocks, levels, files."""

@@ -1,0 +1,1 @@
+"""Sound files, and the inputs of a render."""

@@ -1,0 +1,1 @@
+"""Loudness, spectrum, and the limiter."""

@@ -1,0 +1,1 @@
+"""Playing live: MIDI messages, keyboards, sound cards and takes around `tonewood.sound.live.instrument.Live`."""

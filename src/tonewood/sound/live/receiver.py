@@ -1,0 +1,106 @@
+"""MIDI messages to calls of `Live`; `performance.score.channels` knows ranges of bends and the zones of MPE."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from tonewood.errors import ScoreError
+from tonewood.performance.score.channels import STEERING, MidiChannels
+from tonewood.sound.live.instrument import BEND_LIMIT, Live
+
+#: status byte -> bytes that follow it
+_LENGTHS = {0x80: 2, 0x90: 2, 0xA0: 2, 0xB0: 2, 0xC0: 1, 0xD0: 1, 0xE0: 2}
+
+
+class MidiReceiver:
+    """Plays MIDI messages on an instrument.
+
+    Parameters
+    ----------
+    live : the instrument.
+
+    Attributes
+    ----------
+    ignored : kind of message -> number of them without effect, besides those that `live` counts.
+    messages : number of all.
+    """
+
+    def __init__(self, live: Live):
+        self.live = live
+        self.ignored: Counter[str] = Counter()
+        self.messages = 0
+        self._channels = MidiChannels()
+
+    @property
+    def zones(self) -> dict[int, list[int]]:
+        """Master channel -> member channels, counted from 0."""
+        return self._channels.zones
+
+    def receive(self, message: Sequence[int]) -> None:
+        """Take one message, as its bytes. Messages that are incomplete or of no use here are counted in `ignored`."""
+        self.messages += 1
+        status = message[0] if message else 0
+        kind, number = status & 0xF0, status & 0x0F
+        if kind == 0xF0:
+            self.ignored["system exclusive" if status == 0xF0 else "system message"] += 1
+            return
+        length = _LENGTHS.get(kind)
+        if length is None or len(message) <= length or max(message[1 : length + 1]) > 127:
+            self.ignored["damaged message"] += 1
+            return
+        a, b = message[1], message[2] if length == 2 else 0
+        if kind == 0x90 and b:
+            self._note_on(number, a, b)
+        elif kind in (0x80, 0x90):
+            if not self.live.note_off(a, number):
+                self.ignored["note-off without a note"] += 1
+        elif kind == 0xA0:
+            self.live.pressure(b / 127, number, note=a)
+        elif kind == 0xB0 and a < 120:
+            self._controller(number, a, b)
+        elif kind == 0xB0:
+            self._mode(number, a)
+        elif kind == 0xC0:
+            self.ignored["program change"] += 1
+        elif kind == 0xD0:
+            for at in self._channels.reached(number):
+                self.live.pressure(a / 127, at)
+        else:
+            self._channels.wheel(number, a, b)
+            self._bend()
+
+    def _note_on(self, number: int, key: int, velocity: int) -> None:
+        try:
+            self.live.note_on(key, velocity, channel=number)
+        except ScoreError as fault:
+            self.ignored[fault.reason] += 1
+
+    def _bend(self) -> None:
+        """Pass on the bends that a message has changed."""
+        for at, cents in self._channels.bends():
+            if abs(cents) > BEND_LIMIT:
+                self.ignored[f"bend beyond {BEND_LIMIT:g} cents, held there"] += 1
+            self.live.bend(min(max(cents, -BEND_LIMIT), BEND_LIMIT), at)
+
+    def _controller(self, number: int, a: int, b: int) -> None:
+        if a not in STEERING:
+            for at in self._channels.reached(number):
+                self.live.control(a, b / 127, at)
+        elif kind := self._channels.steer(number, a, b):
+            self.ignored[kind] += 1
+        self._bend()
+
+    def _mode(self, number: int, a: int) -> None:
+        for at in self._channels.reached(number):
+            if a == 120:
+                self.live.all_off(at)
+            elif a == 121:
+                self._channels.reset(at)
+                for controller, value in ((1, 0.0), (11, 1.0), (64, 0.0)):
+                    self.live.control(controller, value, at)
+            elif a >= 123:
+                self.live.release_keys(at)
+            else:
+                self.ignored["local control"] += 1
+        self._bend()

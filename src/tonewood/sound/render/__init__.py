@@ -1,0 +1,1 @@
+"""A render: options, blocks, resampling, and a plan of its cost."""

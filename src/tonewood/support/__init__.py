@@ -1,0 +1,1 @@
+"""Files, YAML, tables, units, plots: nothing of acoustics."""

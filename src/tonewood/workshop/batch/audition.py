@@ -1,0 +1,92 @@
+"""A page to hear everything of a batch: gapless switching, one cursor, sorting by factor, names hidden until asked for.
+
+``audition.html`` opens from the disk. Sounds of a set are in ``audition/setN.js``, loaded when it is first played:
+browsers let a page from the disk load scripts, but neither sounds for gapless playing nor data. Names of conditions
+are in ``audition/names.js``, which is loaded when the page is unblinded. Texts are set as text by the script.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib.resources import files as package_files
+from pathlib import Path
+from typing import Any
+
+from tonewood.support.whole_files import whole_file
+from tonewood.workshop.batch.conditions import Condition
+from tonewood.workshop.batch.layout import Group
+from tonewood.workshop.batch.manifest import Manifest
+from tonewood.workshop.batch.pages import localised
+from tonewood.workshop.batch.pictures import CAPTION
+from tonewood.workshop.batch.production import PICTURES, SoundFile
+
+FILE = "audition.html"
+FOLDER = "audition"
+
+
+def write_audition(
+    folder: Path,
+    manifest: Manifest,
+    groups: Sequence[Group],
+    files: Mapping[str, SoundFile],
+    conditions: Mapping[str, Condition],
+) -> None:
+    """Write the page, its sounds and its names into the batch's folder; files of an earlier run are removed."""
+    language = manifest.language
+    shown = [g for g in groups if any(s.code in files for s in g.stimuli)]
+    sets: list[dict[str, Any]] = []
+    names: dict[str, Any] = {}
+    for number, group in enumerate(shown, start=1):
+        present = [s for s in group.stimuli if s.code in files]
+        sets.append(
+            {
+                "title": f"Set {number}",
+                "question": localised(manifest.pages[group.page].name, language),
+                "sounds": [{"code": s.code, "facts": facts_of(files[s.code])} for s in present],
+                "script": f"{FOLDER}/set{number}.js",
+                "figure": f"{PICTURES}/differences{number}.png",
+            }
+        )
+        names[f"Set {number}"] = group.name
+        for stimulus in present:
+            levels = conditions[stimulus.condition].all_levels
+            names[stimulus.code] = {"name": stimulus.condition, "role": stimulus.role, "levels": levels}
+        sounds = {s.code: base64.b64encode((folder / files[s.code].file).read_bytes()).decode() for s in present}
+        _write(folder / FOLDER / f"set{number}.js", f"soundsOf({number - 1}, {_json(sounds)});\n")
+    for path in (folder / FOLDER).glob("set*.js"):
+        if path.stem.removeprefix("set").isdigit() and int(path.stem.removeprefix("set")) > len(sets):
+            path.unlink()
+    factors = [name for name, levels in manifest.choices().items() if len(levels) > 1]
+    factors += ["repeat"] if manifest.repeats > 1 else []
+    _write(folder / FOLDER / "names.js", f"namesAre({_json({'factors': factors, 'names': names})});\n")
+    title = localised(manifest.title, language) or manifest.name
+    data = {"sets": sets, "blind": manifest.output.blind, "pictures": PICTURES}
+    assets = package_files("tonewood.workshop.batch")
+    page, script = ((assets / f"audition.{kind}").read_text("utf-8") for kind in ("html", "js"))
+    for mark, text in (
+        ("{{title}}", escape(title)), ("{{caption}}", escape(CAPTION)), ("{{count}}", str(len(files))),
+        ("{{data}}", _json(data)), ("{{script}}", script),
+    ):  # fmt: skip
+        page = page.replace(mark, text)
+    _write(folder / FILE, page)
+
+
+def facts_of(file: SoundFile) -> str:
+    """Length and levels of a file in words."""
+    loudness = "" if file.lufs is None else f"{file.lufs:.1f} LUFS{'' if file.loudness_gated else ' (ungated)'}, "
+    peak = "silent" if file.true_peak_dbtp is None else f"{file.true_peak_dbtp:.1f} dBTP"
+    return f"{file.frames / file.fs:.2f} s, {loudness}{peak}"
+
+
+def _json(data: Any) -> str:
+    """JSON that may stand in a script element of a page."""
+    text = json.dumps(data, ensure_ascii=False)
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+
+
+def _write(path: Path, text: str) -> None:
+    with whole_file(path, make_folder=True) as stream:
+        stream.write(text.encode())

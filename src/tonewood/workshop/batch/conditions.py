@@ -1,0 +1,241 @@
+"""From a manifest to its conditions: one per combination of instrument, score, factor levels and repeat.
+
+The list is in the order of the manifest (instruments outermost, repeats innermost), so it is the same on every
+machine. A repeat differs from the next by its human variation only. The variation is drawn for instrument, score
+and repeat, not for the condition: sounds that listeners compare share one performance, and differ in the factors
+alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.instrument.contract.registry import INSTRUMENTS, entries
+from tonewood.performance.score.note import Note
+from tonewood.workshop.batch.manifest import Manifest, ManifestError, RenderSettings, ScoreSource, Variation
+from tonewood.workshop.batch.seeds import generator
+
+MAX_CONDITIONS = 100_000
+NOTE_FIELDS = ("force", "from_bridge", "angle_deg", "time")
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One parameter's human variation in one repeat: a law and its own random numbers."""
+
+    path: str
+    law: str  # normal_db | normal | uniform
+    spread: float
+    seed: int
+    labels: tuple[str, ...]
+
+    @property
+    def note_field(self) -> str | None:
+        """Field of a note that varies from note to note, or None for a parameter of the instrument.
+
+        ``note.time`` names a field of every note; so does ``exciters.pluck.force``, since a note's gesture is
+        where force and place are set.
+        """
+        head, _, last = self.path.rpartition(".")
+        of_notes = head == "note" or (head.count(".") == 1 and head.startswith("exciters."))
+        return last if of_notes and last in NOTE_FIELDS else None
+
+    def values(self, n: int) -> NDArray[np.float64]:
+        """The first `n` draws, shape (n,): factors for ``normal_db``, else amounts to add."""
+        random = generator(self.seed, "vary", self.path, *self.labels)
+        if self.law == "uniform":
+            return random.uniform(-self.spread, self.spread, n)
+        drawn = self.spread * random.standard_normal(n)
+        return np.asarray(10.0 ** (drawn / 20.0) if self.law == "normal_db" else drawn, dtype=np.float64)
+
+    def applied(self, value: float, drawn: float) -> float:
+        """`value` varied by one number of `values`."""
+        return value * drawn if self.law == "normal_db" else value + drawn
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One sound to be rendered: plain data, so that it can go to another process or machine.
+
+    Attributes
+    ----------
+    name : readable, e.g. ``harp.low.damping=complex.r1``.
+    instrument, score, repeat, levels : where it stands in the design.
+    bundle : name or absolute path of the instrument bundle.
+    overrides : bundle path -> value, in the manifest's order.
+    render : settings of the render, with the levels of ``render.*`` factors in them.
+    notes : of an inline phrase, or None.
+    midi : absolute path, start, stop (s or None), channel_per_string of a MIDI excerpt, or None.
+    midi_sha256 : of the MIDI file's bytes.
+    draws : the human variation of this repeat.
+    """
+
+    name: str
+    instrument: str
+    score: str
+    repeat: int
+    levels: dict[str, str]
+    bundle: str
+    overrides: dict[str, Any]
+    render: RenderSettings
+    notes: tuple[Note, ...] | None = None
+    midi: dict[str, Any] | None = None
+    midi_sha256: str | None = None
+    draws: tuple[Draw, ...] = ()
+    seed: int = 0
+    all_levels: dict[str, str] = field(default_factory=dict)
+
+    def asked(self) -> dict[str, Any]:
+        """Everything of the manifest that decides the samples, as JSON-ready data (no names, no places)."""
+        return {
+            "overrides": self.overrides,
+            "render": self.render.model_dump(mode="json", by_alias=True),
+            "notes": None if self.notes is None else [dataclasses.asdict(n) for n in self.notes],
+            "midi": None if self.midi is None else {k: v for k, v in self.midi.items() if k != "path"},
+            "midi_sha256": self.midi_sha256,
+            "draws": [dataclasses.asdict(d) for d in self.draws],
+            "seed": self.seed,
+        }
+
+
+def expand(manifest: Manifest, folder: Path) -> tuple[Condition, ...]:
+    """All conditions of a manifest, in its order.
+
+    Parameters
+    ----------
+    manifest : checked manifest.
+    folder : the manifest's folder, to which its paths are relative.
+
+    Raises
+    ------
+    ManifestError
+        A score's file cannot be read, nothing is left after exclusion, or there are more than `MAX_CONDITIONS`.
+    """
+    count = len(manifest.instruments) * len(manifest.scores) * manifest.repeats
+    count *= math.prod(len(f.levels) for f in manifest.factors.values())
+    if manifest.design == "crossed" and count > MAX_CONDITIONS:
+        raise ManifestError(f"{count} conditions; {MAX_CONDITIONS} are allowed", key="factors")
+    sources = {name: _source(name, s, folder) for name, s in manifest.scores.items()}
+    conditions = tuple(
+        _condition(manifest, folder, sources[place["score"]], place, repeat)
+        for place in _places(manifest)
+        for repeat in range(1, manifest.repeats + 1)
+    )
+    if not conditions:
+        raise ManifestError("nothing is left to render", key="exclude")
+    return conditions
+
+
+def vary_notes(
+    notes: Sequence[Note], draws: Sequence[Draw], base: Callable[[Draw, Note], float | None]
+) -> tuple[Note, ...]:
+    """Notes with their human variation, in time order.
+
+    Parameters
+    ----------
+    notes : in the order they were written.
+    draws : those with a `note_field` are applied, each with one number per note.
+    base : value of that field before the variation, given in the note or by the instrument; None leaves the note
+        unchanged.
+    """
+    varied = list(notes)
+    for draw in draws:
+        name = draw.note_field
+        if name is None:
+            continue
+        for i, drawn in enumerate(draw.values(len(varied))):
+            value = base(draw, notes[i])
+            if value is not None:
+                changed: dict[str, Any] = {name: draw.applied(value, float(drawn))}
+                if name != "angle_deg":
+                    changed[name] = max(changed[name], 0.0)
+                varied[i] = dataclasses.replace(varied[i], **changed)
+    return tuple(sorted(varied, key=lambda note: note.time))
+
+
+def _places(manifest: Manifest) -> Iterator[dict[str, str]]:
+    """Levels of every condition of the design, exclusions taken out."""
+    choices = manifest.choices()
+    if manifest.design == "crossed":
+        rows = (dict(zip(choices, combo, strict=True)) for combo in itertools.product(*choices.values()))
+    else:
+        rows = (
+            {"instrument": instrument, "score": score, **row}
+            for row in manifest.conditions or []
+            for instrument in ([row["instrument"]] if "instrument" in row else choices["instrument"])
+            for score in ([row["score"]] if "score" in row else choices["score"])
+        )
+    seen: set[tuple[str, ...]] = set()
+    for row in rows:
+        place = {name: row[name] for name in choices}
+        key = tuple(place.values())
+        if key not in seen and not any(rule.items() <= place.items() for rule in manifest.exclude):
+            seen.add(key)
+            yield place
+
+
+def _condition(
+    manifest: Manifest, folder: Path, source: dict[str, Any], place: dict[str, str], repeat: int
+) -> Condition:
+    instrument, score = place["instrument"], place["score"]
+    levels = {name: place[name] for name in manifest.factors}
+    values = {manifest.factors[name].path: manifest.factors[name].levels[lv] for name, lv in levels.items()}
+    settings = {p.removeprefix("render."): v for p, v in values.items() if p.startswith("render.")}
+    parts = [instrument, score, *(f"{name}={level}" for name, level in levels.items())]
+    parts += [f"r{repeat}"] if manifest.repeats > 1 else []
+    labels = (instrument, score, str(repeat))
+    return Condition(
+        name=".".join(parts),
+        instrument=instrument,
+        score=score,
+        repeat=repeat,
+        levels=levels,
+        all_levels={**place, "repeat": str(repeat)},
+        bundle=_bundle(manifest.instruments[instrument], folder),
+        overrides={p: v for p, v in values.items() if not p.startswith("render.")},
+        render=manifest.render_settings(settings),
+        draws=tuple(_draw(path, law, manifest.seed, labels) for path, law in manifest.vary.items()),
+        seed=manifest.seed,
+        **source,
+    )
+
+
+def _draw(path: str, variation: Variation, seed: int, labels: tuple[str, ...]) -> Draw:
+    law, spread = next((k, v) for k, v in variation.model_dump(exclude_none=True).items())
+    return Draw(path=path, law=law, spread=float(spread), seed=seed, labels=labels)
+
+
+def _bundle(value: str, folder: Path) -> str:
+    """Name of an installed instrument, or a folder relative to the manifest's."""
+    beside = folder / value
+    if "/" in value or "\\" in value or (value not in entries(INSTRUMENTS) and beside.is_dir()):
+        return str(beside.resolve())
+    return value
+
+
+def _source(name: str, score: ScoreSource, folder: Path) -> dict[str, Any]:
+    if score.phrase is not None:
+        return {"notes": tuple(fields.to_note() for fields in score.phrase)}
+    assert score.midi is not None  # the schema asks for one of the two
+    path = (folder / score.midi).resolve()
+    try:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as fault:
+        raise ManifestError(f"{score.midi} cannot be read: {fault.strerror}", key=f"scores.{name}.midi") from None
+    excerpt = {
+        "path": str(path),
+        "start": score.start,
+        "stop": score.stop,
+        "channel_per_string": score.channel_per_string,
+    }
+    return {"midi": excerpt, "midi_sha256": digest}

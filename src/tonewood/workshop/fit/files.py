@@ -1,0 +1,376 @@
+"""Files of measured responses: frequency responses as CSV, npz or UFF58, and hammer hits as WAV or CSV.
+
+===============  =====================================================================================================
+CSV responses    ``freq_Hz`` and for each pair ``POINT:REFERENCE_re, _im`` or ``_mag, _phase`` (degrees); optionally
+                 ``POINT:REFERENCE_coherence``
+npz responses    ``freq_Hz`` and ``POINT:REFERENCE`` (complex); optionally ``POINT:REFERENCE_coherence``
+UFF58            data sets 58 with func_type 4 (responses) and 6 (coherence), and 164 (units); points are named node and
+                 direction, as ``12+3``
+CSV hits         ``time_s, REFERENCE_force`` and a column per point; a file a hit
+WAV hits         channel 1 the force, the others the points in order; a file a hit, scaled by `sensitivity`
+===============  =====================================================================================================
+
+A name ending in ``_Pa`` in place of a point is a microphone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tonewood.errors import TonewoodError
+from tonewood.instrument.contract.files import Files
+from tonewood.workshop.fit.hits import responses_of_hits
+from tonewood.workshop.fit.responses import FORMS, Complexes, Floats, Responses, to_mobility
+
+#: numbers a text field may be long
+_LONGEST = 64
+#: numbers that UFF gives the ordinate, and a pressure among them; its number for a force
+_ORDINATES = {8: "receptance", 11: "mobility", 12: "accelerance"}
+_PRESSURE, _FORCES = 15, (0, 13)
+_MICROPHONE = "_Pa"
+
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How files are to be read.
+
+    Attributes
+    ----------
+    form : receptance, mobility or accelerance; None where the file says so.
+    n_hits : hits that were averaged, for the noise from a coherence.
+    window_tau : s, of an exponential window: taken for hits, already in the data for responses.
+    points : names of the responses of WAV channels 2 onwards.
+    references : of WAV files: (point that the hammer struck, beginning of the names of its files).
+    sensitivity : N at full scale of channel 1, then m, m/s, m/s^2 or Pa at full scale of each other channel.
+    estimator : H1 or H2, of hits.
+    scale : SI units per unit of the data, of responses that are no pressures: 9.80665 where they are in g/N.
+    """
+
+    form: str | None = None
+    n_hits: int | None = None
+    window_tau: float | None = None
+    points: tuple[str, ...] = ()
+    references: tuple[tuple[str, str], ...] = ()
+    sensitivity: tuple[float, ...] = ()
+    estimator: str = "H1"
+    scale: float = 1.0
+
+
+def read_responses(paths: Sequence[Path], reading: Reading) -> Responses:
+    """Read files that belong together: responses of one body, or hits on it.
+
+    Parameters
+    ----------
+    paths : of the files; frequency responses of one measurement, or recordings of hits.
+    reading : options of the command line: references, sensitivities, windows.
+
+    Returns
+    -------
+    Responses of all points at common frequencies, with their noise where it is known.
+
+    Raises
+    ------
+    TonewoodError : a file cannot be read, contradicts another or says less than is needed; the line names it.
+    """
+    if not paths:
+        raise TonewoodError("no file was given", key="FILES")
+    hashes = {path.name: _hash(path) for path in paths}
+    kinds = {_kind(path) for path in paths}
+    if len(kinds) > 1:
+        raise TonewoodError(
+            f"files of different kinds ({', '.join(sorted(kinds))}) do not make one measurement", key="FILES"
+        )
+    kind = kinds.pop()
+    if kind == "hits":
+        return _of_hits(paths, reading, hashes)
+    if reading.references:
+        raise TonewoodError("frequency responses name their references themselves", file=paths[0], key="--driving")
+    tables = [_TABLES[kind](path) for path in paths]
+    freq = tables[0].freq
+    for path, table in zip(paths, tables, strict=True):
+        if len(table.freq) != len(freq) or not np.allclose(table.freq, freq, rtol=1e-9, atol=0):
+            raise TonewoodError("has other frequencies than the first file", file=path, key="freq_Hz")
+    rows = {pair: row for table in tables for pair, row in table.rows.items()}
+    coherence = {pair: row for table in tables for pair, row in table.coherence.items()}
+    said = {table.form for table in tables if table.form is not None}
+    for other in said:
+        if reading.form is not None and other != reading.form:
+            raise TonewoodError(f"says {other} while --form says {reading.form}", file=paths[0], key="--form")
+    form = reading.form or (said.pop() if len(said) == 1 else "")
+    if not form:
+        raise TonewoodError(f"the quantity measured is not stated; {', '.join(FORMS)} are allowed", key="--form")
+    alpha = 0.0 if reading.window_tau is None else 1.0 / reading.window_tau
+    motion, pressure = _split(rows)
+    pairs = tuple(motion)
+    if not pairs:
+        raise TonewoodError("no response of a point is in it", file=paths[0])
+    mobility = to_mobility(
+        reading.scale * np.array([motion[pair] for pair in pairs], dtype=np.complex128), freq, form, alpha
+    )
+    known = all(pair in coherence for pair in pairs)
+    return Responses(
+        freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]) if known else None, reading.n_hits, alpha,
+        pressure, hashes,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    freq: Floats
+    rows: Mapping[Pair, Complexes]
+    coherence: Mapping[Pair, Floats]
+    form: str | None = None
+
+
+def _hash(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as fault:
+        raise TonewoodError(f"cannot be read: {fault.strerror}", file=path) from None
+
+
+def _kind(path: Path) -> str:
+    suffix = path.suffix.lower()
+    if suffix == ".wav":
+        return "hits"
+    if suffix == ".csv":
+        return "hits" if "time_s" in _numbers(path) else "csv"
+    if suffix == ".npz":
+        return "npz"
+    if suffix in (".uff", ".unv", ".u58", ".58"):
+        return "uff"
+    raise TonewoodError("is of no kind that is read; .csv, .npz, .uff, .unv and .wav are allowed", file=path)
+
+
+def _pair(path: Path, name: str) -> Pair:
+    point, colon, reference = name.partition(":")
+    if not (point and colon and reference):
+        raise TonewoodError("is no name of a response; POINT:REFERENCE is allowed", file=path, key=name)
+    return point, reference
+
+
+def _split(rows: Mapping[Pair, Complexes]) -> tuple[dict[Pair, Complexes], dict[Pair, Complexes]]:
+    """Responses of points, and of microphones."""
+    motion = {pair: row for pair, row in rows.items() if not pair[0].endswith(_MICROPHONE)}
+    pressure = {(p.removesuffix(_MICROPHONE), r): row for (p, r), row in rows.items() if p.endswith(_MICROPHONE)}
+    return motion, pressure
+
+
+def _numbers(path: Path) -> dict[str, Floats]:
+    """Columns of a CSV file."""
+    return Files(path.parent, path).table(path.name)
+
+
+def _csv(path: Path) -> _Table:
+    columns = _numbers(path)
+    if "freq_Hz" not in columns:
+        raise TonewoodError(f"has no column freq_Hz; there are {', '.join(columns)}", file=path)
+    rows: dict[Pair, Complexes] = {}
+    for name, values in columns.items():
+        stem, _, part = name.rpartition("_")
+        other = {"re": "im", "mag": "phase"}.get(part)
+        if other is None:
+            continue
+        if f"{stem}_{other}" not in columns:
+            raise TonewoodError(f"has no column {stem}_{other} beside {name}", file=path)
+        second = columns[f"{stem}_{other}"]
+        turn = values + 1j * second if part == "re" else values * np.exp(1j * np.deg2rad(second))
+        rows[_pair(path, stem)] = np.asarray(turn, dtype=np.complex128)
+    coherence = {pair: columns[key] for pair in rows if (key := f"{pair[0]}:{pair[1]}_coherence") in columns}
+    return _Table(columns["freq_Hz"], rows, coherence)
+
+
+def _npz(path: Path) -> _Table:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    # an archive that is damaged, encrypted, or of a later version raises any of these
+    except (OSError, ValueError, EOFError, RuntimeError, AttributeError, zipfile.BadZipFile, zlib.error) as fault:
+        raise TonewoodError(f"is no npz file of arrays: {fault}", file=path) from None
+    for name, values in arrays.items():
+        real = name == "freq_Hz" or name.endswith("_coherence")
+        if values.ndim != 1 or values.dtype.kind not in ("iuf" if real else "iufc"):
+            raise TonewoodError(f"is no row of {'real' if real else 'complex'} numbers", file=path, key=name)
+    if "freq_Hz" not in arrays:
+        raise TonewoodError(f"has no array freq_Hz; there are {', '.join(arrays)}", file=path)
+    freq = np.asarray(arrays.pop("freq_Hz"), dtype=np.float64)
+    if not np.all(np.isfinite(freq)):
+        raise TonewoodError("holds a value that is not a finite number", file=path, key="freq_Hz")
+    rows, coherence = {}, {}
+    for name, values in arrays.items():
+        if values.shape != freq.shape:
+            raise TonewoodError(f"has the shape {values.shape}; {freq.shape} is allowed", file=path, key=name)
+        if name.endswith("_coherence"):
+            coherence[_pair(path, name.removesuffix("_coherence"))] = np.asarray(values, dtype=np.float64)
+        else:
+            rows[_pair(path, name)] = np.asarray(values, dtype=np.complex128)
+    return _Table(freq, rows, coherence)
+
+
+def _uff(path: Path) -> _Table:
+    try:
+        import pyuff
+    except ModuleNotFoundError:
+        raise TonewoodError('needs pyuff: pip install "tonewood[fit]"', file=path) from None
+    try:
+        given: Any = pyuff.UFF(str(path)).read_sets()
+    except Exception as fault:  # the reader raises bare exceptions of every kind
+        raise TonewoodError(f"is no universal file: {str(fault)[:_LONGEST]}", file=path) from None
+    sets = [x for x in (given if isinstance(given, list) else [given]) if x["type"] == 58]
+
+    def pair(x: Mapping[str, Any]) -> Pair:
+        heard = _MICROPHONE if int(x["ordinate_spec_data_type"]) == _PRESSURE else ""
+        return f"{int(x['rsp_node'])}{int(x['rsp_dir']):+d}{heard}", f"{int(x['ref_node'])}{int(x['ref_dir']):+d}"
+
+    responses = [x for x in sets if x["func_type"] == 4]
+    if not responses:
+        raise TonewoodError("holds no frequency response (data set 58, function type 4)", file=path)
+    ordinates = {int(x["ordinate_spec_data_type"]) for x in responses} - {_PRESSURE}
+    forms = {_ORDINATES.get(ordinate) for ordinate in ordinates}
+    freq = np.asarray(responses[0]["x"], dtype=np.float64)
+    if any(len(x["x"]) != len(freq) for x in responses):
+        raise TonewoodError("holds responses of different frequencies", file=path)
+    if any(int(x["orddenom_spec_data_type"]) not in _FORCES for x in responses):
+        raise TonewoodError("holds responses to something else than a force", file=path)
+    per_force, per_length = _uff_units(given)
+
+    def unit(x: Mapping[str, Any]) -> float:
+        return per_force if int(x["ordinate_spec_data_type"]) == _PRESSURE else per_force / per_length
+
+    rows = {pair(x): unit(x) * np.asarray(x["data"], dtype=np.complex128) for x in responses}
+    coherence = {pair(x): np.asarray(x["data"]).real.astype(np.float64) for x in sets if x["func_type"] == 6}
+    return _Table(freq, rows, coherence, forms.pop() if len(forms) == 1 else None)
+
+
+def _uff_units(given: Any) -> tuple[float, float]:
+    """Units of force and length of the file per SI unit (data set 164); 1 where it does not say."""
+    for x in given if isinstance(given, list) else [given]:
+        if x["type"] == 164:
+            return float(x["force"]), float(x["length"])
+    return 1.0, 1.0
+
+
+_TABLES = {"csv": _csv, "npz": _npz, "uff": _uff}
+
+
+def _of_hits(paths: Sequence[Path], reading: Reading, hashes: Mapping[str, str]) -> Responses:
+    if reading.form is None:
+        raise TonewoodError(f"the quantity measured is not stated; {', '.join(FORMS)} are allowed", key="--form")
+    struck: dict[str, list[tuple[Path, _Hit]]] = {}
+    for path in paths:
+        hit = _wav_hit(path, reading) if path.suffix.lower() == ".wav" else _csv_hit(path)
+        struck.setdefault(hit.reference, []).append((path, hit))
+    first = next(iter(struck.values()))[0][1]
+    for path, hit in (entry for group in struck.values() for entry in group):
+        if (hit.fs, hit.names, hit.force.size) != (first.fs, first.names, first.force.size):
+            raise TonewoodError("has another rate, length or other channels than the first file", file=path)
+        if any(_padded(row) for row in hit.motion):
+            raise TonewoodError(
+                "ends in zeros: of a padded hit neighbouring bins say the same; cut them off", file=path
+            )
+    parts = [_of_one_reference(name, [hit for _, hit in group], reading) for name, group in struck.items()]
+    whole = parts[0]
+    for part in parts[1:]:
+        assert whole.coherence is not None
+        assert part.coherence is not None
+        assert whole.kept is not None
+        assert part.kept is not None
+        whole = replace(
+            whole, mobility=np.vstack([whole.mobility, part.mobility]), pairs=whole.pairs + part.pairs,
+            coherence=np.vstack([whole.coherence, part.coherence]), n_hits=min(whole.kept[0], part.kept[0]),
+            pressure={**whole.pressure, **part.pressure},
+            kept=(whole.kept[0] + part.kept[0], whole.kept[1] + part.kept[1]),
+        )  # fmt: skip
+    return replace(whole, files=hashes)
+
+
+def _of_one_reference(reference: str, hits: Sequence[_Hit], reading: Reading) -> Responses:
+    """Responses to the hits on one point."""
+    assert reading.form is not None
+    try:
+        made = responses_of_hits(
+            np.array([hit.force for hit in hits]), np.array([hit.motion for hit in hits]), hits[0].fs,
+            window_tau=reading.window_tau, estimator=reading.estimator,
+        )  # fmt: skip
+    except ValueError as fault:
+        raise TonewoodError(f"at {reference}: {fault}", key="FILES") from None
+    rows = {(name, reference): row for name, row in zip(hits[0].names, made.response, strict=True)}
+    coherence = {(name, reference): row for name, row in zip(hits[0].names, made.coherence, strict=True)}
+    motion, pressure = _split(rows)
+    pairs = tuple(motion)
+    if not pairs:
+        raise TonewoodError("no response of a point is among them", key="FILES")
+    scaled = reading.scale * np.array([motion[pair] for pair in pairs], dtype=np.complex128)
+    mobility = to_mobility(scaled, made.freq, reading.form, made.alpha)
+    kept = int(np.count_nonzero(made.kept))
+    return Responses(
+        made.freq, mobility, pairs, np.array([coherence[pair] for pair in pairs]), kept, made.alpha, pressure,
+        kept=(kept, len(hits)),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Hit:
+    fs: float
+    force: Floats
+    motion: Floats
+    names: tuple[str, ...]
+    reference: str
+
+
+def _padded(x: NDArray[np.float64]) -> bool:
+    """Whether the last tenth is exactly 0."""
+    return not np.any(x[-max(len(x) // 10, 1) :])
+
+
+def _csv_hit(path: Path) -> _Hit:
+    columns = _numbers(path)
+    time = columns.pop("time_s")
+    forces = [name for name in columns if name.endswith("_force")]
+    if len(forces) != 1 or len(columns) < 2:
+        raise TonewoodError("wants one column REFERENCE_force and one or more of points", file=path)
+    step = np.diff(time)
+    if time.size < 2 or step.min() <= 0 or step.max() > 1.01 * step.min():
+        raise TonewoodError("times are not evenly spaced; a constant step is allowed", file=path, key="time_s")
+    force = columns.pop(forces[0])
+    fs = float((time.size - 1) / (time[-1] - time[0]))
+    return _Hit(fs, force, np.array(list(columns.values())), tuple(columns), forces[0].removesuffix("_force"))
+
+
+def _wav_hit(path: Path, reading: Reading) -> _Hit:
+    import soundfile as sf
+
+    try:
+        samples, fs = sf.read(str(path), dtype="float64", always_2d=True)
+    except (sf.LibsndfileError, OSError) as fault:
+        raise TonewoodError(f"is no sound file: {str(fault)[:_LONGEST]}", file=path) from None
+    n = samples.shape[1]
+    if not len(samples):
+        raise TonewoodError("holds no samples", file=path)
+    if n < 2:
+        raise TonewoodError("has one channel; the force and one or more responses are needed", file=path)
+    if len(reading.points) != n - 1:
+        raise TonewoodError(f"has {n - 1} responses; --points names {len(reading.points)}", file=path, key="--points")
+    if len(reading.sensitivity) != n:
+        raise TonewoodError(
+            f"has {n} channels; --sensitivity gives {len(reading.sensitivity)} numbers", file=path, key="--sensitivity"
+        )
+    reference = next((name for name, begin in reading.references if path.name.startswith(begin)), None)
+    if reference is None:
+        raise TonewoodError("the point that the hammer struck is not named", file=path, key="--driving")
+    clipped = np.flatnonzero(np.abs(samples).max(axis=0) >= 1.0)
+    if clipped.size:
+        raise TonewoodError(f"is clipped: samples of channel {clipped[0] + 1} reach full scale", file=path)
+    scaled = samples.T * np.asarray(reading.sensitivity)[:, None]
+    return _Hit(float(fs), scaled[0], scaled[1:], reading.points, reference)

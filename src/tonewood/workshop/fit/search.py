@@ -1,0 +1,293 @@
+"""How many modes stand out of the noise, and where: a greedy search that ends at a maximum of the likelihood.
+
+Modes are added where the whitened misfit has most to gain (a matched filter over frequency and Q), all poles are moved
+together (Levenberg-Marquardt), modes that do not pay their price are taken away, and two that do the work of one are
+joined. See `projection` for the model and the price.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg as sla
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from tonewood.workshop.fit.projection import Line, LinearFit, Poles, Projection, Shape
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+#: damping ratios of modes that the bins and the neighbouring modes can show
+ZETA_LOW, ZETA_HIGH = 1e-5, 0.35
+#: frequencies, re the ends of the band, up to which a pole may leave it: it stands for modes there
+BELOW, ABOVE = 0.5, 1.6
+#: standard deviations beyond which a residue's sign is taken to be known
+DOUBT = 3.0
+#: Q of the matched filters
+_QUALITIES = (3, 6, 12, 25, 50, 100, 200, 400, 800)
+#: modes added in an iteration, and most iterations
+_AT_ONCE, _ITERATIONS = 12, 16
+#: modes of a group that is moved by itself
+_GROUP = 8
+#: modes on each side that move with two that may be one; prices that these may cost there to be tried with all moving
+_BESIDE, _DEARER = 2, 4.0
+
+
+class NothingFoundError(ValueError):
+    """No mode stands out of the noise."""
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """State of the search after one iteration: the stability chart of this method.
+
+    Attributes
+    ----------
+    freq, quality : (K,) Hz and Q.
+    misfit : chi-squared per number measured.
+    """
+
+    freq: Floats
+    quality: Floats
+    misfit: float
+
+
+def descend(problem: Projection, poles: Poles, most: int, enough: float) -> tuple[Poles, LinearFit]:
+    """Move poles downhill until a step gains less than `enough` of the cost, at most `most` steps."""
+    band = problem.line.freq
+    low, high = np.log(2 * np.pi * band[0] * BELOW), np.log(2 * np.pi * band[-1] * ABOVE)
+    k, damping = len(poles), 1e-3
+    found = problem.solve(poles, slopes=True)
+    for _ in range(most):
+        curvature = np.diag(found.normal)  # of directions that nothing tells it is rounding, of either sign
+        unit = 1 / np.sqrt(np.maximum(curvature, 1e-12 * curvature.max()) + 1e-300)
+        size, vectors = sla.eigh(found.normal * np.outer(unit, unit))
+        size, slope = np.maximum(size, 0.0), vectors.T @ (unit * found.gradient)
+        for _ in range(6):
+            step = unit * (vectors @ (slope / (size + damping)))
+            zeta = np.exp(poles.log_zeta)
+            moved = Poles(
+                np.clip(poles.log_freq + np.clip(step[:k], -zeta, zeta), low, high),
+                np.clip(poles.log_zeta + np.clip(step[k:], -0.3, 0.3), np.log(ZETA_LOW), np.log(ZETA_HIGH)),
+            )
+            # the normal equations are as dear as the cost twice over: they are made at once, for a step is mostly taken
+            there = problem.solve(moved, slopes=True)
+            if there.cost < found.cost:
+                break
+            damping = max(damping * 8, 1e-6)
+        else:
+            break
+        gain = (found.cost - there.cost) / found.cost
+        poles, found, damping = moved, there, max(damping / 8, 1e-9)
+        if gain < enough:
+            break
+    order = np.argsort(poles.log_freq)
+    if np.any(np.diff(order) < 0):
+        poles = poles[order]
+        found = problem.solve(poles, slopes=True)
+    return poles, found
+
+
+def descend_in_groups(problem: Projection, poles: Poles, most: int) -> Poles:
+    """Move neighbouring modes by themselves, group after group, on the bins around them; the others stay."""
+    if len(poles) <= 2 * _GROUP:
+        return descend(problem, poles, most, 1e-4)[0]
+    residues, k = problem.solve(poles).residues, len(poles)
+    freq, zeta = poles.log_freq.copy(), poles.log_zeta.copy()
+    for first in range(0, k, _GROUP):
+        mine = np.arange(first, min(first + _GROUP, k))
+        around = _around(problem, poles, residues, mine)
+        if around is None:
+            continue
+        part, _ = descend(around, poles[mine], most, 1e-3)
+        freq[mine], zeta[mine] = part.log_freq, part.log_zeta
+    return Poles(freq, zeta).sorted()
+
+
+def _around(problem: Projection, poles: Poles, residues: Floats, mine: NDArray[np.intp]) -> Projection | None:
+    """The problem of some neighbouring modes on the bins around them, less the others; None of too few bins."""
+    k, n_kinds = len(poles), 1 + problem.shape.complex
+    f, width = poles.freq[mine], 2 * poles.freq[mine] * np.exp(poles.log_zeta[mine])
+    start = int(np.searchsorted(problem.line.freq, (f - 4 * width).min()))
+    stop = int(np.searchsorted(problem.line.freq, (f + 4 * width).max()))
+    if stop - start < 4 * len(mine):
+        return None
+    others = np.setdiff1d(np.arange(k), mine)
+    rows = np.concatenate([others + m * k for m in range(n_kinds)])
+    columns = problem.columns(poles)[0][rows, start:stop]
+    return Projection(problem.line.cut(start, stop, residues[:, rows] @ columns), problem.shape)
+
+
+def pruned(problem: Projection, poles: Poles, steps: int = 4) -> tuple[Poles, LinearFit]:
+    """Take modes away that gain less than their price, or whose residue at a driving point is negative."""
+    while True:
+        found = problem.solve(poles)
+        k = len(poles)
+        n = (1 + problem.shape.complex) * k
+        gain = found.chi2[:, :n].reshape(-1, k).sum(axis=0)
+        wrong = _never_positive(found.residues[:, :k], found.chi2[:, :k], problem.shape.driving)
+        weak = np.flatnonzero(wrong | (gain < problem.price))
+        if not weak.size or k <= 1:
+            return poles, found
+        gone: list[int] = []
+        zeta = np.exp(poles.log_zeta)
+        for i in weak[np.argsort(np.where(wrong, 0.2, 1.0)[weak] * gain[weak])]:
+            # neighbours stand in for each other: one of them at a time
+            if all(abs(poles.log_freq[i] - poles.log_freq[j]) > 4 * (zeta[i] + zeta[j]) for j in gone):
+                gone.append(int(i))
+        poles, _ = descend(problem, poles.without(gone), steps, 1e-3)
+
+
+def _never_positive(residues: Floats, chi2: Floats, driving: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(n,) modes that would create energy: negative at one driving point beyond doubt, or positive at none."""
+    if not driving:
+        return np.zeros(residues.shape[1], dtype=bool)
+    own, sure = residues[list(driving)], chi2[list(driving)] > DOUBT**2
+    return np.asarray(np.any((own < 0) & sure, axis=0) | np.all(own <= 0, axis=0))
+
+
+def joined(problem: Projection, poles: Poles) -> tuple[Poles, LinearFit]:
+    """Put one pole in place of two that lie within their bandwidths wherever that costs less than the price of one."""
+    found, tried = problem.solve(poles), set()
+    while True:
+        zeta = np.exp(poles.log_zeta)
+        near = sorted(
+            ((poles.log_freq[j] - poles.log_freq[i]) / (zeta[i] + zeta[j]), i, j)
+            for i in range(len(poles))
+            for j in range(i + 1, min(i + 4, len(poles)))
+        )
+        pairs = [
+            (i, j)
+            for distance, i, j in near
+            if distance < 1 and (round(poles.log_freq[i], 3), round(poles.log_freq[j], 3)) not in tried
+        ]
+        if not pairs:
+            return poles, found
+        i, j = pairs[0]
+        tried.add((round(poles.log_freq[i], 3), round(poles.log_freq[j], 3)))
+        size = np.abs(found.residues).max(axis=0)
+        share = size[i] / max(size[i] + size[j], 1e-300)
+        one = Poles(
+            np.array([share * poles.log_freq[i] + (1 - share) * poles.log_freq[j]]),
+            np.array([share * poles.log_zeta[i] + (1 - share) * poles.log_zeta[j]]),
+        )
+        if not _may_be_one(problem, poles, found.residues, (i, j), one):
+            continue
+        fewer, there = descend(problem, poles.without([i, j]).joined(one), 6, 1e-4)
+        if there.cost < found.cost + problem.price:
+            poles, found = fewer, there
+
+
+def _may_be_one(problem: Projection, poles: Poles, residues: Floats, pair: tuple[int, int], one: Poles) -> bool:
+    """Whether one pole in place of two is worth a descent of all: on the bins around, with neighbours that move along.
+
+    That costs more than with all of them moving, but not many times more.
+    """
+    i, j = pair
+    mine = np.arange(max(i - _BESIDE, 0), min(j + _BESIDE + 1, len(poles)))
+    around = _around(problem, poles, residues, mine)
+    if around is None:
+        return True
+    two, gone = poles[mine], [i - int(mine[0]), j - int(mine[0])]
+    _, fewer = descend(around, two.without(gone).joined(one), 6, 1e-4)
+    return fewer.cost < around.solve(two).cost + _DEARER * problem.price
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedFilters:
+    """Bound the gain of one more mode, at every frequency and Q of a grid."""
+
+    problem: Projection
+
+    @cached_property
+    def _grid(self) -> tuple[Floats, Floats]:
+        freq = self.problem.line.freq
+        step = float(np.median(np.diff(freq)))
+        at, quality = [], []
+        for q in _QUALITIES:
+            # a resonance narrower than two bins cannot be distinguished from a wider one
+            f = np.exp(np.arange(np.log(freq[0]), np.log(freq[-1]), 0.3 / q))
+            f = f[f / q > 0.5 * step]
+            at.append(f)
+            quality.append(np.full(len(f), float(q)))
+        return np.concatenate(at), np.concatenate(quality)
+
+    @cached_property
+    def _filters(self) -> tuple[list[sp.csr_array], Floats]:
+        """Conjugate whitened resonances of each response, (grid, N), and their squared lengths, (P, grid)."""
+        line, (at, quality) = self.problem.line, self._grid
+        step = float(np.median(np.diff(line.freq)))
+        reach = 6 * at / quality + 3 * step
+        first = np.searchsorted(line.freq, at - reach)
+        count = np.searchsorted(line.freq, at + reach) - first
+        row = np.repeat(np.arange(at.size), count)
+        starts = np.concatenate([[0], np.cumsum(count)])
+        bins = np.arange(starts[-1]) - np.repeat(starts[:-1], count) + np.repeat(first, count)
+        s, w, q = line.s[bins], 2 * np.pi * at[row], quality[row]
+        resonance = s / (s * s + w / q * s + w * w)
+        filters, lengths = [], []
+        for sigma in line.sigma:
+            values = resonance.conj() * (np.sqrt(2) / sigma[bins])
+            filters.append(sp.csr_array((values, bins, starts), shape=(at.size, line.freq.size)))
+            lengths.append(np.add.reduceat(np.append(np.abs(values) ** 2, 0.0), starts[:-1]))
+        return filters, np.array(lengths)
+
+    def candidates(self, misfit: Complexes, most: int = _AT_ONCE) -> Poles:
+        """At most so many modes that would each gain more than the price, none within another's bandwidth."""
+        filters, lengths = self._filters
+        at, quality = self._grid
+        whitened = misfit * (np.sqrt(2) / self.problem.line.sigma)
+        seen = np.array([(f @ w).real for f, w in zip(filters, whitened, strict=True)])
+        gain = (seen**2 / np.maximum(lengths, 1e-300)).sum(axis=0)
+        gain[_never_positive(seen, seen**2 / np.maximum(lengths, 1e-300), self.problem.shape.driving)] = 0.0
+        out: list[int] = []
+        for i in np.argsort(-gain):
+            if gain[i] < self.problem.price or len(out) == most:
+                break
+            if all(abs(np.log(at[i] / at[j])) > 0.75 * (1 / quality[i] + 1 / quality[j]) for j in out):
+                out.append(int(i))
+        return Poles.at(at[out], quality[out])
+
+
+def sought(
+    line: Line, shape: Shape, start: Poles | None = None, tell: Callable[[Iteration], None] = lambda iteration: None
+) -> tuple[Projection, Poles]:
+    """Modes that stand out of the noise, on thinned bins.
+
+    Raises
+    ------
+    NothingFoundError : no mode gains its price.
+    """
+    problem = Projection(line.thinned(), shape)
+    filters, poles = MatchedFilters(problem), start or Poles.none()
+    best = np.inf
+    if len(poles):
+        best = problem.solve(poles).cost + problem.price * len(poles)
+    for _ in range(_ITERATIONS):
+        misfit = problem.misfit(poles, problem.solve(poles).residues) if len(poles) else problem.line.mobility
+        new = filters.candidates(misfit)
+        if not len(new):
+            break
+        more = descend_in_groups(problem, poles.joined(new), 8)
+        more, found = pruned(problem, descend(problem, more, 4, 1e-4)[0])
+        total = found.cost + problem.price * len(more)
+        tell(Iteration(more.freq, more.quality, found.cost / problem.size))
+        if total >= best - 1:
+            break
+        poles, best = more, total
+    if not len(poles):
+        raise NothingFoundError("no mode stands out of the noise")
+    poles, _ = pruned(problem, descend(problem, poles, 15, 1e-6)[0])
+    return problem, joined(problem, poles)[0]
+
+
+def straightened(line: Line, shape: Shape, poles: Poles) -> tuple[Projection, Poles]:
+    """Real residues to poles found with complex ones, on all bins: the nearest real modes. None is added."""
+    real = Projection(line, Shape(shape.driving, shape.free, False, shape.lower, shape.upper))
+    poles, _ = pruned(real, descend(real, poles, 8, 1e-5)[0])
+    poles, _ = joined(real, poles)
+    return real, descend(real, poles, 4, 1e-6)[0]

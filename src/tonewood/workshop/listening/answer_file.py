@@ -1,0 +1,364 @@
+"""Answers on disk: one file a listener, one JSON line an answer, written through to the disk.
+
+The file appears complete with its first line (who, which test, which seed). Each answer is appended by one write and is
+on the disk before the session goes on and the server confirms it. A line that a crash cut off has no line end: it is
+left out when the file is read, and cut off when it is taken up again; that answer was never confirmed, so its page is
+shown again.
+
+The analysis reads on past damage: a line that is no answer of this course is left out and reported, the others count.
+A session with such a line is not continued.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from tonewood.errors import OutputError
+from tonewood.support.whole_files import remove
+from tonewood.workshop.batch.definition import ANSWERS
+from tonewood.workshop.listening.definition import ListeningError, ListeningTest
+from tonewood.workshop.listening.session import Session
+
+SCHEMA = "tonewood-answers/1"
+FOLDER = ANSWERS
+#: 128 random bits: nobody finds the session of another one
+_TOKEN = re.compile(r"[0-9a-f]{32}")
+#: key of the header -> type
+_HEADER = {"sha256": str, "listener": str, "language": str, "seed": int, "started": str, "simulated": bool}
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Answers that do not count: the reason, with file and line, and their number."""
+
+    reason: str
+    answers: int = 1
+
+
+@dataclass(frozen=True)
+class ListenerAnswers:
+    """A file of answers.
+
+    Attributes
+    ----------
+    header : token, listener, language, seed, sha256 of the definition, started, simulated.
+    records : answers in the order they were given.
+    lines : number of the file's line of each record.
+    length : bytes of whole lines.
+    torn : number of the last line if it was cut off, else 0.
+    left_out : lines that are no answers.
+    """
+
+    path: Path
+    header: dict[str, Any]
+    records: list[dict[str, Any]]
+    lines: list[int]
+    length: int
+    torn: int
+    left_out: tuple[LeftOut, ...] = ()
+
+    @property
+    def listener(self) -> str:
+        """Name that the listener gave, or else the beginning of the token."""
+        return listener_of(self.header)
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Answers of all listeners, in the order in which they began, and those that do not count."""
+
+    listeners: tuple[ListenerAnswers, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def printable(name: str) -> str:
+    """A name in one line, of at most 60 characters; control characters would steer a terminal."""
+    return " ".join("".join(c if c.isprintable() else " " for c in name).split())[:60]
+
+
+def listener_of(header: Mapping[str, Any]) -> str:
+    """Name that a listener gave, or else the beginning of the token."""
+    return printable(str(header["listener"])) or str(header["token"][:8])
+
+
+def read(path: Path) -> ListenerAnswers:
+    """Read a file of answers; a last line without its end is left out, and so are lines that are no JSON objects.
+
+    Raises
+    ------
+    ListeningError : it cannot be read, or its first line is damaged; names the line.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as fault:
+        raise ListeningError(f"cannot be read: {fault.strerror}", file=path) from None
+    *whole, rest = raw.split(b"\n")
+    rows: dict[int, dict[str, Any]] = {}
+    left_out: list[LeftOut] = []
+    for number, line in enumerate(whole, start=1):
+        try:
+            rows[number] = _row(line)
+        except ListeningError as fault:
+            if number == 1:
+                raise ListeningError(fault.reason, file=path, line=1) from None
+            left_out.append(LeftOut(str(ListeningError(fault.reason, file=path, line=number))))
+    header = rows.pop(1, {})
+    if header.get("schema") != SCHEMA or not _TOKEN.fullmatch(str(header.get("token", ""))):
+        raise ListeningError(f"no answers of a listener: schema {SCHEMA} is wanted", file=path)
+    for key, kind in _HEADER.items():
+        if type(header.get(key)) is not kind:
+            raise ListeningError(f"{header.get(key)!r} is no {kind.__name__}", file=path, line=1, key=key)
+    if header["token"] != path.stem:
+        raise ListeningError("is the file of another session: its name is not its token", file=path, key="token")
+    torn = len(whole) + 1 if rest else 0
+    return ListenerAnswers(path, header, [*rows.values()], [*rows], len(raw) - len(rest), torn, tuple(left_out))
+
+
+def _row(line: bytes) -> dict[str, Any]:
+    try:
+        row = json.loads(line)
+        json.dumps(row, ensure_ascii=False).encode()  # half a surrogate pair can be escaped, but is no text
+    except (ValueError, RecursionError) as fault:
+        raise ListeningError(f"not JSON: {fault}") from None
+    if not isinstance(row, dict):
+        raise ListeningError("not an answer")
+    return row
+
+
+class OpenSession:
+    """A session whose answers are kept on disk.
+
+    Attributes
+    ----------
+    session : its course.
+    header : first line of its file.
+    length : of its file, bytes.
+    """
+
+    def __init__(self, session: Session, header: dict[str, Any], path: Path, length: int):
+        self.session, self.header, self.path, self.length = session, header, path, length
+
+    @property
+    def language(self) -> str:
+        """The listener's."""
+        return str(self.header["language"])
+
+    @property
+    def listener(self) -> str:
+        """Name that the listener gave, or else the beginning of the token."""
+        return listener_of(self.header)
+
+    def answer(self, given: Mapping[str, Any], *, now: str) -> dict[str, Any]:
+        """Check an answer, write it to the disk, and then go on; returns its record.
+
+        Raises
+        ------
+        ListeningError : it does not fit the step.
+        OutputError : the disk does not take it. After this or another error the session is at its step as before; if
+            the file may hold a part of the answer, take the session up again by `resume`.
+        """
+        record = {**self.session.record(given), "time": now}
+        line = (json.dumps(record, ensure_ascii=False, allow_nan=False) + "\n").encode()
+        _append(self.path, line, at=self.length, sync=not self.header["simulated"])
+        self.length += len(line)
+        self.session.take(record)
+        return record
+
+
+def begin(
+    test: ListeningTest, *, language: str, listener: str, started: str, seed: int | None = None, simulated: bool = False
+) -> OpenSession:
+    """Begin a session: make its file.
+
+    Raises
+    ------
+    OutputError : it cannot be written.
+    """
+    token = secrets.token_hex(16)
+    own_seed = secrets.randbits(48) if seed is None else seed
+    header = {
+        "schema": SCHEMA,
+        "token": token,
+        "test": test.manifest.name,
+        "sha256": test.sha256,
+        "listener": printable(listener),
+        "language": language,
+        "seed": own_seed,
+        "started": started,
+        "simulated": simulated,
+    }
+    line = (json.dumps(header, ensure_ascii=False) + "\n").encode()
+    path = test.folder / FOLDER / f"{token}.jsonl"
+    part = path.with_suffix(".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            part.write_bytes(b"")
+            _append(part, line, at=0)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+        _sync(path.parent)
+    except OSError as fault:
+        raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
+    return OpenSession(Session(test, own_seed), header, path, len(line))
+
+
+def clear_parts(test: ListeningTest) -> None:
+    """Remove unfinished files of a server that was killed."""
+    for part in (test.folder / FOLDER).glob("*.part"):
+        remove(part)
+
+
+def resume(test: ListeningTest, token: str) -> OpenSession | None:
+    """Take up the session of a token again; None if there is none.
+
+    Raises
+    ------
+    ListeningError : its answers are damaged, or were given to another definition.
+    OutputError : a line that was cut off cannot be removed, or the disk does not confirm the answers.
+    """
+    path = test.folder / FOLDER / f"{token}.jsonl"
+    if not _TOKEN.fullmatch(token) or not path.is_file():
+        return None
+    found = read(path)
+    if found.header["sha256"] != test.sha256:
+        raise ListeningError("was begun with another version of this test", file=path)
+    session, kept = _replayed(test, found)
+    if kept.left_out:
+        raise ListeningError(kept.left_out[0].reason)
+    try:
+        if found.torn:
+            os.truncate(path, found.length)
+        if not found.header["simulated"]:
+            _sync(path)  # the server before may have been killed between writing and waiting for the disk
+    except OSError as fault:
+        raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
+    return OpenSession(session, found.header, path, found.length)
+
+
+def answers_of(test: ListeningTest) -> Answers:
+    """Answers of all listeners; damaged ones, and those to another definition, are left out and reported."""
+    kept: list[ListenerAnswers] = []
+    left_out: list[LeftOut] = []
+    for path in sorted((test.folder / FOLDER).glob("*.jsonl")):
+        try:
+            found = read(path)
+            if found.header["sha256"] != test.sha256:
+                raise ListeningError("was answered with another version of this test", file=path)
+        except ListeningError as fault:
+            left_out.append(LeftOut(str(fault), _lines_after_the_first(path)))
+            continue
+        one = _replayed(test, found)[1]
+        kept.append(one)
+        left_out += one.left_out
+        if one.torn:
+            reason = "is cut off: its answer was not confirmed to the listener"
+            left_out.append(LeftOut(str(ListeningError(reason, file=path, line=one.torn))))
+    kept.sort(key=lambda one: (one.header["started"], one.header["token"]))
+    return Answers(tuple(kept), tuple(left_out))
+
+
+def _lines_after_the_first(path: Path) -> int:
+    try:
+        return max(path.read_bytes().count(b"\n") - 1, 0)
+    except OSError:
+        return 0
+
+
+def _replayed(test: ListeningTest, found: ListenerAnswers) -> tuple[Session, ListenerAnswers]:
+    """Return the session that gives these records again, answer by answer, and the answers of its course.
+
+    A record that does not fit is left out. One that fits a later step is taken there: the answers between are missing.
+    """
+    session = Session(test, found.header["seed"])
+    history: list[dict[str, Any] | None] = []  # None: passed over
+    kept: list[tuple[int, dict[str, Any]]] = []
+    left_out = list(found.left_out)
+    for line, record in zip(found.lines, found.records, strict=True):
+        fault = _misfit(session, record)
+        if fault is not None:
+            ahead = Session(test, found.header["seed"])
+            for old in history:
+                ahead.pass_over() if old is None else ahead.take(old)
+            skipped = 0
+            while ahead.step is not None and _misfit(ahead, record) is not None:
+                ahead.pass_over()
+                skipped += 1
+            if ahead.step is None:
+                left_out.append(LeftOut(str(ListeningError(fault.reason, file=found.path, line=line, key=fault.key))))
+                continue
+            session, history = ahead, history + [None] * skipped
+            before = kept[-1][0] if kept else 1
+            if (missing := skipped - (line - before - 1)) > 0:
+                reason = f"{missing} {'answer' if missing == 1 else 'answers'} before it missing"
+                left_out.append(LeftOut(str(ListeningError(reason, file=found.path, line=line)), missing))
+        made = session.record(record["answer"])
+        session.take(made)
+        history.append(made)
+        kept.append((line, record))
+    return session, replace(
+        found, records=[record for _, record in kept], lines=[line for line, _ in kept], left_out=tuple(left_out)
+    )
+
+
+def _misfit(session: Session, record: Mapping[str, Any]) -> ListeningError | None:
+    """Why a record is not that of the session's step; None if it is."""
+    try:
+        if not isinstance(answer := record.get("answer"), dict):
+            raise ListeningError(f"is {answer!r}; a mapping is allowed", key="answer")
+        made = session.record(answer)
+        for key, value in json.loads(json.dumps(made)).items():
+            if key == "index" and session.incomplete:
+                continue  # nobody knows how many trials the staircase had
+            if key not in record or record[key] != value:
+                reason = f"is {record.get(key)!r}, and {value!r} in the course of this test: the file is damaged"
+                raise ListeningError(reason, key=key)
+    except ListeningError as fault:
+        return fault
+    return None
+
+
+def _append(path: Path, line: bytes, *, at: int, sync: bool = True) -> None:
+    """Append a line by one write and wait until it is on the disk; the part that a full disk took is cut off again.
+
+    Parameters
+    ----------
+    at : length that the file must have: nobody else may have written to it.
+    sync : wait; answers of simulated listeners can be had again.
+    """
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_APPEND)
+        try:
+            if os.fstat(handle).st_size != at:
+                raise OutputError("was changed by another program", file=path)
+            try:
+                if os.write(handle, line) != len(line):
+                    raise OSError(28, "No space left on device")
+                if sync:
+                    os.fsync(handle)
+            except OSError:
+                os.ftruncate(handle, at)
+                raise
+        finally:
+            os.close(handle)
+    except OSError as fault:
+        raise OutputError(f"cannot be written: {fault.strerror}", file=path) from None
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    if path.is_dir() and os.name != "posix":
+        return
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,124 @@
+"""A listening test as it is served: the definition that a batch wrote, opened and checked."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from tonewood.errors import TonewoodError
+from tonewood.workshop.batch.definition import FILE, SCHEMA
+from tonewood.workshop.batch.manifest import Manifest, check_manifest
+from tonewood.workshop.batch.pages import AnyPage, FinishPage, TrainingPage, localised
+from tonewood.workshop.batch.production import SOUNDS
+
+
+class ListeningError(TonewoodError):
+    """A test, its answers or its key cannot be used."""
+
+
+@dataclass(frozen=True)
+class ServedTrial:
+    """Codes of the sounds that are judged together; `page` counts from 0."""
+
+    id: str
+    page: int
+    reference: str | None
+    stimuli: tuple[str, ...]
+    drop_db: float = 0.0
+
+
+@dataclass(frozen=True)
+class ListeningTest:
+    """A test and the folder of its batch.
+
+    Attributes
+    ----------
+    folder : of the batch, with sounds and answers.
+    source : the manifest's folder.
+    sha256 : of the definition's bytes; answers are given to one definition.
+    """
+
+    folder: Path
+    source: Path
+    manifest: Manifest
+    trials: tuple[ServedTrial, ...]
+    sha256: str
+
+    @cached_property
+    def pages(self) -> tuple[AnyPage, ...]:
+        """Pages of the manifest that listeners see, a last one added where it has none."""
+        pages = tuple(self.manifest.pages)
+        return pages if any(isinstance(p, FinishPage) for p in pages) else (*pages, FinishPage(type="finish"))
+
+    def trials_of(self, page: int) -> list[ServedTrial]:
+        """Trials of a page, counted from 0, in the manifest's order; of a page that is trained, for training."""
+        found = self.pages[page]
+        wanted = found.page - 1 if isinstance(found, TrainingPage) else page
+        return [trial for trial in self.trials if trial.page == wanted]
+
+    def sound(self, code: str) -> Path:
+        """File of a code."""
+        return self.folder / SOUNDS / f"{code}.wav"
+
+    @property
+    def languages(self) -> list[str]:
+        """Languages of the texts, that of the manifest first."""
+        found = dict.fromkeys([self.manifest.language, *built_in_texts(), *self.manifest.texts])
+        return list(found)
+
+    def texts(self, language: str) -> dict[str, str]:
+        """Words of the pages in a language; missing ones are in English."""
+        built_in = built_in_texts()
+        base = language.partition("-")[0]
+        own = self.manifest.texts
+        layers = (built_in["en"], built_in.get(base, {}), own.get(base, {}), own.get(language, {}))
+        return {key: text for layer in layers for key, text in layer.items()}
+
+    def title(self, language: str) -> str:
+        """Title of the test."""
+        return localised(self.manifest.title, language) or self.manifest.name
+
+
+def built_in_texts() -> dict[str, dict[str, str]]:
+    """Words of the pages that the package has: language -> key -> text."""
+    texts: dict[str, dict[str, str]] = json.loads(
+        (files("tonewood.workshop.listening") / "static/texts.json").read_text("utf-8")
+    )
+    return texts
+
+
+def load_test(folder: Path) -> ListeningTest:
+    """Open the test of a batch's folder.
+
+    Raises
+    ------
+    ListeningError : there is none, or it is damaged; one line.
+    """
+    path = folder / FILE
+    try:
+        raw = path.read_bytes()
+        data: Any = json.loads(raw)
+    except OSError as fault:
+        raise ListeningError(f"cannot be read: {fault.strerror}; `tonewood batch` writes it", file=path) from None
+    except (ValueError, RecursionError) as fault:
+        raise ListeningError(f"not JSON: {fault}", file=path) from None
+    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        raise ListeningError(f"not a test: schema {SCHEMA} is wanted", file=path)
+    try:
+        trials = tuple(
+            ServedTrial(row["id"], row["page"] - 1, row["reference"], tuple(row["stimuli"]), row["drop_db"])
+            for row in data["trials"]
+        )
+        source, manifest = Path(data["folder"]), data["manifest"]
+    except (KeyError, TypeError) as fault:
+        raise ListeningError(f"not a whole test: {fault}", file=path) from None
+    test = ListeningTest(folder, source, check_manifest(manifest, file=path), trials, hashlib.sha256(raw).hexdigest())
+    unknown = sorted({key for words in test.manifest.texts.values() for key in words} - set(built_in_texts()["en"]))
+    if unknown:
+        raise ListeningError(f"texts: {unknown[0]} is not one of {', '.join(built_in_texts()['en'])}", file=path)
+    return test

@@ -1,0 +1,67 @@
+"""Results as one HTML page without network; every text is escaped."""
+
+from __future__ import annotations
+
+import math
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from tonewood import __version__
+from tonewood.errors import TonewoodError
+from tonewood.support.plotting import data_uri, png
+from tonewood.support.whole_files import write_whole
+from tonewood.workshop.listening.figures import figures_of
+from tonewood.workshop.listening.results import PanelResults
+
+
+def write_report(found: PanelResults, folder: Path, facts: dict[str, Any] | None = None) -> Path:
+    """Write ``report.html``, and its figures as PNG beside it.
+
+    Parameters
+    ----------
+    facts : of the stimuli, as ``manifest.json`` has them; None leaves that section out.
+
+    Raises
+    ------
+    TonewoodError : jinja2 or matplotlib is not installed.
+    """
+    try:
+        from jinja2 import Environment, StrictUndefined
+        from markupsafe import Markup
+    except ImportError:
+        raise TonewoodError("the report needs jinja2: pip install 'tonewood[results]'") from None
+    pictures: dict[int, list[tuple[str, str]]] = {}
+    for number, page in enumerate(found.pages):
+        for name, made in figures_of(found, page).items():
+            content = png(made, dpi=75)
+            path = folder / f"page{page.page}_{number}_{name}.png"
+            path.write_bytes(content)
+            pictures.setdefault(number, []).append((name, data_uri(content, "image/png")))
+    static = files("tonewood.workshop.listening") / "static"
+    environment = Environment(autoescape=True, undefined=StrictUndefined)
+    environment.filters |= {"n": number_text, "p": p_text}
+    text = environment.from_string((static / "report.html").read_text("utf-8")).render(
+        found=found,
+        title=found.test.title(found.test.manifest.language),
+        pictures=pictures,
+        facts=facts,
+        version=__version__,
+        style=Markup((static / "report.css").read_text("utf-8")),
+    )
+    write_whole(folder / "report.html", text)
+    return folder / "report.html"
+
+
+def number_text(value: float | None, digits: int = 2) -> str:
+    """A number with so many decimals and a true minus sign; a dash for none."""
+    if value is None or not math.isfinite(value):
+        return "\N{EN DASH}"
+    return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def p_text(value: float | None) -> str:
+    """A probability: three decimals, or a bound."""
+    if value is None:
+        return "\N{EN DASH}"
+    return "< 0.001" if value < 0.001 else f"{value:.3f}"

@@ -1,0 +1,298 @@
+"""From answers to results: the table, and for each page its means, models, sensitivities or thresholds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from tonewood.support.csv_text import csv_text
+from tonewood.support.whole_files import whole_file
+from tonewood.workshop.batch.pages import (
+    AnyPage,
+    Bs1116Page,
+    MushraPage,
+    PairedPage,
+    RatingPage,
+    StaircasePage,
+    localised,
+)
+from tonewood.workshop.listening.answer_file import LeftOut, answers_of
+from tonewood.workshop.listening.definition import ListeningError, ListeningTest, load_test
+from tonewood.workshop.listening.detection import Detection, detections, task_of
+from tonewood.workshop.listening.means import CellMean, ScreenedListener, cell_means, screen, unique
+from tonewood.workshop.listening.models import (
+    MixedModel,
+    RankAnalysis,
+    ScaleValue,
+    bradley_terry,
+    mixed_model,
+    rank_analysis,
+)
+from tonewood.workshop.listening.shown import kind_of_texts
+from tonewood.workshop.listening.table import VERSUS, AnswerTable, read_key, tidy
+from tonewood.workshop.listening.thresholds import Thresholds, thresholds
+
+FOLDER = "results"
+
+
+@dataclass(frozen=True)
+class PageResults:
+    """Results of one page, or of one scale of a page with several.
+
+    Attributes
+    ----------
+    page : its number, from 1.
+    kind : type of the page.
+    heading : its title, and the scale.
+    rows : answers that count, after screening.
+    per_factor, cells, helpers : means by each factor, by all, and of hidden reference and anchors.
+    detections, by_listener : discrimination by cell, and by cell and listener.
+    scale : Bradley-Terry values by factor.
+    """
+
+    page: int
+    kind: str
+    heading: str
+    listeners: int
+    factors: tuple[str, ...]
+    rows: tuple[dict[str, Any], ...]
+    screened: tuple[ScreenedListener, ...] = ()
+    per_factor: tuple[CellMean, ...] = ()
+    cells: tuple[CellMean, ...] = ()
+    helpers: tuple[CellMean, ...] = ()
+    mixed: MixedModel | None = None
+    ranks: RankAnalysis | None = None
+    detections: tuple[Detection, ...] = ()
+    by_listener: tuple[Detection, ...] = ()
+    scale: tuple[ScaleValue, ...] = ()
+    thresholds: Thresholds | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready, without the rows."""
+        return {k: v for k, v in asdict(replace(self, rows=())).items() if k != "rows"}
+
+
+@dataclass(frozen=True)
+class PanelResults:
+    """Results of a test.
+
+    Attributes
+    ----------
+    simulated : listeners among them that are simulated.
+    unfinished : listeners who did not finish.
+    left_out : answers that do not count because their files are damaged, or of another version of the test.
+    """
+
+    test: ListeningTest
+    confidence: float
+    table: AnswerTable
+    listeners: int
+    simulated: int
+    unfinished: tuple[str, ...]
+    left_out: tuple[LeftOut, ...]
+    pages: tuple[PageResults, ...]
+
+    @property
+    def who(self) -> str:
+        """Number of listeners in words; those that are simulated are called so."""
+        if self.simulated == self.listeners:
+            return f"{self.listeners} simulated listeners"
+        return f"{self.listeners} listeners" + (f", {self.simulated} of them simulated" if self.simulated else "")
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return {
+            "name": self.test.manifest.name,
+            "confidence": self.confidence,
+            "listeners": self.listeners,
+            "simulated": self.simulated,
+            "unfinished": list(self.unfinished),
+            "left_out": [asdict(one) for one in self.left_out],
+            "pages": [page.to_dict() for page in self.pages],
+        }
+
+
+def analyse(folder: Path, *, key: Path | None = None, confidence: float = 0.95, screening: bool = True) -> PanelResults:
+    """Read the answers in a batch's folder and work out the results.
+
+    Parameters
+    ----------
+    folder : of the batch, with ``test.json`` and ``answers/``.
+    key : if it is not in the folder.
+    confidence : of all intervals, between 0 and 1.
+    screening : leave listeners out after BS.1534-3 (MUSHRA pages only).
+
+    Raises
+    ------
+    ListeningError : a file cannot be read, something does not fit, or there are no answers.
+    """
+    if not 0.0 < confidence < 1.0:
+        raise ListeningError(f"is {confidence:g}; a number between 0 and 1 is allowed", key="--confidence")
+    test = load_test(folder)
+    opened = read_key(key or folder / test.manifest.output.key)
+    every = answers_of(test)
+    answers = every.listeners
+    if not any(one.records for one in answers):
+        others = sum(one.answers for one in every.left_out)
+        why = f" that can be used; {others} are left out, the first because: {every.left_out[0].reason}"
+        raise ListeningError(f"holds no answers{why if others else ''}", file=folder / "answers")
+    table = tidy(test, opened, answers)
+    finish = len(test.pages)
+    unfinished = [one.listener for one in answers if not one.records or one.records[-1]["page"] != finish]
+    pages: list[PageResults] = []
+    for index, page in enumerate(test.pages):
+        rows = _in_order(table.of_page(index), table)
+        if rows:
+            pages += _page_results(test, index, page, rows, table, confidence, screening)
+    began = [one for one in answers if one.records]
+    simulated = sum(bool(one.header.get("simulated")) for one in began)
+    return PanelResults(
+        test, confidence, table, len(began), simulated, tuple(unfinished), every.left_out, tuple(pages)
+    )  # fmt: skip
+
+
+def _page_results(
+    test: ListeningTest,
+    index: int,
+    page: AnyPage,
+    rows: list[dict[str, Any]],
+    table: AnswerTable,
+    confidence: float,
+    screening: bool,
+) -> list[PageResults]:
+    language = test.manifest.language
+    heading = localised(page.name, language) or test.texts(language)[f"{kind_of_texts(page)}_title"]
+    base: dict[str, Any] = {"page": index + 1, "kind": page.type, "heading": heading}
+    if isinstance(page, MushraPage):
+        out = screen(rows) if screening else ()
+        kept = [row for row in rows if row["listener"] not in {s.listener for s in out}]
+        if not kept:
+            raise ListeningError(f"page {index + 1}: no listener passes the screening; --no-screening keeps all")
+        return [_rated(base, kept, table, page, confidence, out)]
+    if isinstance(page, Bs1116Page):
+        return [_rated(base, _difference_grades(rows), table, page, confidence)]
+    if isinstance(page, RatingPage):
+        labels = {scale.name: localised(scale.label, language) for scale in page.scales}
+        return [
+            _rated(
+                {**base, "heading": f"{heading}: {labels[name]}"},
+                [row for row in rows if row["item"] == name], table, page, confidence,
+            )
+            for name in unique([row["item"] for row in rows])
+        ]  # fmt: skip
+    if isinstance(page, StaircasePage):
+        unit = localised(page.unit, language)
+        found = thresholds(rows, page, unit, confidence)
+        return [PageResults(**base, listeners=len(found.listeners), factors=(), rows=tuple(rows), thresholds=found)]
+    if (task := task_of(page)) is not None or isinstance(page, PairedPage):
+        used = _used(rows, table.factors)
+        by = used or ("type",)
+        if task is None and isinstance(page, PairedPage):
+            varied = next(iter(page.pairs))
+            decided = [row for row in rows if row["value"] is not None]
+            return [
+                PageResults(
+                    **base, listeners=_count(rows), factors=used, rows=tuple(rows),
+                    cells=tuple(cell_means(decided, by, confidence)), scale=bradley_terry(decided, varied, confidence),
+                )
+            ]  # fmt: skip
+        assert task is not None
+        return [
+            PageResults(
+                **base, listeners=_count(rows), factors=used, rows=tuple(rows),
+                detections=tuple(detections(rows, by, task, confidence)),
+                by_listener=tuple(detections(rows, (*by, "listener"), task, confidence)),
+            )
+        ]  # fmt: skip
+    return []
+
+
+def _rated(
+    base: dict[str, Any],
+    rows: list[dict[str, Any]],
+    table: AnswerTable,
+    page: AnyPage,
+    confidence: float,
+    screened: tuple[ScreenedListener, ...] = (),
+) -> PageResults:
+    sounds = [row for row in rows if row["role"] in ("sound", "reference") and row["value"] is not None]
+    reference = getattr(page, "reference", {})  # its factors are the question: they come first
+    used = _used(sounds, sorted(table.factors, key=lambda factor: factor not in reference))
+    by = used or ("type",)
+    return PageResults(
+        **base,
+        listeners=_count(rows),
+        factors=used,
+        rows=tuple(rows),
+        screened=screened,
+        per_factor=tuple(mean for factor in used for mean in cell_means(sounds, (factor,), confidence)),
+        cells=tuple(cell_means(sounds, by, confidence)),
+        helpers=tuple(cell_means([row for row in rows if row["role"] != "sound"], ("role",), confidence)),
+        mixed=mixed_model(sounds, used, confidence, _levels(table, page)),
+        ranks=rank_analysis(sounds, used),
+    )
+
+
+def _in_order(rows: list[dict[str, Any]], table: AnswerTable) -> list[dict[str, Any]]:
+    """Answers by the levels heard, in the manifest's order; those to the same levels stay as they are."""
+
+    def place(row: dict[str, Any]) -> list[int]:
+        first = [(f, str(row[f]).partition(VERSUS)[0]) for f in table.factors if f in table.levels]
+        return [table.levels[f].index(level) if level in table.levels[f] else -1 for f, level in first]
+
+    return sorted(rows, key=place)
+
+
+def _levels(table: AnswerTable, page: AnyPage) -> dict[str, list[str]]:
+    """Levels of each factor, that of the page's reference first."""
+    reference: dict[str, str] = getattr(page, "reference", None) or {}
+    return {f: sorted(levels, key=lambda level: level != reference.get(f)) for f, levels in table.levels.items()}
+
+
+def _difference_grades(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """BS.1116: the sound's grade less that of the hidden reference, one row a trial."""
+    hidden = {(r["listener"], r["index"]): r["value"] for r in rows if r["role"] == "reference"}
+    return [
+        {**row, "value": row["value"] - hidden[row["listener"], row["index"]]} for row in rows if row["role"] == "sound"
+    ]
+
+
+def _used(rows: Sequence[dict[str, Any]], factors: Sequence[str]) -> tuple[str, ...]:
+    """Factors with several levels here, or with the two of a pair; repeats are no factor."""
+    found = {f: {row[f] for row in rows} for f in factors if f != "repeat"}
+    return tuple(f for f, levels in found.items() if len(levels) > 1 or any(VERSUS in str(x) for x in levels))
+
+
+def _count(rows: Sequence[dict[str, Any]]) -> int:
+    return len({row["listener"] for row in rows})
+
+
+def write_tables(found: PanelResults, folder: Path) -> None:
+    """Write ``answers.csv``, the tidy table, and ``means.csv``, one row a mean, share or threshold."""
+    found.table.write(folder / "answers.csv")
+    rows: list[dict[str, Any]] = []
+    for page in found.pages:
+        head = {"page": page.page, "type": page.kind}
+        for mean in (
+            *page.per_factor,
+            *(page.cells if len(page.factors) > 1 or not page.per_factor else ()),
+            *page.helpers,
+        ):
+            rows.append({**head, "cell": mean.label, **_numbers(asdict(mean))})
+        for one in (*page.detections, *page.by_listener):
+            label = ", ".join(f"{k}={v}" for k, v in one.cell.items())
+            rows.append({**head, "cell": label, **_numbers(asdict(one))})
+        for value in page.scale:
+            rows.append({**head, "cell": value.level, "mean": value.value, "low": value.low, "high": value.high})
+        if page.thresholds is not None:
+            for listener in page.thresholds.listeners:
+                rows.append({**head, "cell": f"listener={listener.listener}", **_numbers(asdict(listener))})
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    with whole_file(folder / "means.csv", make_folder=True) as stream:
+        stream.write(csv_text(columns, rows).encode())
+
+
+def _numbers(data: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in data.items() if k not in ("cell", "listener")}

@@ -1,0 +1,386 @@
+"""The server of a listening test: one page at a time, one answer at a time.
+
+A browser gets the step of its session: texts, slots and the answers allowed. It asks for sounds by slot, never by code
+or name, and only for those of its step. No other file can be reached: there is no listing, and no path leads from an
+address to the disk. Two slots with one sound have replies with the same headers.
+
+    GET  /                              the page; /static/... its script and style
+    POST /api/session                   begin: {listener, language} -> {token}
+    GET  /api/session/TOKEN             the step
+    POST /api/session/TOKEN             the answer: {index, ...} -> {feedback, step}
+    GET  /api/session/TOKEN/sound/INDEX/SLOT
+"""
+
+from __future__ import annotations
+
+import asyncio
+import datetime
+import io
+import json
+import re
+import sys
+import threading
+import traceback
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from tonewood.errors import TonewoodError
+from tonewood.workshop.batch.pages import LevelPage, StaircasePage
+from tonewood.workshop.batch.production import encoded_wav
+from tonewood.workshop.batch.stimuli import quantised
+from tonewood.workshop.listening.answer_file import FOLDER, OpenSession, begin, resume
+from tonewood.workshop.listening.definition import ListeningError, ListeningTest
+from tonewood.workshop.listening.http_guard import SECONDS, Guard
+from tonewood.workshop.listening.on_demand import PairSource
+from tonewood.workshop.listening.session import Step
+from tonewood.workshop.listening.shown import shown
+
+#: bytes of a request's body, and depth of its JSON
+_MOST, _DEEPEST = 65536, 8
+#: sessions in memory; others are read from the disk again when they go on
+_MOST_OPEN = 200
+#: sessions of one test, on the disk
+_MOST_SESSIONS = 10_000
+_STATIC = {"test.js": "text/javascript", "players.js": "text/javascript", "test.css": "text/css"}
+#: characters that no text needs: controls but for tab and line feed, halves of surrogate pairs
+_NO_TEXT = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\ud800-\\udfff]")
+#: slot of the tone of a level page
+TONE = "tone"
+#: loudness of a sine of 997 Hz at full scale in one channel, LUFS (BS.1770-4 annex 1)
+_FULL_SCALE_LUFS = -3.01
+
+
+class _RefusalError(Exception):
+    """A request that is not read: status and reason."""
+
+    def __init__(self, status: int, reason: str):
+        super().__init__(reason)
+        self.status, self.reason = status, reason
+
+
+@dataclass
+class _Entry:
+    """A session that is in use, or was: its lock, and how many requests hold it."""
+
+    opened: OpenSession | None = None
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    users: int = 0
+    #: step of which all sounds were read
+    read: int = -1
+
+
+class ListeningServer:
+    """Requests of listeners to one test.
+
+    Parameters
+    ----------
+    test : the definition.
+    pairs : sounds of its staircases; None if it has none.
+    """
+
+    def __init__(self, test: ListeningTest, pairs: PairSource | None = None):
+        self.test, self.pairs = test, pairs
+        self._entries: OrderedDict[str, _Entry] = OrderedDict()
+        self._lock = threading.Lock()
+        self._begun = len(list((test.folder / FOLDER).glob("*.jsonl")))
+        self._said: set[str] = set()
+
+    def application(self, host: str = "127.0.0.1", names: Collection[str] = ()) -> Guard:
+        """The application, for any ASGI server.
+
+        Parameters
+        ----------
+        host, names : address that the server listens at, and other names by which browsers reach it.
+        """
+        routes = [
+            Route("/", self._index),
+            Route("/static/{name}", self._static),
+            Route("/api/test", self._about),
+            Route("/api/session", self._begin, methods=["POST"]),
+            Route("/api/session/{token}", self._step, methods=["GET"]),
+            Route("/api/session/{token}", self._answer, methods=["POST"]),
+            Route("/api/session/{token}/sound/{index:int}/{slot}", self._sound),
+        ]
+        handlers: Any = {TonewoodError: self._fault, _RefusalError: self._refuse, Exception: _mistake}
+        return Guard(Starlette(routes=routes, exception_handlers=handlers), host, names)
+
+    async def _index(self, request: Request) -> Response:
+        return Response(_asset("test.html"), media_type="text/html")
+
+    async def _static(self, request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in _STATIC:
+            return Response(status_code=404)
+        return Response(_asset(name), media_type=_STATIC[name])
+
+    async def _about(self, request: Request) -> Response:
+        language = self._language(request.query_params.get("language", ""))
+        return JSONResponse(
+            {
+                "test": self.test.sha256[:16],
+                "title": self.test.title(language),
+                "language": language,
+                "texts": self.test.texts(language),
+            }
+        )
+
+    async def _begin(self, request: Request) -> Response:
+        asked = await _body(request)
+        language = self._language(str(asked.get("language", "")))
+        listener = asked.get("listener") or ""
+        if not isinstance(listener, str):
+            raise ListeningError("is no text", key="listener")
+
+        def make() -> str:
+            with self._lock:
+                if self._begun >= _MOST_SESSIONS:
+                    raise _RefusalError(429, f"{_MOST_SESSIONS} sessions of this test were begun, no more are allowed")
+                self._begun += 1
+            try:
+                opened = begin(self.test, language=language, listener=listener, started=_now())
+            except BaseException:
+                with self._lock:
+                    self._begun -= 1
+                raise
+            token = str(opened.header["token"])
+            with self._entry(token) as entry:
+                entry.opened = opened
+            return token
+
+        return JSONResponse({"token": await run_in_threadpool(make)}, status_code=201)
+
+    async def _step(self, request: Request) -> Response:
+        return await self._with_session(request, lambda opened, _: JSONResponse(self._shown(opened)))
+
+    async def _answer(self, request: Request) -> Response:
+        given = await _body(request)
+
+        def take(opened: OpenSession, entry: _Entry) -> Response:
+            session = opened.session
+            index = given.get("index")
+            if type(index) is not int or not 0 <= index <= len(session.answers):
+                raise ListeningError("is not the number of a step", key="index")
+            step = session.step
+            if step is None or index != step.index:
+                # sent again, as the reply to it was lost: it is on the disk, the page goes on
+                if session.has_taken(given):
+                    return JSONResponse({"feedback": None, "step": self._shown(opened)})
+                error = "this page was answered before, otherwise; that answer counts"
+                return JSONResponse({"error": error, "step": self._shown(opened)}, status_code=409)
+            page = opened.session.page
+            record = opened.answer(given, now=_now())
+            tells = step.training or bool(getattr(page, "feedback", False))
+            feedback = {"right": record["right"], "correct": record["correct"]} if tells and "right" in record else None
+            return JSONResponse({"feedback": feedback, "step": self._shown(opened)})
+
+        return await self._with_session(request, take)
+
+    async def _sound(self, request: Request) -> Response:
+        index, slot = request.path_params["index"], request.path_params["slot"]
+
+        def sound(opened: OpenSession, entry: _Entry) -> Response:
+            step = opened.session.step
+            page = opened.session.page
+            tone_asked = isinstance(page, LevelPage) and slot == TONE
+            if step is None or step.index != index or not (slot in step.slots or tone_asked):
+                return JSONResponse({"error": "the session is not at this sound"}, status_code=404)
+            try:
+                if isinstance(page, LevelPage):
+                    return Response(tone(self.test, page), media_type="audio/wav")
+                if step.level is not None and self.pairs is not None:
+                    number = opened.session.page_index or 0
+                    made = self.pairs.pair(number, step.level)
+                    self._expect(opened, number, step)
+                    return Response(made[step.slots[slot]], media_type="audio/wav")
+                if entry.read != step.index:  # the first sound costs as much whichever it is, the others are cached
+                    for code in set(step.slots.values()):
+                        self.test.sound(code).read_bytes()
+                    entry.read = step.index
+                return Response(self.test.sound(step.slots[slot]).read_bytes(), media_type="audio/wav")
+            except Exception as fault:
+                self._say(f"page {step.page + 1}, sound of listener {opened.listener!r}", fault)
+                # not a fault of the connection: the page must not ask for ever
+                return JSONResponse({"error": "a sound of this page cannot be made"}, status_code=422)
+
+        return await self._with_session(request, sound)
+
+    def _expect(self, opened: OpenSession, page: int, step: Step) -> None:
+        """Have the levels after either answer made."""
+        tracks = opened.session.tracks.get(page)
+        if self.pairs is not None and tracks and not step.training:
+            for right in (True, False):
+                self.pairs.expect(page, tracks[step.track or 0].step_after(right))
+
+    def _shown(self, opened: OpenSession) -> dict[str, Any]:
+        return shown(self.test, opened.session, opened.language)
+
+    async def _with_session(self, request: Request, use: Callable[[OpenSession, _Entry], Response]) -> Response:
+        token = request.path_params["token"]
+
+        def work() -> Response:
+            with self._entry(token) as entry, entry.lock:
+                if entry.opened is None:
+                    try:
+                        entry.opened = resume(self.test, token)
+                    except ListeningError as fault:
+                        self._say("a session cannot be continued", fault)
+                        return JSONResponse({"error": "this session cannot be continued"}, status_code=410)
+                if entry.opened is None:
+                    return JSONResponse({"error": "there is no such session"}, status_code=404)
+                try:
+                    return use(entry.opened, entry)
+                except ListeningError:
+                    raise
+                except BaseException:
+                    entry.opened = None  # the disk counts: it is read again
+                    raise
+
+        return await run_in_threadpool(work)
+
+    @contextmanager
+    def _entry(self, token: str) -> Iterator[_Entry]:
+        """The entry of a token while a request uses it; one without a session is not kept."""
+        with self._lock:
+            entry = self._entries.setdefault(token, _Entry())
+            self._entries.move_to_end(token)
+            entry.users += 1
+        try:
+            yield entry
+        finally:
+            with self._lock:
+                entry.users -= 1
+                if entry.users == 0 and entry.opened is None:
+                    del self._entries[token]
+                if len(self._entries) > _MOST_OPEN:
+                    oldest = next((t for t, e in self._entries.items() if not e.users), None)
+                    if oldest is not None:
+                        del self._entries[oldest]
+
+    async def _refuse(self, request: Request, fault: Exception) -> Response:
+        assert isinstance(fault, _RefusalError)
+        headers = {"Connection": "close"}  # of a body that was not read the rest would be taken for a request
+        return JSONResponse({"error": fault.reason}, status_code=fault.status, headers=headers)
+
+    async def _fault(self, request: Request, fault: Exception) -> Response:
+        """One line, without the paths of the server's disk."""
+        assert isinstance(fault, TonewoodError)
+        if not isinstance(fault, ListeningError):
+            self._say("an answer is not confirmed", fault)
+        status = 400 if isinstance(fault, ListeningError) else 500
+        return JSONResponse({"error": f"{fault.key}: {fault.reason}" if fault.key else fault.reason}, status)
+
+    def _say(self, place: str, fault: Exception) -> None:
+        """Print a fault for the experimenter, each once."""
+        known = isinstance(fault, (TonewoodError, OSError))
+        text = str(fault) if known else "".join(traceback.format_exception(fault)).rstrip()
+        with self._lock:
+            if (key := f"{type(fault)}{fault}") in self._said:
+                return
+            if len(self._said) < 1000:
+                self._said.add(key)
+        print(f"tonewood: {place}: {text}", file=sys.stderr, flush=True)
+
+    def _language(self, asked: str) -> str:
+        """The first language asked for (with commas between) that the test has, or its own."""
+        for wish in asked.split(","):
+            for name in (wish.strip(), wish.strip().partition("-")[0]):
+                if name in self.test.languages:
+                    return name
+        return self.test.manifest.language
+
+
+def tone(test: ListeningTest, page: LevelPage) -> bytes:
+    """Two seconds of a sine as loud as the stimuli, as WAV; it can be looped without a click.
+
+    A sine of amplitude a has the loudness -3.01 + 20 log10(a) LUFS at 1 kHz in one channel, 3.01 more in two.
+    """
+    settings = test.manifest.stimuli
+    level = settings.loudness.target_lufs - _FULL_SCALE_LUFS - 10.0 * np.log10(settings.channels)
+    cycles = round(2.0 * page.freq)  # whole periods: the end meets the beginning
+    t = np.arange(2 * settings.fs) / settings.fs
+    sound = 10.0 ** (level / 20.0) * np.sin(2 * np.pi * cycles / 2.0 * t)
+    samples = quantised(np.repeat(sound[:, None], settings.channels, axis=1), "PCM_24", np.random.default_rng(0))
+    stream = io.BytesIO()
+    encoded_wav(stream, samples, settings.fs, "PCM_24")
+    return stream.getvalue()
+
+
+def _asset(name: str) -> bytes:
+    return (files("tonewood.workshop.listening") / "static" / name).read_bytes()
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    """The body of a request as a mapping; characters that are no text are replaced.
+
+    Raises
+    ------
+    ListeningError : it is no JSON object.
+    _RefusalError : it is too long, too slow, or of another type.
+    """
+    kind = request.headers.get("content-type")
+    if kind is not None and kind.partition(";")[0].strip().lower() != "application/json":
+        raise _RefusalError(415, "application/json is wanted")
+    raw = bytearray()
+    try:
+        await asyncio.wait_for(_read(request, raw), SECONDS)
+    except TimeoutError:
+        raise _RefusalError(408, f"the request took longer than {SECONDS:g} s") from None
+    except ClientDisconnect:
+        raise _RefusalError(400, "the connection broke off") from None
+    try:
+        data = json.loads(bytes(raw) or b"{}")
+    except (ValueError, RecursionError):
+        raise ListeningError("no JSON") from None
+    if not isinstance(data, dict):
+        raise ListeningError("no JSON object")
+    return {str(key): value for key, value in _plain(data).items()}
+
+
+async def _read(request: Request, raw: bytearray) -> None:
+    async for part in request.stream():
+        raw += part
+        if len(raw) > _MOST:
+            raise _RefusalError(400, f"longer than the {_MOST} bytes allowed")
+
+
+def _plain(value: Any, depth: int = 0) -> Any:
+    """The same values with texts that can be written as UTF-8 and shown.
+
+    Raises
+    ------
+    ListeningError : they are nested too deeply.
+    """
+    if depth > _DEEPEST:
+        raise ListeningError(f"nested more than {_DEEPEST} deep")
+    if isinstance(value, str):
+        return _NO_TEXT.sub("\N{REPLACEMENT CHARACTER}", value.replace("\r\n", "\n").replace("\r", "\n"))
+    if isinstance(value, dict):
+        return {_plain(key): _plain(item, depth + 1) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item, depth + 1) for item in value]
+    return value
+
+
+async def _mistake(request: Request, fault: Exception) -> Response:
+    """The reply to a request that a mistake of the program ended; the server prints the traceback."""
+    return JSONResponse({"error": "the server made a mistake"}, status_code=500)
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+
+
+def has_staircase(test: ListeningTest) -> bool:
+    """Whether sounds are rendered on demand."""
+    return any(isinstance(page, StaircasePage) for page in test.pages)

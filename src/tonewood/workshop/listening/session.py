@@ -1,0 +1,390 @@
+"""The course of a test for one listener: which step comes next, and whether an answer fits it.
+
+A session is a function of the definition, the listener's seed and the answers so far, and of nothing else. A server
+that was killed reads the answers back and goes on at the same step, with the same sounds in the same order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from tonewood.workshop.batch.pages import (
+    AbPage,
+    AbxPage,
+    AfcPage,
+    AnyPage,
+    Bs1116Page,
+    HtmlPage,
+    MushraPage,
+    PairedPage,
+    PairPage,
+    QuestionnairePage,
+    RatingPage,
+    StaircasePage,
+    TrainingPage,
+)
+from tonewood.workshop.batch.seeds import generator
+from tonewood.workshop.listening.definition import ListeningError, ListeningTest, ServedTrial
+from tonewood.workshop.listening.staircase import StaircaseTrack
+
+LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+#: slot of the open reference
+OPEN = "reference"
+#: sounds of a staircase, in the place of codes
+STANDARD, CHANGED = "standard", "changed"
+#: seconds on one page that a browser may state: ten years, for pages that stay open
+_LONGEST = 3.2e8
+
+
+@dataclass(frozen=True)
+class Step:
+    """One page as a listener meets it.
+
+    Attributes
+    ----------
+    index : counted from 0 over the session.
+    page : index of the manifest's page.
+    trial : blind id of its trial; empty for a page without sounds.
+    slots : slot (A, B, X, 1, 2, 3, reference) -> code, in the order shown.
+    correct : the right answer, if there is one.
+    training : does not count.
+    repetition : of the trial, from 1.
+    track, level : of a staircase.
+    """
+
+    index: int
+    page: int
+    trial: str = ""
+    slots: Mapping[str, str] = field(default_factory=dict)
+    correct: str | None = None
+    training: bool = False
+    repetition: int = 1
+    track: int | None = None
+    level: float | None = None
+
+
+class Session:
+    """The course of a test for one listener.
+
+    Parameters
+    ----------
+    test : the definition.
+    seed : the listener's; it decides orders and right answers.
+
+    Attributes
+    ----------
+    step : the one to answer; None after the last.
+    answers : records of the answers taken.
+    incomplete : staircases (pages from 0) of which a trial was passed over.
+    """
+
+    def __init__(self, test: ListeningTest, seed: int):
+        self.test, self.seed = test, seed
+        self.answers: list[dict[str, Any]] = []
+        self.tracks: dict[int, list[StaircaseTrack]] = {}
+        self.incomplete: set[int] = set()
+        self._course = self._steps()
+        self.step: Step | None = next(self._course, None)
+
+    @property
+    def page_index(self) -> int | None:
+        """Index of the step's page in the manifest; of a training step, of the page that is trained."""
+        if self.step is None:
+            return None
+        page = self.test.pages[self.step.page]
+        return page.page - 1 if isinstance(page, TrainingPage) else self.step.page
+
+    @property
+    def page(self) -> AnyPage | None:
+        """The page of `page_index`."""
+        return None if self.page_index is None else self.test.pages[self.page_index]
+
+    @property
+    def total(self) -> int:
+        """Steps of the whole session; a staircase is counted as 40 trials a track, or as many as it had."""
+        count = 0
+        for index, page in enumerate(self.test.pages):
+            if isinstance(page, StaircasePage):
+                tracks = self.tracks.get(index, [])
+                done = sum(len(track.levels) for track in tracks)
+                finished = bool(tracks) and all(track.done for track in tracks)
+                count += done if finished else max(done + 5, 40 * page.tracks)
+            elif not isinstance(page, HtmlPage):
+                count += len(list(self._static(index, page)))
+        return count
+
+    def answer(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Check the answer to the step, take it, and go on; returns the record of it.
+
+        Raises
+        ------
+        ListeningError : it does not fit the step; one line.
+        """
+        record = self.record(given)
+        self.take(record)
+        return record
+
+    def record(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Check the answer to the step; returns the record of it and changes nothing.
+
+        Raises
+        ------
+        ListeningError : it does not fit the step; one line.
+        """
+        step, page = self.step, self.page
+        if step is None or page is None:
+            raise ListeningError("the test is finished")
+        answer = checked(page, step, given)
+        record: dict[str, Any] = {
+            "index": step.index,
+            "page": step.page + 1,
+            "type": page.type,
+            "trial": step.trial,
+            "training": step.training,
+            "repetition": step.repetition,
+            "slots": dict(step.slots),
+            "answer": answer,
+        }
+        if step.correct is not None:
+            record |= {"correct": step.correct, "right": answer.get("choice") == step.correct}
+        if step.track is not None:
+            record |= {"track": step.track, "level": step.level}
+        return record
+
+    def take(self, record: dict[str, Any]) -> None:
+        """Go on by an answer that was checked before.
+
+        Raises
+        ------
+        ListeningError : it belongs to another step: the file is damaged, or the test is another one.
+        """
+        step = self.step
+        same = step is not None and all(
+            record.get(key) == value
+            for key, value in (("index", step.index), ("page", step.page + 1), ("trial", step.trial))
+        )
+        if not same or step is None or dict(record["slots"]) != dict(step.slots):
+            raise ListeningError(f"answer {record.get('index')} does not belong to this test")
+        if step.track is not None and not step.training:
+            self.tracks[step.page][step.track].answer(bool(record["right"]))
+        self.answers.append(record)
+        self.step = next(self._course, None)
+
+    def pass_over(self) -> None:
+        """Go on without an answer; a staircase ends with that, because its next level is unknown."""
+        step = self.step
+        if step is not None and step.track is not None and not step.training:
+            self.incomplete.add(step.page)
+        self.step = next(self._course, None)
+
+    def has_taken(self, given: Mapping[str, Any]) -> bool:
+        """Whether the answer to an earlier step, by its `index`, is the one that was taken."""
+        index = given.get("index")
+        if type(index) is not int or not 0 <= index < len(self.answers):
+            return False
+        record = self.answers[index]
+        course = Session(self.test, self.seed)
+        for earlier in self.answers[:index]:
+            course.take(earlier)
+        try:
+            return bool(course.record(given)["answer"] == record["answer"])
+        except ListeningError:
+            return False
+
+    def _steps(self) -> Iterator[Step]:
+        index = 0
+        for number, page in enumerate(self.test.pages):
+            steps = self._adaptive(number, page) if isinstance(page, StaircasePage) else self._static(number, page)
+            for fields in steps:
+                yield Step(index=index, page=number, **fields)
+                index += 1
+
+    def _static(self, number: int, page: AnyPage) -> Iterator[dict[str, Any]]:
+        """Fields of the steps of a page whose number is known before it begins."""
+        if isinstance(page, HtmlPage):
+            return
+        trained = self.test.pages[page.page - 1] if isinstance(page, TrainingPage) else page
+        trials = self.test.trials_of(number)
+        if isinstance(page, TrainingPage):
+            if isinstance(trained, StaircasePage):
+                for k in range(page.trials):
+                    fields = self._intervals(trained, ("training", number, k), STANDARD, CHANGED)
+                    yield {**fields, "training": True, "track": 0, "level": trained.start, "repetition": k + 1}
+                return
+            if trials:
+                order = generator(self.test.manifest.seed, "training", self.seed, number).permutation(len(trials))
+                for k in range(page.trials):
+                    yield {**self._trial(trained, trials[order[k % len(trials)]], ("training", k)), "training": True}
+            return
+        if not isinstance(page, (MushraPage, Bs1116Page, PairPage, RatingPage)):
+            yield {}
+            return
+        for trial, repetition in self._ordered(number, trials, getattr(page, "times", 1)):
+            yield {**self._trial(page, trial, (repetition,)), "repetition": repetition}
+
+    def _ordered(self, number: int, trials: list[ServedTrial], times: int) -> list[tuple[ServedTrial, int]]:
+        """Trials with their repetitions: all of them once, in random order, then again in another."""
+        order = self.test.manifest.output.page_order
+        whose = self.seed if order == "per_listener" else ""
+        found = []
+        for repetition in range(1, times + 1):
+            random = generator(self.test.manifest.seed, "page order", number, repetition, whose)
+            indices = range(len(trials)) if order == "listed" else random.permutation(len(trials))
+            found += [(trials[i], repetition) for i in indices]
+        return found
+
+    def _trial(self, page: AnyPage, trial: ServedTrial, labels: tuple[object, ...]) -> dict[str, Any]:
+        """Slots and right answer of one trial."""
+        names = ("slots", self.seed, trial.id, *labels)
+        random = generator(self.test.manifest.seed, *names)
+        reference = trial.reference or ""
+        if isinstance(page, (MushraPage, Bs1116Page)):
+            codes = [reference, *trial.stimuli]
+            order = random.permutation(len(codes))
+            hidden = {LETTERS[i]: codes[k] for i, k in enumerate(order)}
+            return {"trial": trial.id, "slots": {OPEN: reference, **hidden}}
+        if isinstance(page, RatingPage):
+            return {"trial": trial.id, "slots": {"A": trial.stimuli[0]}}
+        if isinstance(page, AfcPage):
+            return {"trial": trial.id, **self._intervals(page, names, reference, trial.stimuli[0])}
+        pair = [reference, trial.stimuli[0]]
+        a, b = (pair[i] for i in random.permutation(2))
+        if isinstance(page, AbxPage):
+            x = int(random.integers(2))
+            return {"trial": trial.id, "slots": {"A": a, "B": b, "X": (a, b)[x]}, "correct": "AB"[x]}
+        if isinstance(page, AbPage):
+            same = bool(random.integers(2))
+            return {
+                "trial": trial.id,
+                "slots": {"A": a, "B": a if same else b},
+                "correct": "same" if same else "different",
+            }
+        return {"trial": trial.id, "slots": {"A": a, "B": b}}
+
+    def _intervals(
+        self, page: AfcPage | StaircasePage, labels: tuple[object, ...], standard: str, other: str
+    ) -> dict[str, Any]:
+        """Slots of a forced choice: the other sound in one of the intervals."""
+        place = int(generator(self.test.manifest.seed, "interval", self.seed, *labels).integers(page.intervals))
+        slots = {str(i + 1): other if i == place else standard for i in range(page.intervals)}
+        if page.intervals == 2 and not page.question:
+            slots = {OPEN: standard, **slots}
+        return {"slots": slots, "correct": str(place + 1)}
+
+    def _adaptive(self, number: int, page: StaircasePage) -> Iterator[dict[str, Any]]:
+        """Trials of interleaved tracks, until all have ended."""
+        tracks = self.tracks[number] = [StaircaseTrack(page) for _ in range(page.tracks)]
+        trial = 0
+        while (running := [i for i, t in enumerate(tracks) if not t.done]) and number not in self.incomplete:
+            random = generator(self.test.manifest.seed, "track", self.seed, number, trial)
+            chosen = running[int(random.integers(len(running)))]
+            fields = self._intervals(page, (number, trial), STANDARD, CHANGED)
+            trial += 1
+            yield {**fields, "track": chosen, "level": tracks[chosen].level, "repetition": trial}
+
+
+def choices(page: AnyPage, step: Step) -> list[str]:
+    """Answers that a choice allows."""
+    if isinstance(page, AbPage):
+        return ["same", "different"]
+    if isinstance(page, AbxPage):
+        return ["A", "B", *(["undecided"] if page.unforced else [])]
+    if isinstance(page, PairedPage):
+        return ["A", "B", *(["tie"] if page.tie else [])]
+    if isinstance(page, (AfcPage, StaircasePage)):
+        return [slot for slot in step.slots if slot != OPEN]
+    return []
+
+
+def checked(page: AnyPage, step: Step, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The answer to a step, with nothing in it beside the fields asked for.
+
+    Raises
+    ------
+    ListeningError : something is missing or not allowed.
+    """
+    found: dict[str, Any] = {
+        "seconds": _number(given.get("seconds", 0.0), "seconds", 0.0, _LONGEST),
+        "plays": {
+            slot: int(_number(count, f"plays.{slot}", 0, 1e6))
+            for slot, count in _mapping(given.get("plays", {}), "plays").items()
+            if slot in step.slots
+        },
+    }
+    if comment := given.get("comment"):
+        found["comment"] = _text(comment, "comment")[:2000]
+    if allowed := choices(page, step):
+        choice = given.get("choice")
+        if choice not in allowed:
+            raise ListeningError(f"{choice!r} is not one of {', '.join(allowed)}", key="choice")
+        found["choice"] = choice
+    elif isinstance(page, (MushraPage, Bs1116Page)):
+        low, high = (0.0, 100.0) if isinstance(page, MushraPage) else (1.0, 5.0)
+        ratings = _mapping(given.get("ratings"), "ratings")
+        found["ratings"] = {
+            slot: _number(ratings.get(slot), f"ratings.{slot}", low, high) for slot in step.slots if slot != OPEN
+        }
+        if isinstance(page, Bs1116Page) and max(found["ratings"].values()) < high:
+            raise ListeningError("one of the two is the reference: its grade is 5.0", key="ratings")
+    elif isinstance(page, RatingPage):
+        values = _mapping(given.get("values"), "values")
+        found["values"] = {
+            scale.name: _number(values.get(scale.name), f"values.{scale.name}", scale.low, scale.high)
+            for scale in page.scales
+        }
+    elif isinstance(page, QuestionnairePage):
+        found["values"] = _questionnaire(page, _mapping(given.get("values"), "values"))
+    elif page.type == "consent":
+        if given.get("agreed") is not True:
+            raise ListeningError("the test goes on only with it", key="agreed")
+        found["agreed"] = True
+    elif page.type == "level" and page.measured:
+        found["spl_db"] = _number(given.get("spl_db"), "spl_db", 0.0, 130.0)
+    return found
+
+
+def _questionnaire(page: QuestionnairePage, values: Mapping[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for question in page.questions:
+        value, key = values.get(question.name), f"values.{question.name}"
+        if value in (None, ""):
+            if not question.optional:
+                raise ListeningError("is missing", key=key)
+            continue
+        if question.kind == "text":
+            found[question.name] = _text(value, key)[:10_000]
+        elif question.kind == "choice":
+            if not isinstance(value, str) or value not in (question.choices or {}):
+                raise ListeningError(f"{value!r} is not one of {', '.join(question.choices or {})}", key=key)
+            found[question.name] = value
+        else:
+            limits = (question.low, question.high) if question.kind == "scale" else (-math.inf, math.inf)
+            found[question.name] = _number(value, key, *limits)
+    return found
+
+
+def _mapping(value: Any, key: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ListeningError("is missing" if value is None else "is no mapping", key=key)
+    return value
+
+
+def _text(value: Any, key: str) -> str:
+    if not isinstance(value, str):
+        raise ListeningError("is no text", key=key)
+    return value
+
+
+def _number(value: Any, key: str, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise ListeningError(f"{value!r} is not a number from {low:g} to {high:g}", key=key)
+    try:
+        number = float(value)
+    except OverflowError:  # an integer of hundreds of digits
+        number = math.inf
+    if not math.isfinite(number):
+        raise ListeningError("is not finite", key=key)
+    return number

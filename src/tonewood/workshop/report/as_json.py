@@ -1,0 +1,130 @@
+"""Facts as JSON: everything that the page shows, as plain values, without sounds and pictures."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from tonewood.instrument.inspection.wolf import WolfNote
+from tonewood.workshop.report.comparison import Comparison, finite
+from tonewood.workshop.report.facts import BodyMode, InstrumentFacts, NoteRow
+from tonewood.workshop.report.tones import Tone
+
+
+def to_json(found: Comparison) -> dict[str, Any]:
+    """A comparison, ``tonewood-compare/1``, or of one instrument a report, ``tonewood-report/1``; infinity is null."""
+    alone = len(found.instruments) == 1
+    common: dict[str, Any] = {
+        "schema": f"tonewood-{'report' if alone else 'compare'}/1",
+        "duration": found.duration,
+        "velocity_midi": found.velocity_midi,
+        "instruments": [_instrument(facts) for facts in found.instruments],
+        "modes": [
+            {
+                "modes": [None if mode is None else _mode(mode) for mode in match.modes],
+                "cents": [match.cents(i) for i in range(len(match.modes))],
+            }
+            for match in found.modes
+        ],
+        "notes": [
+            {"string": m.string, "stop": m.stop, "notes": [None if n is None else _note(n) for n in m.notes]}
+            for m in found.notes
+        ],
+        "wolf_notes": [[None if w is None else _wolf(w) for w in match.wolves] for match in found.wolves],
+    }
+    if alone:
+        return common
+    rows = [{"key": row.key, "values": list(row.values), "unit": row.unit} for row in found.parameters]
+    return {**common, "parameters": rows}
+
+
+def _instrument(facts: InstrumentFacts) -> dict[str, Any]:
+    return {
+        "label": facts.label,
+        "name": facts.name,
+        "title": facts.title,
+        "licence": facts.licence,
+        "description": facts.description,
+        "changes": list(facts.changes),
+        "added": list(facts.added),
+        "unknown": list(facts.unknown),
+        "sources": {key: source.model_dump(exclude_none=True) for key, source in facts.sources.items()},
+        "stand_ins": dict(facts.stand_ins),
+        "provenance": dict(facts.kinds),
+        "table_doubts": list(facts.table_doubts),
+        "warnings": list(facts.warnings),
+        "fs": facts.fs,
+        "mobility": {
+            "freq": _rounded(facts.freq, 4),
+            "level_db": {
+                name: _rounded(20 * np.log10(np.maximum(np.abs(y), 1e-12)), 3) for name, y in facts.mobility.items()
+            },
+        },
+        "strings": [
+            {
+                "name": s.name,
+                "note": s.note,
+                "length": s.length,
+                "linear_density": s.linear_density,
+                "tension": s.tension,
+                "given_tension": s.given_tension,
+                "held": s.held,
+                "stops": s.stops,
+                "feel": asdict(s.feel),
+                "partials": [
+                    {"number": p.number, "freq": p.freq, "cents": p.cents, "t60": finite(p.t60)} for p in s.partials
+                ],
+            }
+            for s in facts.strings
+        ],
+        "tones": {name: _tone(tone) for name, tone in facts.tones.items()},
+        "missing_tones": dict(facts.missing_tones),
+    }
+
+
+def _mode(mode: BodyMode) -> dict[str, Any]:
+    numbers = {"freq": mode.freq, "q": mode.q, "t60": mode.t60, "residue": mode.residue, "mass": mode.mass}
+    return {key: finite(value) for key, value in numbers.items()}
+
+
+def _note(note: NoteRow) -> dict[str, Any]:
+    return {
+        "note": note.note,
+        "freq": note.freq,
+        "cents": note.cents,
+        "cents_mounted": note.cents_mounted,
+        "t60": finite(note.t60),
+        "tension": note.tension,
+    }
+
+
+def _wolf(wolf: WolfNote) -> dict[str, Any]:
+    return {
+        "string": wolf.string,
+        "low_freq": wolf.low_freq,
+        "high_freq": wolf.high_freq,
+        "worst_freq": wolf.worst_freq,
+        "depth": wolf.depth,
+        "breadth_cents": wolf.breadth_cents,
+        "severity_cents": wolf.severity_cents,
+        "body_freq": wolf.body_freq,
+        "stops": list(wolf.stops),
+    }
+
+
+def _tone(tone: Tone) -> dict[str, Any]:
+    return {
+        "string": tone.string,
+        "stop": tone.stop,
+        "freq": tone.freq,
+        "peak_dbfs": finite(tone.peak_dbfs),
+        "lufs": finite(tone.lufs),
+        "time": _rounded(tone.time, 4),
+        "level_db": _rounded(tone.level_db, 2),
+    }
+
+
+def _rounded(values: Any, digits: int) -> list[float]:
+    return [round(float(v), digits) for v in values]

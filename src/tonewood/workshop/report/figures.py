@@ -1,0 +1,209 @@
+"""Figures of a report, in the style of `tonewood.support.plotting`: colours and dashes tell instruments apart."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tonewood.instrument.scales import note_name
+from tonewood.physics.plate.figures import shapes_figure
+from tonewood.sound.level.spectrum import spectrogram
+from tonewood.support.plotting import (
+    COLOURS,
+    DASHES,
+    LINE,
+    colour_bar,
+    data_uri,
+    draw_mobility,
+    draw_spectrogram,
+    figure,
+    frequency_axis,
+    legend,
+    legend_above,
+    log_axis,
+    plain,
+    png,
+    svg,
+    title,
+)
+from tonewood.workshop.report.comparison import Comparison, WolfMatch
+from tonewood.workshop.report.tones import matched_gains_db
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: panels, bars of wolf notes and strings' ends that a figure shows at most
+MOST_PANELS, MOST_WOLVES, MOST_ENDS = 12, 10, 6
+#: dB shown of a spectrogram and of a decay; Hz, highest frequency of a spectrogram
+RANGE_DB, TOP_FREQ = 80.0, 6000.0
+#: window of a spectrogram, samples at 48 kHz, and of notes below `_LOW_FREQ` Hz
+_WINDOW, _LONG_WINDOW, _LOW_FREQ = 4096, 8192, 70.0
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A figure as an address that holds it, with its text for those who do not see it."""
+
+    uri: str
+    alt: str
+
+
+def _names(found: Comparison) -> list[str]:
+    return [facts.short for facts in found.instruments]
+
+
+def mobility_picture(found: Comparison) -> Picture | None:
+    """Mobility of the body at strings' ends; None where no body moves.
+
+    Of one instrument, all ends in one row; of several, a row for the end of the first string and one for the last.
+    """
+    first = found.instruments[0]
+    ends = [name for name in first.mobility if all(name in facts.mobility for facts in found.instruments)]
+    if not ends:
+        return None
+    if len(found.instruments) == 1:
+        shown = ends if len(ends) <= MOST_ENDS else [ends[int(i)] for i in np.linspace(0, len(ends) - 1, MOST_ENDS)]
+        made, axes = figure(heights=[5.5])
+        draw_mobility(axes[0, 0], first.freq, {f"{name}": first.mobility[name] for name in shown})
+        legend(axes[0, 0], title="at the end of", ncols=3)
+        return Picture(_svg(made), f"Mobility of the body of {first.name} at the ends of its strings")
+    shown = list(dict.fromkeys((ends[0], ends[-1])))
+    made, axes = figure(len(shown), heights=[4.2] * len(shown), sharex=True)
+    for ax, name in zip(axes[:, 0], shown, strict=True):
+        for i, facts in enumerate(found.instruments):
+            level = 20 * np.log10(np.maximum(np.abs(facts.mobility[name]), 1e-12))
+            ax.plot(facts.freq, level, color=COLOURS[i], ls=DASHES[i % 4], lw=LINE, label=plain(_names(found)[i]))
+        frequency_axis(ax, float(first.freq[0]), float(first.freq[-1]))
+        ax.set(ylabel="mobility\ndB re 1 (m/s)/N", xlabel="frequency, Hz" if name == shown[-1] else "")
+        title(ax, f"at the end of {name}")
+    legend_above(made, axes[0, 0])
+    return Picture(_svg(made), f"Mobility of the bodies at the ends of {' and '.join(shown)}, overlaid")
+
+
+def shapes_pictures(found: Comparison) -> list[Picture]:
+    """First modes of every body whose whole surface is known, with their nodal lines."""
+    made = []
+    for facts in found.instruments:
+        if facts.surface is None or not len(facts.surface.areas):
+            continue
+        basis, heading = facts.surface_modes, facts.heading if len(found.instruments) > 1 else ""
+        drawn = shapes_figure(facts.surface, basis.natural_freq, 0.5 / basis.damping_ratio, heading=heading)
+        made.append(Picture(data_uri(png(drawn, 60), "image/png"), f"First modes of the body of {facts.name}"))
+    return made
+
+
+def notes_picture(found: Comparison, quantity: str) -> Picture:
+    """T60 or cents of every stop, a panel per string.
+
+    Parameters
+    ----------
+    quantity : ``t60`` or ``cents_mounted``.
+    """
+    label = {"t60": "T60, s", "cents_mounted": "cents"}[quantity]
+    strings = list(dict.fromkeys(match.string for match in found.notes))
+    stopped = any(match.stop for match in found.notes)
+    panels = strings[:MOST_PANELS] if stopped else [""]
+    columns = 2 if len(panels) > 1 else 1
+    rows = -(-len(panels) // columns)
+    lines = [DASHES[i % 4] if stopped else "" for i in range(len(found.instruments))]  # strings are no sequence
+    made, axes = figure(rows, columns, heights=[2.6 if rows > 1 else 4.0] * rows, sharex=stopped, sharey=True)
+    for ax in axes.ravel()[len(panels) :]:
+        ax.set_axis_off()
+    for p, (ax, string) in enumerate(zip(axes.ravel(), panels, strict=False)):
+        mine = [match for match in found.notes if not string or match.string == string]
+        x = np.array([match.stop for match in mine]) if stopped else np.arange(len(mine))
+        for i in range(len(found.instruments)):
+            values = [np.nan if (n := m.notes[i]) is None else getattr(n, quantity) for m in mine]
+            values = [v if np.isfinite(v) else np.nan for v in values]
+            ax.plot(x, values, "o", ls=lines[i], color=COLOURS[i], ms=6, lw=LINE, label=plain(_names(found)[i]))
+        if quantity == "t60":
+            log_axis(ax)
+        if stopped:
+            title(ax, string)
+            ax.xaxis.get_major_locator().set_params(integer=True)
+        elif len(mine) <= 24:
+            ax.set_xticks(x, [plain(match.string) for match in mine])
+        if p % columns == 0:
+            ax.set_ylabel(label)
+        if stopped and p >= len(panels) - columns:
+            ax.set_xlabel("stop")
+    if len(found.instruments) > 1:
+        legend_above(made, axes[0, 0])
+    return Picture(_svg(made), f"{label} of every note, by string")
+
+
+def wolf_picture(found: Comparison) -> Picture | None:
+    """Severity of the worst wolf notes as bars; None where there is none."""
+    worst = found.wolves[:MOST_WOLVES]
+    if not worst:
+        return None
+    count = len(found.instruments)
+    made, axes = figure(heights=[1.6 + 0.3 * len(worst) * count + 0.15 * len(worst)])
+    ax = axes[0, 0]
+    for i in range(count):
+        places = [k + (i - (count - 1) / 2) * 0.8 / count for k in range(len(worst))]
+        sizes = [0.0 if (w := match.wolves[i]) is None else w.severity_cents for match in worst]
+        ax.barh(places, sizes, height=0.72 / count, color=COLOURS[i], label=plain(_names(found)[i]))
+    ax.set_yticks(range(len(worst)), [plain(wolf_name(match)) for match in worst])
+    ax.set(xlabel="severity, cents", ylim=(len(worst) - 0.5, -0.5))
+    ax.grid(visible=False, axis="y")
+    if count > 1:
+        legend_above(made, ax)
+    return Picture(_svg(made), "Severity of the worst wolf notes")
+
+
+def wolf_name(match: WolfMatch) -> str:
+    """String and pitch of a wolf note where it is worst."""
+    wolf = max((w for w in match.wolves if w is not None), key=lambda w: w.severity_cents)
+    return f"{wolf.string} near {note_name(round(69 + 12 * np.log2(wolf.worst_freq / 440.0)))}"
+
+
+def decay_picture(found: Comparison, note: str) -> Picture:
+    """Level over time of a note on every instrument that plays it, dB re the first one's loudest 20 ms."""
+    played = [(i, facts.tones[note]) for i, facts in enumerate(found.instruments) if note in facts.tones]
+    top = float(played[0][1].level_db.max())
+    made, axes = figure(heights=[4.0])
+    ax = axes[0, 0]
+    for i, tone in played:
+        ax.plot(
+            tone.time, tone.level_db - top, color=COLOURS[i], ls=DASHES[i % 4], lw=LINE, label=plain(_names(found)[i])
+        )
+    highest = max(float(tone.level_db.max()) for _, tone in played) - top
+    of = f" of {found.instruments[played[0][0]].label}" if len(found.instruments) > 1 else ""
+    ax.set(xlabel="time, s", ylabel=f"level\ndB re maximum{of}")
+    ax.set(xlim=(0.0, found.duration), ylim=(-RANGE_DB, highest + 5.0))
+    if len(found.instruments) > 1:
+        legend_above(made, ax)
+    return Picture(_svg(made), f"Level of {note} over time")
+
+
+def spectrogram_picture(found: Comparison, note: str) -> Picture:
+    """Spectrogram of a note on every instrument that plays it, a row each, at one loudness."""
+    played = [(i, facts.tones[note]) for i, facts in enumerate(found.instruments) if note in facts.tones]
+    gains = matched_gains_db([tone for _, tone in played])
+    rows = []
+    for (_, tone), gain in zip(played, gains, strict=True):
+        window = _LONG_WINDOW if tone.freq < _LOW_FREQ else _WINDOW
+        time, freq, level = spectrogram(
+            tone.samples, tone.fs, window=round(window * tone.fs / 48000), columns=500, freq_upper=TOP_FREQ
+        )
+        rows.append((time, freq, level + gain))
+    top = max(float(level.max()) for _, _, level in rows)
+    made, axes = figure(len(rows), heights=[3.0] * len(rows), sharex=True)
+    shown: Any = None
+    for ax, (i, _), (time, freq, level) in zip(axes[:, 0], played, rows, strict=True):
+        shown = draw_spectrogram(ax, time, freq, level - top, floor_db=-RANGE_DB)
+        if len(found.instruments) > 1:
+            ax.set_ylabel(f"{found.instruments[i].label}: frequency, kHz")
+    axes[-1, 0].set(xlabel="time, s", xlim=(0.0, found.duration))
+    colour_bar(made, shown, axes[:, 0], "level, dB")
+    stream = io.BytesIO()
+    made.savefig(stream, format="png", dpi=96, metadata={"Software": None})
+    return Picture(data_uri(stream.getvalue(), "image/png"), f"Spectrogram of {note}")
+
+
+def _svg(made: Figure) -> str:
+    return data_uri(svg(made), "image/svg+xml")

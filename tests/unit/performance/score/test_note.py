@@ -1,0 +1,62 @@
+"""Notes refuse numbers that cannot be; controllers act on the notes after them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tonewood.errors import ScoreError
+from tonewood.performance.score.note import Control, Note, Score, volume_factors
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("time", -0.1),
+        ("time", float("nan")),
+        ("duration", float("inf")),
+        ("note", float("nan")),
+        ("freq", 0.0),
+        ("force", -1.0),
+        ("velocity_midi", 128),
+        ("channel", 16),
+        ("stop", -1),
+        ("freq", "C4"),
+        ("angle_deg", float("inf")),
+    ],
+)
+def test_impossible_numbers_are_refused_by_name(field, value):
+    with pytest.raises(ScoreError, match=f"^{field} of a note is {value!r}"):
+        Note(**{"time": 0.0, field: value})
+
+
+def test_numpy_numbers_are_numbers():
+    assert Note(time=np.float64(1.0), note=np.int64(60)).time == 1.0
+
+
+def test_duration_of_a_score_is_its_last_notes_end():
+    assert Score([Note(0.0, 5.0), Note(1.0, 1.0)]).duration == 5.0
+    assert Score([]).duration == 0.0
+
+
+def test_factors_follow_channel_time_and_order_of_notes():
+    controls = [Control(1.0, "cc7", 0.5, 0), Control(2.0, "cc11", 0.5, 0), Control(2.0, "cc7", 1.0, 0)]
+    notes = [Note(2.5, channel=0), Note(0.9, channel=0), Note(1.0, channel=0), Note(1.5, channel=1)]
+    assert volume_factors(Score(notes, controls)) == [0.25, 1.0, 0.25, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("time", "kind", "value", "said"),
+    [
+        (0.0, "cc1", 1.01, "cc1 of 1.01 at 0.0 s: 0 to 1 are allowed"),
+        (0.0, "cc1", -0.5, "0 to 1 are allowed"),
+        (0.0, "bend", math.nan, "bend of nan at 0.0 s: finite cents are allowed"),
+        (-1.0, "bend", 5.0, "times from 0 are allowed"),
+        (math.inf, "cc64", 0.5, "times from 0 are allowed"),
+    ],
+)
+def test_controls_out_of_range(time: float, kind: str, value: float, said: str) -> None:
+    with pytest.raises(ScoreError, match=said):
+        Control(time, kind, value)

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tonewood.errors import OutputError
+from tonewood.support.folder_lock import FILE, locked
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from tonewood.support.folder_lock import locked
+with locked(Path(sys.argv[1]), "another command"):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_one_process_at_a_time_until_it_is_killed(tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    link = tmp_path / "link"
+    link.symlink_to(folder)
+    process = subprocess.Popen([sys.executable, "-c", HOLD, str(folder)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        for place in (folder, link, tmp_path / "x" / ".." / "folder"):
+            (tmp_path / "x").mkdir(exist_ok=True)
+            holder = f"is in use by another command, process {process.pid}"
+            with pytest.raises(OutputError, match=holder), locked(place, "this"):
+                pytest.fail("two processes hold one lock")
+    finally:
+        process.kill()
+        process.wait()
+    assert (folder / FILE).exists()  # the file is left, the lock is not
+    with locked(link, "this"), pytest.raises(OutputError, match="is in use by this"), locked(folder, "that"):
+        pytest.fail("two holders of one lock")
+    assert list(folder.iterdir()) == []
+
+
+def test_an_error_frees_the_lock(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), locked(tmp_path, "this"):
+        raise ZeroDivisionError
+    with locked(tmp_path, "that"):
+        pass
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot be written"), locked(tmp_path / "file", "this"):
+        pytest.fail("a file is no folder")

@@ -1,0 +1,137 @@
+"""A test to which answers were given stays as it is; levels of staircases are made before anybody listens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import batch_fakes as fakes
+import pytest
+from batch_fakes import FakeRenderer
+
+from tonewood.errors import NumericalError, OutputError, TonewoodError
+from tonewood.support.folder_lock import locked
+from tonewood.workshop.batch.manifest import ManifestError
+from tonewood.workshop.batch.runner import plan_batch, run_batch
+
+SMALL: dict[str, Any] = {
+    "scores": {"low": {"phrase": [{"time": 0.0, "freq": 220.0, "force": 1.0}]}},
+    "pages": [{"type": "mushra", "group_by": ["score"], "reference": {"damping": "complex", "pluck": "near"},
+               "strict": False}],
+    "repeats": 1, "vary": {}, "exclude": [], "output": {"formats": ["test", "json"]},
+}  # fmt: skip
+STAIRS: dict[str, Any] = {
+    "type": "staircase", "path": "body.t60", "of": {"damping": "complex", "pluck": "near"},
+    "scale": "value", "start": 0.2, "lowest": 0.1, "highest": 0.4, "steps": [0.05], "reference": 0.05,
+}  # fmt: skip
+
+
+def files(folder: Path) -> dict[str, tuple[int, bytes]]:
+    return {
+        path.relative_to(folder).as_posix(): (path.stat().st_mtime_ns, path.read_bytes())
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_a_batch_does_not_replace_a_test_under_its_answers(tmp_path: Path) -> None:
+    path, out = fakes.write(tmp_path, fakes.manifest(**SMALL)), tmp_path / "out"
+    run_batch(path, out, FakeRenderer())
+    answers = out / "answers"
+    answers.mkdir()
+    (answers / "1.jsonl").write_text('{"listener": "begun, nothing answered"}\n')
+    fakes.write(tmp_path, fakes.manifest(**SMALL, title="first"))
+    assert run_batch(path, out, FakeRenderer()).ok
+    (answers / "1.jsonl").write_text("{}\n{}\n{}\n")
+    before = files(out)
+    line = r"test\.json: 2 answers were given to this test, and .* would be replaced: take another folder with -o"
+    for change, renderer in (
+        ({"title": "second"}, FakeRenderer()),
+        ({"seed": 99}, FakeRenderer()),
+        ({"factors": fakes.manifest()["factors"] | {"more": {"path": "body.x", "levels": {"a": 1}}}}, FakeRenderer()),
+        ({"title": "first"}, FakeRenderer(version="2")),  # the same test, but of other sounds
+    ):
+        fakes.write(tmp_path, fakes.manifest(**SMALL) | change)
+        for run in (run_batch, plan_batch):
+            with pytest.raises(ManifestError, match=line):
+                run(path, out, renderer)
+    assert files(out) == before
+    fakes.write(tmp_path, fakes.manifest(**SMALL, title="first"))
+    assert run_batch(path, out, FakeRenderer()).rendered == 0  # the same test and sounds again
+    test = (out / "test.json").read_bytes()
+    assert test == before["test.json"][1]
+    (out / "test.json").write_text("{")
+    with pytest.raises(ManifestError, match=line):
+        run_batch(path, out, FakeRenderer())
+    (out / "test.json").write_bytes(test)
+    fakes.write(tmp_path, fakes.manifest(**SMALL, title="second"))
+    answers.rename(out / "answers of the first")
+    assert run_batch(path, out, FakeRenderer()).ok
+
+
+def test_a_batch_does_not_write_under_a_server(tmp_path: Path) -> None:
+    path, out = fakes.write(tmp_path, fakes.manifest(**SMALL)), tmp_path / "out"
+    run_batch(path, out, FakeRenderer())
+    before = files(out)
+    with locked(out, "tonewood serve"), pytest.raises(OutputError, match="is in use by tonewood serve, process"):
+        run_batch(path, out, FakeRenderer(version="2"))
+    assert files(out) == before
+
+
+class Limited(FakeRenderer):
+    """Refuses one value of a parameter: as it is set, or as it is rendered, or only in a whole render."""
+
+    def __init__(self, refused: float, where: str):
+        super().__init__()
+        self.refused, self.where = refused, where
+
+    def own_value(self, condition: Any, path: str) -> Any:
+        value = super().own_value(condition, path)
+        if self.where == "set" and value == self.refused:
+            raise TonewoodError("a value above 0 is wanted")
+        return value
+
+    def render(self, condition: Any) -> Any:
+        if self.where == "rendered" and condition.overrides.get("body.t60") == self.refused:
+            raise NumericalError("not finite at 0.1 s")
+        if self.where == "mistake" and condition.overrides.get("body.t60") == self.refused:
+            raise ZeroDivisionError("of a plugin")
+        return super().render(condition)
+
+
+@pytest.mark.parametrize("where", ["set", "rendered", "mistake"])
+@pytest.mark.parametrize("name", ["reference", "start", "lowest", "highest"])
+@pytest.mark.parametrize("predict", [True, False])
+def test_each_level_of_a_staircase_is_made_beforehand(tmp_path: Path, name: str, where: str, predict: bool) -> None:
+    path = fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS]}))
+    with pytest.raises(ManifestError, match=rf"pages\.0\.{name}: the level cannot be rendered: ") as caught:
+        plan_batch(path, tmp_path / "out", Limited(STAIRS[name], where), predict=predict)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+    levels = [level.condition.name for level in plan_batch(path, tmp_path / "out", FakeRenderer()).levels]
+    assert len(set(levels)) == 4
+
+
+def test_levels_that_are_silent_or_not_finite_are_reported(tmp_path: Path) -> None:
+    class Silent(FakeRenderer):
+        def render(self, condition: Any) -> Any:
+            sound = super().render(condition)
+            if condition.overrides.get("body.t60") == STAIRS["lowest"]:
+                sound.samples[:] = 0.0
+            return sound
+
+    path = fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS]}))
+    report = run_batch(path, tmp_path / "out", Silent())
+    assert [fault.name.rpartition("(")[2] for fault in report.faults] == ["pages.0.lowest)"]
+    for change in ({"scale": "db", "reference": 0.1, "highest": 1e6}, {"scale": "percent", "highest": float("inf")}):
+        fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS | change]}))
+        with pytest.raises(ManifestError, match=r"pages\.0\.highest"):
+            plan_batch(path, tmp_path / "out", FakeRenderer())
+
+
+def test_levels_are_in_the_store_when_the_first_listener_comes(tmp_path: Path) -> None:
+    path = fakes.write(tmp_path, fakes.manifest(**SMALL | {"pages": [STAIRS]}))
+    assert run_batch(path, tmp_path / "out", FakeRenderer()).ok
+    again = plan_batch(path, tmp_path / "out", FakeRenderer())
+    assert again.todo == ()
+    assert len(again.levels) == 4

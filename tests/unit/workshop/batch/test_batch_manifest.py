@@ -1,0 +1,339 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import batch_fakes as fakes
+import jsonschema
+import numpy as np
+import pytest
+
+from tonewood.performance.score.note import Note
+from tonewood.workshop.batch.conditions import Draw, expand, vary_notes
+from tonewood.workshop.batch.layout import lay_out
+from tonewood.workshop.batch.manifest import (
+    ManifestError,
+    NoteFields,
+    check_manifest,
+    load_manifest,
+    manifest_schema,
+)
+from tonewood.workshop.batch.seeds import blind_codes
+
+STAIRS = {
+    "type": "staircase", "path": "body.t60", "start": 0.5, "lowest": 0.1, "highest": 1.0, "steps": [0.1],
+}  # fmt: skip
+HERE = Path()
+
+
+def conditions(**changes):
+    return expand(check_manifest(fakes.manifest(**changes)), HERE)
+
+
+def test_crossed_conditions_in_the_manifest_s_order() -> None:
+    names = [c.name for c in conditions()]
+    assert len(names) == len(set(names)) == 2 * 3 * 2
+    assert names[:3] == [
+        "harp.low.damping=complex.pluck=near",
+        "harp.low.damping=complex.pluck=far",
+        "harp.low.damping=proportional.pluck=near",
+    ]
+    assert names[-1] == "harp.high.damping=block.pluck=far"
+
+
+def test_levels_become_overrides_and_render_settings() -> None:
+    factors = fakes.BASE["factors"] | {
+        "rate": {"path": "render.fs", "levels": {"half": 24000, "full": 48000}},
+        "tail": {"path": "render.tail", "levels": {"short": 2.0}},
+    }
+    first = conditions(factors=factors)[0]
+    assert first.overrides == {"body.t60": 0.5, "body.detune": 1.0}
+    assert (first.render.fs, first.render.tail, first.render.tail_level_db) == (24000, 2.0, -90.0)
+
+
+def test_earlier_spellings_of_render_settings_mean_the_same() -> None:
+    now = {"outputs": ["tailpiece"], "tail": 3.0, "tail_level_db": -40.0}
+    before = {"output": "tailpiece", "tail": {"energy_db": -40.0, "cap": 3.0}}
+    a, b = (conditions(render=render)[0].render for render in (now, before))
+    assert a == b
+    assert (a.outputs, a.tail, a.tail_level_db) == (("tailpiece",), 3.0, -40.0)
+    factor = {"path": "render.tail.cap", "levels": {"short": 2.0}}
+    c = conditions(render=before, factors=fakes.BASE["factors"] | {"tail": factor})[0].render
+    assert (c.tail, c.tail_level_db) == (2.0, -40.0)
+
+
+def test_exclusion_takes_out_matching_subsets() -> None:
+    left = conditions(exclude=[{"damping": "block", "pluck": "far"}, {"score": "high", "damping": "proportional"}])
+    assert len(left) == 12 - 2 - 2
+    assert not [c for c in left if c.levels == {"damping": "block", "pluck": "far"}]
+    with pytest.raises(ManifestError, match="nothing is left"):
+        conditions(exclude=[{"instrument": "harp"}])
+
+
+def test_listed_conditions() -> None:
+    rows = [{"damping": "complex", "pluck": "near"}, {"damping": "block", "pluck": "far", "score": "low"}]
+    listed = conditions(design="listed", conditions=rows)
+    assert [(c.score, c.levels["damping"]) for c in listed] == [
+        ("low", "complex"),
+        ("high", "complex"),
+        ("low", "block"),
+    ]
+
+
+def test_repeats_share_one_performance_across_levels() -> None:
+    vary = {"exciters.pluck.force": {"normal_db": 1.0}, "note.time": {"uniform": 0.01}, "body.x": {"normal": 2}}
+    made = conditions(repeats=2, vary=vary)
+    first = {c.levels["damping"]: c for c in made if c.score == "low" and c.repeat == 1}
+    second = next(c for c in made if c.score == "low" and c.repeat == 2)
+    assert first["complex"].draws == first["block"].draws
+    force, time, body = first["complex"].draws
+    assert (force.note_field, time.note_field, body.note_field) == ("force", "time", None)
+    assert not np.array_equal(force.values(3), second.draws[0].values(3))
+    assert np.array_equal(force.values(5)[:3], force.values(3))
+
+
+def test_draws_follow_their_laws() -> None:
+    def draw(law: str) -> Draw:
+        return Draw("note.force", law, 0.5, 3, ("a",))
+
+    n = 20_000
+    uniform, normal, factor = (draw(law).values(n) for law in ("uniform", "normal", "normal_db"))
+    assert np.max(np.abs(uniform)) <= 0.5
+    assert uniform.std() == pytest.approx(0.5 / np.sqrt(3), rel=0.02)
+    assert normal.std() == pytest.approx(0.5, rel=0.02)
+    assert (20 * np.log10(factor)).std() == pytest.approx(0.5, rel=0.02)
+
+
+def test_varied_notes() -> None:
+    draw = Draw("note.force", "normal_db", 0.5, 3, ("a",))
+    place = Draw("exciters.pluck.from_bridge", "uniform", 0.002, 3, ("a",))
+    notes = (Note(0.0, force=1.0, from_bridge=0.1), Note(1.0), Note(2.0, velocity_midi=64))
+    later = Draw("note.time", "uniform", 0.1, 3, ("a",))
+
+    def base(draw: Draw, note: Note) -> float | None:
+        value = getattr(note, draw.note_field)
+        return 3.0 if value is None and draw.note_field == "force" else value
+
+    got = vary_notes(notes, (later, draw, place), base)
+    factors, shifts = draw.values(3), place.values(3)
+    np.testing.assert_allclose([n.force for n in got], [1.0, 3.0, 3.0] * factors, rtol=1e-15)
+    assert got[0].from_bridge == pytest.approx(0.1 + shifts[0])
+    assert got[1].from_bridge is None
+    np.testing.assert_allclose([n.time for n in got], np.maximum(np.arange(3) + later.values(3), 0.0))
+
+
+def test_inline_notes_have_the_fields_of_notes() -> None:
+    assert set(NoteFields.model_fields) == {f.name for f in dataclasses.fields(Note)}
+    assert NoteFields(time=1.0, string="s4").to_note() == Note(1.0, string="s4")
+
+
+def test_codes_are_the_seed_s_and_tell_no_order() -> None:
+    names = [f"condition {i}" for i in range(500)]
+    codes = blind_codes(1, names)
+    assert len(set(codes.values())) == 500
+    assert codes == blind_codes(1, names)
+    assert not set(codes.values()) & set(blind_codes(2, names).values())
+    assert {codes[n] for n in names[::-1]} == set(blind_codes(1, names[::-1]).values())
+    order = np.argsort(np.argsort(list(codes.values())))
+    assert abs(np.corrcoef(order, np.arange(500))[0, 1]) < 0.15
+
+
+def test_midi_scores(tmp_path: Path) -> None:
+    score = {"piece": {"midi": "piece.mid", "start": 1.0, "stop": 2.0}}
+    data = check_manifest(fakes.manifest(scores=score))
+    with pytest.raises(ManifestError, match=r"scores\.piece\.midi: piece\.mid cannot be read"):
+        expand(data, tmp_path)
+    (tmp_path / "piece.mid").write_bytes(b"one")
+    one = expand(data, tmp_path)[0]
+    (tmp_path / "piece.mid").write_bytes(b"two")
+    two = expand(data, tmp_path)[0]
+    assert one.midi is not None
+    assert one.midi["path"] == str(tmp_path / "piece.mid")
+    assert one.asked() != two.asked()
+    assert str(tmp_path) not in json.dumps(one.asked())
+
+
+def test_bundle_names_and_paths() -> None:
+    folder = Path("/batches")
+    made = expand(check_manifest(fakes.manifest(instruments={"a": "harp", "b": "./mine", "c": "/x/y"})), folder)
+    assert [c.bundle for c in made[::12]] == ["harp", "/batches/mine", "/x/y"]
+
+
+def test_a_folder_beside_the_manifest_needs_no_dot(tmp_path: Path) -> None:
+    """The name of an installed instrument keeps its meaning."""
+    for name in ("mine", "monochord"):
+        (tmp_path / name).mkdir()
+    names = {"a": "mine", "b": "monochord", "c": "gone"}
+    made = expand(check_manifest(fakes.manifest(instruments=names)), tmp_path)
+    assert [c.bundle for c in made[::12]] == [str(tmp_path / "mine"), "monochord", "gone"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"seed": "x"}, "m.yaml: seed: Input should be a valid integer, not 'x'"),
+        ({"seed": None}, "m.yaml: seed: is missing"),
+        ({"repeats": True}, "m.yaml: repeats: Input should be a valid integer, not True"),
+        ({"schema": "tonewood-batch/2"}, "m.yaml: schema: Input should be 'tonewood-batch/1', not"),
+        ({"name": "../x"}, "m.yaml: name: String should match pattern"),
+        ({"stimuly": {}}, "m.yaml: stimuly: is not a known key; did you mean stimuli? allowed: schema, name,"),
+        (
+            {"render": {"precision": "f64"}},
+            "m.yaml: render.precision: was removed in 0.2: samples are always computed in double precision; `tonewood",
+        ),
+        (
+            {"factors": fakes.BASE["factors"] | {"f": {"path": "render.precision", "levels": {"x": "f32"}}}},
+            "m.yaml: factors.f.levels.x: was removed in 0.2",
+        ),
+        ({"stimuli": {"fade": {"inn": 1.0}}}, "m.yaml: stimuli.fade.inn: is not a known key; did you mean in?"),
+        ({"stimuli": {"duration": -1.0}}, "m.yaml: stimuli.duration: Input should be 'page_max'; or"),
+        ({"stimuli": {"subtype": "PCM_8"}}, "m.yaml: stimuli.subtype: Input should be 'PCM_16' or 'PCM_24'"),
+        ({"scores": {"a": {"phrase": [{"time": "0"}]}}}, "m.yaml: scores.a.phrase.0.time: Input should be a"),
+        ({"scores": {"a": {"phrase": [{"time": 0, "tim": 1}]}}}, "m.yaml: scores.a.phrase.0.tim: is not a known key"),
+        ({"scores": {"a": {}}}, "m.yaml: scores.a: give either phrase or midi"),
+        ({"scores": {"a": {"midi": "x", "start": 2, "stop": 1}}}, "m.yaml: scores.a: stop must be later"),
+        ({"factors": {"score": {"path": "a", "levels": {"x": 1}}}}, "m.yaml: factors: score is not free"),
+        ({"factors": {"f": {"path": "a b", "levels": {"x": 1}}}}, "m.yaml: factors.f.path: String should"),
+        (
+            {"factors": fakes.BASE["factors"] | {"f": {"path": "render.fs", "levels": {"x": "no"}}}},
+            "m.yaml: factors.f.levels.x: Input should be a valid integer",
+        ),
+        (
+            {"factors": fakes.BASE["factors"] | {"f": {"path": "render.speed", "levels": {"x": 1}}}},
+            "m.yaml: factors.f.levels.x: is not a known key",
+        ),
+        ({"exclude": [{"damping": "compex"}]}, "m.yaml: exclude.0.damping: compex is not one of complex,"),
+        ({"exclude": [{"dampng": "complex"}]}, "m.yaml: exclude.0: dampng is not one of instrument, score,"),
+        ({"design": "listed"}, "m.yaml: design: listed and conditions belong together"),
+        ({"design": "listed", "conditions": [{"pluck": "far"}]}, "m.yaml: conditions.0: no level of damping"),
+        ({"vary": {"note.force": {}}}, "m.yaml: vary.note.force: give exactly one of normal_db"),
+        ({"pages": [{"type": "musra"}]}, "m.yaml: pages.0.type: musra is not one of 'consent', 'instructions',"),
+        ({"pages": [{"name": "x"}]}, "m.yaml: pages.0.type: is missing"),
+        ({"pages": []}, "m.yaml: pages: List should have at least 1 item"),
+        ({"pages": [{"type": "html", "anchors": [3500]}]}, "m.yaml: pages.0: anchors are made from a reference"),
+        (
+            {"pages": [{"type": "mushra", "reference": {"damping": "x"}}]},
+            "m.yaml: pages.0.reference.damping: x is not one of complex, proportional, block",
+        ),
+        (
+            {"pages": [{"type": "mushra", "reference": {"damping": "block"}, "anchors": [3000]}]},
+            "m.yaml: pages.0.anchors.0: Input should be 3500 or 7000, not 3000",
+        ),
+        (
+            {"pages": [{"type": "html", "group_by": ["scor"]}]},
+            "m.yaml: pages.0.group_by: scor is not one of instrument, score, damping, pluck, repeat",
+        ),
+        ({"pages": [{"type": "abx", "pairs": {"dampng": "all"}}]}, "m.yaml: pages.0.pairs: dampng is not one of instr"),
+        (
+            {"pages": [{"type": "paired_comparison", "pairs": {"damping": "all"}, "question": "?", "unforced": "no"}]},
+            "m.yaml: pages.0.unforced: was removed in 0.2: which of two is the reference is asked by type abx;",
+        ),
+        (
+            {"pages": [{"type": "paired_comparison", "pairs": {"damping": "all"}}]},
+            "m.yaml: pages.0.question: is missing",
+        ),
+        ({"pages": [{"type": "training", "page": 1}]}, "m.yaml: pages.0.page: 1 is no page with trials"),
+        (
+            {"pages": [{"type": "instructions", "name": {"deutsch!": "x"}}]},
+            "m.yaml: pages.0.name",
+        ),
+        (
+            {"pages": [STAIRS | {"start": 2.0}]},
+            "m.yaml: pages.0: lowest <= start <= highest is wanted",
+        ),
+        ({"pages": [STAIRS | {"of": {"damping": "x"}}]}, "m.yaml: pages.0.of.damping: x is not one of complex,"),
+        ({"stimuli": {"loudness": {"short": "ungated_400ms"}}}, "m.yaml: stimuli.loudness.short: was removed in 0.2"),
+        (
+            {"pages": [{"type": "abx", "pairs": {"damping": ["block"]}}]},
+            "m.yaml: pages.0.pairs: a pair is two different levels",
+        ),
+    ],
+)
+def test_faults_are_one_line(changes, line: str) -> None:
+    with pytest.raises(ManifestError) as caught:
+        check_manifest(fakes.manifest(**changes), file=Path("m.yaml"))
+    assert str(caught.value).startswith(line), str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_too_many_conditions() -> None:
+    levels = {f"l{i}": i for i in range(400)}
+    factors = {name: {"path": name, "levels": levels} for name in ("a", "b")}
+    with pytest.raises(ManifestError, match="320000 conditions; 100000 are allowed"):
+        conditions(factors=factors, pages=None)
+
+
+def test_the_schema_accepts_what_the_model_accepts(tmp_path: Path) -> None:
+    schema = manifest_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(fakes.manifest(), schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(fakes.manifest(stimuly={}), schema)
+    assert load_manifest(fakes.write(tmp_path, fakes.manifest())).name == "damping"
+
+
+def groups_of(**changes):
+    data = check_manifest(fakes.manifest(**changes))
+    return lay_out(data, expand(data, HERE))
+
+
+def test_mushra_pages_hold_one_reference_and_its_rivals() -> None:
+    groups, notes = groups_of(repeats=2)
+    mushra = [g for g in groups if g.page == 0]
+    assert len(mushra) == 2 * 2 * 2  # score, pluck and, always, repeat
+    assert not notes
+    for group in mushra:
+        (trial,) = group.trials
+        by_code = {s.code: s.condition for s in group.stimuli}
+        assert "damping=complex" in by_code[trial.reference]
+        assert len(trial.stimuli) == 3  # an anchor among them
+        assert sum("damping=complex" in by_code[c] for c in trial.stimuli) == 1
+        assert trial.stimuli == tuple(sorted(trial.stimuli))
+    codes = [s.code for g in groups for s in g.stimuli]
+    assert len(codes) == len(set(codes))
+
+
+def test_pairs_differ_in_one_factor_only() -> None:
+    page = {"type": "abx", "pairs": {"damping": [["complex", "block"], ["complex", "proportional"]]}}
+    groups, _ = groups_of(pages=[page])
+    (group,) = groups
+    by_code = {s.code: s.condition for s in group.stimuli}
+    pairs = {(by_code[t.reference], by_code[t.stimuli[0]]) for t in group.trials}
+    assert len(pairs) == 2 * 2 * 2
+    for a, b in pairs:
+        parts = zip(a.split("."), b.split("."), strict=True)
+        assert [x.split("=")[0] for x, y in parts if x != y] == ["damping"]
+    assert len(group.stimuli) == 12
+
+
+def test_the_audition_takes_what_is_on_no_other_page() -> None:
+    rated = {"type": "mushra", "group_by": ["score"], "reference": {"damping": "complex", "pluck": "near"}}
+    groups, _ = groups_of(pages=[{"type": "html"}])
+    assert [(len(g.stimuli), g.fixed) for g in groups] == [
+        (6, {"instrument": "harp", "score": "low", "repeat": "1"}),
+        (6, {"instrument": "harp", "score": "high", "repeat": "1"}),
+    ]
+    groups, _ = groups_of(pages=[rated, {"type": "html"}])
+    assert {g.page for g in groups} == {0}
+    anchored = {"type": "html", "group_by": ["score", "pluck"], "reference": {"damping": "complex"}}
+    groups, _ = groups_of(pages=[anchored | {"anchors": [3500, 7000]}])
+    assert sorted(s.role for s in groups[0].stimuli) == ["anchor35", "anchor70", "sound", "sound", "sound"]
+
+
+def test_pages_that_cannot_be() -> None:
+    mushra = {"type": "mushra", "group_by": ["score"], "reference": {"damping": "complex"}}
+    with pytest.raises(ManifestError, match=r"pages\.0\.reference: .*names 2 conditions on page1\.score=low"):
+        groups_of(pages=[mushra])
+    only = mushra | {"reference": {"damping": "complex", "pluck": "near"}}
+    with pytest.raises(ManifestError, match="names 0 conditions"):
+        groups_of(pages=[only], exclude=[{"damping": "complex", "score": "high"}])
+    groups, notes = groups_of(pages=[only], exclude=[{"damping": d, "score": "high"} for d in ("block", "proportional")]
+                              + [{"pluck": "far", "score": "high"}])  # fmt: skip
+    assert len(groups) == 1
+    assert notes == ["page1.score=high.repeat=1 is left out: nothing to compare after exclusion"]
+    many = {"damping": {"path": "body.t60", "levels": {f"l{i}": 0.1 * (i + 1) for i in range(12)}}}
+    crowded = mushra | {"reference": {"damping": "l0"}, "anchors": [3500]}
+    with pytest.raises(ManifestError, match=r"13 signals on page1.* at most 12 \(BS\.1534\), or strict: false"):
+        groups_of(factors=many, pages=[crowded])
+    assert groups_of(factors=many, pages=[crowded | {"strict": False}])[0]

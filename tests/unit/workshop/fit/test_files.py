@@ -1,0 +1,201 @@
+"""Files of measurements: every kind says the same, and a fault of one is reported in one line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import soundfile as sf
+from fit_scenes import random_body
+
+from tonewood.errors import TonewoodError
+from tonewood.workshop.fit.files import Reading, read_responses
+
+FREQ = np.arange(50.0, 250.0)
+TRUTH = random_body(3, seed=0, high=220.0).noisy(FREQ, 0.01, seed=0)[0]
+PAIRS = (("a", "a"), ("b", "a"))
+
+
+def write_csv(path, polar=False, coherence=False):
+    columns, head = [FREQ], ["freq_Hz"]
+    for (point, reference), row in zip(PAIRS, TRUTH, strict=True):
+        parts = (np.abs(row), np.degrees(np.angle(row))) if polar else (row.real, row.imag)
+        for part, values in zip(("mag", "phase") if polar else ("re", "im"), parts, strict=True):
+            head.append(f"{point}:{reference}_{part}")
+            columns.append(values)
+        if coherence:
+            head.append(f"{point}:{reference}_coherence")
+            columns.append(np.full(FREQ.size, 0.98))
+    rows = [",".join(map(repr, map(float, row))) for row in np.array(columns).T]
+    path.write_text("\n".join([",".join(head), *rows]) + "\n")
+    return path
+
+
+def test_csv_npz_and_uff_say_the_same(tmp_path):
+    pyuff = pytest.importorskip("pyuff")
+    rectangular = read_responses([write_csv(tmp_path / "a.csv")], Reading("mobility"))
+    polar = read_responses([write_csv(tmp_path / "b.csv", polar=True, coherence=True)], Reading("mobility", n_hits=5))
+    np.savez(tmp_path / "c.npz", freq_Hz=FREQ, **{f"{p}:{r}": x for (p, r), x in zip(PAIRS, TRUTH, strict=True)})
+    packed = read_responses([tmp_path / "c.npz"], Reading("mobility"))
+    universal = pyuff.UFF(str(tmp_path / "d.uff"))
+    for (point, _), row in zip(PAIRS, TRUTH, strict=True):
+        node = {"a": 1, "b": 2}[point]
+        universal.write_sets(
+            pyuff.prepare_58(
+                func_type=4, rsp_node=node, rsp_dir=3, ref_node=1, ref_dir=3, rsp_ent_name="NONE",
+                ref_ent_name="NONE", data=row, x=FREQ, binary=1, id1="", id2="", id3="", id4="", id5="",
+                load_case_id=0, abscissa_spacing=1, abscissa_spec_data_type=18, ordinate_spec_data_type=11,
+                orddenom_spec_data_type=13,
+            ),
+            mode="add",
+        )  # fmt: skip
+    binary = read_responses([tmp_path / "d.uff"], Reading())
+    assert rectangular.pairs == polar.pairs == packed.pairs == PAIRS
+    assert binary.pairs == (("1+3", "1+3"), ("2+3", "1+3"))
+    for other in (polar, packed, binary):
+        assert np.allclose(other.mobility, rectangular.mobility, rtol=1e-12, atol=0)
+        assert np.array_equal(other.freq, FREQ)
+    assert polar.coherence is not None
+    assert set(rectangular.files) == {"a.csv"}
+    with pytest.raises(TonewoodError, match="says mobility while --form says accelerance"):
+        read_responses([tmp_path / "d.uff"], Reading("accelerance"))
+
+
+def test_forms_differ_by_powers_of_s(tmp_path):
+    path = write_csv(tmp_path / "a.csv")
+    s = 1 / 0.2 + 2j * np.pi * FREQ
+    for form, power in (("receptance", 1), ("mobility", 0), ("accelerance", -1)):
+        read = read_responses([path], Reading(form, window_tau=0.2))
+        assert np.allclose(read.mobility, TRUTH * s**power, rtol=1e-12)
+
+
+def test_hits_of_wav_and_csv_say_the_same(tmp_path):
+    rng, fs, n = np.random.default_rng(1), 4000, 2000
+    t = np.arange(n)
+    paths = {"wav": [], "csv": []}
+    for hit in range(3):
+        force = 0.5 * np.exp(-0.5 * ((t - 30) / 3.0) ** 2)
+        motion = 0.3 * np.exp(-t / 300) * np.sin(t / (6 + 0.1 * hit)) + 1e-3 * rng.normal(size=n)
+        sf.write(tmp_path / f"{hit}.wav", np.stack([force, motion], axis=1), fs, subtype="DOUBLE")
+        rows = [
+            f"{i / fs!r},{100 * f!r},{50 * m!r}"
+            for i, f, m in zip(t.tolist(), force.tolist(), motion.tolist(), strict=True)
+        ]
+        (tmp_path / f"{hit}.csv").write_text("\n".join(["time_s,a_force,a", *rows]) + "\n")
+        paths["wav"].append(tmp_path / f"{hit}.wav")
+        paths["csv"].append(tmp_path / f"{hit}.csv")
+    reading = Reading("accelerance", points=("a",), references=(("a", ""),), sensitivity=(100.0, 50.0), window_tau=0.1)
+    wav, csv = (read_responses(paths[kind], reading) for kind in ("wav", "csv"))
+    assert wav.kept == csv.kept == (3, 3)
+    assert wav.alpha == pytest.approx(10.0)
+    assert np.allclose(wav.mobility[:, 1:], csv.mobility[:, 1:], rtol=1e-9)
+
+
+def test_a_universal_file_says_its_units_and_its_pressures(tmp_path):
+    """In mm (164: 1000 of them per metre) with forces in N, and a pressure in Pa beside it."""
+    pyuff = pytest.importorskip("pyuff")
+    universal = pyuff.UFF(str(tmp_path / "a.uff"))
+    units = {
+        "type": 164, "units_code": 5, "units_description": "MM (MILLI-NEWTON)", "temp_mode": 1, "length": 1000.0,
+        "force": 1.0, "temp": 1.0, "temp_offset": 273.15,
+    }  # fmt: skip
+    universal.write_sets(units, mode="add")
+    for ordinate, row, node in ((12, 1000 * TRUTH[0], 4), (15, TRUTH[1], 9)):
+        universal.write_sets(
+            pyuff.prepare_58(
+                func_type=4, rsp_node=node, rsp_dir=3 if ordinate == 12 else 0, ref_node=4, ref_dir=3,
+                rsp_ent_name="NONE", ref_ent_name="NONE", data=row, x=FREQ, binary=1, id1="", id2="", id3="", id4="",
+                id5="", load_case_id=0, abscissa_spacing=1, abscissa_spec_data_type=18,
+                ordinate_spec_data_type=ordinate, orddenom_spec_data_type=13,
+            ),
+            mode="add",
+        )  # fmt: skip
+    read = read_responses([tmp_path / "a.uff"], Reading())
+    assert read.pairs == (("4+3", "4+3"),)
+    assert np.allclose(read.mobility[0], TRUTH[0] / (2j * np.pi * FREQ), rtol=1e-12)
+    assert np.allclose(read.pressure["9+0", "4+3"], TRUTH[1], rtol=1e-12)
+
+
+def test_hits_on_two_points(tmp_path):
+    """Each file says where it was struck; a WAV by the beginning of its name. Responses of both are kept apart."""
+    rng, fs, n = np.random.default_rng(1), 4000, 2000
+    t, paths = np.arange(n), []
+    for struck, size in (("a", 1.0), ("b", 2.0)):
+        for hit in range(2):
+            force = 0.5 * np.exp(-0.5 * ((t - 30) / 3.0) ** 2)
+            motion = [size * 0.1 * np.exp(-t / 300) * np.sin(t / w) + 1e-4 * rng.normal(size=n) for w in (6, 7)]
+            paths.append(tmp_path / f"{struck}_{hit}.wav")
+            sf.write(paths[-1], np.stack([force, *motion], axis=1), fs, subtype="DOUBLE")
+    where = (("a", "a_"), ("b", "b_"))
+    reading = Reading("mobility", points=("a", "b"), references=where, sensitivity=(1.0, 1.0, 1.0))
+    read = read_responses(paths, reading)
+    assert read.pairs == (("a", "a"), ("b", "a"), ("a", "b"), ("b", "b"))
+    assert read.references == ("a", "b")
+    assert read.kept == (4, 4)
+    assert read.n_hits == 2
+    assert read.coherence.shape == (4, n // 2 + 1)
+    alone = read_responses(paths[2:], reading)
+    assert np.array_equal(read.mobility[2:], alone.mobility)
+    with pytest.raises(TonewoodError, match="the point that the hammer struck is not named"):
+        read_responses(paths, Reading("mobility", points=("a", "b"), references=where[:1], sensitivity=(1.0, 1.0, 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("text", "reported"),
+    [
+        ("freq_Hz,a:a_re,a:a_im\n1,2\n", "2 numbers under 3 columns"),
+        ("f,a:a_re,a:a_im\n1,2,3\n", "no column freq_Hz"),
+        ("freq_Hz,a:a_re\n1,2\n", "no column a:a_im"),
+        ("freq_Hz,a_re,a_im\n1,2,3\n", "POINT:REFERENCE is allowed"),
+        ("freq_Hz,a:a_re,a:a_im\n1,x,3\n", "not a finite number"),
+        ("", "no rows"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_reported_in_one_line(tmp_path, text, reported):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(TonewoodError, match=reported) as fault:
+        read_responses([path], Reading("mobility"))
+    assert "bad.csv" in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "reported"),
+    [
+        ({"freq_Hz": FREQ.astype(str)}, "freq_Hz: is no row of real numbers"),
+        ({"freq_Hz": FREQ + 1j}, "freq_Hz: is no row of real numbers"),
+        ({"freq_Hz": np.array(3.0)}, "freq_Hz: is no row of real numbers"),
+        ({"freq_Hz": np.full(FREQ.size, np.nan)}, "freq_Hz: holds a value that is not a finite number"),
+        ({"a:a": np.array(["a"] * FREQ.size)}, "a:a: is no row of complex numbers"),
+        ({"a:a_coherence": TRUTH[0]}, "a:a_coherence: is no row of real numbers"),
+    ],
+)
+def test_what_is_wrong_with_arrays_is_reported_in_one_line(tmp_path, arrays, reported):
+    np.savez(tmp_path / "bad.npz", **({"freq_Hz": FREQ, "a:a": TRUTH[0]} | arrays))
+    with pytest.raises(TonewoodError, match=f"bad.npz: {reported}"):
+        read_responses([tmp_path / "bad.npz"], Reading("mobility"))
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:200] + b"x" + b[201:], lambda _: b""])
+def test_a_damaged_archive_of_arrays_is_reported_in_one_line(tmp_path, damage):
+    path = tmp_path / "bad.npz"
+    np.savez(path, **{"freq_Hz": FREQ, "a:a": TRUTH[0]})
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(TonewoodError, match=r"bad\.npz: is no npz file of arrays: ") as fault:
+        read_responses([path], Reading("mobility"))
+    assert "\n" not in str(fault.value)
+
+
+def test_what_is_wrong_with_a_measurement_is_reported_in_one_line(tmp_path):
+    path = write_csv(tmp_path / "a.csv")
+    with pytest.raises(TonewoodError, match="--form: the quantity measured is not stated"):
+        read_responses([path], Reading())
+    with pytest.raises(TonewoodError, match="negative real part over"):
+        read_responses([path], Reading("accelerance")).checked()
+    swapped = read_responses([path], Reading("mobility"))
+    with pytest.raises(TonewoodError, match="1e-5 to 1e4 kg"):
+        type(swapped)(swapped.freq, swapped.mobility * 1e-9, swapped.pairs).checked()
+    with pytest.raises(TonewoodError, match="nothing was measured at 'a'"):
+        type(swapped)(swapped.freq, swapped.mobility[1:], swapped.pairs[1:]).checked()
+    with pytest.raises(TonewoodError, match="--band"):
+        swapped.band(60.0, 70.0)

@@ -1,0 +1,324 @@
+"""Requests that are refused, replies that tell nothing, and memory that stays bounded."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import listening_fakes as fakes
+import pytest
+from listening_fakes import request
+
+from tonewood.errors import OutputError, TonewoodError
+from tonewood.workshop.listening import server as server_module
+from tonewood.workshop.listening.answer_file import answers_of
+from tonewood.workshop.listening.definition import ListeningTest
+from tonewood.workshop.listening.http_guard import Guard
+from tonewood.workshop.listening.on_demand import RenderedPairs
+from tonewood.workshop.listening.server import ListeningServer
+
+PAGES = [{"type": "consent"}, {"type": "mushra", "reference": {"damping": "complex"}, "group_by": ["pluck"]}]
+
+
+@pytest.fixture(scope="module")
+def test(tmp_path_factory: pytest.TempPathFactory) -> ListeningTest:
+    return fakes.made(tmp_path_factory.mktemp("guard"), PAGES)
+
+
+def begun(application: Any, **asked: Any) -> str:
+    status, _, raw = request(application, "POST", "/api/session", json.dumps(asked).encode())
+    assert status == 201, raw
+    return f"/api/session/{json.loads(raw)['token']}"
+
+
+@pytest.mark.parametrize(
+    ("host", "headers", "status"),
+    [
+        ("127.0.0.1", {"Host": "localhost"}, None),
+        ("127.0.0.1", {"Host": "LocalHost.:8000"}, None),
+        ("127.0.0.1", {"Host": "127.0.0.1:1"}, None),
+        ("127.0.0.1", {"Host": "[::1]:8000"}, None),
+        ("::1", {"Host": "[::1]"}, None),
+        ("127.0.0.1", {"Host": "evil.example"}, 421),
+        ("127.0.0.1", {"Host": "127.0.0.1.evil.example"}, 421),
+        ("127.0.0.1", {"Host": "127.0.0.1@evil.example"}, 421),
+        ("127.0.0.1", {"Host": "evil.example:8000"}, 421),
+        ("127.0.0.1", {"Host": "0.0.0.0:8000"}, 421),
+        ("127.0.0.1", {"Host": "192.168.1.2"}, 421),
+        ("127.0.0.1", {"Host": ""}, 421),
+        ("127.0.0.1", {"Host": "localhost/"}, 421),
+        ("0.0.0.0", {"Host": "192.168.1.2:8000"}, None),
+        ("0.0.0.0", {"Host": "[fe80::1]:8000"}, None),
+        ("0.0.0.0", {"Host": socket.gethostname()}, None),
+        ("0.0.0.0", {"Host": "evil.example"}, 421),
+        ("0.0.0.0", {"Host": "Test.Example"}, None),
+        ("127.0.0.1", {"Host": "localhost:8000", "Origin": "http://localhost:8000"}, None),
+        ("127.0.0.1", {"Host": "localhost", "Origin": "http://localhost"}, None),
+        ("127.0.0.1", {"Host": "[::1]:8000", "Origin": "http://[::1]:8000"}, None),
+        ("127.0.0.1", {"Host": "test.example", "Origin": "https://test.example"}, None),
+        ("127.0.0.1", {"Host": "localhost:8000", "Origin": "http://localhost:8001"}, 403),
+        ("127.0.0.1", {"Host": "localhost:8000", "Origin": "http://127.0.0.1:8000"}, 403),
+        ("127.0.0.1", {"Host": "localhost:8000", "Origin": "http://localhost"}, 403),
+        ("127.0.0.1", {"Host": "localhost:8000", "Origin": "null"}, 403),
+        ("127.0.0.1", {"Host": "localhost:8000", "Origin": "http://evil.example"}, 403),
+        ("127.0.0.1", {"Host": "localhost:8000", "Origin": "file://"}, 403),
+    ],
+)
+def test_host_and_origin_are_those_of_the_server(host: str, headers: dict[str, str], status: int | None) -> None:
+    guard = Guard(None, host, ["test.example"])
+    found = guard.fault([(k.lower().encode(), v.encode()) for k, v in headers.items() if v])
+    assert (found and found[0]) == status
+
+
+def test_two_hosts_are_one_too_many(test: ListeningTest) -> None:
+    guard = Guard(None)
+    assert guard.fault([(b"host", b"localhost"), (b"host", b"localhost")])[0] == 421
+    assert guard.fault([(b"host", b"localhost"), (b"origin", b"http://localhost"), (b"origin", b"null")])[0] == 403
+    status, headers, _ = request(ListeningServer(test).application(), "GET", "/", headers={"Host": "evil.example"})
+    assert status == 421
+    assert headers["x-content-type-options"] == "nosniff"
+
+
+def test_json_alone_is_read(test: ListeningTest) -> None:
+    application = ListeningServer(test).application()
+    base = begun(application)
+    body = json.dumps({"index": 0, "agreed": True}).encode()
+    for kind in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data", "application/jsonp"):
+        assert request(application, "POST", base, body, {"Content-Type": kind})[0] == 415
+    assert json.loads(request(application, "GET", base)[2])["index"] == 0
+    assert request(application, "POST", base, body, {"Content-Type": "Application/JSON; charset=utf-8"})[0] == 200
+
+
+NESTED = b'{"index": 1, "ratings": ' + b'{"A": ' * 30 + b"1" + b"}" * 31
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"\xff", b"{", b"null", b"[]", b'"x"', b"{}", b'{"index": true}', b'{"index": 1.0}', b'{"index": -1}',
+        b'{"index": 2}', b'{"index": "1"}', b'{"index": 1}', b'{"index": 1, "ratings": {"A": NaN}}', NESTED,
+        b'{"index": 1, "seconds": 1e999}', b'{"index": 1, "seconds": ' + b"9" * 400 + b"}",
+        b'{"index": 1, "seconds": ' + b"9" * 5000 + b"}", b'{"index": 1, "plays": {"A": ' + b"9" * 400 + b"}}",
+        b'{"index": 1, "comment": ["\\ud800"]}', b'{"index": 1, "\\ud800": 1, "ratings": "\\ud800"}',
+        b'{"index": 1, "ratings": {"A": "\\udfff"}}', b"[" * 60_000, b" " * 70_000,
+    ],
+)  # fmt: skip
+def test_bodies_that_fit_nothing_are_one_line_and_move_nothing(test: ListeningTest, body: bytes) -> None:
+    application = ListeningServer(test).application()
+    base = begun(application)
+    assert request(application, "POST", base, b'{"index": 0, "agreed": true}')[0] == 200
+    status, _, raw = request(application, "POST", base, body)
+    assert status == 400
+    assert len(json.loads(raw)["error"]) < 1000
+    assert json.loads(request(application, "GET", base)[2])["index"] == 1
+
+
+def rated(application: Any, base: str, **more: Any) -> dict[str, Any]:
+    step = json.loads(request(application, "GET", base)[2])
+    slots = [slot for slot in step["slots"] if slot != step["open"]]
+    return {"index": step["index"], "ratings": dict.fromkeys(slots, 50), **more}
+
+
+def test_half_a_surrogate_pair_is_replaced_and_the_answer_is_on_the_disk(test: ListeningTest) -> None:
+    """Half a pair in a name or a comment: the answer is confirmed once, written once, and read by the analysis."""
+    application = ListeningServer(test).application()
+    base = begun(application, listener="a\ud800b\x00\x1b[1m", language="\udfff")
+    assert request(application, "POST", base, b'{"index": 0, "agreed": true}')[0] == 200
+    text = json.dumps(rated(application, base, comment="x\ud83dy\x00\U0001f600")).encode()
+    for _ in range(2):  # and again, as the page does when it gets no reply
+        assert request(application, "POST", base, text)[0] == 200
+    (one,) = [a for a in answers_of(test).listeners if a.header["token"] in base]
+    assert [r["index"] for r in one.records] == [0, 1]
+    assert one.records[1]["answer"]["comment"] == "x\ufffdy\ufffd\U0001f600"
+    assert one.listener == "a\ufffdb\ufffd\ufffd[1m"
+    assert answers_of(test).left_out == ()
+
+
+def test_another_answer_to_an_earlier_page_is_refused_in_words(test: ListeningTest) -> None:
+    """Two windows show one page: the second answer is not confirmed, because it is not on the disk."""
+    application = ListeningServer(test).application()
+    base = begun(application)
+    request(application, "POST", base, b'{"index": 0, "agreed": true}')
+    first, second = (rated(application, base, seconds=s) for s in (1.0, 2.0))
+    assert request(application, "POST", base, json.dumps(first).encode())[0] == 200
+    status, _, raw = request(application, "POST", base, json.dumps(second).encode())
+    assert (status, json.loads(raw)["step"]["index"]) == (409, 2)
+    assert request(application, "POST", base, json.dumps(first).encode())[0] == 200
+    (one,) = [a for a in answers_of(test).listeners if a.header["token"] in base]
+    assert [r["answer"].get("seconds") for r in one.records] == [0.0, 1.0]
+
+
+def test_a_failure_of_the_disk_is_printed_and_the_page_sends_again(
+    test: ListeningTest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    application = ListeningServer(test).application()
+    base = begun(application)
+    fsync = os.fsync
+
+    def broken(handle: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "fsync", broken)
+    monkeypatch.setattr(os, "ftruncate", lambda handle, length: broken(handle))
+    answer = b'{"index": 0, "agreed": true}'
+    for _ in range(3):  # the line is in the file, but not confirmed by the disk
+        assert request(application, "POST", base, answer)[0] == 500
+    assert "Input/output error" in capsys.readouterr().err
+    monkeypatch.undo()
+    assert os.fsync is fsync
+    status, _, raw = request(application, "POST", base, answer)
+    assert (status, json.loads(raw)["step"]["index"]) == (200, 1)
+    (one,) = [a for a in answers_of(test).listeners if a.header["token"] in base]
+    assert [r["index"] for r in one.records] == [0]
+
+
+def test_replies_do_not_tell_that_two_slots_have_one_sound(test: ListeningTest) -> None:
+    application = ListeningServer(test).application()
+    base = begun(application)
+    request(application, "POST", base, b'{"index": 0, "agreed": true}')
+    step = json.loads(request(application, "GET", base)[2])
+    asked = {"Range": "bytes=0-9", "If-None-Match": "*", "If-Modified-Since": "Thu, 01 Jan 2099 00:00:00 GMT"}
+    for more in ({}, asked):
+        replies = [request(application, "GET", f"{base}/sound/1/{s}", headers=more) for s in step["slots"]]
+        assert {status for status, _, _ in replies} == {200}
+        assert len({tuple(sorted(headers.items())) for _, headers, _ in replies}) == 1
+        assert not {"etag", "last-modified", "accept-ranges", "expires"} & set(replies[0][1])
+        assert {len(sound) for _, _, sound in replies} == {int(replies[0][1]["content-length"])}
+
+
+def test_sessions_and_unknown_tokens_are_bounded(test: ListeningTest, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_module, "_MOST_OPEN", 5)
+    server = ListeningServer(test)
+    application = server.application()
+    for k in range(50):
+        assert request(application, "GET", f"/api/session/{k:032x}")[0] == 404
+        assert request(application, "POST", f"/api/session/{'x' * k}", b'{"index": 0}')[0] in (404, 405, 307)
+    assert not server._entries
+    places = [begun(application) for _ in range(12)]
+    assert len(server._entries) == 5
+    for base in places:  # those that are no longer in memory go on from the disk
+        assert request(application, "POST", base, b'{"index": 0, "agreed": true}')[0] == 200
+        assert len(server._entries) <= 5
+    monkeypatch.setattr(server_module, "_MOST_SESSIONS", server._begun + 1)
+    begun(application)
+    status, _, raw = request(application, "POST", "/api/session", b"{}")
+    assert (status, b"no more are allowed" in raw) == (429, True)
+    assert ListeningServer(test)._begun == server._begun  # a restart begins no new count
+
+
+def test_a_sound_that_cannot_be_made_is_printed_and_asked_for_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    test = fakes.made(tmp_path, [fakes.STAIRS])
+    for fault in (TonewoodError("this level cannot be made"), ZeroDivisionError("of a plugin")):
+
+        class Failing(fakes.fakes.FakeRenderer):
+            def render(self, condition: Any, fault: Exception = fault) -> Any:
+                raise fault
+
+        for old in (test.folder / "work").glob("*.npz"):
+            old.unlink()
+        application = ListeningServer(test, RenderedPairs(test, Failing())).application()
+        base = begun(application)
+        for _ in range(2):
+            status, _, raw = request(application, "GET", f"{base}/sound/0/1")
+            assert (status, json.loads(raw)["error"]) == (422, "a sound of this page cannot be made")
+        assert capsys.readouterr().err.count(str(fault)) == 1
+
+
+def test_a_full_disk_does_not_stop_a_staircase(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    test = fakes.made(tmp_path, [fakes.STAIRS])
+    for old in (test.folder / "work").glob("*.npz"):
+        old.unlink()
+    pairs = RenderedPairs(test, fakes.fakes.FakeRenderer())
+    whole = pairs.pair(0, 4.0)
+
+    def full(*args: object) -> None:
+        raise OutputError("cannot be written: No space left on device")
+
+    for old in (test.folder / "work").glob("*.npz"):
+        old.unlink()
+    other = RenderedPairs(test, fakes.fakes.FakeRenderer())
+    monkeypatch.setattr(other._store, "save", full)
+    assert other.pair(0, 4.0) == whole
+
+
+def test_damage_is_said_to_the_listener_and_to_the_experimenter(
+    test: ListeningTest, capsys: pytest.CaptureFixture[str]
+) -> None:
+    application = ListeningServer(test).application()
+    base = begun(application)
+    request(application, "POST", base, b'{"index": 0, "agreed": true}')
+    path = test.folder / "answers" / f"{base.rpartition('/')[2]}.jsonl"
+    path.write_bytes(path.read_bytes() + b"garbage\n")
+    application = ListeningServer(test).application()
+    assert request(application, "GET", base)[0] == 410
+    assert f"{path}: line 3: not JSON" in capsys.readouterr().err
+    path.unlink()
+    assert request(application, "GET", base)[0] == 404
+
+
+def test_two_servers_do_not_share_a_folder(test: ListeningTest, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(test.folder)
+    command = [sys.executable, "-m", "tonewood", "serve", "--port", "0"]
+    first = subprocess.Popen([*command, str(test.folder)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert first.stdout is not None
+        assert first.stdout.readline().startswith("http://127.0.0.1:")
+        second = subprocess.run([*command, str(tmp_path / "link")], capture_output=True, text=True, timeout=60)
+        assert second.returncode == 2
+        assert f"is in use by tonewood serve, process {first.pid}: stop it first" in second.stderr
+        assert second.stderr.count("\n") == 1
+    finally:
+        first.kill()
+        first.wait()
+    third = subprocess.Popen([*command, str(test.folder)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert third.stdout is not None
+        assert third.stdout.readline().startswith("http://127.0.0.1:")
+    finally:
+        third.kill()
+        third.wait()
+
+
+def test_connections_that_wait_for_ever_are_closed(test: ListeningTest) -> None:
+    host = b"Host: localhost\r\n"
+    kinds = [
+        b"", b"POST /api/session HTTP/1.1\r\n" + host,
+        b"POST /api/session HTTP/1.1\r\n" + host + b"Content-Length: 60000\r\n\r\n{",
+        b"POST /api/session HTTP/1.1\r\nHost: x\r\nContent-Length: 60000\r\n\r\n{",
+        b"GET /api/test HTTP/1.1\r\n" + host + b"\r\nGET /api/",
+    ]  # fmt: skip
+    command = [sys.executable, str(Path(__file__).parent / "serve_in_process.py"), str(test.folder), "0"]
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]), "SECONDS": "0.5", "CONNECTIONS": "20"
+    }  # fmt: skip
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        port = int(process.stdout.readline())
+        sockets = []
+        for kind in kinds:
+            sockets.append(socket.create_connection(("127.0.0.1", port), timeout=60))
+            sockets[-1].sendall(kind)
+        for one in sockets:
+            try:
+                while one.recv(65536):
+                    pass
+            except ConnectionResetError:
+                pass
+        # more at a time than are allowed: the oldest make room for the next
+        many = [socket.create_connection(("127.0.0.1", port), timeout=60) for _ in range(100)]
+        with socket.create_connection(("127.0.0.1", port), timeout=60) as one:
+            one.sendall(b"GET /api/test HTTP/1.1\r\n" + host + b"Connection: close\r\n\r\n")
+            assert one.recv(15) == b"HTTP/1.1 200 OK"
+        for one in (*many, *sockets):
+            one.close()
+    finally:
+        process.kill()
+        process.wait()

@@ -1,0 +1,294 @@
+from __future__ import annotations
+
+import csv
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import listening_fakes as fakes
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from tonewood.workshop.batch.pages import StaircasePage
+from tonewood.workshop.listening import detection, means, power, thresholds
+from tonewood.workshop.listening.definition import ListeningError
+from tonewood.workshop.listening.models import bradley_terry, mixed_model, rank_analysis
+from tonewood.workshop.listening.panel import SimulatedPanel, read_panel, simulate
+from tonewood.workshop.listening.report import write_report
+from tonewood.workshop.listening.results import analyse, write_tables
+
+pytest.importorskip("statsmodels")
+
+
+def panel(**changes) -> SimulatedPanel:
+    return SimulatedPanel.model_validate({"schema": "tonewood-panel/1", **changes})
+
+
+def row(listener: str, value: float, role: str = "sound", trial: str = "t", **levels) -> dict:
+    return {"listener": listener, "value": value, "role": role, "trial": trial, "repetition": 1, **levels}
+
+
+def test_a_simulated_panel_s_effects_are_found_again(tmp_path: Path) -> None:
+    pages = [
+        {"type": "mushra", "group_by": ["pluck"], "reference": {"damping": "complex"}, "anchors": [3500, 7000]},
+        {"type": "abx", "pairs": {"damping": ["complex", "block"]}, "group_by": ["pluck"], "times": 10},
+        {"type": "afc", "pairs": {"pluck": ["near", "far"]}, "times": 10},
+        {"type": "ab", "pairs": {"damping": ["complex", "block"]}, "times": 30},
+        {"type": "paired_comparison", "pairs": {"pluck": "all"}, "question": "Brighter?", "times": 4},
+        fakes.STAIRS | {"tracks": 2},
+    ]
+    test = fakes.made(tmp_path, pages)
+    effects = {"damping": {"proportional": -20.0, "block": -40.0}}
+    heard = panel(
+        ratings=effects,
+        interactions={"damping=block, pluck=far": -12.0},
+        d_prime={"damping": {"block": 2.0}, "pluck": {"far": 1.5}},
+        preference={"pluck": {"middle": 0.7, "far": 1.6}},
+        thresholds={"6": {"mean": 0.5, "sd": 1.15, "slope": 4.0}},
+        careless=0.1,
+    )
+    simulate(test, heard, 40, seed=2)
+    found = analyse(tmp_path / "out")
+    assert (found.simulated, found.unfinished) == (40, ())
+    mushra, abx, afc, same, paired, stairs = found.pages
+
+    assert 1 <= len(mushra.screened) <= 9  # 40 listeners, a tenth of them careless
+    careful = 40 - len(mushra.screened)
+    assert mushra.listeners == careful
+    terms = {t.name: t for t in mushra.mixed.terms}
+    assert mushra.mixed.formula == "value ~ C(damping) + C(pluck) + C(damping):C(pluck)"
+    for name, true in (
+        ("damping=proportional", -20.0), ("damping=block", -40.0), ("pluck=far", 0.0),
+        ("damping=block : pluck=far", -12.0), ("damping=proportional : pluck=middle", 0.0),
+    ):  # fmt: skip
+        assert terms[name].low - 2 < true < terms[name].high + 2, (name, terms[name])
+        assert terms[name].high - terms[name].low < 12
+    assert terms["damping=block"].p_value < 1e-6
+    pairs = {(p.first, p.second): p for p in mushra.ranks.pairs if p.factor == "damping"}
+    assert pairs["complex", "block"].r == -1.0
+    (damping,) = [t for t in mushra.ranks.tests if t.name == "damping"]
+    assert damping.p_value < 1e-6
+    assert damping.effect > 0.8
+
+    for page, true in ((abx, 2.0), (afc, 1.5)):
+        task = detection.task_of(test.pages[page.page - 1])
+        for one in page.detections:
+            # a careless listener guesses: the share is that of the others and of guesses
+            share = 0.9 * detection.share_right(true, task) + 0.1 * detection.CHANCE[task]
+            assert one.low - 0.03 < share < one.high + 0.03
+    assert len(abx.detections) == 3
+    assert len(abx.by_listener) == 3 * 40
+    for one in same.detections:
+        assert one.d_low - 0.3 < 2.0 < one.d_high + 0.6
+    values = {s.level: s for s in paired.scale}
+    for level, true in (("near", -23 / 30), ("middle", -2 / 30), ("far", 25 / 30)):
+        assert values[level].low - 0.25 < true < values[level].high + 0.25
+    # careless listeners climb to the largest level: the median is that of the others
+    assert stairs.thresholds.median == pytest.approx(0.5, rel=0.12)
+    reversals = [t.reversals for t in stairs.thresholds.listeners if t.reversals]
+    assert np.median(reversals) == pytest.approx(0.5, rel=0.25)  # few trials: coarse, and careless listeners
+    careful = [t for t in stairs.thresholds.listeners if t.threshold < 1.5]
+    assert len(careful) >= 30
+    assert np.mean([(t.low or 0) < 0.5 < (t.high or 9) for t in careful]) > 0.75  # they differ by 15 %
+
+    write_tables(found, tmp_path / "results")
+    with (tmp_path / "results" / "answers.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(found.table.rows)
+    assert {r["simulated"] for r in rows} == {"1"}
+    rated = [r for r in rows if r["type"] == "mushra" and r["role"] == "sound"]
+    assert len(rated) == 40 * 3 * 2
+    block = [float(r["value"]) for r in rated if r["damping"] == "block" and r["pluck"] == "near"]
+    assert np.median(block) == pytest.approx(60, abs=6)
+    page = write_report(found, tmp_path / "results").read_text()
+    for words in ("40 simulated listeners", "C(damping)", "Cohen", "simulated</strong>"):
+        assert words in page
+    for heading in re.findall(r"<h2>.*?</h2>", page):
+        assert "simulated listeners" in heading
+    assert json.loads(json.dumps(found.to_dict()))["simulated"] == 40
+
+
+class Tags(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        self.found.append(tag)
+
+
+def test_every_text_of_a_report_is_escaped(tmp_path: Path) -> None:
+    evil = "<script>alert(1)</script>&amp;"
+    pages = [{"type": "abx", "name": evil, "pairs": {"damping": ["complex", "block"]}}]
+    test = fakes.made(tmp_path, pages, title=evil)
+    simulate(test, panel(), 2, seed=1)
+    found = analyse(tmp_path / "out")
+    write_tables(found, tmp_path / "results")
+    text = write_report(found, tmp_path / "results").read_text()
+    tags = Tags()
+    tags.feed(text)
+    assert "script" not in tags.found
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;&amp;amp;" in text
+
+
+def test_means_and_intervals_are_student_s() -> None:
+    rng = np.random.default_rng(1)
+    scores = rng.normal(60, 8, 12)
+    rows = [row(f"p{i}", x, f="a") for i, x in enumerate(scores)]
+    (mean,) = means.cell_means(rows, ("f",), 0.95)
+    assert (mean.low, mean.high) == pytest.approx(stats.t.interval(0.95, 11, scores.mean(), stats.sem(scores)))
+    # two listeners, every trial another score: the interval is that of the two means 50 and 60, t(0.975, 1) = 12.706
+    rows = [row("a", 40, f="a"), row("a", 60, f="a"), row("b", 50, f="a"), row("b", 70, f="a")]
+    (mean,) = means.cell_means(rows, ("f",), 0.95)
+    assert mean.high - mean.mean == pytest.approx(12.7062047 * np.std([50, 60], ddof=1) / np.sqrt(2), rel=1e-6)
+    assert (mean.listeners, mean.answers, mean.median) == (2, 4, 55.0)
+
+
+def test_screening_follows_bs1534() -> None:
+    rows = []
+    for trial in "1234":
+        rows += [row("good", 100, "reference", trial), row("deaf", 50, "reference", trial)]
+        rows += [row("edge", 90, "reference", trial), row("mid", 95, "reference", trial)]
+        rows += [row(w, v, "anchor70", trial) for w, v in (("good", 40), ("deaf", 40), ("edge", 90), ("mid", 30))]
+    rows[-1]["value"] = 95  # in one of four trials, 25 % > 15 %; one of four listeners is no more than 25 %
+    assert [(s.listener, s.reason) for s in means.screen(rows)] == [
+        ("deaf", "hidden reference below 90 in 4 of 4 trials"),
+        ("mid", "mid anchor above 90 in 1 of 4 trials"),
+    ]
+    easy = [r for r in rows if r["role"] == "anchor70" and r["trial"] == "4"]
+    for r in easy[:2]:
+        r["value"] = 95  # now more than a quarter of the listeners: that trial does not count
+    assert [s.listener for s in means.screen(rows)] == ["deaf"]
+
+
+@pytest.mark.parametrize(
+    ("task", "d", "share"),
+    [
+        # Macmillan & Creelman, table A5.7 (m-AFC), 2-AFC by Phi(d'/sqrt 2)
+        ("more_2", 1.0, 0.7602), ("more_3", 1.0, 0.6337), ("more_3", 2.0, 0.8658),
+        # Ennis, J. Sensory Stud. 8 (1993) 353-370, tables of triangle and duo-trio methods
+        ("odd_3", 1.0, 0.418), ("odd_3", 2.0, 0.605), ("odd_3", 3.0, 0.781), ("abx", 1.0, 0.583), ("abx", 2.0, 0.747),
+    ],
+)  # fmt: skip
+def test_sensitivities_are_those_of_the_tables(task: str, d: float, share: float) -> None:
+    assert detection.share_right(d, task) == pytest.approx(share, abs=6e-4)
+    assert detection.sensitivity(detection.share_right(d, task), task) == pytest.approx(d, rel=1e-8)
+    assert detection.sensitivity(detection.CHANCE[task], task) == 0.0
+
+
+def test_sensitivities_are_those_of_simulated_decisions(rng: np.random.Generator) -> None:
+    """Decisions made as the tasks describe them, from noisy observations."""
+    n, d = 400_000, 1.7
+    x = rng.standard_normal((n, 3))
+    x[:, 2] += d
+    distance = np.abs(x[:, [0, 0, 1]] - x[:, [1, 2, 2]])
+    odd = np.argmin(distance, axis=1)  # the closest two are alike: the third is the odd one
+    assert detection.share_right(d, "odd_3") == pytest.approx(np.mean(odd == 0), abs=4e-3)
+    right = np.abs(x[:, 0] - x[:, 1]) < np.abs(x[:, 0] - x[:, 2])
+    assert detection.share_right(d, "abx") == pytest.approx(np.mean(right), abs=4e-3)
+    k = 1.3
+    hits, alarms = np.mean(np.abs(x[:, 2] - x[:, 0]) > k), np.mean(np.abs(x[:, 1] - x[:, 0]) > k)
+    assert detection.sensitivity_same_different(hits, alarms) == pytest.approx(d, abs=0.02)
+
+
+def test_a_psychometric_function_is_fitted_to_its_own_answers(rng: np.random.Generator) -> None:
+    page = StaircasePage.model_validate(fakes.STAIRS)
+    levels = rng.choice(np.geomspace(0.05, 5.0, 25), 4000)
+    p = thresholds.psychometric(np.log(levels), np.log(0.5), 3.0, 1 / 3, 2**-0.5)
+    right = rng.random(len(p)) < p
+    threshold, low, high, slope = thresholds.fitted(levels, right, page, 0.95)
+    assert low < 0.5 < high
+    assert threshold == pytest.approx(0.5, rel=0.08)
+    assert slope == pytest.approx(3.0, rel=0.2)
+    at = thresholds.psychometric(np.log(0.5), np.log(0.5), 3.0, 1 / 3, 2**-0.5)
+    assert at == pytest.approx(2**-0.5, rel=1e-12)  # the share that two down, one up converges to
+
+
+def test_intervals_of_thresholds_hold_their_share(rng: np.random.Generator) -> None:
+    page = StaircasePage.model_validate(fakes.STAIRS)
+    inside = 0
+    for _ in range(100):
+        levels = rng.choice(np.geomspace(0.2, 1.2, 9), 120)
+        right = rng.random(120) < thresholds.psychometric(np.log(levels), np.log(0.5), 3.0, 1 / 3, 2**-0.5)
+        _, low, high, _ = thresholds.fitted(levels, right, page, 0.95)
+        inside += (low or 0.0) < 0.5 < (high or np.inf)
+    assert 88 <= inside <= 100
+
+
+def test_the_mixed_model_is_that_of_balanced_sums_of_squares(rng: np.random.Generator) -> None:
+    """Balanced data: differences of cell means; variances from the mean squares of a two-way analysis."""
+    n, levels = 14, ["a", "b", "c"]
+    own = rng.normal(0, 7, n)
+    y = 50 + own[:, None, None] + np.array([0, -5, 9])[None, :, None] + rng.normal(0, 3, (n, 3, 4))
+    rows = [row(f"l{i}", y[i, j, k], f=levels[j]) for i in range(n) for j in range(3) for k in range(4)]
+    fit = mixed_model(rows, ("f",), 0.95, {"f": levels})
+    means_ = y.mean(axis=(0, 2))
+    assert [t.difference for t in fit.terms] == pytest.approx(means_[1:] - means_[0], abs=1e-6)
+    between = 12 * np.var(y.mean(axis=(1, 2)), ddof=1)
+    residual = y - y.mean(axis=(1, 2), keepdims=True) - means_[None, :, None] + y.mean()
+    within = np.sum(residual**2) / (n * 12 - n - 2)
+    assert fit.residual_sd == pytest.approx(np.sqrt(within), rel=1e-3)
+    assert fit.listener_sd == pytest.approx(np.sqrt((between - within) / 12), rel=1e-3)
+    half = stats.norm.ppf(0.975) * np.sqrt(2 * within / (n * 4))
+    assert fit.terms[0].high - fit.terms[0].difference == pytest.approx(half, rel=1e-3)
+    ranks = rank_analysis(rows, ("f",))
+    table = y.mean(axis=2)
+    assert ranks.tests[0].statistic == pytest.approx(stats.friedmanchisquare(*table.T).statistic)
+    assert [p.p_value for p in ranks.pairs] == pytest.approx(
+        [stats.wilcoxon(table[:, b] - table[:, a]).pvalue for a, b in ((0, 1), (0, 2), (1, 2))]
+    )
+
+
+def test_bradley_terry_of_two_is_the_log_of_the_odds() -> None:
+    rows = [row("a", 1.0, f="x|y")] * 30 + [row("a", 0.0, f="x|y")] * 10
+    x, y = bradley_terry(rows, "f", 0.95)
+    assert y.value - x.value == pytest.approx(np.log(3), rel=1e-3)
+    error = np.sqrt(1 / 30 + 1 / 10)  # of the log of the odds
+    assert y.high - y.value == pytest.approx(stats.norm.ppf(0.975) * error / 2, rel=2e-3)
+
+
+def test_numbers_of_listeners() -> None:
+    # Cohen, Statistical Power Analysis (1988): d = 0.5, two-sided 5 %, power 80 %, one sample: 34; d = 0.8: 15
+    assert power.listeners_for_difference(0.5, 1.0, 0.05, 0.8) == 34
+    assert power.listeners_for_difference(0.8, 1.0, 0.05, 0.8) == 15
+    n = power.answers_for_share(0.75, 0.5, 0.05, 0.8)
+    limit = stats.binom.isf(0.05, n, 0.5)
+    assert stats.binom.sf(limit, n, 0.75) >= 0.8
+    assert stats.binom.sf(limit, n, 0.5) <= 0.05
+    assert n == 28
+    with pytest.raises(ListeningError, match="not above guessing"):
+        power.answers_for_share(0.5, 0.5, 0.05, 0.8)
+    with pytest.raises(ListeningError, match="more than 10000 listeners"):
+        power.listeners_for_difference(0.01, 10.0, 0.05, 0.8)
+
+
+def test_the_stated_power_is_reached(rng: np.random.Generator) -> None:
+    n = power.listeners_for_difference(10.0, 15.0, 0.05, 0.8)
+    drawn = rng.normal(10.0, 15.0, (4000, n))
+    reached = np.mean(stats.ttest_1samp(drawn, 0.0, axis=1).pvalue < 0.05)
+    assert reached == pytest.approx(0.8, abs=0.04)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("schema: tonewood-panel/1\nratings: {dampng: {block: 1.0}}", "ratings: dampng is not one of"),
+        ("schema: tonewood-panel/1\nratings: {damping: {blok: 1.0}}", "ratings.damping: blok is not one of complex"),
+        ("schema: tonewood-panel/1\nthresholds: {'1': {mean: 1.0, slope: 1.0}}", "page 1 is no staircase; none is"),
+        ("schema: tonewood-panel/1\nrating: {}", "rating: is not a known key; did you mean ratings?"),
+    ],
+)
+def test_a_panel_s_mistakes_are_one_line(tmp_path: Path, text: str, line: str) -> None:
+    test = fakes.made(tmp_path, [{"type": "abx", "pairs": {"damping": ["complex", "block"]}}])
+    (tmp_path / "panel.yaml").write_text(text)
+    with pytest.raises(ListeningError) as caught:
+        simulate(test, read_panel(tmp_path / "panel.yaml"), 1, seed=1)
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_phi_is_integrated_to_rounding() -> None:
+    exact = integrate.quad(lambda z: stats.norm.pdf(z - 1.0) * stats.norm.cdf(z) ** 2, -12, 12)[0]
+    assert detection.share_right(1.0, "more_3") == pytest.approx(exact, abs=1e-9)

@@ -1,0 +1,189 @@
+"""The page of a comparison: whole, offline, escaped, and in a browser sample for sample as rendered."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile as sf
+
+import tonewood as tw
+from browser import CHROMIUM, dom, listening, opened
+from tonewood.workshop.report.comparison import Candidate, Comparison, compare
+from tonewood.workshop.report.page import page
+
+FS = 48000
+EVIL = '<script>document.title="owned"</script> & "two" $x_1$'
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
+    """The monochord and one with an unkind title, source and change."""
+    folder = tmp_path_factory.mktemp("evil")
+    source = tw.list_instruments()["monochord"]
+    (folder / "body.csv").write_text((source / "body.csv").read_text(encoding="utf-8"))
+    text = (source / "instrument.yaml").read_text(encoding="utf-8")
+    quoted = EVIL.replace('"', '\\"')
+    text = re.sub(r"^title: .*$", lambda _: f'title: "{quoted}"', text, flags=re.MULTILINE)
+    text = text.replace(
+        "sources: {}", f'description: "{quoted}"\nsources: {{lab: {{text: "{quoted}", licence: facts}}}}'
+    )
+    (folder / "instrument.yaml").write_text(text, encoding="utf-8")
+    evil = tw.load_instrument(folder).replace({"strings.A2.tension": 50.0, "strings.A2.loss.sigma0": 3.0})
+    both = [Candidate(tw.load_instrument("monochord")), Candidate(evil, (EVIL,))]
+    return compare(both, notes=["A2"], fs=FS, duration=1.0)
+
+
+@pytest.fixture(scope="module")
+def html(found: Comparison) -> str:
+    return page(found)
+
+
+class Reader(HTMLParser):
+    """Tags with their attributes, and text."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+def test_nothing_is_fetched(html: str) -> None:
+    read = Reader(html)
+    sources = [a["src"] or "" for tag, a in read.tags if "src" in a]
+    assert len(sources) >= 7
+    assert all(source.startswith("data:") for source in sources)
+    assert not [a for tag, a in read.tags if tag in ("link", "iframe", "object", "embed", "form")]
+    assert all((a["href"] or "").startswith("#") for a in read.all("a"))
+    (policy,) = [a["content"] or "" for a in read.all("meta") if a.get("http-equiv") == "Content-Security-Policy"]
+    assert policy.startswith("default-src 'none'")
+    ids = {a["id"] for _, a in read.tags if "id" in a}
+    assert {(a["href"] or "")[1:] for a in read.all("a")} <= ids
+
+
+def test_texts_of_a_bundle_are_escaped(html: str) -> None:
+    read = Reader(html)
+    assert len(read.all("script")) == 1
+    assert "".join(read.texts).count(EVIL) >= 4  # title, description, source, change
+    assert "<script>document" not in html
+
+
+def test_figures_have_text_and_sounds_are_the_rendered_ones(found: Comparison, html: str) -> None:
+    read = Reader(html)
+    assert all(a["alt"] for a in read.all("img"))
+    for facts, audio in zip(found.instruments, read.all("audio"), strict=True):
+        sound, fs = sf.read(io.BytesIO(base64.b64decode((audio["src"] or "").partition(",")[2])), always_2d=True)
+        rendered = facts.tones["A2"].samples
+        assert fs == FS
+        assert len(sound) == len(rendered) == FS
+        middle = slice(0, FS // 2)
+        gain = np.sum(sound[middle] * rendered[middle]) / np.sum(rendered[middle] ** 2)
+        assert np.abs(sound[middle] - gain * rendered[middle]).max() <= 2.0**-15
+
+
+def test_numbers_of_the_page_are_those_of_the_facts(found: Comparison, html: str) -> None:
+    text = " ".join(Reader(html).texts)
+    for facts in found.instruments:
+        assert f"{facts.strings[0].tension:.2f}" in text
+        for mode in facts.body_modes:
+            assert f"{mode.freq:.2f}" in text
+        for wolf in facts.wolves:
+            assert f"{wolf.severity_cents:.1f}" in text
+    assert "strings.A2.loss.sigma0" in text
+
+
+def test_a_report_of_one(found: Comparison) -> None:
+    """No players, no parameters that differ; sources and stand-ins."""
+    facts = replace(found.instruments[1], stand_ins={"body.table": EVIL})
+    matches = dict.fromkeys(("modes", "wolves", "notes", "parameters"), ())
+    html = page(replace(found, instruments=(facts,), tones=(), **matches))
+    read = Reader(html)
+    text = " ".join(read.texts)
+    assert "Stand-ins, for figures nobody has published" in text
+    assert text.count(EVIL) >= 4
+    assert "Parameters that differ" not in text
+    assert not read.all("button")
+
+
+#: played without a clock: B is chosen half-way, and the sum is compared with both sounds
+PROBE = """<script>
+const tell = words => new Image().src = "http://127.0.0.1:%d/" + encodeURIComponent(words);
+let made = null;
+window.AudioContext = function () {
+  made = new OfflineAudioContext(2, 48000, 48000);
+  made.resume = () => Promise.resolve();
+  return made;
+};
+window.addEventListener("load", async () => {
+  try {
+    const player = document.querySelector(".player");
+    const starts = [];
+    const start = AudioBufferSourceNode.prototype.start;
+    AudioBufferSourceNode.prototype.start = function (when) {
+      starts.push([when, this]);
+      return start.call(this, when);
+    };
+    player.querySelector("[data-play]").click();
+    while (starts.length < 2) await new Promise(done => setTimeout(done, 20));
+    const resume = OfflineAudioContext.prototype.resume;
+    made.suspend(0.5).then(() => { player.querySelectorAll("[data-sound]")[1].click(); resume.call(made); });
+    const sum = (await made.startRendering()).getChannelData(0);
+    const shift = Math.round(starts[0][0] * 48000), switched = 24000, crossed = 24000 + 960 + 128;
+    const [a, b] = starts.map(([, source]) => source.buffer.getChannelData(0));
+    let before = 0, after = 0, apart = 0, hull = 0;
+    for (let i = shift; i < 47000; i++) {
+      const x = a[i - shift], y = b[i - shift];
+      if (i < switched) before = Math.max(before, Math.abs(sum[i] - x));
+      else if (i >= crossed) after = Math.max(after, Math.abs(sum[i] - y));
+      hull = Math.max(hull, sum[i] - Math.max(x, y), Math.min(x, y) - sum[i]);
+      apart = Math.max(apart, Math.abs(x - y));
+    }
+    tell(["done", starts[0][0] === starts[1][0], before, after, hull, apart, player.dataset.chosen].join(" "));
+  } catch (fault) { tell("fault " + fault); }
+});
+</script>
+</head>"""
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_players_switch_without_a_gap(html: str, tmp_path: Path) -> None:
+    """Before the switch the output is A, 20 ms after it B at the same place, and between them never outside of both."""
+    probed = tmp_path / "probed.html"
+    free = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", html)
+    with listening() as (port, reported):
+        probed.write_text(free.replace("</head>", PROBE % port, 1), encoding="utf-8")
+        with opened(probed, tmp_path / "profile"):
+            words = reported.get(timeout=120)
+    done, together, before, after, hull, apart, chosen = words.split(" ")
+    assert (done, together, chosen) == ("done", "true", "1"), words
+    assert float(apart) > 0.02
+    assert max(float(before), float(after), float(hull)) < 1e-5
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_the_policy_lets_the_page_s_own_script_run_and_no_other(html: str, tmp_path: Path) -> None:
+    tampered = tmp_path / "tampered.html"
+    foreign = "<script>document.body.dataset.foreign = 'ran'</script></body>"
+    tampered.write_text(html.replace("</body>", foreign), encoding="utf-8")
+    shown = dom(tampered, tmp_path / "profile")
+    assert 'data-state="stopped"' in shown
+    assert 'data-foreign="ran"' not in shown
+    assert "<title>owned" not in shown
